@@ -9,7 +9,7 @@ from typing import Any
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import Calibration
-from proprio_ros.identification.estimate import Fit, RecordedRun, RunFit, UnknownRow, Verdict, picked, plain
+from proprio_ros.identification.estimate import Fit, JointFit, RecordedRun, RunFit, UnknownRow, Verdict, picked, plain
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.schema import header, reason_codes
 
@@ -144,6 +144,7 @@ class CalibrationEstimate:
     empty_hand: EmptyHand | None = None  # what the runs say of how empty it was; None where no empty run moved it
     motion: MotionCalibration | None = None
     joint: JointCalibration | None = None  # of motions of one joint with known loads
+    joint_fits: tuple[JointFit, ...] = ()  # of motions, where runs have `run_fits`
     weighed_empty: tuple[EmptyHandEstimate, ...] = ()  # each motion by the others: nothing, or the known load
     timing_s: dict[str, float] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)  # bags, references, file written, as `as_json` gives them

@@ -14,15 +14,20 @@ from proprio_ros.quantity import Z95
 from proprio_ros.report.figures import ACCENT, INK, MUTED, PALE, SIMULATED, drawn, plain, svg
 
 TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck")
+OF_MOTIONS = ("torque_share", "coulomb", "viscous", "load_friction", "armature", "offset")
+ANY_SIGN = ("torque_constant", "torque_share", "offset")
+MOST_OVER = 5.0
+"""Bars are cut at so many times the most that any joint may have by now."""
 NOTICEABLE = 0.3
 """Correlations below this are not worth a row of the picture."""
 MOST_CORRELATED = 30
 RUNS_A_ROW = 4
 
 
-def joints_of(unknowns: tuple[UnknownRow, ...]) -> list[str]:
-    """Joints whose drive trains are among the unknowns."""
-    return [str(row.scope) for row in unknowns if row.kind == "torque_constant"]
+def joints_of(unknowns: tuple[UnknownRow, ...], of_runs: bool = False) -> list[str]:
+    """Joints whose drive trains are among the unknowns; ``of_runs``: only where runs said so, and not motions."""
+    kinds = {"torque_constant"} if of_runs else {"torque_constant", "torque_share"}
+    return [str(row.scope) for row in unknowns if row.kind in kinds]
 
 
 def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
@@ -34,20 +39,25 @@ def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
     """Every term of every joint: what the file said (pale), and what the runs say now (dark), 95 % each; a ``Figure``."""
     rows = {row.key: row for row in unknowns}
     joints = joints_of(unknowns)
+    terms = TERMS if ("torque_constant", joints[0]) in rows else OF_MOTIONS
     with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (figure, axes):
-        for axis, term in zip(axes.ravel(), TERMS, strict=True):
+        for axis, term in zip(axes.ravel(), terms, strict=True):
             for place, joint in enumerate(joints[::-1]):
                 row = rows.get((term, joint))
                 if row is None:
                     continue
                 before, now = (row.prior, row.prior_std, 0.62, PALE), (row.value, row.std, 0.26, ACCENT)
                 for value, std, height, color in (before, now):
-                    low = value - Z95 * std if term == "torque_constant" else max(value - Z95 * std, 0.0)
+                    low = value - Z95 * std if term in ANY_SIGN else max(value - Z95 * std, 0.0)
                     axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
                 axis.plot(row.value, place, "|", color=INK, markersize=9, markeredgewidth=1.6)
             axis.set_yticks(range(len(joints)), [plain(joint) for joint in joints[::-1]])
             axis.set_title(f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})", fontsize=9.5, loc="left")
             axis.grid(axis="y", visible=False)
+            # a file that leaves it wide open must not hide what was learnt
+            known = [abs(row.value) + Z95 * row.std for joint in joints if (row := rows.get((term, joint))) is not None]
+            (low, high), most = axis.get_xlim(), MOST_OVER * max(known, default=1.0)
+            axis.set_xlim(max(low, -most), min(high, most))
             axis.locator_params(axis="x", nbins=5)
         return figure
 

@@ -13,6 +13,7 @@ from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import pictures
 from proprio_ros.report.html import bulleted, framed, listed, number, plotted, provenance, table, titled, write_document
+from proprio_ros.report.motion_sections import torques
 
 _WORDS = {
     Verdict.REJECTED: "rejected: the model does not explain the runs",
@@ -29,8 +30,8 @@ def write_calibration_report(
         parts += plotted(
             "The drive train",
             figures.drive_train_figure(estimate.unknowns),
-            "Pale: the 95 % interval of the robot file. Dark: what the runs leave of it. A dark bar as long as the pale one "
-            "was not learnt.",
+            "Pale: the 95 % interval of the robot file, cut where it is far wider. Dark: what the recordings leave of it. A dark "
+            "bar as long as the pale one was not learnt.",
         )
     parts += _noise(estimate)
     if estimate.run_fits:
@@ -46,7 +47,7 @@ def write_calibration_report(
             "The run as the calibration without it predicts it. It may be far off where the others say little, but not "
             "further than promised: bars on the right that reach far past 1 contradict the others.",
         )
-    parts += [*_motions(estimate), *_weighed(estimate)]
+    parts += [*_motions(estimate), *_weighed(estimate), *torques(estimate.joint_fits, False, learnt=True)]
     parts += _unused(estimate)
     parts += listed("What the runs could not separate", estimate.not_separated)
     if estimate.calibration is not None:

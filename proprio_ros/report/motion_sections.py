@@ -7,12 +7,13 @@ from html import escape
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Estimate, HeldView, JointFit
+from proprio_ros.identification.estimate import HeldView, JointFit
 from proprio_ros.quantity import Z95, spec_for
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import breakable, framed, percent
 from proprio_ros.report.pictures import ArmPicture
 
+HINT = "Rest the pointer on a curve for its values; drag to look closer, double-click for all of it."
 _INERTIA = {
     "identified": "Ellipsoid: the homogeneous one of that mass and inertia, both identified.",
     "stated": "Ellipsoid: the homogeneous one of that mass, with inertia as stated.",
@@ -94,26 +95,36 @@ def _strip(shares: np.ndarray) -> str:
     )
 
 
-def torques(estimate: Estimate, hint: str) -> list[str]:
-    """Measured and explained torque of each joint; nothing of an answer that is not from motions."""
-    fits = estimate.joint_fits
+def torques(fits: Sequence[JointFit], weighed: bool, learnt: bool = False) -> list[str]:
+    """Measured and explained torque of each joint; nothing of an answer that is not from motions.
+
+    Args:
+        fits: Of each motion and joint.
+        weighed: Whether there is a payload that is shown alone, too.
+        learnt: Whether these motions calibrate the arm, and say nothing of a payload.
+    """
     if not fits:
         return []
+    by, where = "the arm, its friction and the payload", " where the load is known"
+    if learnt:
+        by, where = "the arm and its friction", " over all motions"
     about = (
-        "Means over windows of half a second. Explained: by the arm, its friction and the payload as they were identified. "
-        "Band: two standard deviations of what stays unexplained where the load is known."
+        f"Means over windows of half a second. Explained: by {by} as they were identified. "
+        f"Band: two standard deviations of what stays unexplained{where}."
     )
     parts = ["<h2>Measured against explained</h2>", f"<p class=small>{escape(about)}</p>"]
-    parts.append(f"<p class='small hint'>{hint}</p>")
+    parts.append(f"<p class='small hint'>{HINT}</p>")
     several = len({fit.name for fit in fits}) > 1
-    told = [fit.joint for fit in sorted(fits, key=lambda fit: -float(fit.told.sum()))]
-    for fit in sorted(fits, key=lambda fit: (fit.name, told.index(fit.joint))):
+    if not learnt:  # what told most comes first
+        told = [fit.joint for fit in sorted(fits, key=lambda fit: -float(fit.told.sum()))]
+        fits = sorted(fits, key=lambda fit: (fit.name, told.index(fit.joint)))
+    for fit in fits:
         title = f"{fit.name}: {fit.joint}" if several else fit.joint
         left_over, known = (f"{rms:{spec_for('', rms / Z95, kept=True)}} N m" for rms in (fit.left_over, fit.usual))
-        usual = f", {known} where the load is known" if fit.usual > 0.0 else ""
-        told_mass = f"Told {percent(float(fit.told.sum()))} of the mass; " if len(fits) > 1 else ""
+        usual = f", {known}{where}" if fit.usual > 0.0 and (several or not learnt) else ""
+        told_mass = f"Told {percent(float(fit.told.sum()))} of the mass; " if len(fits) > 1 and not learnt else ""
         words = f"{told_mass}{left_over} stay unexplained (rms){usual}."
-        figure = framed(torque_figure(fit, estimate.values[0].value is not None))
+        figure = framed(torque_figure(fit, weighed))
         parts.append(f"<h3>{escape(title)}</h3><p class=small>{escape(words)}</p>{figure}")
     return parts
 

@@ -79,7 +79,7 @@ def series_figure(title: str, places: Sequence[str], unit: str, lines: Sequence[
 
 def calibration_figure(estimate: CalibrationEstimate) -> Any:
     """Drive trains before and after; of motions each weighed by the others; else why there is neither. A matplotlib ``Figure``."""
-    if joints_of(estimate.unknowns):
+    if joints_of(estimate.unknowns, of_runs=True):
         return draw_drive_trains(estimate.unknowns)
     weighed = estimate.weighed_empty[:MOST_ROWS]
     if not weighed:

@@ -15,7 +15,7 @@ from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.records import TORQUE_OFF
 from proprio_ros.report import pictures
 from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, write_document
-from proprio_ros.report.motion_sections import arm_and_payload, torques, what_told
+from proprio_ros.report.motion_sections import HINT, arm_and_payload, torques, what_told
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
@@ -26,8 +26,6 @@ _WORDS = {
 
 _COLORS = {"accepted": "#2b7a4b", "rejected": "#b23a48", "not_identifiable": "#96600c", "too_wide": "#96600c"}
 """Of verdicts in a notebook; another is grey, as on the page."""
-
-HINT = "Rest the pointer on a curve for its values; drag to look closer, double-click for all of it."
 
 _ROLES = {"free": "fitted", "frozen": "as stated"}
 
@@ -64,7 +62,7 @@ def write_page(
         about = f"Standard deviation that each puts on the {estimate.values[0].label}, and its share of the variance."
         parts += ["<h2>Where the uncertainty comes from</h2>", f"<p class=small>{escape(about)}</p>"]
         parts.append(pictures.budget_figure(estimate))
-    parts += [*torques(estimate, HINT), *_values(estimate)]
+    parts += [*torques(estimate.joint_fits, estimate.values[0].value is not None), *_values(estimate)]
     parts += listed("What was assumed", estimate.assumptions)
     parts += listed("Notes on the recording", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)

@@ -14,7 +14,7 @@ from support.arm_in_motion import SIX, Twin, write_robot
 from support.fleet import write_bag
 from support.pages import curves, read
 
-from proprio_ros import weigh
+from proprio_ros import calibrate, weigh
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.identification.recorded import held_views
 from proprio_ros.pipeline.api import Weighing
@@ -106,6 +106,25 @@ def test_what_is_withheld_is_said_in_words(estimate: Estimate, tmp_path: Path) -
     write_report(replace(estimate, values=(*estimate.values[:2], withheld)), tmp_path / "page.html")
     _, text = read(tmp_path / "page.html")
     assert "?" not in text and "payload inertia: too little is held to say how it is spread" in text
+
+
+def test_the_page_of_a_calibration_shows_what_the_arm_explains(
+    folder: Path, loaded: tuple[Motion, Motion], tmp_path: Path
+) -> None:
+    bag = write_bag(folder / "learnt", loaded[1], constants=SIX.constants)
+    learnt = calibrate(bag, robot=write_robot(folder), effort_unit="N.m")
+    fits = learnt.estimate.joint_fits
+    assert [fit.joint for fit in fits] == list(SIX.joints) and not any(fit.payload.any() for fit in fits)
+    for fit in fits:
+        assert fit.left_over < 0.15 * np.sqrt(np.mean(fit.measured**2))
+    assert "joint_fits" not in learnt.as_json()
+    reader, text = read(learnt.report(tmp_path / "page.html"))
+    assert [reader.classes.count(kind) for kind in ("chart", "plot")] == [6, 12]
+    assert "by the arm and its friction as they were identified" in text and "of the mass" not in text
+    assert "torque beyond what its constant says" in text and "Every shared unknown" in text
+    drawn = curves((tmp_path / "page.html").read_text(), "measured")
+    lift = np.stack([fits[1].times_s, fits[1].measured], axis=1)
+    assert drawn[1] == pytest.approx(lift, abs=2e-3 * np.ptp(fits[1].measured))
 
 
 def test_a_notebook_plots_it(weighed: Weighing) -> None:

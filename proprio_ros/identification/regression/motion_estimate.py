@@ -14,7 +14,7 @@ from proprio_ros.identification.estimate import UnknownRow
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import Arm
-from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload, share_of
+from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload, learn_arm, share_of
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
 from proprio_ros.identification.regression.refusals import deciding, far_from_prior, unexplained_torque, unlike_urdf
 from proprio_ros.identification.unknowns import Role
@@ -54,7 +54,7 @@ def calibrate_motions(
     """
     robot = replace(robot, motion_calibration=None)
     progress(f"fitting {len(motions)} motions")
-    calibration = fit_empty(robot, motions)
+    calibration, fits = learn_arm(robot, motions)
     notes = tuple(note for motion in (*motions, *(motion for motion, _ in references)) for note in motion.notes)
     refusal = with_cause(judge(calibration_refusals(robot, motions, calibration)), robot, motions)
     if not refusal.withheld and references:
@@ -92,6 +92,7 @@ def calibrate_motions(
         notes=notes,
         weighable=weighable,
         weighed_empty=weighed,
+        joint_fits=fits,
     )  # fmt: skip
 
 
@@ -175,7 +176,7 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEs
     weighed = []
     for number, part in enumerate(parts):
         try:
-            fit = fit_payload(robot, [part], fit_empty(robot, [*parts[:number], *parts[number + 1 :]]))
+            fit = fit_payload(robot, [part], learn_arm(robot, [*parts[:number], *parts[number + 1 :]])[0])
         except RecordingError:
             continue  # too short to be halved: then the fit's own word has to do
         weighed.append(EmptyHandEstimate(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile))

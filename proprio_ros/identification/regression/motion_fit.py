@@ -151,7 +151,12 @@ def share_of(residual: FloatArray, driven: FloatArray) -> FloatArray:
 
 
 def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
-    """What motions with an empty hand say about an arm.
+    """What `learn_arm` says, without what a reader sees of it."""
+    return learn_arm(robot, motions)[0]
+
+
+def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibration, tuple[JointFit, ...]]:
+    """What motions with an empty hand say about an arm, and torque of each joint as it explains it.
 
     Args:
         robot: As its file states it.
@@ -186,7 +191,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
         limit = min(2.0 * float(np.hypot(robot.arm_scale.std, scale_std)), max(URDF_SHARE, 2.0 * scale_std))
     if abs(over_urdf - 1.0) > limit:
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
-    return MotionCalibration(
+    learnt = MotionCalibration(
         joints=names,
         torque_constants=np.array([robot.drive_trains[name].torque_constant.value for name in names]),
         values=mean @ solution.values,
@@ -203,6 +208,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
         runs=tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": 0.0} for m in motions),
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
+    return learnt, _shown(problem, parts, solution, learnt, [motion.name for motion in motions])
 
 
 def refuse_useless(robot: Robot, motion: Motion) -> None:
