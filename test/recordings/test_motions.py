@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from support.machines import REAL, UR10E_N_M_PER_A
 
+from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
+from proprio_ros.pipeline.calibrate import write_calibration
 from proprio_ros.pipeline.loading import bag_motion, runs_or_motion
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.payload import moving
@@ -370,13 +372,23 @@ def test_what_a_slow_motion_calibrates_says_that_the_scale_is_open(
     assert "--reference BAG=KG" in text and "times what its URDF says" in text
 
 
-def test_a_calibration_comes_back_from_its_file(slow: Motion, tmp_path: Path) -> None:
-    from proprio_ros.pipeline.calibrate import write_calibration
+@pytest.fixture(scope="module")
+def learnt_slowly(slow: Motion) -> MotionCalibration:
+    return fit_empty(load_robot("open_manipulator_x"), [slow])
 
-    robot = load_robot("open_manipulator_x")
-    given = fit_empty(robot, [slow])
-    write_calibration(tmp_path / "omx.yaml", robot, given)
-    read = load_robot(tmp_path / "omx.yaml")
+
+@pytest.fixture(scope="module")
+def calibrated_slowly(learnt_slowly: MotionCalibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("slow") / "omx.yaml"
+    write_calibration(path, load_robot("open_manipulator_x"), learnt_slowly)
+    return path
+
+
+def test_a_calibration_comes_back_from_its_file(
+    slow: Motion, learnt_slowly: MotionCalibration, calibrated_slowly: Path
+) -> None:
+    robot, given = load_robot("open_manipulator_x"), learnt_slowly
+    read = load_robot(calibrated_slowly)
     back = read.motion_calibration
     assert back is not None and not read.is_calibrated()
     assert back.keys == given.keys and back.runs == given.runs and back.fingerprint == given.fingerprint
@@ -387,12 +399,11 @@ def test_a_calibration_comes_back_from_its_file(slow: Motion, tmp_path: Path) ->
     np.testing.assert_allclose(one.std[:4], other.std[:4], rtol=1e-3)
 
 
-def test_torque_constants_that_changed_since_are_refused(slow: Motion) -> None:
+def test_torque_constants_that_changed_since_are_refused(slow: Motion, learnt_slowly: MotionCalibration) -> None:
     robot = load_robot("open_manipulator_x")
-    known = fit_empty(robot, [slow])
     changed = robot.with_overrides({"joints.joint2.drive_train.torque_constant_N_m_per_A": 1.9})
     with pytest.raises(RobotError, match="torque constant of joint2"):
-        fit_payload(changed, [slow], known)
+        fit_payload(changed, [slow], learnt_slowly)
 
 
 def test_runs_and_motions_are_calibrated_apart(
@@ -428,16 +439,13 @@ def test_runs_and_motions_are_calibrated_apart(
         (lambda c: c["joints"].pop(), "unknowns: .*joint4"),
     ],
 )
-def test_a_broken_calibration_file_is_refused(slow: Motion, tmp_path: Path, change, words: str) -> None:
+def test_a_broken_calibration_file_is_refused(calibrated_slowly: Path, tmp_path: Path, change, words: str) -> None:
     from ruamel.yaml import YAML
 
-    from proprio_ros.pipeline.calibrate import write_calibration
-
-    robot, path = load_robot("open_manipulator_x"), tmp_path / "omx.yaml"
-    write_calibration(path, robot, fit_empty(robot, [slow]))
     yaml = YAML(typ="safe", pure=True)
-    content = yaml.load(path)
+    content = yaml.load(calibrated_slowly)
     change(content["motion_calibration"])
+    path = tmp_path / "omx.yaml"
     with path.open("w") as stream:
         yaml.dump(content, stream)
     with pytest.raises(RobotError, match="motion_calibration: .*" + words):
