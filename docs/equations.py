@@ -16,6 +16,9 @@ def on_page_content(content: str, **_: Any) -> str:
 
     def as_mathml(found: re.Match[str]) -> str:
         tag, bracket, latex = found.groups()
-        return f"<{tag}>{convert(html.unescape(latex), display='block' if bracket == '[' else 'inline')}</{tag}>"
+        if bracket == "(":
+            return f"<{tag}>{convert(html.unescape(latex), display='inline')}</{tag}>"
+        # in a box of its own, which scrolls on a narrow screen
+        return f'<{tag} class="equation">{convert(html.unescape(latex), display="block")}</{tag}>'
 
     return ARITHMATEX.sub(as_mathml, content)

@@ -70,7 +70,7 @@ class Look:
     """Opens copies of a page; the copy lets in a script of the test, which the page itself would not."""
 
     def __init__(self, browser: str, folder: Path) -> None:
-        self._browser, self._folder = browser, folder
+        self.browser, self._folder = browser, folder
 
     def __call__(self, page: Path, script: str, width: int = 1400, *more: str, style: Style = str) -> Any:
         """What a script says on a page so wide [px], with more options of the browser."""
@@ -93,10 +93,27 @@ class Look:
         assert all(said), shown[-2000:]
         return [json.loads(html.unescape(found[1])) for found in said]
 
+    def framed(self, pages: Sequence[Path], script: str, width: int, *more: str) -> list[Any]:
+        """What a script says on pages that load files beside them, all in one start of the browser."""
+        tall = f"width:{width}px; height:900px; border:0"
+        frames = "".join(f'<iframe style="{tall}" src="{page.as_uri()}"></iframe>' for page in pages)
+        outer = self._folder / "outer.html"
+        inner = json.dumps(f"(() => {{{script}}})()")
+        told = (
+            "document.body.dataset.said = JSON.stringify([...document.querySelectorAll('iframe')].map((frame) => "
+            f"frame.contentWindow.eval({inner})))"
+        )
+        ready = f'<script>addEventListener("load", () => {{ {told}; }})</script>'
+        outer.write_text(f'<!doctype html><meta charset="utf-8"><body>{frames}{ready}</body>')
+        said = re.search(r'data-said="([^"]*)"', self.shown(outer, "--allow-file-access-from-files", *more))
+        assert said, "the browser says nothing"
+        found: list[Any] = json.loads(html.unescape(said[1]))
+        return found
+
     def shown(self, page: Path, *more: str) -> str:
         """The document of a page after its scripts have run."""
         command = [
-            self._browser,
+            self.browser,
             *QUIET,
             f"--user-data-dir={self._folder / 'profile'}",
             *more,
