@@ -483,8 +483,8 @@ def test_no_page_shows_digits_that_mean_nothing(bags: Path, tmp_path: Path) -> N
     [
         (-1.0, "the current or the angle of joint3 has the sign of an axis that is turned round"),
         (0.0, "the current or the angle of joint3 has the sign of an axis that is turned round"),
-        (1000.0, "the current of joint3 is a thousand times what fits"),
-        (0.001, "the current of joint3 is a thousandth of what fits"),
+        (1000.0, "the current of joint3 is about 1000 times what fits: it has another unit"),
+        (0.001, "the current of joint3 is about 0.001 times what fits: it has another unit"),
     ],
 )
 def test_a_sign_and_a_unit_are_named(bags: Path, robot: Robot, factor: float, words: str) -> None:
@@ -495,3 +495,24 @@ def test_a_sign_and_a_unit_are_named(bags: Path, robot: Robot, factor: float, wo
         factors |= {"position": -run.position, "before_position": -run.before_position}
     answer = weigh(robot, [replace(run, **factors)])
     assert answer.verdict is Verdict.REJECTED and answer.reasons[0].startswith(words)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_torque_constant_that_is_twice_off_is_refused(bags: Path, robot: Robot, factor: float) -> None:
+    """23 g read 285 g +- 44 %, accepted: without a calibration nothing but the file says what the torque constant is."""
+    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3"), Request(robot))
+    bent = replace(run, input_current_A=factor * run.input_current_A)
+    answer = weigh(robot, [bent])
+    assert answer.verdict is Verdict.NOT_IDENTIFIABLE and answer.values[0].value is None
+    word = "half" if factor > 1.0 else "twice"
+    assert f"if the torque constant of joint3 is {word} what the robot file says" in answer.reasons[0]
+
+
+def test_a_current_twice_that_of_the_calibration_is_named(bags: Path, robot: Robot) -> None:
+    """It explained the recording five times worse than the encoder, which only made the interval wider: 338 g for 50 g."""
+    known = robot.with_calibration(calibrate(robot, empty_runs(bags, robot)).calibration)
+    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_ball_50g_joint3"), Request(known))
+    assert weigh(known, [run]).verdict is not Verdict.REJECTED
+    answer = weigh(known, [replace(run, input_current_A=2.0 * run.input_current_A)])
+    assert answer.verdict is Verdict.REJECTED
+    assert answer.reasons[0].startswith("the current of joint3 is about 2 times what fits")

@@ -143,6 +143,11 @@ class MotionCalibration:
         return term_keys(self.joints)
 
     @property
+    def referenced(self) -> bool:
+        """Whether a weighed object told the torque constants."""
+        return any(run["load_kg"] > 0.0 for run in self.runs)
+
+    @property
     def stretches(self) -> int:
         """Of 2.5 s that were fitted."""
         return len(self.deviations)

@@ -41,7 +41,7 @@ from proprio_ros.pipeline.replay import aged_robot, moment_of
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import probe_that
 from proprio_ros.probes.base import Carries
-from proprio_ros.quantity import Quantity
+from proprio_ros.quantity import Z95, Quantity, shown
 from proprio_ros.recordings.contents import read_motors
 from proprio_ros.recordings.datasets import episode_of
 from proprio_ros.recordings.motions import Motion
@@ -117,7 +117,7 @@ def calibrate_from_bags(
         made = moment_of([each.run for each in runs], [path for path, _ in loads], request.options.state_topic)
         estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
     if references:
-        estimate = _with_implied_scale(estimate, request.robot)
+        estimate = _with_implied_scale(estimate, request.robot, bool(runs) and runs[0].run.free)
     used = {fit.name for fit in estimate.run_fits}
     unused = tuple(recorded_run(request.robot, each.run) for each in runs if each.run.name not in used)
     known = [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()]
@@ -199,17 +199,16 @@ def _reference(settings: Settings) -> PayloadFacts:
     return probe.reference(settings)
 
 
-def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot) -> CalibrationEstimate:
+def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: bool = False) -> CalibrationEstimate:
     """With what the references say of all motors at once: a reason where that, or what the arm then weighs, is beyond its prior.
 
     A reference whose mass is mistyped scales the motors' torque and the arm's weight alike, and every mass that is weighed later.
     """
-    implied = _implied_scale(estimate, robot)
+    implied = _implied_scale(estimate, robot, swings)
     if implied is None or estimate.verdict.value != "accepted":
         return estimate
-    scale, arm = implied
-    more = f"{100.0 * abs(scale.value - 1.0):.0f} % {'stronger' if scale.value >= 1.0 else 'weaker'} than stated"
-    said = f"your reference says that all motors are {more}, which is known to {100.0 * scale.std:.0f} %"
+    what, scale, arm = implied
+    said = f"your reference says that {what}"
     weight = f"the arm then weighs {arm.value:.2f} times what its URDF says, which is known to {100.0 * arm.std:.0f} %"
     # a score test: a mistyped mass moves both alike, torque constants that are off only the first
     weights = 1.0 / np.square([scale.std, arm.std])
@@ -218,25 +217,42 @@ def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot) -> Calibrat
         return replace(estimate, notes=(f"{said}; {weight}", *estimate.notes))
     cure = "every mass follows it: weigh the reference again, and check the torque constants"
     reasons = (*estimate.reasons, Reason("far_from_prior", f"{said}, and {weight}; {cure}"))
-    verdict = Verdict.REJECTED if abs(mistyped) > FAR else estimate.verdict
-    return replace(estimate, verdict=verdict, reasons=reasons)
+    if abs(mistyped) > FAR:
+        return replace(estimate, verdict=Verdict.REJECTED, reasons=reasons)
+    if (motion := estimate.motion) is not None and (weighable := estimate.weighable) is not None:
+        # until it has been weighed again, the intervals of masses reach what the robot file says
+        std = max(motion.torque_scale_std, abs(1.0 - 1.0 / scale.value) / Z95)
+        until = f"any mass to +-{100.0 * Z95 * std:.0f} % until the reference has been weighed again"
+        wide = replace(weighable, std_kg=float(np.hypot(weighable.std_kg, std * weighable.mass_kg)), in_motion=until)
+        estimate = replace(estimate, motion=replace(motion, torque_scale_std=std), weighable=wide)
+    return replace(estimate, reasons=reasons)
 
 
-def _implied_scale(estimate: CalibrationEstimate, robot: Robot) -> tuple[Quantity, Quantity] | None:
-    """True torque over the robot file's, and the arm's weight over its URDF's, by references: value, and the prior's deviation."""
+def _implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: bool) -> tuple[str, Quantity, Quantity] | None:
+    """True torque over the robot file's, and the arm's weight over its URDF's, by references: value, and the prior's deviation.
+
+    Free responses tell no torque but the rotor's inertia, which follows the references as torque does. In words first.
+    """
     if (motion := estimate.motion) is not None:
+        if not motion.referenced:
+            return None
         std = max(relative_torque_std(robot, joint) for joint in motion.joints)
         value, arm = motion.torque_scale, motion.torque_scale * motion.arm_over_urdf
     else:
-        rows = [
-            row for row in estimate.unknowns if row.kind == "torque_constant" and row.std < UNLEARNT * row.prior_std
-        ]
+        kind = "armature" if swings else "torque_constant"
+        rows = [row for row in estimate.unknowns if row.kind == kind and row.std < UNLEARNT * row.prior_std]
         if not rows:
             return None
-        value = float(np.mean([row.value / row.prior for row in rows]))
-        std = float(np.mean([row.prior_std / row.prior for row in rows]))
+        row, (values, priors, stds) = rows[0], np.array([(row.value, row.prior, row.prior_std) for row in rows]).T
+        by = values if swings else priors  # a rotor may be stated as nothing
+        value, std = 1.0 + float(np.mean((values - priors) / by)), float(np.mean(stds / by))
         arm = next((row.value for row in estimate.unknowns if row.kind == "arm_scale"), robot.arm_scale.value)
-    return Quantity(value, std), Quantity(arm / robot.arm_scale.value, max(robot.arm_scale.std, LEAST_ARM_STD))
+    known = Quantity(value, std), Quantity(arm / robot.arm_scale.value, max(robot.arm_scale.std, LEAST_ARM_STD))
+    if swings:
+        inertia = f"{shown('kg m^2', row.value, spec='.3g')}, which is known as {row.prior:.3g} +- {row.prior_std:.2g}"
+        return f"the rotor of {row.scope} has {inertia}", *known
+    more = f"{100.0 * abs(value - 1.0):.0f} % {'stronger' if value >= 1.0 else 'weaker'} than stated"
+    return f"all motors are {more}, which is known to {100.0 * std:.0f} %", *known
 
 
 def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdentity]:

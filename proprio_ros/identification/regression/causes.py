@@ -7,13 +7,15 @@ payload and dry friction leave unexplained is compared. A mistake is named where
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proprio_ros.errors import ProprioError
+from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
+from proprio_ros.identification.mistakes import of_all_joints, of_joint
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, equations
 from proprio_ros.identification.regression.motion_prior import payload_stds
@@ -26,21 +28,22 @@ EXPLAINED = 0.25
 """A mistake is named where undoing it leaves less than this of the torque, squared and relative to what the URDF says."""
 BETTER, CLEARER = 3.0, 1.15
 """And so many times less than as it is, and this much less than what any other mistake leaves."""
-UNEXPLAINED = 0.15
-"""What an arm that differs from its URDF leaves is less."""
+UNEXPLAINED, CERTAIN = 0.15, 8.0
+"""What an arm that differs from its URDF leaves is less; a mistake that leaves so many times less is named whatever that is."""
+RATE_HZ, LONGEST_S = 100.0, 60.0
+"""So many samples are enough to tell mistakes apart: some twenty fits are made."""
 HEAVY_COSTS = 0.3
 """Share of the torque that a payload as heavy as the arm must explain."""
+LEAST = 0.03
+"""And what is explained to this share is explained."""
 WEAK = 0.1
 """A joint counts as if gravity and inertia took at least this share of the largest torque on any."""
-FACTORS = (0.001, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0)
 LEAST_TILT_RAD, GRAVITY_ROUNDS = 0.2, 4
 GRAVITY_M_S2 = 9.81
 
 
-@dataclass(frozen=True)
-class _Tried:
-    left: float  # share of the torque that is not explained
-    words: str
+_Tried = tuple[float, str]
+"""Share of the torque that is not explained without a mistake, and the words for that."""
 
 
 @dataclass(frozen=True)
@@ -99,50 +102,37 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
         robot: As its file states it.
         motion: That was refused.
     """
+    motion = _thinned(motion)
     try:
         model = _Model.of(robot, motion)
         as_it_is = model.left(model.rows.torque)[0]
-        tried = sorted(_tried(robot, motion, model), key=lambda each: each.left)
+        (least, words), *others = sorted(_tried(robot, motion, model))
     except (ProprioError, np.linalg.LinAlgError):
         return ""
-    best, *others = tried
-    sure = best.left < EXPLAINED and as_it_is > max(BETTER * best.left, UNEXPLAINED)
-    other = next((each.left for each in others if each.words != best.words), np.inf)
-    return best.words if sure and CLEARER * best.left < other else ""
+    sure = least < EXPLAINED and as_it_is > max(BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST)
+    other = next((left for left, said in others if said != words), np.inf)
+    return words if sure and CLEARER * least < other else ""
 
 
 def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
-    torque, joint = model.rows.torque, model.rows.joint
-    names = motion.joints
-    yield _Tried(
-        model.left(-torque)[0],
-        "the effort of all joints has the sign of the torque that gravity makes, not of what holds against it: its publisher "
-        "counts it the other way round",
-    )
-    for factor in FACTORS:
-        yield _Tried(
-            model.left(torque / factor)[0],
-            f"the effort of all joints is about {factor:g} times what the URDF needs: it is in another unit (--effort-unit)",
-        )
-    sizes = [_rms(model.by_urdf[joint == number]) for number in range(len(names))]
-    for number, name in enumerate(names):
-        if sizes[number] < WEAK * max(sizes):  # mostly friction: less of it is explained better whatever is wrong
+    sizes = np.array([_rms(model.by_urdf[model.rows.joint == number]) for number in range(len(motion.joints))])
+    asked = [(np.ones(len(sizes), dtype=bool), of_all_joints())]
+    for number, name in enumerate(motion.joints):
+        if sizes[number] < WEAK * sizes.max():  # mostly friction: less of it is explained better whatever is wrong
             continue
-        mine = joint == number
-        turned = f"the effort or the angle of {name} has the sign of an axis that is turned round in the URDF"
-        yield _Tried(model.left(np.where(mine, -torque, torque))[0], turned)
-        flipped = motion.position.copy()
-        flipped[:, number] *= -1.0
-        other = _Model.of(robot, replace(motion, position=flipped))
-        its = other.rows.joint == number
-        for sign in (1.0, -1.0):
-            yield _Tried(other.left(np.where(its, sign, 1.0) * other.rows.torque)[0], turned)
-        for factor in FACTORS:
-            yield _Tried(
-                model.left(np.where(mine, torque / factor, torque))[0],
-                f"the effort of {name} is about {factor:g} times what the URDF needs, that of the others is not: it has another "
-                "unit or torque constant",
-            )
+        mistakes = of_joint(name, "effort", "the URDF needs, that of the others is not")
+        asked.append((np.arange(len(sizes)) == number, mistakes))
+    for which, mistakes in asked:
+        models = {1.0: model}
+        for mistake in mistakes:
+            if mistake.angle not in models:
+                angle = motion.position / np.where(which, mistake.angle, 1.0)
+                with suppress(RecordingError):  # then hardly anything moved
+                    models[mistake.angle] = _Model.of(robot, replace(motion, position=angle))
+            if (other := models.get(mistake.angle)) is None:
+                continue
+            torque = other.rows.torque / np.where(which, mistake.torque, 1.0)[other.rows.joint]
+            yield other.left(torque)[0], mistake.words
     yield from _by_gravity(robot, motion, model)
 
 
@@ -160,10 +150,22 @@ def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]
     if np.arccos(np.clip(found @ stated / GRAVITY_M_S2, -1.0, 1.0)) < LEAST_TILT_RAD:
         return
     shown = ",".join(f"{value:.1f}" for value in found)
-    yield _Tried(
-        model.left(model.rows.torque)[0],
+    said = (
         f"its torques are those of an arm on which gravity pulls along [{shown}] m/s^2 of the base, and the robot file says "
-        f"otherwise: is the base mounted so? --set robot.gravity=[{shown}] states it",
+        f"otherwise: is the base mounted so? --set robot.gravity=[{shown}] states it"
+    )
+    yield model.left(model.rows.torque)[0], said
+
+
+def _thinned(motion: Motion) -> Motion:
+    """The middle of a long motion, and of fast samples every so many."""
+    times_s, middle_s = motion.times_s, 0.5 * float(motion.times_s[-1])
+    first, last = np.searchsorted(times_s, [middle_s - 0.5 * LONGEST_S, middle_s + 0.5 * LONGEST_S])
+    kept = slice(first, last, max(1, int(len(times_s) / (2.0 * middle_s * RATE_HZ))))
+    position, current_A = motion.position[kept], motion.current_A[kept]
+    beside = {name: values[kept] for name, values in motion.beside.items()}
+    return replace(
+        motion, times_s=times_s[kept] - times_s[first], position=position, current_A=current_A, beside=beside
     )
 
 

@@ -12,6 +12,7 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyHandEstimate, Weighable
 from proprio_ros.identification.estimate import UnknownRow
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload, learn_arm, share_of
@@ -25,7 +26,7 @@ from proprio_ros.robot import Robot
 SHOWN_SHARE = 0.1
 """The headline is for an object of this share of the arm's mass."""
 LIGHT_REFERENCE = 0.2
-"""A reference whose mass is read with a greater relative standard deviation says nothing about torque constants."""
+"""A reference whose mass is read with a greater relative standard deviation leaves torque constants as they are stated."""
 OWN_SHARE = 1.0 / 3.0
 """A joint's torque may be off from the others' by this share of what its file leaves open: motors of one maker are off together."""
 
@@ -65,7 +66,7 @@ def calibrate_motions(
     arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
     weighable = None
     if not refusal.withheld:
-        weighable = _weighable(robot, motions, calibration, weighed, arm.kg, bool(references))
+        weighable = _weighable(robot, motions, calibration, weighed, arm.kg, calibration.referenced)
         if Z95 * weighable.std_kg > weighable.mass_kg:
             refusal = not_identifiable(
                 "says_too_little",
@@ -126,36 +127,40 @@ def _scaled(
     open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
     ratios: list[float] = []
     stds: list[float] = []
+    said_coarse = ""
     fits = [(fit_payload(robot, [motion], open_scale, centre=centre), motion, kg) for motion, kg in references]
     # the best one first: one that is too coarse beside others says nothing, and does no harm
     for fit, motion, mass_kg in sorted(fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]):
         read, std = float(fit.values[0]), float(fit.std[0])
-        if read <= 0.0 or std > LIGHT_REFERENCE * mass_kg:
-            if ratios:
-                continue
-            return calibration, not_identifiable(
-                "says_too_little",
-                "the reference says nothing about the torque constants",
-                f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
-                f"{shown('kg', std, spec='.0f')}, "
-                + (
-                    "lighter than nothing: are the recordings mixed up?"
-                    if read + Z95 * std < 0.0
-                    else "too coarse to tell the torque constants: take a heavier one, or move longer"
-                    + (", and check payload.com" if centre is not None else "")
-                ),
-            )
-        ratios.append(mass_kg / read)
-        stds.append(std * mass_kg / read**2)
-        allowed = np.hypot(calibration.torque_scale_std, stds[-1])
-        if abs(ratios[-1] - 1.0) > FAR * allowed:
+        coarse = read <= 0.0 or std > LIGHT_REFERENCE * mass_kg
+        if coarse and (ratios or said_coarse):
+            continue
+        said = (
+            f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
+            f"{shown('kg', std, spec='.0f')}, "
+        )
+        if read + Z95 * std < 0.0:
+            said += "lighter than nothing: are the recordings mixed up?"
+            nothing = "the reference says nothing about the torque constants"
+            return calibration, not_identifiable("says_too_little", nothing, said)
+        ratio, ratio_std = (read / mass_kg, std / mass_kg) if coarse else (mass_kg / read, std * mass_kg / read**2)
+        if abs(ratio - 1.0) > FAR * np.hypot(calibration.torque_scale_std, ratio_std):
             return calibration, rejected(
                 "misfit",
                 "the reference does not weigh what was stated",
-                f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
-                f"{shown('kg', std, spec='.0f')}, and the torque constants are stated to "
-                f"{100.0 * calibration.torque_scale_std:.0f} %: check the mass and the torque constants",
+                f"{said}and the torque constants are stated to {100.0 * calibration.torque_scale_std:.0f} %: check the mass and "
+                "the torque constants",
             )
+        if coarse:
+            said_coarse = (
+                f"{said}too coarse to tell the torque constants, which stay as stated: take a heavier one, or move "
+            )
+            said_coarse += "longer" + (", and check payload.com" if centre is not None else "")
+            continue
+        ratios.append(ratio)
+        stds.append(ratio_std)
+    if not ratios:  # one that tells nothing is no reason to stop: an answer is as uncertain as without it
+        return calibration, replace(ACCEPTED, reasons=(Reason("says_too_little", said_coarse),))
     weights = np.square(1.0 / np.array(stds))
     scale = float(weights @ ratios / weights.sum())
     # all of them lean on the same calibration: together they say no more than the best one

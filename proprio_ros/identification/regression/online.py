@@ -136,9 +136,9 @@ class OnlineEstimator:
         names = self._arm.model.joint_names
         if tuple(names) != tuple(self.joints):
             raise RobotError(f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(names)}")
-        referenced = any(float(run["load_kg"]) > 0.0 for run in calibration.runs)
+        told = calibration.referenced
         self._apart_std = np.array(
-            [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in self.joints]
+            [LEAST_TORQUE_STD if told else relative_torque_std(robot, name) for name in self.joints]
         )
         self._calibration = calibration
         self.centre_m = tuple(float(axis) for axis in centre_m)

@@ -13,6 +13,7 @@ is rejected.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,6 +34,7 @@ from proprio_ros.identification.fit import (
     summary,
 )
 from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive, rejected
+from proprio_ros.identification.mistakes import Mistake, of_joint
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
@@ -55,8 +57,12 @@ DECIDES = 0.1
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
 
-CAUSE_RATIO = 10.0
-"""A mistake is named where undoing it makes the reduced chi-square so many times smaller."""
+CAUSE_RATIO, BETTER = 10.0, 3.0
+"""A mistake is named where undoing it makes the reduced chi-square so many times smaller; and so many times, where only then it is
+no larger than chance makes it."""
+AS_WELL, MEASURED = 4.0, 0.02
+"""A fit whose chi-square is larger by less explains a recording as well as another; a torque constant that is known better than so,
+relative, has been measured."""
 
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 ANY_ZERO_RAD = 0.3
@@ -117,47 +123,11 @@ def weigh(
             "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, under its "
             "priors"
         )
-    estimate = Weighed(nominal, opened, found, len(runs), facts, options, still, against=drift).estimate()
+    weighed = Weighed(nominal, opened, found, len(runs), facts, options, still, against=drift)
+    estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
         return estimate
-    cause = _cause(robot, usable, facts, options, opened)
-    return replace(estimate, reasons=(*cause, *estimate.reasons))
-
-
-def _cause(
-    robot: Robot,
-    usable: Sequence[PreparedRun],
-    facts: PayloadFacts,
-    options: WeighingOptions,
-    opened: FitResult,
-) -> tuple[Reason, ...]:
-    """The one mistake in current or angle without which a fit explains runs that it does not, ``opened``, with it."""
-    joints = ", ".join(joints_of(usable))
-    turned = f"the current or the angle of {joints} has the sign of an axis that is turned round in the URDF"
-    tried: list[tuple[float, str]] = []
-    for factor, words in (
-        (-1.0, turned),
-        (0.0, turned),
-        (1e-3, f"the current of {joints} is a thousand times what fits: it is in another unit"),
-        (1e3, f"the current of {joints} is a thousandth of what fits: it is in another unit"),
-    ):
-        try:
-            undone = [prepare_run(robot, _undone(each.run, factor), each.load, facts) for each in usable]
-            fit = fit_opened(partial(solve_load, robot, undone, facts, options))
-        except (RecordingError, np.linalg.LinAlgError):
-            continue
-        if fit.value_of("payload_mass") > -options.wide_floor_kg:
-            tried.append((fit.reduced_chi2, words))
-    if not tried or CAUSE_RATIO * min(tried)[0] > opened.reduced_chi2:
-        return ()
-    return (Reason("misfit", f"{min(tried)[1]}: then a payload explains the recording, and now none does"),)
-
-
-def _undone(run: Run, factor: float) -> Run:
-    """The run with its current times a factor; 0: with its angle counted the other way round."""
-    if factor:
-        return replace(run, input_current_A=factor * run.input_current_A)
-    return replace(run, position=-run.position, before_position=-run.before_position)
+    return replace(estimate, reasons=(*weighed.cause, *estimate.reasons))
 
 
 def _weigh_swings(
@@ -338,6 +308,50 @@ class Weighed(Conclusion):
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
         yield from self.several(0.02)
+
+    def _all_refusals(self) -> Iterator[Refusal]:
+        """And at last what takes more fits."""
+        yield from super()._all_refusals()
+        if self.swings:
+            return
+        if not self.fit.explains and self.cause:
+            yield self.misfit_of()
+        constants = [run.drive.torque_constant for run in self.runs]
+        if self.known or all(each.std < MEASURED * each.value for each in constants):
+            return
+        # nothing but the file says what it is, and one run seldom does
+        for words, fit in self._without(Mistake("half", 2.0), Mistake("twice", 0.5)):
+            other, mass = fit.value_of(self.name), self.assessed.value
+            if fit.chi2 < self.fit.chi2 + AS_WELL and abs(other - mass) > Z95 * self.assessed.std:
+                joints = ", ".join(joints_of(self.runs))
+                yield not_identifiable(
+                    "several_values",
+                    "more than one mass explains the recording",
+                    f"more than one mass explains the recording: {1e3 * mass:.1f} g, or {1e3 * other:.1f} g if the torque constant "
+                    f"of {joints} is {words} what the robot file says, which nothing here tells: calibrate the robot",
+                )
+
+    @functools.cached_property
+    def cause(self) -> tuple[Reason, ...]:
+        """The one mistake in current or angle without which a fit explains runs that it does not with it."""
+        mistakes = of_joint(", ".join(joints_of(self.runs)), "current", "fits")
+        tried = [(fit.reduced_chi2, fit.explains, words) for words, fit in self._without(*mistakes)]
+        chi2, explains, words = min(tried, default=(np.inf, False, ""))
+        if (BETTER if explains and not self.opened.explains else CAUSE_RATIO) * chi2 > self.opened.reduced_chi2:
+            return ()
+        return (Reason("misfit", f"{words}: then a payload explains the recording, and now none does"),)
+
+    def _without(self, *mistakes: Mistake) -> Iterator[tuple[str, FitResult]]:
+        """What each mistake is called, and the fit without it where that is of a payload."""
+        for mistake in mistakes:
+            try:
+                runs = [(mistake.undone(each.run), each.load) for each in self.runs]
+                undone = [prepare_run(self.robot, run, load, self.facts) for run, load in runs]
+                fit = fit_opened(partial(solve_load, self.robot, undone, self.facts, self.options))
+            except (RecordingError, np.linalg.LinAlgError):
+                continue
+            if fit.value_of(self.name) > -self.options.wide_floor_kg:
+                yield mistake.words, fit
 
     def _moving_starts(self) -> list[str]:
         """A sentence for each run that fits far better if it did not start from rest."""

@@ -251,7 +251,7 @@ def _assumptions(
     known = "together with the baseline's" if robot.motion_calibration is None else "under the calibration's"
     stated = max(relative_torque_std(robot, joint) for joint in motions[0].joints)
     torque_std = stated if calibration is None else calibration.torque_scale_std
-    referenced = calibration is not None and any(run["load_kg"] > 0.0 for run in calibration.runs)
+    referenced = calibration is not None and calibration.referenced
     return (
         f"several joints moved at once: the {motions[0].source} of {len(motions[0].joints)} joints and their positions were fitted "
         f"{known}, the arm's own inertia and friction included",

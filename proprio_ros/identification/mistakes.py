@@ -1,0 +1,44 @@
+"""Mistakes that are made in recordings: each is undone in turn, and the one without which a model explains a recording is named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import pi
+
+from proprio_ros.records import Run
+
+FACTORS = (0.001, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0)
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """The sentence that names it, and what it multiplied torque and angle by."""
+
+    words: str
+    torque: float = 1.0
+    angle: float = 1.0
+
+    def undone(self, run: Run) -> Run:
+        """The run without it."""
+        angles = {name: getattr(run, name) / self.angle for name in ("position", "before_position")}
+        return replace(run, input_current_A=run.input_current_A / self.torque, **angles)
+
+
+def of_joint(name: str, quantity: str, needs: str) -> Iterator[Mistake]:
+    """Those of a joint called ``name``, whose torque was recorded as a ``quantity``; ``needs`` stands after "times what"."""
+    turned = f"the {quantity} or the angle of {name} has the sign of an axis that is turned round in the URDF"
+    yield from (Mistake(turned, *signs) for signs in ((-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)))
+    for factor in FACTORS:
+        said = f"the {quantity} of {name} is about {factor:g} times what {needs}"
+        yield Mistake(f"{said}: it has another unit or torque constant", factor)
+
+
+def of_all_joints() -> Iterator[Mistake]:
+    """Those that a publisher makes of all joints at once."""
+    sign = "the effort of all joints has the sign of the torque that gravity makes, not of what holds against it"
+    yield Mistake(f"{sign}: its publisher counts it the other way round", -1.0)
+    yield Mistake("the positions of all joints are in degrees: convert them to rad", angle=180.0 / pi)
+    for factor in FACTORS:
+        unit = "it is in another unit (--effort-unit)"
+        yield Mistake(f"the effort of all joints is about {factor:g} times what the URDF needs: {unit}", factor)
