@@ -31,6 +31,8 @@ LOOKAHEAD_S = 0.05
 """A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
 SINK_M = 1e-3
 """An arm that is too low may be moved, but not lower by more than this: encoders are not exact."""
+SAME_S = 0.02
+"""When a command was sent is known about so well; what one sender says in a row counts as said together."""
 HEALTH_PERIOD_S = 0.2
 """One servo's temperature and voltage are read so often, while nothing is driven."""
 
@@ -85,6 +87,7 @@ class ArmDriver:
         self._command: CurrentCommand | None = None
         self._targets: dict[str, float] = {}
         self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
+        self._since_s = -np.inf  # what was sent before counts no more: torque came on since, or a push has ended
         self._hold_wanted = self._stop_wanted = self._driving = False
         self._torque_wanted: bool | None = None
         self._torque_set = event()
@@ -114,16 +117,17 @@ class ArmDriver:
 
     # --- what others ask for ------------------------------------------------------------------------------------------
 
-    def command_currents(self, current_A: Mapping[str, float], sender: int = 0) -> str:
+    def command_currents(self, current_A: Mapping[str, float], sender: int = 0, late_s: float = 0.0) -> str:
         """Drive these joints with these currents [A], and hold the others, until the next command or the deadline.
 
         A current of zero for a joint that is not driven leaves it held. No joint at all ends the lease. Another sender is
-        refused while a lease lasts.
+        refused while a lease lasts, and so is what was sent before the last one ended: ``late_s`` is how long the command was on
+        its way.
 
         Returns:
             Why the whole command was refused, or an empty string.
         """
-        reason = self._why_refused(current_A)
+        reason = self._why_refused(current_A) or self._why_late(late_s)
         with self._lock:  # only the newest counts, so a flood of commands costs nothing
             now, last = self._clock(), self._command
             lasts = last is not None and last.leased and now - last.arrived_s <= self.settings.command_timeout_s
@@ -132,6 +136,8 @@ class ArmDriver:
             if not reason:
                 pushes = any(self._joints[name].pushed_by(value) for name, value in current_A.items())
                 self._command = CurrentCommand(now, dict(current_A), sender, pushes or (lasts and bool(current_A)))
+                if not current_A:
+                    self._since_s = max(self._since_s, now - late_s)
         self.statistics.refused_commands += bool(reason)
         return reason
 
@@ -145,6 +151,12 @@ class ArmDriver:
             if not np.isfinite(value):
                 return f"{name}: the {what} is {value}; every {what} must be a number"
         return ""
+
+    def _why_late(self, late_s: float) -> str:
+        """Why a command that was on its way for so long is not obeyed any more, or an empty string."""
+        if self._clock() - late_s >= self._since_s - SAME_S:
+            return ""
+        return f"it came {late_s:.2f} s late, and the arm has been held anew, or a push has ended, since it was sent"
 
     def _why_refused(self, current_A: Mapping[str, float]) -> str:
         reason = self._why_unfit(current_A, "current")
@@ -162,15 +174,16 @@ class ArmDriver:
                 return f"{name}: its servo reports a fault ({faults})"
         return ""
 
-    def command_positions(self, position: Mapping[str, float], sender: int = 0) -> str:
+    def command_positions(self, position: Mapping[str, float], sender: int = 0, late_s: float = 0.0) -> str:
         """Move held joints to these positions [rad or m], no faster than allowed.
 
-        Another sender is refused while the first one's commands come in a row.
+        Another sender is refused while the first one's commands come in a row; what was sent before torque came on (``late_s``
+        before now) is refused, too.
 
         Returns:
             Why the whole command was refused, or an empty string.
         """
-        reason = self._why_unfit(position, "position")
+        reason = self._why_unfit(position, "position") or self._why_late(late_s)
         if reason:
             return reason
         targets = {}
@@ -230,7 +243,7 @@ class ArmDriver:
             self._drop_commands()
 
     def _drop_commands(self) -> None:
-        self._command = None
+        self._command, self._since_s = None, self._clock()
         self._targets.clear()
 
     def await_torque(self, seconds: float) -> bool:
@@ -406,7 +419,7 @@ class ArmDriver:
             targets, self._targets = self._targets, {}
             hold, self._hold_wanted = self._hold_wanted, False
             if command is not None and now - command.arrived_s > self.settings.command_timeout_s:
-                self._command = None
+                self._command, self._since_s = None, now
         fresh = command is not None and now - command.arrived_s <= self.settings.command_timeout_s
         currents = command.current_A if command is not None and fresh else {}
         for joint in self._joints.values():

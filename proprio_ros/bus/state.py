@@ -136,6 +136,7 @@ class Senders:
 
     def __init__(self) -> None:
         self._last: dict[int, tuple[int, Hashable, int | None]] = {}
+        self._error_ns: dict[int, int] = {}  # of a publisher's clock, as far as that is known
         self._known = 0
 
     def of(self, number: int | None, looks: Hashable, sent_ns: int | None = None) -> int:
@@ -160,5 +161,15 @@ class Senders:
         self._last.pop(sender, None)  # those heard last stand last
         self._last[sender] = (number, looks, sent_ns)
         if len(self._last) > MOST:
-            del self._last[next(iter(self._last))]
+            self._error_ns.pop(gone := next(iter(self._last)), None)
+            del self._last[gone]
         return sender
+
+    def late_s(self, sender: int, lag_ns: int) -> float:
+        """How late a message came that was sent so long ago [ns] by its publisher's clock, which may be another one.
+
+        The least of all that came from a publisher is its clock's error; of one that was not heard before, what no message waits.
+        """
+        error_ns = self._error_ns.get(sender, 0 if 0 <= lag_ns < LATE_NS else lag_ns)
+        self._error_ns[sender] = min(error_ns, lag_ns)
+        return max(1e-9 * (lag_ns - error_ns), 0.0)

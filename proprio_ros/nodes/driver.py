@@ -195,11 +195,13 @@ class DriverNode(ManagedNode):
         """Pass a command on; returns why it was refused, or an empty string."""
         looks = (len(message.data), *(dim.label for dim in message.layout.dim))
         sent_ns = info.get("source_timestamp") or None
-        sender = self._senders[topic].of(info.get("publication_sequence_number"), looks, sent_ns)
+        senders = self._senders[topic]
+        sender = senders.of(info.get("publication_sequence_number"), looks, sent_ns)
         if self._driver is None or not self.active or sender == OUTDATED:  # a newer one has been obeyed
             return ""
+        late_s = senders.late_s(sender, self.get_clock().now().nanoseconds - sent_ns) if sent_ns else 0.0
         values = messages.by_joint(message, self._order)
-        return values if isinstance(values, str) else command(self._driver, values, sender)
+        return values if isinstance(values, str) else command(self._driver, values, sender, late_s)
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._driver is not None and self._thread is not None:  # active or not: the arm is held

@@ -122,7 +122,9 @@ class ExcitationNode(ManagedNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self._output = self._driver_output() if ours else self._controller_output(interface)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not ours)
+        self.listen(
+            JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not (ours and self._machine.busy)
+        )
         if ours:  # else this node says itself what it commands
             self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)

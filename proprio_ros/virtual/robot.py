@@ -66,6 +66,7 @@ class VirtualRobot:
             self.servos[name] = servo
         self._all = tuple(self.servos.values())
         self._shift = np.zeros(len(self._all))
+        self._heated: set[str] = set()
         self._current = np.zeros(len(self._all))
         self._time_s: float | None = None
         self._supported = True
@@ -132,9 +133,10 @@ class VirtualRobot:
             for row, (name, servo) in enumerate(self.servos.items()):
                 if name in joints["overheat"]:
                     servo.temperature_C = OVERHEATED_C
-                elif servo.temperature_C >= OVERHEATED_C - 5.0:
-                    servo.temperature_C = 40.0
+                elif name in self._heated:  # however far it has cooled down since
+                    servo.temperature_C = min(servo.temperature_C, 40.0)
                 self._shift[row] = 0.6 if name in joints["jump"] else 0.0
+            self._heated = set(joints["overheat"])
         (self.port.unplug if "unplug" in words else self.port.plug)()
 
     def close(self) -> None:

@@ -302,6 +302,36 @@ def test_one_sender_drives_until_it_ends(rig: Rig) -> None:
     assert driver.modes["joint3"] == "held" and driver.modes["joint4"] == "driven"
 
 
+def test_what_was_sent_before_torque_came_on_is_refused(rig: Rig) -> None:
+    here = rig.position()["joint1"]
+    rig.driver.set_torque(False)
+    rig.run(0.2)
+    rig.driver.set_torque(True)
+    rig.run(0.1)
+    late = "it came 0.30 s late, and the arm has been held anew"
+    assert rig.driver.command_positions({"joint1": here + 0.5}, late_s=0.3).startswith(late)
+    assert rig.driver.command_currents({"joint3": PUSH_A}, late_s=0.3).startswith(late)
+    rig.run(0.3)
+    assert set(rig.driver.modes.values()) == {"held"}
+    assert rig.position()["joint1"] == pytest.approx(here, abs=0.05)
+    assert rig.driver.command_positions({"joint1": here + 0.5}, late_s=0.3) == "", "sent since"
+
+
+def test_what_was_sent_before_a_push_ended_is_refused(rig: Rig) -> None:
+    assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
+    rig.run(0.05)
+    assert rig.driver.command_currents({}, sender=1) == ""
+    assert rig.driver.command_positions({"joint1": rig.position()["joint1"]}, sender=1) == "", "sent together"
+    rig.run(0.05)
+    for sender in (1, 2):
+        assert rig.driver.command_currents({"joint3": PUSH_A}, sender, late_s=0.1).endswith("since it was sent")
+    # and so it is where nobody ended it, but nothing came any more
+    assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
+    rig.run(rig.driver.settings.command_timeout_s + 0.05)
+    assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1, late_s=0.2).endswith("since it was sent")
+    assert rig.driver.modes["joint3"] == "held"
+
+
 def test_a_sender_that_falls_silent_drives_no_longer(rig: Rig) -> None:
     assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
     rig.run(rig.driver.settings.command_timeout_s + 0.05)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from proprio_ros.bus.state import LATE, OUTDATED, Senders
+from proprio_ros.bus.state import LATE, MOST, OUTDATED, Senders
 
 
 def test_publishers_are_told_apart_by_their_numbers() -> None:
@@ -66,3 +66,18 @@ def test_all_of_one_publisher_in_any_order_is_of_one() -> None:
             assert sender == 1
             obeyed.append(number)
     assert obeyed == sorted(set(obeyed)) and len(obeyed) > 100
+
+
+def test_how_late_a_message_came() -> None:
+    senders = Senders()
+    assert [senders.late_s(1, lag) for lag in (400 * MS, MS, 2000 * MS)] == [0.4, 0.001, 2.0], "by the same clock"
+    # by one that is 5 s behind, or ahead, nobody knows of the first message; of the others it is known
+    assert [round(senders.late_s(2, lag * MS), 3) for lag in (5001, 5000, 5400)] == [0.0, 0.0, 0.4]
+    assert [round(senders.late_s(3, lag * MS), 3) for lag in (-4999, -5000, -4600)] == [0.0, 0.0, 0.4]
+
+
+def test_only_so_many_publishers_are_remembered() -> None:
+    senders = Senders()
+    for sent in range(100):
+        senders.late_s(senders.of(1, "five", sent * 1000 * MS), MS)
+    assert len(senders._last) == len(senders._error_ns) == MOST

@@ -33,11 +33,11 @@ if __name__ == "__main__":
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
 from proprio_ros.live.session import JOURNAL
-from proprio_ros.nodes.messages import values_of
+from proprio_ros.nodes.messages import labelled, values_of
 from support.forked import lives
 from support.simulated_ros import Network
 from support.simulated_world import LINK, NODES, World, world
@@ -47,16 +47,16 @@ FAULTY = ("driver", "excitation", "identifier")
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 KINDS = (
     "kill", "stall", "restart", "end", "unplug", "overheat", "jump", "drop", "stranger", "call", "transition", "clock", "double",
-    "disk",
+    "disk", "late",
 )  # fmt: skip
-PLANS = {"push": 0.78, "weigh": 0.18, "pair": 0.04}
+PLANS = {"push": 0.86, "weigh": 0.12, "pair": 0.02}
 """What is asked for while things go wrong, and how often: a push, a weighing, or a weighing by each of two arms in one world."""
 LASTING = ("stall", "unplug", "stranger", "drop", "double", "disk")
 STILL_RAD_S = 0.15
 SAFE_S = 1.0
 """After the driver or the bus is gone: the servos' watchdog takes 0.3 s, and what turned comes to rest."""
-LATEST_S = 0.6
-"""By which the last message has come that a network held back."""
+NOWHERE_RAD = 0.31415
+"""Where nobody but a stranger wants a joint."""
 ANSWER_S = 120.0
 GONE_S = 3.0
 """Whoever was asked has ended: so long others go on with what it had begun, before somebody comes."""
@@ -83,7 +83,7 @@ class Fault:
         at_s: After the weighing was asked for.
         kind: What.
         whom: Node, joint or service.
-        lasts_s: For how long; of a clock, by how much it is set.
+        lasts_s: For how long; of a clock, by how much it is set; of a command, for how long it is held back.
     """
 
     at_s: float
@@ -143,7 +143,7 @@ def drawn(seed: int) -> Drawn:
     kinds = [kind for kind in KINDS if kind not in shared]
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
         kind, whom = draw.choice(kinds), draw.choice(FAULTY)
-        if kind in ("overheat", "jump", "stranger"):
+        if kind in ("overheat", "jump", "stranger", "late"):
             whom = draw.choice(JOINTS)
         elif kind == "call":
             whom = draw.choice(
@@ -152,6 +152,8 @@ def drawn(seed: int) -> Drawn:
         elif kind in ("unplug", "drop", "clock", "double", "disk"):
             whom = ""
         lasts_s = 10.0 ** draw.uniform(-3.0, 1.0) if kind in LASTING else 0.0
+        if kind == "late":
+            lasts_s = draw.uniform(0.05, 0.8)
         if kind == "clock":
             lasts_s = draw.choice((-5.0, -0.2, 0.2, 5.0))
         faults.append(Fault(draw.uniform(0.0, 2.0 if plan == "push" else 4.5), kind, whom, lasts_s))
@@ -224,11 +226,12 @@ class Side:
             clock.sleep(fault.lasts_s)
             self.set("virtual", "fault", "")
         elif fault.kind == "stranger":
-            layout = MultiArrayLayout(dim=[MultiArrayDimension(label=fault.whom, size=1, stride=1)])
             until_s = clock.now() + min(fault.lasts_s, 3.0)
             while clock.now() < until_s:
-                self.position.publish(Float64MultiArray(layout=layout, data=[0.3]))
+                self.position.publish(labelled({fault.whom: 0.3}))
                 clock.sleep(0.02)
+        elif fault.kind == "late":
+            self.command_late(fault)
         elif fault.kind == "call":
             self.call(fault.whom, within_s=10.0)
         elif fault.kind == "transition" and process.alive and process.node is not None:
@@ -246,6 +249,20 @@ class Side:
             clock.sleep(fault.lasts_s)
             disk_is_full(False)
 
+    def command_late(self, fault: Fault) -> None:
+        """A command is held back while somebody switches torque off and on, and comes, if it does, to an arm held anew."""
+        made, sent_s, driver = self.world, self.world.clock.now(), self.process("driver").node
+        before, made.graph.network = made.graph.network, Network(delay_s=fault.lasts_s)
+        self.position.publish(labelled({fault.whom: NOWHERE_RAD}))
+        made.graph.network = before
+        switched = [self.call("/driver/torque", SetBool, SetBool.Request(data=on), 10.0) for on in (False, True)]
+        held_s = made.clock.now()
+        made.clock.sleep(max(sent_s + fault.lasts_s + 0.1 - held_s, 0.0))
+        joint = None if driver is None or driver._driver is None else driver._driver._joints[fault.whom]
+        if all(answer is not None and answer.success for answer in switched) and joint is not None:
+            if joint.target_rad == NOWHERE_RAD:
+                self.broken(f"a command that came {held_s - sent_s:.2f} s before torque was on moves {fault.whom}")
+
     def heal(self) -> None:
         """What a person does who finds things so."""
         made = self.world
@@ -258,11 +275,9 @@ class Side:
         self.recover(held=False)
         self.call("/driver/torque", SetBool, SetBool.Request(data=False), 10.0)
         self.robot.park()
-        made.clock.sleep(
-            LATEST_S
-        )  # nobody lifts an arm sooner; what was sent before it was limp has come by then, and is refused
+        # what was sent before may come after this
         self.call("/driver/torque", SetBool, SetBool.Request(data=True), 10.0)
-        made.clock.sleep(0.5)
+        made.clock.sleep(0.3)
         self.recover()
 
     def recover(self, held: bool = True) -> None:

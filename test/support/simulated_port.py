@@ -13,7 +13,7 @@ from proprio_ros.virtual.bus import VirtualBus
 from support.memory_port import MemoryPort
 from support.simulated_time import Ended, SimulatedClock
 
-WORLD_STEP_S = 0.01
+WORLD_STEP_S = 0.025
 """The arm moves on at least so often, though nobody talks to it."""
 LONGEST_WAIT_S = 0.001
 PORTS: dict[str, SimulatedPort] = {}

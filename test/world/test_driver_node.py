@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from support.listening import LATCHED
 from support.simulated_live import Client, running
+from support.simulated_ros import Network
 
 from proprio_ros.calibration_files.motors import MotorIdentity
 from proprio_ros.nodes.messages import labelled, values_of
@@ -138,6 +140,33 @@ def test_a_stranger_is_refused_while_another_drives(bench: Bench) -> None:
     bench.until(lambda: bench.modes["joint4"] == "driven", lambda: bench.stranger.publish(labelled({"joint4": -0.05})))
 
 
+@pytest.mark.parametrize("waits", ["network", "queue"])
+def test_a_command_from_before_torque_came_on_is_refused(bench: Bench, waits: str) -> None:
+    """Whether the network held it back, or the node itself was busy meanwhile."""
+    graph = bench.client.world.graph
+    positions = bench.other.create_publisher(Float64MultiArray, "/position_command", 10)
+    switch = partial(bench.call, SetBool, "/driver/torque")
+    here, sent = bench.position()["joint1"], labelled({"joint1": bench.position()["joint1"] + 0.6})
+    assert switch(SetBool.Request(data=False)).success
+    if waits == "network":
+        usual, graph.network = graph.network, Network(delay_s=0.4, jitter_s=0.0)
+        positions.publish(sent)
+        graph.network = usual
+        assert switch(SetBool.Request(data=True)).success
+    else:
+        bench.virtual.set_fault("delay=0.01")
+        answer = bench.client.begin("/driver/torque", SetBool, SetBool.Request(data=True))
+        bench.spin(0.1)
+        positions.publish(sent)  # while the node waits for its servos
+        assert bench.client.answer(answer).success
+        bench.virtual.set_fault("")
+    bench.spin(1.0)
+    assert bench.position()["joint1"] == pytest.approx(here, abs=0.05)
+    assert "since it was sent" in bench.client.log("driver")
+    positions.publish(sent)
+    bench.until(lambda: bench.position()["joint1"] > here + 0.5)
+
+
 @pytest.mark.parametrize("transition", ["deactivate", "cleanup", "shutdown"])
 def test_a_lifecycle_transition_ends_with_the_arm_held(bench: Bench, transition: str) -> None:
     bench.drive()
@@ -166,6 +195,17 @@ def test_the_end_of_the_process_obeys_on_shutdown(bench: Bench) -> None:
     assert bench.process.code == 0
     bench.client.world.processes.pop("driver")
     assert {servo["torque_enable"] for servo in bench.virtual.servos.values()} == {0}
+
+
+def test_an_excitation_at_rest_knows_where_the_arm_is(tmp_path: Path) -> None:
+    """Not where it was twenty joint states ago, when something begins."""
+    with running(tmp_path, "virtual", "driver", "excitation") as client:
+        client.clock.sleep(2.0)
+        excitation = client.world.processes["excitation"].node
+        before = excitation._sample.position["joint4"]
+        client.world.arm.set_fault("jump=joint4")
+        client.clock.sleep(0.1)
+        assert abs(excitation._sample.position["joint4"] - before) > 0.5
 
 
 def test_a_defect_in_mid_push_ends_the_current(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
