@@ -3,6 +3,7 @@ a URDF of three, six or seven joints that is not in it."""
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from collections.abc import Mapping
@@ -105,13 +106,7 @@ def test_an_arm_that_nobody_has_seen_is_weighed_by_the_five_commands(
 ) -> None:
     """Torque constants are off by 3 % each, which was refused with seven joints; links, friction and rotors are off, too."""
     monkeypatch.chdir(tmp_path)
-    urdf = write_urdf(tmp_path / "my_arm.urdf", count, seed)
-    random, names = np.random.default_rng(seed), joints_of(count)
-    drawn = np.round(random.uniform(4.0, 9.0, count), 2)
-    stated = {name: value if unit == "A" else 1.0 for name, value in zip(names, drawn.tolist(), strict=True)}
-    true = {name: value * (1.0 + 0.03 * random.standard_normal()) for name, value in stated.items()}
-    for number, (name, kg) in enumerate({"EMPTY_BAG": 0.0, "LOADED_BAG": 1.3, "KNOWN_BAG": 0.5}.items()):
-        record_arm(tmp_path / name, urdf, true, "tool0", kg, 10 * seed + number, robot_seed=seed, seconds=15.0)
+    stated = recorded(tmp_path, count, unit, seed, {"EMPTY_BAG": 0.0, "LOADED_BAG": 1.3, "KNOWN_BAG": 0.5})
     masses = []
     for words in commands("**Any other arm"):
         words = [word if word != "A" else unit for word in words]
@@ -125,6 +120,49 @@ def test_an_arm_that_nobody_has_seen_is_weighed_by_the_five_commands(
             masses.append([float(word) for word in re.findall(r"payload_mass: (\S+) g .* (\S+) \.\. (\S+) g", said)[0]])
     assert len(masses) == 2 and all(low < 1300.0 < high for _, low, high in masses), masses
     assert all(abs(mass - 1300.0) < 0.05 * 1300.0 and high - low < mass for mass, low, high in masses), masses
+
+
+@pytest.mark.parametrize(("count", "unit", "seed"), [(3, "A", 41), (6, "N.m", 42), (7, "A", 43)])
+def test_a_reference_stops_no_calibration(
+    count: int,
+    unit: str,
+    seed: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """One that is too light to tell torque constants was refused as if the recordings were wrong, now and then one of 0.5 kg."""
+    monkeypatch.chdir(tmp_path)
+    masses = {"EMPTY_BAG": 0.0, "LOADED_BAG": 1.3, "HEAVY_BAG": 0.5, "LIGHT_BAG": 0.03}
+    stated = recorded(tmp_path, count, unit, seed, masses)
+    effort = ["--effort-unit", unit]
+    assert main(["robot", "new", "my_arm.urdf", "--output", "my_arm.yaml", *(effort if unit != "A" else [])]) == 0
+    _state(tmp_path / "my_arm.yaml", stated if unit == "A" else {})
+    for name in ("HEAVY_BAG", "LIGHT_BAG"):
+        known, robot = f"{name}={masses[name]}", ["--robot", "my_arm.yaml", *effort]
+        capsys.readouterr()
+        assert main(["calibrate", "EMPTY_BAG", "--reference", known, *robot, "--output", f"{name}.yaml", "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert ("says_too_little" in told["reason_codes"]) == (name == "LIGHT_BAG"), told["reasons"]
+        assert not any("your reference" in note for note in told["notes"]) or name == "HEAVY_BAG"
+        assert (
+            main(["replay", "LOADED_BAG", "--probe", "payload", "--calibration", f"{name}.yaml", *effort, "--json"])
+            == 0
+        )
+        low, high = json.loads(capsys.readouterr().out)["estimates"][0]["ci95"]
+        assert low < 1.3 < high, told
+
+
+def recorded(folder: Path, count: int, unit: str, seed: int, masses: Mapping[str, float]) -> dict[str, float]:
+    """Bags of an arm that is drawn at random, whose torque constants are off by 3 % each from these, which are stated."""
+    urdf = write_urdf(folder / "my_arm.urdf", count, seed)
+    random, names = np.random.default_rng(seed), joints_of(count)
+    drawn = np.round(random.uniform(4.0, 9.0, count), 2)
+    stated = {name: value if unit == "A" else 1.0 for name, value in zip(names, drawn.tolist(), strict=True)}
+    true = {name: value * (1.0 + 0.03 * random.standard_normal()) for name, value in stated.items()}
+    for number, (name, kg) in enumerate(masses.items()):
+        record_arm(folder / name, urdf, true, "tool0", kg, 10 * seed + number, robot_seed=seed, seconds=15.0)
+    return stated
 
 
 def _state(path: Path, constants: Mapping[str, float]) -> None:
