@@ -163,7 +163,9 @@ def swapped(question: Question, folder: Path) -> Question | None:
     if not question.empty:
         return None
     empty = (question.loaded, *question.empty[1:])
-    return replace(question, loaded=question.empty[0], empty=empty, truth_kg=-question.truth_kg)
+    # one loaded bag among several empty ones contradicts them and is left out: then the hand is as empty as it is
+    truth_kg = -question.truth_kg if len(empty) == 1 else 0.0
+    return replace(question, loaded=question.empty[0], empty=empty, truth_kg=truth_kg)
 
 
 MISTAKES = (

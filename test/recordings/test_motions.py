@@ -15,6 +15,7 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.regression.causes import torque_cause
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.pipeline.calibrate import write_calibration
 from proprio_ros.pipeline.loading import bag_motion, runs_or_motion
@@ -315,6 +316,36 @@ def test_what_a_reference_implies_is_told_and_put_against_its_prior(
     (reason,) = [reason for reason in told[3.4]["reasons"] if "your reference" in reason]
     assert "% stronger than stated, which is known to 10 %" in reason and "weigh the reference again" in reason
     assert "far_from_prior" in told[3.4]["reason_codes"]
+
+
+def test_an_object_that_was_turned_between_two_recordings_is_told_apart(
+    capsys: pytest.CaptureFixture[str], ur10e: Path
+) -> None:
+    """The loads of these two sit on either side of the flange; "10 times what the URDF needs" was named, since nearly no torque is
+    explained by a payload that cancels the arm's weight."""
+    bags = [str(REAL / f"ur10e_{name}") for name in ("loaded_14", "loaded_15", "empty_14")]
+    words = [
+        "replay",
+        *bags[:2],
+        "--probe",
+        "payload",
+        "--robot",
+        str(ur10e),
+        "--effort-unit",
+        "A",
+        "--baseline",
+        bags[2],
+    ]
+    capsys.readouterr()
+    assert main([*words, "--json"]) == 3
+    reason = json.loads(capsys.readouterr().out)["reasons"][0]
+    assert (
+        reason.startswith("each motion is explained by itself, and together they are not")
+        and "times what" not in reason
+    )
+    robot = load_robot(ur10e)
+    turned = bag_motion(REAL / "ur10e_loaded_15", Request(robot, Options(effort_unit="A")))
+    assert torque_cause(robot, turned) == ""
 
 
 def test_a_reference_without_an_empty_motion_is_refused(

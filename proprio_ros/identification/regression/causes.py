@@ -105,11 +105,14 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
     motion = _thinned(motion)
     try:
         model = _Model.of(robot, motion)
-        as_it_is = model.left(model.rows.torque)[0]
+        as_it_is, nothing = (model.left(share * model.rows.torque)[0] for share in (1.0, 0.0))
         (least, words), *others = sorted(_tried(robot, motion, model))
     except (ProprioError, np.linalg.LinAlgError):
         return ""
-    sure = least < EXPLAINED and as_it_is > max(BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST)
+    # a torque of nothing is explained by a payload that cancels the arm's weight
+    sure = least < min(EXPLAINED, nothing / 2.0) and as_it_is > max(
+        BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST
+    )
     other = next((left for left, said in others if said != words), np.inf)
     return words if sure and CLEARER * least < other else ""
 

@@ -6,12 +6,14 @@ What the empty arm does comes from motions that were recorded with the others, o
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
+from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate, Fit, JointFit, Value, Verdict
 from proprio_ros.identification.judge import ACCEPTED, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.reasons import Reason
@@ -142,9 +144,16 @@ def identify_in_motion(
         assumptions = _assumptions(robot, motions, None, None)
         return motion_answer(robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None)
     refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
-    named = with_cause(refusal, robot, (*motions, *baseline))
+    beside = baseline if robot.motion_calibration is not None else ()
+    named = refusal
+    if len(motions) > 1 and refusal.verdict is Verdict.REJECTED:
+        with suppress(RecordingError):  # one is too short by itself
+            named = _apart(
+                refusal, motions, [fit_payload(robot, [m], calibration, empty=beside) for m in motions], known
+            )
+    if named is refusal:
+        named = with_cause(refusal, robot, (*motions, *baseline))
     if centre is not None and named is refusal and refusal.verdict is Verdict.REJECTED:
-        beside = baseline if robot.motion_calibration is not None else ()
         named = _elsewhere(refusal, motions, fit_payload(robot, motions, calibration, empty=beside), facts, known)
     refusal = named
     mass, std = float(fit.values[0]), float(fit.std[0])
@@ -164,6 +173,21 @@ def identify_in_motion(
         notes=passed_over(fit.joints, fit.tells, fit.unexplained),
         shown=fit.shown,
     )
+
+
+def _apart(refusal: Refusal, motions: Sequence[Motion], alone: Sequence[MotionFit], known: str) -> Refusal:
+    """The refusal, with what each motion says ``alone``, where each is explained by itself."""
+    if any(judge(_refusals([motion], fit, known)) is not ACCEPTED for motion, fit in zip(motions, alone, strict=True)):
+        return refusal
+    places = [_place(fit)[0].value for fit in alone]
+    told = ", ".join(
+        f"{motion.name} {shown('kg', float(fit.values[0]), spec='.0f')} at [{', '.join(f'{x:.3f}' for x in place)}] m"
+        for motion, fit, place in zip(motions, alone, places, strict=True)
+        if isinstance(place, list) and None not in place
+    )
+    said = f"each motion is explained by itself, and together they are not: {told}"
+    cure = "was the same object held in the same place? Weigh them apart"
+    return replace(refusal, reasons=(Reason("runs_contradict", f"{said}: {cure}"), *refusal.reasons))
 
 
 def _elsewhere(

@@ -94,3 +94,18 @@ def test_a_centre_that_is_stated_wrongly_is_named(robot: Robot) -> None:
         warnings.simplefilter("error")
         answer = identify_in_motion(robot, [efforts(0.0, LIFT)(loaded)], [empty], right)
     assert answer.verdict is Verdict.REJECTED and any("% of the torque of j2" in reason for reason in answer.reasons)
+
+
+def test_two_motions_that_hold_something_elsewhere_are_told_apart(robot: Robot) -> None:
+    """Together they were refused as if something had touched the arm, or as another unit of effort."""
+    arm = Twin(5, SIX)
+    empty = arm.record("empty", 15.0)
+    one, other = (
+        arm.record(name, 12.0, (1.5, np.array(centre)))
+        for name, centre in (("one", [0.03, 0.0, 0.15]), ("other", [0.03, 0.0, -0.15]))
+    )
+    assert identify_in_motion(robot, [one], [empty], PayloadFacts()).verdict is Verdict.ACCEPTED
+    answer = identify_in_motion(robot, [one, other], [empty], PayloadFacts())
+    assert answer.verdict is Verdict.REJECTED
+    assert answer.reasons[0].startswith("each motion is explained by itself, and together they are not: one 1")
+    assert "was the same object held in the same place" in answer.reasons[0]
