@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from proprio_ros.errors import RecordingError
@@ -60,8 +61,9 @@ class Windows:
         return -self._over(self.slope, values) / period_s
 
     def _over(self, weight: FloatArray, values: FloatArray) -> FloatArray:
-        rows = self.starts[:, None] + np.arange(len(weight))
-        return np.tensordot(values[rows], weight, axes=(1, 0))
+        columns = np.ascontiguousarray(np.moveaxis(values, 0, -1))
+        rows = np.moveaxis(sliding_window_view(columns, len(weight), -1)[..., self.starts, :], -2, 0)
+        return np.dot(np.ascontiguousarray(rows).reshape(-1, len(weight)), weight).reshape(rows.shape[:-1])
 
 
 def torque_regressor(
@@ -81,13 +83,11 @@ def torque_regressor(
         Shape (W, n, n, 10): window, joint, body, parameter [N m per unit].
     """
     motion = kinematics(model, position, velocity)
-    bodies = position.shape[1]
-    result = np.zeros((len(windows.starts), bodies, bodies, PARAMETERS))
+    result = np.zeros((len(windows.starts), *2 * position.shape[1:], PARAMETERS))
     axes, twists = motion.axis, motion.twist
-    spin, direction = twists[..., :3], axes[..., :3]
-    moved = np.cross(spin, axes[..., 3:]) + np.cross(twists[..., 3:], direction)
-    turning = np.concatenate([np.cross(spin, direction), moved], axis=-1)
-    for body in range(since, bodies):
+    moved = np.cross(twists[..., :3], axes[..., 3:]) + np.cross(twists[..., 3:], axes[..., :3])
+    turning = np.concatenate([np.cross(twists[..., :3], axes[..., :3]), moved], axis=-1)
+    for body in range(since, position.shape[1]):
         momentum, wrench = momentum_and_gravity(
             motion.rotation[:, body], motion.origin[:, body], twists[:, body], model.gravity
         )
