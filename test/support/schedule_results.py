@@ -9,7 +9,6 @@ import datetime
 import json
 import os
 import platform
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -64,9 +63,9 @@ def main(file: Path, rows: list[str]) -> None:
         of_row = [json.loads(Path(path).read_text()) for path in paths.split(",")]
         ranges.append(f"{first} {sum(each['schedules'] for each in of_row)}")
         counted += of_row
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     content = {
-        "command": f"python test/support/schedules.py {', then '.join(ranges)}", "commit": commit,
+        "command": f"python test/support/schedules.py {', then '.join(ranges)}",
+        "commit": ", ".join(dict.fromkeys(each["commit"] for each in counted)),
         "machine": {"platform": platform.platform(), "python": platform.python_version(), "cores": os.cpu_count()},
         "date": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d"), "tables": tables(counted),
     }  # fmt: skip

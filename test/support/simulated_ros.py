@@ -166,7 +166,7 @@ class Subscription:
             now_s = self._node.graph.clock._now_s
             sent_ns = SYSTEM_AHEAD_NS + int(1e9 * (now_s + self._node.graph.set_by_s))
             self.queue.insert(place, (at_s, data, number, sent_ns))
-            while sum(each[0] <= now_s for each in self.queue) > self.depth:
+            while len(self.queue) > self.depth < sum(each[0] <= now_s for each in self.queue):
                 self.queue.popleft()
             if not self.polled:
                 self._node.due(at_s)
@@ -631,8 +631,9 @@ class SimulatedNode:
                     return
             now_s = clock._now_s
             if dues and dues[0] <= now_s:
-                entities = (*self._ros_timers, *self._ros_subscriptions, *self._ros_services)
-                self._ros_ready.extend(each for each in entities if each.ready())
+                self._ros_ready.extend([each for each in self._ros_timers if each.next_s <= now_s and each.ready()])
+                queues = (*self._ros_subscriptions, *self._ros_services)
+                self._ros_ready.extend([each for each in queues if each.queue and each.ready()])
                 if self._serve_answer():
                     return
                 if self._ros_ready:

@@ -16,8 +16,11 @@ pytest.importorskip("mujoco")
 from support.schedules import FAULTY, KINDS, PLANS, calibrated, drawn
 
 SCHEDULES = Path(__file__).resolve().parents[1] / "support" / "schedules.py"
-PLAYED = range(240)
-RECORDED = (54, 86, 93)
+PLAYED, BLOCKS = range(1000), 4
+"""The blocks are parts of the same size, so that several workers may play them."""
+FEW = [seed for seed in range(1000, 1040) if drawn(seed).plan == "push"][:16]
+"""Without ``--long``."""
+RECORDED = (62, 178, 244)
 """Weighings: while messages are lost and late, the bus drops answers, and messages are doubled and reordered."""
 
 
@@ -25,6 +28,10 @@ def test_every_kind_is_among_them() -> None:
     plans = [drawn(seed) for seed in PLAYED]
     kinds = Counter((each.plan, fault.kind) for each in plans for fault in each.faults)
     assert {plan for plan, _ in kinds} == set(PLANS) and {kind for _, kind in kinds} == set(KINDS)
+    assert min(sum(kinds[plan, kind] for plan in PLANS) for kind in KINDS) >= 5
+    assert (
+        min(kinds["push", kind] for kind in KINDS if kind != "disk") > 50 < sum(each.plan == "weigh" for each in plans)
+    )
     ended = {(fault.kind, fault.whom) for each in plans for fault in each.faults}
     assert {(kind, whom) for kind in ("kill", "restart", "end", "stall") for whom in FAULTY} <= ended
     assert any(fault.kind == "unplug" and fault.lasts_s > 1.0 for each in plans for fault in each.faults), (
@@ -49,10 +56,17 @@ def play(calibration: Path, folder: Path, *words: str) -> dict[str, object]:
     return found
 
 
+def test_a_few_schedules(calibration: Path, tmp_path: Path) -> None:
+    found = play(calibration, tmp_path, ",".join(map(str, FEW)))
+    assert found["schedules"] == len(FEW) and not found["failed"]
+
+
 @pytest.mark.long
-def test_schedules(calibration: Path, tmp_path: Path) -> None:
-    found = play(calibration, tmp_path, str(PLAYED.start), str(len(PLAYED)))
-    assert found["schedules"] == len(PLAYED) and not found["failed"]
+@pytest.mark.parametrize("block", range(BLOCKS))
+def test_schedules(calibration: Path, tmp_path: Path, block: int) -> None:
+    count = len(PLAYED) // BLOCKS
+    found = play(calibration, tmp_path, str(PLAYED.start + block * count), str(count))
+    assert found["schedules"] == count and not found["failed"]
 
 
 @pytest.mark.long
