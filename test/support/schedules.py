@@ -266,7 +266,7 @@ class Side:
         joint = None if driver is None or driver._driver is None else driver._driver._joints[fault.whom]
         if all(answer is not None and answer.success for answer in switched) and joint is not None:
             if joint.target_rad == NOWHERE_RAD:
-                self.broken(f"a command that came {held_s - sent_s:.2f} s before torque was on moves {fault.whom}")
+                self.broken(f"a command that was sent {held_s - sent_s:.2f} s before torque was on moves {fault.whom}")
 
     def heal(self) -> None:
         """What a person does who finds things so."""
