@@ -1,4 +1,4 @@
-"""One BLAS thread while matrices of a hundred unknowns are solved.
+"""One BLAS thread while matrices of a hundred unknowns are solved, and processes of a pool that end with the one that made it.
 
 They gain nothing from several, and beside other work the threads wait for each other: a calibration then takes five times as long.
 """
@@ -6,6 +6,8 @@ They gain nothing from several, and beside other work the threads wait for each 
 from __future__ import annotations
 
 import functools
+import multiprocessing
+import os
 import threading
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
@@ -35,3 +37,14 @@ def one_blas_thread(function: Callable[_Given, _Result]) -> Callable[_Given, _Re
                 _here.limited = False
 
     return limited
+
+
+def end_with_parent() -> None:
+    """What each process of a pool begins with: however the one that made it ends, an error or a signal, nothing is left behind."""
+
+    def wait() -> None:
+        if (parent := multiprocessing.parent_process()) is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

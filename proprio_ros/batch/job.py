@@ -30,6 +30,7 @@ from proprio_ros.recordings.drivers import load_driver
 from proprio_ros.recordings.motions import SHORTEST_S
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.report import bars_figure, small_table
+from proprio_ros.threads import end_with_parent
 
 MOST_REPORTS = 12
 """Rows whose pages are written unless told otherwise; more are written by several processes."""
@@ -234,7 +235,7 @@ def _reports(
     each = [(named(row), path_of(row), replace(job.options, span=span_of(row))) for row in missing]
     work = [(*one, folder / places[one[0]]) for one in each]
     if len(work) > MOST_REPORTS:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(processes, get_context("spawn"), end_with_parent) as pool:
             written = list(pool.map(_write_page, *zip(*work, strict=True)))
     else:
         written = [_write_page(*one) for one in work]

@@ -21,6 +21,7 @@ from typing import Any
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.rows import Job, failed_row, rows_of_all, source_name
 from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, write_rows
+from proprio_ros.threads import end_with_parent
 
 CHUNK = 64
 """Episodes per file, at most."""
@@ -59,7 +60,7 @@ def run_local(
     began, finished, failed, told = time.monotonic(), 0, 0, time.monotonic()
     while waiting:
         # a fresh interpreter: Warp's and BLAS's threads do not survive a fork
-        pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"))
+        pool = ProcessPoolExecutor(processes, get_context("spawn"), end_with_parent)
         running: dict[Future[int], _Chunk] = {}
         try:
             while waiting or running:

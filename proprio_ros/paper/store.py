@@ -21,7 +21,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.inputs.resources import share_directory, write_in_one_step
 from proprio_ros.paper.cases import Rows
 from proprio_ros.paper.experiments import EXPERIMENTS, experiment
-from proprio_ros.threads import one_blas_thread
+from proprio_ros.threads import end_with_parent, one_blas_thread
 
 Task = tuple[str, int]
 """Experiment and seed."""
@@ -131,7 +131,7 @@ def run(
         together = []
     if together:
         # a fresh interpreter: Warp's and BLAS's threads do not survive a fork
-        with ProcessPoolExecutor(min(processes, len(together)), mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(min(processes, len(together)), get_context("spawn"), end_with_parent) as pool:
             waiting: list[Future[tuple[Task, Rows]]] = [pool.submit(compute, task) for task in together]
             try:
                 for finished in as_completed(waiting):

@@ -22,6 +22,7 @@ pytest.importorskip("mujoco", reason="needs the extra sim")
 
 from support.fleet import BEGIN_NS, FOUR, SETTINGS, Arm, deadly, write_bag, write_robot
 from support.lerobot_layout import write_data_set
+from support.recording_bag import write_recording
 
 import proprio_ros.batch.local as local
 import proprio_ros.batch.rows as rows_module
@@ -37,9 +38,11 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
+from proprio_ros.pipeline.loading import bag_recording
 from proprio_ros.pipeline.replay import read_for, replay
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.recordings.datasets import open_data_set
+from proprio_ros.records import JointRecord
 
 MASSES_KG = (0.0, 0.05, 0.1)
 PROFILE = "title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n"
@@ -370,6 +373,34 @@ def test_a_recording_of_pushes_is_not_cut(fleet: Path, monkeypatch: pytest.Monke
     (row,) = rows_of(episode, Job())
     value = replay(episode.path).values[0]
     assert row["kind"] == "episode" and (row["value"], row["std"]) == (value.value, value.std)
+
+
+@pytest.mark.long
+def test_what_a_calibration_carries_counts_in_a_batch(bags: Path, tmp_path: Path) -> None:
+    """A gripper that is not recorded, and the link in which objects are held: rows are those of what is stated each time."""
+    finger, hand = "gripper_left_joint", "link5"
+    stated = {f"held.{finger}": 0.01, "payload.frame": hand}
+    empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-3]_*"))]
+    carrying, plain = tmp_path / "carrying.yaml", tmp_path / "plain.yaml"
+    calibrate_from_bags(empty, {}, Options(settings=stated), carrying)
+    calibrate_from_bags(empty, {}, Options(), plain)
+    ball = bags / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
+    whole = bag_recording(ball, request_of(Options()))
+    record = whole.joints
+    columns = [column for column, name in enumerate(record.names) if name != finger]
+    names = tuple(record.names[column] for column in columns)
+    write_recording(
+        tmp_path / "ball", replace(whole, joints=JointRecord(record.times_ns, names, record.position[:, columns]))
+    )
+    place = {"payload.com": [0.0, 0.0, 0.0]}
+    asked = Options(calibration=carrying, settings=place)
+    run_batch([tmp_path / "ball"], Job(asked), tmp_path / "out", lambda words: None, processes=1)
+    (row,) = table(tmp_path / "out")
+    each_time = replay(tmp_path / "ball", Options(calibration=plain, settings={**stated, **place})).values[0]
+    assert row["value"] == pytest.approx(each_time.value, rel=1e-6) and row["calibration"] == "carrying.yaml"
+    in_hand = {f"held.{finger}": 0.01, **place}
+    elsewhere = replay(tmp_path / "ball", Options(calibration=plain, settings=in_hand)).values[0]
+    assert abs(elsewhere.value - each_time.value) > 0.002, "the link counts"
 
 
 @pytest.mark.long

@@ -46,6 +46,7 @@ ELSEWHERE = {
     "planned", "softness",  # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
+    "first_time",  # asks an index of packages, for minutes
     "case", "figures", "results",  # no benchmarks
 }  # fmt: skip
 NEEDS = {"distorted": "recordings_real", "mistakes": "recordings", "real": "recordings_real", "simulated": "recordings"}

@@ -349,7 +349,8 @@ def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(bags: 
     # what is brought up to date keeps it, and takes what is stated then
     newer = tmp_path / "newer.yaml"
     refresh_from_bags(empty[4:], Options(calibration=path, settings={"held.joint1": 0.2}), newer)
-    assert robot_of(Options(calibration=newer)).held == {finger: 0.01, "joint1": 0.2}
+    brought = robot_of(Options(calibration=newer))
+    assert brought.held == {finger: 0.01, "joint1": 0.2} and brought.payload_frame == "link5"
     path.write_text(path.read_text().replace(f"{finger}: 0.01", "thumb: 0.01"))
     with pytest.raises(RobotError, match="thumb"):
         robot_of(Options(calibration=path))

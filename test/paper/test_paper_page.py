@@ -7,7 +7,9 @@ the truth, within the spread that they state.
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -95,6 +97,20 @@ def test_what_is_not_installed_is_said_once(tmp_path: Path, capsys: Any, monkeyp
     assert main(["paper", "--out", str(tmp_path), "--seeds", "3", "--jobs", "1"]) == 2
     printed = capsys.readouterr()
     assert printed.err.count("needs MuJoCo") == 1 and printed.out == "" and not (tmp_path / "paper.html").exists()
+
+
+@pytest.mark.long
+def test_what_is_not_installed_is_said_once_by_several_processes_that_end(tmp_path: Path) -> None:
+    missing = tmp_path / "mujoco.py"
+    missing.write_text("raise ModuleNotFoundError(\"No module named 'mujoco'\", name='mujoco')")
+    words = ["paper", "--out", str(tmp_path / "out"), "--seeds", "3", "--jobs", "2"]
+    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    # it returns when nobody holds the pipes any more, and so when no process is left
+    done = subprocess.run(
+        [sys.executable, "-m", "proprio_ros.cli", *words],
+        env={**os.environ, "PYTHONPATH": paths}, cwd=DOCS.parent, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 2 and done.stderr.count("needs MuJoCo") == 1 and done.stdout == ""
 
 
 def test_seeds_come_one_after_the_other(toys: list[tuple[str, int]]) -> None:
