@@ -6,7 +6,7 @@ The arm that moves differs from the one in the robot file: links, friction, roto
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +70,9 @@ SIX = Build(
     wrist=(1, 1, 1, 0.3, 0.3, 0.3),
 )
 """An industrial arm of 12 kg."""
+_FIRST = ("axes", "origins", "masses_kg", "coms_m", "sizes_m", "constants", "middle", "wrist")
+THREE = replace(SIX, **{name: getattr(SIX, name)[:3] for name in _FIRST})
+"""Its first three joints, with the hand at the third link."""
 FOUR = Build(
     axes=("0 0 1", "0 1 0", "0 1 0", "0 1 0"),
     origins=("0.012 0 0.017", "0 0 0.06", "0.024 0 0.128", "0.124 0 0"),
