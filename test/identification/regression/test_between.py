@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from between_recordings import Answer, arm_answers, pendulum_answers
 
-from proprio_ros.identification.regression.between import (
-    DIFFERS,
-    FACTORS,
-    PSEUDO_RECORDINGS,
-    PUBLISHED,
-    Between,
-    likely,
-    spread_of_runs,
-)
-from proprio_ros.identification.regression.solve import under
+from proprio_ros.identification.regression.between import DIFFERS, PSEUDO_RECORDINGS, PUBLISHED, Between, spread_of_runs
 
 FRICTION = np.full(6, 0.2)
 
@@ -58,41 +48,6 @@ def test_what_rests_on_several_spreads_is_known_as_well_as_the_least_of_them() -
 def test_a_published_spread_counts_as_so_many_runs() -> None:
     assert spread_of_runs(1.0, np.array([3.0]), np.array([1.0]), 4.0) == pytest.approx(np.sqrt(13.0 / 5.0))
     assert spread_of_runs(1.0, np.array([3.0]), np.array([0.0]), 1e9) == pytest.approx(1.0)
-
-
-def test_the_evidence_is_the_density_of_the_data_and_the_terms_are_their_posterior() -> None:
-    rng = np.random.default_rng(2)
-    matrix = rng.normal(size=(12, 3))
-    data = matrix @ rng.normal(size=3) + rng.normal(size=12)
-
-    def density(variances: np.ndarray) -> float:
-        of_data = np.eye(12) + (matrix * variances) @ matrix.T
-        return -0.5 * float(data @ np.linalg.solve(of_data, data) + np.linalg.slogdet(of_data)[1])
-
-    one, other = np.array([1.0, 2.0, 0.5]), np.array([1e-4, 0.1, 3.0])
-    found = [under(each, matrix.T @ matrix, matrix.T @ data) for each in (one, other)]
-    assert found[0][0] - found[1][0] == pytest.approx(density(one) - density(other))
-    normal = matrix.T @ matrix + np.diag(1.0 / other)
-    assert found[1][1] == pytest.approx(np.linalg.solve(normal, matrix.T @ data))
-    # its derivative by a variance, against differences
-    step = 1e-5 * np.array([1.0, 0.0, 0.0])
-    up, down = (under(one + sign * step, matrix.T @ matrix, matrix.T @ data) for sign in (1.0, -1.0))
-    side = matrix.T @ (data - matrix @ found[0][1])
-    by_variance = 0.5 * (side[0] ** 2 - np.linalg.inv(np.diag(one) + np.linalg.inv(matrix.T @ matrix))[0, 0])
-    assert (up[0] - down[0]) / (2.0 * step[0]) == pytest.approx(by_variance, rel=1e-5)
-
-
-def test_spreads_that_the_data_decide() -> None:
-    pairs = np.array(list(itertools.product(FACTORS, repeat=2)))
-
-    def wide(log_evidence: np.ndarray) -> np.ndarray:
-        return np.sqrt(likely(log_evidence, pairs) @ np.square(pairs))
-
-    # where they say nothing, about as wide as Student's of four degrees of freedom
-    assert wide(np.zeros(len(pairs))) == pytest.approx([2.776 / 1.96] * 2, rel=0.1)
-    for true in (0.4, 1.3, 3.2):
-        says = np.sum(40.0 * (-np.log(pairs) - 0.5 * np.square(true / pairs)), axis=1)
-        assert wide(says) == pytest.approx([true] * 2, rel=0.2)
 
 
 def mostly_hold(answers: list[Answer], within: float = 4.0) -> None:
