@@ -31,8 +31,7 @@ LOOKAHEAD_S = 0.05
 """A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
 SINK_M = 1e-3
 """An arm that is too low may be moved, but not lower by more than this: encoders are not exact."""
-SAME_S = 0.02
-"""When a command was sent is known about so well; what one sender says in a row counts as said together."""
+SAME_S = 0.02  # when a command was sent is known about so well
 HEALTH_PERIOD_S = 0.2
 """One servo's temperature and voltage are read so often, while nothing is driven."""
 

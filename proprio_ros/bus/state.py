@@ -166,10 +166,8 @@ class Senders:
         return sender
 
     def late_s(self, sender: int, lag_ns: int) -> float:
-        """How late a message came that was sent so long ago [ns] by its publisher's clock, which may be another one.
-
-        The least of all that came from a publisher is its clock's error; of one that was not heard before, what no message waits.
-        """
+        """How late a message came that was sent so long ago [ns] by its publisher's clock, whose error is the least of that."""
+        # of one that was not heard before: no message waits longer, so its clock is another one
         error_ns = self._error_ns.get(sender, 0 if 0 <= lag_ns < LATE_NS else lag_ns)
         self._error_ns[sender] = min(error_ns, lag_ns)
         return max(1e-9 * (lag_ns - error_ns), 0.0)

@@ -19,7 +19,6 @@ from proprio_ros.bus.control_table import (
     RETURN_DELAY_UNIT_S,
     HardwareError,
     OperatingMode,
-    Register,
     ServoModel,
 )
 from proprio_ros.virtual.protocol import ALERT, Error
@@ -88,7 +87,6 @@ class VirtualServo:
         places = {name: range(register.size) for name, register in self._registers.items()}
         self._bytes = {self._registers[name].address + k: (name, k) for name, sizes in places.items() for k in sizes}
         self._end = max(self._bytes) + 1
-        self._layouts: dict[tuple[int, int], list[tuple[str, Register, int]] | Error] = {}
         self._values = {name: register.initial for name, register in self._registers.items()}
         self._values.update(model_number=model.number, firmware_version=firmware, id=servo_id)
         self._booted_s, self._silent_until_s, self._heard_s = 0.0, -math.inf, 0.0
@@ -98,7 +96,8 @@ class VirtualServo:
         self._unread = False  # whether there are measurements that no register holds yet
         self._goals: Goals | None
         self._pending: deque[tuple[float, Goals]]
-        self._reset_controller()
+        self._overloaded_s = 0.0
+        self._reset_mode()
 
     # --- registers without the bus
 
@@ -174,35 +173,26 @@ class VirtualServo:
         self._unread, self._tuned_V = False, math.nan
         self._booted_s = now_s
         self._silent_until_s = now_s + REBOOT_S
-        self._reset_controller()
+        self._overloaded_s = 0.0
+        self._reset_mode()
 
     def _parsed(self, address: int, data: bytes) -> tuple[dict[str, int], Error]:
         """Registers that a write means, and why it is refused."""
-        where = address, len(data)
-        if where not in self._layouts:
-            self._layouts[where] = self._layout(*where)
-        layout = self._layouts[where]
-        if isinstance(layout, Error):
-            return {}, layout
-        values = {name: register.decode(data[at : at + register.size]) for name, register, at in layout}
-        for name, value in values.items():
-            if error := self._refusal(name, value):
-                return {}, error
-        return values, Error.NONE
-
-    def _layout(self, address: int, length: int) -> list[tuple[str, Register, int]] | Error:
-        """The registers that so many bytes fill, each with where its own begin; or why they fill none."""
-        found, position = list[tuple[str, Register, int]](), address
-        while position < address + length:
+        values: dict[str, int] = {}
+        position, end = address, address + len(data)
+        while position < end:
             name, index = self._bytes.get(position, ("", 0))
             if not name or index:
-                return Error.ACCESS  # in the middle of a register, or not defined
+                return {}, Error.ACCESS  # in the middle of a register, or not defined
             register = self._registers[name]
-            if position + register.size > address + length:
-                return Error.DATA_LENGTH
-            found.append((name, register, position - address))
+            if position + register.size > end:
+                return {}, Error.DATA_LENGTH
+            values[name] = register.decode(data[position - address : position - address + register.size])
             position += register.size
-        return found or Error.DATA_LENGTH
+        if not values:
+            return {}, Error.DATA_LENGTH
+        error = next(filter(None, (self._refusal(name, value) for name, value in values.items())), Error.NONE)
+        return ({} if error else values), error
 
     def _refusal(self, name: str, value: int) -> Error:
         register = self._registers[name]
@@ -247,11 +237,6 @@ class VirtualServo:
 
     def _written_goals(self) -> Goals:
         return MappingProxyType({name: self._values[name] for name in _GOALS})
-
-    def _reset_controller(self) -> None:
-        """State of a servo that has just got power."""
-        self._overloaded_s = 0.0
-        self._reset_mode()
 
     def _reset_mode(self) -> None:
         """A new mode starts from its own first values; assumed: the same gains for all modes, and no profile."""
@@ -307,7 +292,7 @@ class VirtualServo:
         velocity_rad_s *= sign
         self._velocities.append(velocity_rad_s)
         values["present_position"] = self._zero_counts + round(sign * angle_rad / self.model.position_unit_rad)
-        self._controlled_s, self._felt_C, self._unread = now_s, self.temperature_C, True
+        self._controlled_s, self._felt_C = now_s, self.temperature_C
         if self._ailing or self._felt_C > self._hot_C or abs(values["present_current"]) >= self._straining_counts:
             self._look_for_trouble()
         else:
@@ -323,7 +308,7 @@ class VirtualServo:
         counts = 0
         if self._powered and values["bus_watchdog"] != BUS_WATCHDOG_TRIPPED:
             counts = self._bounded(self._wanted(velocity_rad_s), velocity_rad_s)
-        values["present_current"] = counts
+        values["present_current"], self._unread = counts, True
         current_A = counts * self.model.current_unit_A
         # heat of the winding into one thermal mass; assumed values
         final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * (current_A * current_A)
