@@ -140,8 +140,8 @@ def _scaled(
             f"{shown('kg', std, spec='.0f')}, "
         )
         if read + Z95 * std < 0.0:
-            said += "lighter than nothing: are the recordings mixed up?"
             nothing = "the reference says nothing about the torque constants"
+            said += "lighter than nothing: are the recordings mixed up?"
             return calibration, not_identifiable("says_too_little", nothing, said)
         ratio, ratio_std = (read / mass_kg, std / mass_kg) if coarse else (mass_kg / read, std * mass_kg / read**2)
         if abs(ratio - 1.0) > FAR * np.hypot(calibration.torque_scale_std, ratio_std):

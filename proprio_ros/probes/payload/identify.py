@@ -312,32 +312,34 @@ class Weighed(Conclusion):
     def _all_refusals(self) -> Iterator[Refusal]:
         """And at last what takes more fits."""
         yield from super()._all_refusals()
-        if self.swings:
-            return
-        if not self.fit.explains and self.cause:
+        if not self.swings and not self.fit.explains and self.cause:
             yield self.misfit_of()
         constants = [run.drive.torque_constant for run in self.runs]
-        if self.known or all(each.std < MEASURED * each.value for each in constants):
+        if self.swings or self.known or all(each.std < MEASURED * each.value for each in constants):
             return
         # nothing but the file says what it is, and one run seldom does
         for words, fit in self._without(Mistake("half", 2.0), Mistake("twice", 0.5)):
             other, mass = fit.value_of(self.name), self.assessed.value
             if fit.chi2 < self.fit.chi2 + AS_WELL and abs(other - mass) > Z95 * self.assessed.std:
-                joints = ", ".join(joints_of(self.runs))
-                yield not_identifiable(
-                    "several_values",
-                    "more than one mass explains the recording",
-                    f"more than one mass explains the recording: {1e3 * mass:.1f} g, or {1e3 * other:.1f} g if the torque constant "
-                    f"of {joints} is {words} what the robot file says, which nothing here tells: calibrate the robot",
-                )
+                several = "more than one mass explains the recording"
+                said = f"{1e3 * mass:.1f} g, or {1e3 * other:.1f} g if the torque constant of {', '.join(joints_of(self.runs))} is"
+                cure = f"{words} what the robot file says, which nothing here tells: calibrate the robot"
+                yield not_identifiable("several_values", several, f"{several}: {said} {cure}")
 
     @functools.cached_property
     def cause(self) -> tuple[Reason, ...]:
         """The one mistake in current or angle without which a fit explains runs that it does not with it."""
+        # less than nothing is no payload, however well it explains: then what is the only one that does is named
+        light = self.assessed.value + Z95 * self.assessed.std < 0.0
+        # tens and hundreds are no unit of current, and another mass makes up for them
+        factors = (1e-3, 1.0, 1e3) if light else (1e-3, 0.5, 1.0, 2.0, 1e3)
         mistakes = of_joint(", ".join(joints_of(self.runs)), "current", "fits")
-        tried = [(fit.reduced_chi2, fit.explains, words) for words, fit in self._without(*mistakes)]
+        asked = (mistake for mistake in mistakes if abs(mistake.torque) in factors)
+        tried = [(fit.reduced_chi2, fit.explains, words) for words, fit in self._without(*asked)]
         chi2, explains, words = min(tried, default=(np.inf, False, ""))
-        if (BETTER if explains and not self.opened.explains else CAUSE_RATIO) * chi2 > self.opened.reduced_chi2:
+        only = light and len({said for _, explained, said in tried if explained}) == 1
+        better = BETTER if explains and not self.opened.explains else CAUSE_RATIO
+        if not only and better * chi2 > self.opened.reduced_chi2:
             return ()
         return (Reason("misfit", f"{words}: then a payload explains the recording, and now none does"),)
 
@@ -345,12 +347,14 @@ class Weighed(Conclusion):
         """What each mistake is called, and the fit without it where that is of a payload."""
         for mistake in mistakes:
             try:
-                runs = [(mistake.undone(each.run), each.load) for each in self.runs]
-                undone = [prepare_run(self.robot, run, load, self.facts) for run, load in runs]
+                undone = [
+                    prepare_run(self.robot, mistake.undone(each.run), each.load, self.facts) for each in self.runs
+                ]
                 fit = fit_opened(partial(solve_load, self.robot, undone, self.facts, self.options))
             except (RecordingError, np.linalg.LinAlgError):
                 continue
-            if fit.value_of(self.name) > -self.options.wide_floor_kg:
+            highest = 0.99 * fit.problem.unknowns[self.assessed.row].upper
+            if -self.options.wide_floor_kg < fit.value_of(self.name) < highest:
                 yield mistake.words, fit
 
     def _moving_starts(self) -> list[str]:
