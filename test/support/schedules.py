@@ -66,6 +66,8 @@ GONE_S = 3.0
 """Whoever was asked has ended: so long others go on with what it had begun, before somebody comes."""
 WELL_S = 30.0
 """Until all is as before once what went wrong is mended: a node that was stalled goes on after 10 s at most."""
+SAVED_S = 6.0
+"""A recording that a full disk refused is tried again every 5 s."""
 LIFT = """
     - {joint: joint3, current_A: -0.45, duration_s: 0.5, start: {joint2: -1.0, joint3: 0.6, joint4: 0.4},
        min_travel: 0.1, max_travel: 0.8, raise_by: 1.2, max_current_A: 0.70}"""
@@ -442,6 +444,9 @@ class Schedule:
         broken += [f"{at_s:.2f} s: {name}: {text}" for at_s, name, _, text in told if "a defect in" in text]
         self.outcome.log = [f"{at_s:8.3f} {name} {severity}: {text}" for at_s, name, severity, text in told]
         for side in self.sides:
+            until_s = made.clock.now() + SAVED_S
+            while side.process("identifier").node._unsaved and made.clock.now() < until_s:
+                made.clock.sleep(0.1)
             if unsaved := side.process("identifier").node._unsaved:
                 broken.append(f"recordings that are only in memory: {[each.name for each in unsaved]}")
         if left := [str(path) for path in Path().rglob(JOURNAL)]:
