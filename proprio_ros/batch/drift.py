@@ -83,25 +83,23 @@ class Drift(Listed[Period]):
     def rows(self) -> list[tuple[Any, ...]]:
         """Of each period and joint the entries of `COLUMNS`."""
         return [
-            (period.name, period.episodes, period.arm.arm_over_urdf, joint, *map(float, values))
-            for period in self
-            for joint, *values in zip(
-                period.arm.joints, *(part for kind in _TERMS for part in period.term(kind)), strict=True
-            )
+            (each.name, each.episodes, each.arm.arm_over_urdf, joint, *map(float, values))
+            for each in self
+            for joint, *values in zip(each.arm.joints, *sum(map(each.term, _TERMS), ()), strict=True)
         ]
 
     def friction(self) -> list[list[str]]:
-        """Words of each period: its name, episodes, what the arm weighs over its URDF, Coulomb friction by joint [N m]."""
-        return [
+        """Titles, then words of each period: its name, episodes, the arm's weight over its URDF's, Coulomb friction by joint."""
+        titles = (
+            [["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in self[0].arm.joints)]]
+            if self
+            else [[]]
+        )
+        return titles + [
             [period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}"]
             + [f"{number(v, s)} ± {number(s, s)}" for v, s in zip(*period.term("coulomb"), strict=True)]
             for period in self
         ]
-
-    @property
-    def titles(self) -> list[str]:
-        """Of the columns of `friction`."""
-        return ["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in self[0].arm.joints)]
 
     def sentence(self) -> str:
         """Which joint's friction has changed most; of one period, or none, that there is nothing to compare."""
@@ -129,7 +127,8 @@ class Drift(Listed[Period]):
         return series_figure(self.sentence(), [period.name for period in self], "Coulomb friction (N m)", list(lines))
 
     def _repr_html_(self) -> str:
-        return small_table(repr(self)[1:-1], self.titles if self else (), self.friction(), [self.sentence()])
+        titles, *rows = self.friction()
+        return small_table(repr(self)[1:-1], titles, rows, [self.sentence()])
 
     def __repr__(self) -> str:
         return f"<drift over {len(self)} periods>"
@@ -148,25 +147,17 @@ def drift(
 ) -> Drift:
     """How an arm changes over days and weeks, by recordings of its motion with an empty hand.
 
-    ``bags`` may be data sets, folders and globs, too. A recording that cannot be read is left out. All else is as for `weigh`,
-    errors included.
-
-    Raises:
-        ConfigurationError, RobotError, RecordingError: An argument is wrong, or no recording can be read.
+    ``bags`` may be data sets, folders and globs, too. What cannot be read is left out, and an error where that is all there is. All
+    else is as for `weigh`, errors included.
     """
     given = read_arguments(locals())
     options = options_of({**given, "facts": {}})
-    request, stamps, problems = request_of(options), dict[str, int | None](), list[ProprioError]()
-    episodes = episodes_of(given["bags"])
-    for each in episodes:
-        try:
-            begin_ns = bag_motion(Path(each.path), request).begin_ns
-            stamps[each.path] = begin_ns if each.index is None else None
-        except ProprioError as error:
-            problems.append(error)
-    if not stamps:
-        raise problems[0]
-    return drift_of([each for each in episodes if each.path in stamps], stamps, options, given["progress"])
+    request, episodes = request_of(options), episodes_of(given["bags"])
+    read = [(each, motion) for each in episodes for motion in readable([each], 1, request)]
+    stamps = {each.path: motion.begin_ns if each.index is None else None for each, motion in read}
+    if not read:
+        bag_motion(Path(episodes[0].path), request)  # says why
+    return drift_of([each for each, _ in read], stamps, options, given["progress"])
 
 
 def evenly(items: Sequence[Any], most: int) -> list[Any]:
@@ -261,12 +252,12 @@ def drift_parts(periods: Drift) -> list[str]:
         series = Series(joint, at, value, "measured", "dots")
         panels.append(Panel(f"Coulomb friction of {joint} [N m]", "N m", [series], 90.0, band))
     said = f"{escape(periods.sentence())} Drift of all torque constants together shows in what the arm weighs by its torques."
-    titles = periods.titles
+    titles, *rows = periods.friction()
     return [
         "<h2>How the arm drifts</h2>",
         f"<p>{said}</p>",
         framed(chart(panels, axis, "drift"), "Each period learnt anew from its empty hand; bands are 95 % intervals."),
         "<p>Coulomb friction with its standard deviation:</p>",
-        table(titles, periods.friction(), range(1, len(titles)), labels=1),
+        table(titles, rows, range(1, len(titles)), labels=1),
         "<p class=small>The same with viscous friction and offsets: <code>drift.csv</code> beside this page.</p>",
     ]

@@ -44,15 +44,9 @@ def write_batch_page(
     drift: Drift,
     options: Options | None = None,
 ) -> None:
-    """Write the page.
+    """Write the page of rows with `COLUMNS`, which are put in order and numbered, by the options that were asked of each.
 
-    Args:
-        rows: With `COLUMNS`; they are put in order and numbered.
-        path: The HTML file.
-        command: That gives all of it again.
-        reports: Files beside the page, by what `named` calls the row that each is of.
-        drift: Of the arm.
-        options: That were asked of each row.
+    ``command`` gives all of it again; ``reports`` are files beside the page, by what `named` calls the row that each is of.
 
     Raises:
         ConfigurationError: The file cannot be written.

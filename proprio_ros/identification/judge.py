@@ -214,7 +214,8 @@ def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Re
         return refusal
     if far := assessed.far_from_priors():
         if refusal.verdict is Verdict.REJECTED:
-            moreover = Reason("far_from_prior", f"moreover, {'; '.join(far)}")
+            more = f"; and {len(far) - 2} more" * (len(far) > 2)
+            moreover = Reason("far_from_prior", f"moreover, {'; '.join(far[:2])}{more}")
             refusal = replace(refusal, reasons=(*refusal.reasons, moreover))
         else:
             refusal = rejected(

@@ -96,13 +96,7 @@ def _strip(shares: np.ndarray) -> str:
 
 
 def torques(fits: Sequence[JointFit], weighed: bool, learnt: bool = False) -> list[str]:
-    """Measured and explained torque of each joint; nothing of an answer that is not from motions.
-
-    Args:
-        fits: Of each motion and joint.
-        weighed: Whether there is a payload that is shown alone, too.
-        learnt: Whether these motions calibrate the arm, and say nothing of a payload.
-    """
+    """Measured and explained torque of each joint; ``weighed``: there is a payload's, too; ``learnt``: it calibrates the arm."""
     if not fits:
         return []
     by, where = "the arm, its friction and the payload", " where the load is known"

@@ -70,7 +70,6 @@ def series_figure(title: str, places: Sequence[str], unit: str, lines: Sequence[
             )  # beside each other, not on each other
             axis.errorbar(at, values, yerr=half, fmt="o-", linewidth=1.0, markersize=3.5, capsize=2, label=plain(name))
         axis.set_xticks(range(len(places)), places, rotation=30, ha="right", fontsize=8.0)
-        axis.locator_params(axis="x", nbins=12) if len(places) > 12 else None
         axis.set_ylabel(unit)
         axis.set_title(textwrap.fill(plain(title), 90), loc="left", fontsize=9.5)
         axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.0)
