@@ -534,8 +534,7 @@ def mistaken(good: Path, folder: Path, dice: random.Random) -> list[str]:
 def check_one(good: Path, folder: Path, seed: int, printed: Callable[[], Any]) -> str:
     """Run one mistaken command; returns what became of it."""
     words = mistaken(good, folder, random.Random(seed))
-    with at_most():
-        code = main(words)
+    code = main(words)
     said = printed()
     for line in said.err.splitlines():
         assert len(line) <= 300 and line.isprintable(), f"seed {seed}: {line[:400]!r}"
@@ -559,7 +558,10 @@ def check_one(good: Path, folder: Path, seed: int, printed: Callable[[], Any]) -
 def test_a_thousand_mistakes(
     good: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str], seed: int
 ) -> None:
-    """No traceback, no hang, one line, and nothing accepted that misses the truth by three standard deviations."""
+    """No traceback, one line, and nothing accepted that misses the truth by three standard deviations.
+
+    Calls are not counted, which would take most of the time: a hang is one of the test.
+    """
     folder = tmp_path_factory.mktemp("mistake")
     try:
         check_one(good, folder, seed, capsys.readouterr)
@@ -574,5 +576,6 @@ def test_some_mistakes(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     for seed in range(8):
         folder = tmp_path / str(seed)
         folder.mkdir()
-        outcomes.append(check_one(good, folder, seed, capsys.readouterr))
+        with at_most():
+            outcomes.append(check_one(good, folder, seed, capsys.readouterr))
     assert set(outcomes) == {"refused", "accepted"}
