@@ -214,9 +214,8 @@ def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Re
         return refusal
     if far := assessed.far_from_priors():
         if refusal.verdict is Verdict.REJECTED:
-            more = f"; and {len(far) - 2} more" * (len(far) > 2)
-            moreover = Reason("far_from_prior", f"moreover, {'; '.join(far[:2])}{more}")
-            refusal = replace(refusal, reasons=(*refusal.reasons, moreover))
+            moreover = [Reason("far_from_prior", f"moreover, {each}") for each in far]
+            refusal = replace(refusal, reasons=(*refusal.reasons, *moreover))
         else:
             refusal = rejected(
                 "far_from_prior",
