@@ -1,4 +1,4 @@
-"""No answer comes with a warning of numpy's, and nothing that is said is longer than a person reads at once."""
+"""No answer comes with a warning of numpy's (in all tests that is an error), and nothing is longer than a person reads at once."""
 
 from __future__ import annotations
 
@@ -68,9 +68,4 @@ def test_of_the_recordings_that_come_with_it(heard: set[str], tmp_path: Path) ->
         for line in "".join(said(words)).splitlines():
             assert len(line) <= LONGEST or any(name in line for name in bags), line
             assert "Warning" not in line and "Traceback" not in line
-    assert [sentence for sentence in heard if len(sentence) > LONGEST] == []
-
-
-def test_of_simulated_robots_whose_truth_is_known(heard: set[str], recordings: Path) -> None:
-    assert len(list(answers.answers([recordings]))) > 500
     assert [sentence for sentence in heard if len(sentence) > LONGEST] == []
