@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
-from support.domains import free_domain
+from support.domains import free_domain, given_back
 
 # rclpy reads these when it is first imported. Without the field check, a wrong scalar type is published as garbage.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
@@ -23,6 +24,12 @@ from support.browser import look  # noqa: F401
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LONG = pytest.StashKey[int]()
+
+
+@pytest.fixture(autouse=True)
+def _own_domains() -> Iterator[None]:
+    with given_back():
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -26,18 +26,14 @@ from typing import Any
 import numpy as np
 from real import STS_OBJECT, UR10E_KG, cut, parser_of, pendulum, ur10e_file
 from results import Results
-from rosbags.rosbag2 import Reader
+from support.bent import Bend, bent
 from support.moved_arm import record_arm
 from support.simulated import bag_in, stated, truth_of
 
 from proprio_ros.cli import main as proprio
-from proprio_ros.recordings.messages import RawMessage, message_types
-from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import load_robot
 
-TYPES: Any = message_types()
 URDFS = Path(__file__).resolve().parents[2] / "urdf"
-Bend = Callable[[str, int, Any], tuple[int, Any]]
 
 
 @dataclass(frozen=True)
@@ -66,19 +62,6 @@ class Mistake:
     bend: Callable[[Question], Bend] | None = None
     asked: Callable[[Question, Path], Question | None] | None = None
     everywhere: tuple[bool, ...] = (False, True)
-
-
-def bent(path: Path, bend: Bend, source: Path) -> Path:
-    """A bag with every message as ``bend`` makes it of topic, time and content."""
-    made = []
-    with Reader(source) as reader:
-        for connection, time_ns, data in reader.messages():
-            message = TYPES.deserialize_cdr(data, connection.msgtype)
-            time_ns, message = bend(connection.topic, time_ns, message)
-            raw = bytes(TYPES.serialize_cdr(message, connection.msgtype))
-            made.append(RawMessage(connection.topic, connection.msgtype, time_ns, raw))
-    write_messages(path, made, "mcap")
-    return path
 
 
 def columns(quantity: str, factor: float, only: bool = False) -> Callable[[Question], Bend]:

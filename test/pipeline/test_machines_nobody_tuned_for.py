@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from between_recordings import Answer, place_answers, real_answers
-from mistakes import Bend, bent
 from ruamel.yaml import YAML
 from scipy.stats import norm
+from support.bent import Bend, bent, commands_times, stamps_times
 from support.machines import REAL
 from support.simulated import bag_in
 
@@ -83,28 +82,6 @@ class TestRealMachines:
 def test_a_calibration_is_used_in_poses_that_it_did_not_cover() -> None:
     pytest.importorskip("mujoco")
     hold([answer for seed in range(500, 504) for answer in place_answers(seed)], 0.9)
-
-
-def commands_times(factor: float) -> Bend:
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
-        if topic == "/current_command":
-            message.data = message.data * factor
-        return time_ns, message
-
-    return bend
-
-
-def stamps_times(factor: float) -> Bend:
-    first: list[int] = []
-
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
-        if topic == "/joint_states":
-            stamp = message.header.stamp
-            first.append(stamp.sec * 10**9 + stamp.nanosec)
-            stamp.sec, stamp.nanosec = divmod(first[0] + round((first[-1] - first[0]) * factor), 10**9)
-        return time_ns, message
-
-    return bend
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
+from support.bent import bent, commands_times, messages_of, stamps_times
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.pipeline.check import check_bags
@@ -19,62 +18,17 @@ from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.contradictions import pace_of_stamps, refuse_other_current
 from proprio_ros.recordings.effort import Effort
-from proprio_ros.recordings.messages import RawMessage, message_types
-from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import load_robot
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 PUSH = BAGS / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
 OTHER = BAGS / "realistic_s00_empty_03_joint3" / "bag_mcap"
 ARM = Request(load_robot("open_manipulator_x"))
-TYPES = message_types()
-Bend = Callable[[str, int, Any], tuple[int, Any]]
-
-
-def messages_of(bag: Path) -> list[tuple[str, str, int, Any]]:
-    with Reader(bag) as reader:
-        return [
-            (connection.topic, connection.msgtype, time_ns, TYPES.deserialize_cdr(data, connection.msgtype))
-            for connection, time_ns, data in reader.messages()
-        ]
-
-
-def bent(path: Path, bend: Bend, source: Path = PUSH) -> Path:
-    """A bag with every message as ``bend`` makes it of topic, time and content."""
-    made = []
-    for topic, msgtype, time_ns, message in messages_of(source):
-        time_ns, message = bend(topic, time_ns, message)
-        made.append(RawMessage(topic, msgtype, time_ns, bytes(TYPES.serialize_cdr(message, msgtype))))
-    write_messages(path, made, "mcap")
-    return path
-
-
-def commands_times(factor: float) -> Bend:
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
-        if topic == "/current_command":
-            message.data = message.data * factor
-        return time_ns, message
-
-    return bend
-
-
-def stamps_times(factor: float) -> Bend:
-    first: list[int] = []
-
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
-        if topic == "/joint_states":
-            stamp = message.header.stamp
-            whole = stamp.sec * 10**9 + stamp.nanosec
-            first.append(whole)
-            stamp.sec, stamp.nanosec = divmod(first[0] + round((whole - first[0]) * factor), 10**9)
-        return time_ns, message
-
-    return bend
 
 
 @pytest.mark.parametrize("factor", [0.8, 0.92, 1.1, 1.3])
 def test_a_command_that_the_motor_did_not_follow_is_refused(tmp_path: Path, factor: float) -> None:
-    bag = bent(tmp_path / "bag", commands_times(factor))
+    bag = bent(tmp_path / "bag", commands_times(factor), PUSH)
     with pytest.raises(RecordingError, match=f"joint3 had {1 / factor:.2f} times the current of /current_command"):
         bag_runs(bag, ARM)
     _, (check,) = check_bags([bag])
@@ -83,7 +37,7 @@ def test_a_command_that_the_motor_did_not_follow_is_refused(tmp_path: Path, fact
 
 @pytest.mark.parametrize("factor", [0.98, 1.0, 1.02])
 def test_a_motor_that_delivers_a_little_less_is_none(tmp_path: Path, factor: float) -> None:
-    assert bag_runs(bent(tmp_path / "bag", commands_times(factor)), ARM)
+    assert bag_runs(bent(tmp_path / "bag", commands_times(factor), PUSH), ARM)
 
 
 def test_the_command_of_another_recording_is_refused(tmp_path: Path) -> None:
@@ -93,7 +47,7 @@ def test_the_command_of_another_recording_is_refused(tmp_path: Path) -> None:
         return (time_ns, other.pop(0)) if topic == "/current_command" and other else (time_ns, message)
 
     with pytest.raises(RecordingError, match=r"joint3 had .* times the current of /current_command|does not follow"):
-        bag_runs(bent(tmp_path / "bag", bend), ARM)
+        bag_runs(bent(tmp_path / "bag", bend, PUSH), ARM)
 
 
 def test_a_unit_that_the_command_contradicts_is_refused() -> None:
@@ -117,7 +71,7 @@ def test_a_torque_that_others_measure_may_lack_what_friction_takes(factor: float
 @pytest.mark.parametrize(("factor", "said"), [(1.01, "1.0 % faster"), (1.03, "3.0 % faster"), (0.98, "2.0 % slower")])
 def test_stamps_that_keep_another_pace_are_refused(tmp_path: Path, factor: float, said: str) -> None:
     with pytest.raises(RecordingError, match=f"run {said} than the times of recording"):
-        bag_runs(bent(tmp_path / "bag", stamps_times(factor)), ARM)
+        bag_runs(bent(tmp_path / "bag", stamps_times(factor), PUSH), ARM)
 
 
 def test_stamps_of_another_clock_may_keep_their_own_pace(tmp_path: Path) -> None:
@@ -130,7 +84,7 @@ def test_stamps_of_another_clock_may_keep_their_own_pace(tmp_path: Path) -> None
             message.header.stamp.sec -= 1_000_000
         return time_ns, message
 
-    runs = bag_runs(bent(tmp_path / "bag", bend), ARM)
+    runs = bag_runs(bent(tmp_path / "bag", bend, PUSH), ARM)
     assert any("10.0 % slower" in note and "another clock" in note for run in runs for note in run.notes)
 
 
@@ -139,7 +93,7 @@ def test_stamps_in_another_unit_are_refused(tmp_path: Path, factor: float) -> No
     with pytest.raises(
         RecordingError, match=r"header stamps run 1000 times (faster|slower) than the times of recording"
     ):
-        bag_runs(bent(tmp_path / "bag", stamps_times(factor)), ARM)
+        bag_runs(bent(tmp_path / "bag", stamps_times(factor), PUSH), ARM)
 
 
 @pytest.mark.parametrize("factor", [1000.0, 0.001])
@@ -153,7 +107,7 @@ def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> Non
         return first[0] + round((time_ns - first[0]) * factor), message
 
     with pytest.raises(RecordingError, match=r"comes every [0-9.e-]+ s: its time stamps are not in s and ns"):
-        bag_runs(bent(tmp_path / "bag", bend), ARM)
+        bag_runs(bent(tmp_path / "bag", bend, PUSH), ARM)
 
 
 def test_a_prefix_before_all_joints_is_named(tmp_path: Path) -> None:
@@ -162,7 +116,7 @@ def test_a_prefix_before_all_joints_is_named(tmp_path: Path) -> None:
             message.name = [f"left_{name}" for name in message.name]
         return time_ns, message
 
-    bag = bent(tmp_path / "bag", bend)
+    bag = bent(tmp_path / "bag", bend, PUSH)
     with pytest.raises(RecordingError, match=r"called left_joint1 and so on.*state joint_prefix: left_"):
         bag_runs(bag, ARM)
     _, (check,) = check_bags([bag])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 _FIRST_PORT, _PORTS = 7400, 250
@@ -14,7 +16,7 @@ _claims: list[socket.socket] = []
 
 
 def free_domain() -> str:
-    """A domain in which nobody listens just now, and that is given to nobody else while this process lives."""
+    """A domain in which nobody listens just now, and that is given to nobody else until it is given back, or this process ends."""
     rows = [row.split() for name in ("udp", "udp6") for row in Path("/proc/net", name).read_text().splitlines()[1:]]
     used = {(int(row[1].split(":")[1], 16) - _FIRST_PORT) // _PORTS for row in rows}
     free = [domain for domain in range(1, 102) if domain not in used]
@@ -28,3 +30,12 @@ def free_domain() -> str:
         _claims.append(claim)
         return str(domain)
     raise RuntimeError("no ROS domain is free")
+
+
+@contextmanager
+def given_back() -> Iterator[None]:
+    """Those taken meanwhile are free again afterwards: there are 101, and three sessions at once used them up."""
+    before = len(_claims)
+    yield
+    while len(_claims) > before:
+        _claims.pop().close()
