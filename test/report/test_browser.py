@@ -11,18 +11,26 @@ from typing import Any
 
 import numpy as np
 import pytest
+import servos
+import swings
 from support.arm_in_motion import SIX, Twin, write_robot
 from support.browser import DARK, MEASURE, PAPER_PX, Look, brightness, on_paper
 from support.fleet import write_bag
+from support.machines import pendulum_urdf
 from support.paper_rows import synthetic
+from support.servo_bag import write
 
+from proprio_ros.identification.prepared_runs import KnownLoad
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.paper.page import write_paper_page
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
+from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Sought
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.choices_page import Choice, write_choices
+from proprio_ros.robot import load_robot
 
 pytestmark = pytest.mark.long
 
@@ -70,6 +78,8 @@ def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pat
     box = replay([bags / "realistic_s00_container_sphere_12g_joint4_100mA" / "bag_mcap"], options)
     write_report(box, folder / "container.html", command="proprio replay", sources=[LONG_NAME])
     _motion_pages(folder)
+    _swing_pages(folder)
+    _servo_pages(folder)
     choices = [
         Choice(0.05, half, 0.5 * half, "joint3 -300 mA for 0.6 s, a lift", ["joint2 +200 mA for 1 s", "joint4"], 0.02)
         for half in (0.05, 0.004, 0.001)
@@ -94,7 +104,40 @@ def _motion_pages(folder: Path) -> None:
     write_calibration_report(learnt, folder / "motion_calibration.html", sources=[LONG_NAME])
 
 
+def _swing_pages(folder: Path) -> None:
+    """A payload on a servo that is let go, and what two known ones told of that servo."""
+    (folder / "swing.urdf").write_text(swings.URDF)
+    (folder / "swing.yaml").write_text(swings.ROBOT)
+    robot, rng, masses = load_robot(folder / "swing.yaml"), np.random.default_rng(3), (0.55, 1.0, 0.8)
+    let_go = swings.released(rng, np.array(masses), {**swings.machine_of(rng), "coulomb": 0.1, "rise": 0.2}, False)
+    runs = [swings.as_run(f"{number} {LONG_NAME}", *swing) for number, swing in enumerate(let_go)]
+    known = [LoadedRun(runs[n], KnownLoad(masses[n], swings.facts())) for n in (0, 1)]
+    learnt = calibrate(robot, known)
+    assert learnt.calibration is not None
+    write_calibration_report(learnt, folder / "swing_calibration.html", sources=[LONG_NAME])
+    weighed = weigh(robot.with_calibration(learnt.calibration), runs[2:], swings.facts())
+    write_report(weighed, folder / "swing.html", command=f"proprio replay {LONG_NAME}")
+
+
+def _servo_pages(folder: Path) -> None:
+    """The same of a servo under its own controller, of which goals and positions are recorded."""
+    pytest.importorskip("mujoco")
+    random = np.random.default_rng(2)
+    servo, output = servos.Servo(random), folder / "known.yaml"
+    pendulum_urdf(folder, "servo", servos.ROD_KG, servos.ARM_M)
+    (folder / "servo.yaml").write_text(servos.FILE)
+    masses = (*servos.KNOWN_KG, *servos.KNOWN_KG, 0.6)
+    *known, bag = (write(folder / f"servo_{n}", servo.moved(kg, random, 50.0)) for n, kg in enumerate(masses))
+    references = dict(zip(known, masses, strict=False))
+    options = Options(robot=str(folder / "servo.yaml"), settings=servos.POINT)
+    learnt = calibrate_from_bags([], references, options, output)
+    write_calibration_report(learnt, folder / "servo_calibration.html", sources=[LONG_NAME])
+    weighed = replay([bag], Options(calibration=output, settings=servos.POINT))
+    write_report(weighed, folder / "servo.html", command=f"proprio replay {LONG_NAME}")
+
+
 NAMES = ["payload", "softness", "calibration", "container", "motion", "motion_calibration", "choices", "paper"]
+NAMES += ["swing", "swing_calibration", "servo", "servo_calibration"]
 
 
 @pytest.fixture(scope="module")
