@@ -84,11 +84,11 @@ class ArmPicture:
 
     @classmethod
     def around(cls, points: np.ndarray, closer: bool = False) -> ArmPicture:
-        """With room for some points, shape (N, 2), and unless it is from ``closer`` for the base."""
+        """With room for some points, shape (N, 2), and unless it is from ``closer`` for the base; 3 cm at least, for a scale."""
         low, high = points.min(axis=0), points.max(axis=0)
         if not closer:
             low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
-        return cls(low, high, (cls.WIDTH - 2.0 * cls.MARGIN) / max(float((high - low).max()), 1e-3))
+        return cls(low, high, (cls.WIDTH - 2.0 * cls.MARGIN) / max(float((high - low).max()), 0.03))
 
     def ground(self) -> None:
         """The floor, at the height of the base."""
