@@ -69,6 +69,7 @@ def _live(made: World, seed: int, folder: Path, live: Callable[[World, int], Any
     try:
         resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_CPU_S, LONGEST_CPU_S))
         os.chdir(folder)
+        gc.disable()
         made.begin_anew(seed)
         outcome = live(made, seed)
     except BaseException as error:

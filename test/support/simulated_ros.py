@@ -7,6 +7,7 @@ Messages take a while, and a `Network` may lose, double or reorder them as its s
 from __future__ import annotations
 
 import contextlib
+import functools
 import heapq
 import inspect
 import itertools
@@ -108,6 +109,8 @@ class Publisher:
             data = message
         else:
             assert isinstance(message, self.msg_type), f"{self.topic_name}: {type(message)} is no {self.msg_type}"
+            if not self.latched and not graph.subscribers(self.topic_name):
+                return
             data = serialize_message(message)
         if self.latched:
             self.last = data
@@ -132,6 +135,12 @@ def _takes_one(callback: Any) -> bool:
     except ValueError:  # built in, such as a list's append
         pass
     return True
+
+
+@functools.lru_cache(maxsize=8)
+def _read(data: bytes, kind: type) -> Any:
+    """A message, made once for all who hear it within moments; no node changes what it hears."""
+    return deserialize_message(data, kind)
 
 
 class Subscription:
@@ -183,7 +192,7 @@ class Subscription:
             "source_timestamp": sent_ns, "received_timestamp": stamp_ns, "publication_sequence_number": number,
             "reception_sequence_number": None,
         }  # fmt: skip
-        return (data if raw else deserialize_message(data, kind)), info
+        return (data if raw else _read(data, kind)), info
 
     def ready(self) -> bool:
         return not self.polled and bool(self.queue) and self.queue[0][0] <= self._node.graph.clock._now_s
