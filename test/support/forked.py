@@ -22,15 +22,6 @@ LONGEST_CPU_S = 120
 TOGETHER = 2
 
 
-def let_stand(made: World) -> None:
-    """Go on until it may be forked."""
-    for _ in range(2000):
-        if made.stands():
-            return
-        made.clock.sleep(1.3e-3)
-    raise RuntimeError(f"the world does not come to rest: {[each.stack() for each in made.clock.threads]}")
-
-
 def lives(
     made: World, seeds: Sequence[int], folder: Path, live: Callable[[World, int], Any], together: int = TOGETHER
 ) -> Iterator[tuple[int, Any]]:
@@ -43,7 +34,6 @@ def lives(
         live: What to do with the world; what it returns comes back, or a line that says how it ended.
         together: So many at once.
     """
-    let_stand(made)
     gc.collect()
     gc.freeze()  # else the first collection of a child would touch, and so copy, everything
     running: dict[int, int] = {}
@@ -70,7 +60,7 @@ def _live(made: World, seed: int, folder: Path, live: Callable[[World, int], Any
         resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_CPU_S, LONGEST_CPU_S))
         os.chdir(folder)
         gc.disable()
-        made.begin_anew(seed)
+        made.draw_anew(seed)
         outcome = live(made, seed)
     except BaseException as error:
         outcome = f"{type(error).__name__}: {error}"

@@ -57,12 +57,8 @@ NODES = {
     "virtual": "VirtualNode", "driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode",
 }  # fmt: skip
 ROOM = _on_stand_ins()
-ROOM["runtime"].ManagedNode._begin_real_time = lambda _node: None
+ROOM["runtime"].run_in_real_time = lambda: False  # nothing here is bound to any time
 LINK = "/simulated/arm"
-LOOPS = {
-    "_bootstrap", "_bootstrap_inner", "run", "_run", "live", "_turn", "spin", "spin_once", "_loop", "wait", "sleep", "_wait",
-}  # fmt: skip
-"""What threads are in that wait for their next turn, and hold nothing."""
 
 
 class Process:
@@ -71,7 +67,6 @@ class Process:
     def __init__(self, world: World, name: str, make: Callable[[], Any]) -> None:
         self._world, self.name, self._make = world, name, make
         self.node: Any = None
-        self._standing: Any = None
         self.code: int | None = None
         self.start()
 
@@ -82,15 +77,10 @@ class Process:
 
     def _run(self) -> None:
         def make() -> Any:
-            self.node, self._standing = self._standing or self._make(), None
+            self.node = self._make()
             return self.node
 
         self.code = ROOM["runtime"].live(make, self._ended)
-
-    def begin_anew(self) -> None:
-        """In a process that was forked: its thread goes on with the node that stands."""
-        self._standing = self.node
-        self.node.values["autostart"] = False  # that has been done
 
     @property
     def alive(self) -> bool:
@@ -232,15 +222,9 @@ class World:
         self.processes[called] = Process(self, called, make)
         return self.processes[called]
 
-    def stands(self) -> bool:
-        """Whether all threads but this wait at the top of their loops, so that they may begin there anew."""
-        return all(LOOPS.issuperset(each.stack()) for each in self.clock.threads if each.is_alive())
-
-    def begin_anew(self, seed: int) -> None:
-        """In a process that was forked while it stood: all goes on from there, as a seed says."""
-        for process in self.processes.values():
-            process.begin_anew()
-        self.clock.begin_anew(seed)
+    def draw_anew(self, seed: int) -> None:
+        """From now on another seed says who runs first, and how messages come."""
+        self.clock.draw_anew(seed)
         self.graph.random = random.Random(seed)
 
     def somebody(self, name: str) -> Any:
