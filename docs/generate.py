@@ -85,6 +85,8 @@ ABOUT = {
     "payload also while the probe is under way, and with `running` all the time, with `changed`",
     "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it; `inertia` of `~/estimate` "
     "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`",
+    "/identifier/holding": "whether something is in the hand, told when that changes: at a probability of 0.99, and back at 0.01; "
+    "it keeps what was known last, `holding` of `~/estimate` says `unknown` meanwhile",
     "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
     "/identifier/sphere_mass": "kg, to plot",
     "/identifier/youngs_modulus": "Pa, to plot",
@@ -366,6 +368,11 @@ def ros_interface() -> str:
                     "`/identifier/elasticity_estimate`",
                     "`proprio_msgs/ElasticityEstimate`",
                     "of a block: as `~/estimate`; latched",
+                ),
+                (
+                    "`/identifier/holding_estimate`",
+                    "`proprio_msgs/Holding`",
+                    "whether something is in the hand, how sure that is, and since when; latched",
                 ),
                 (
                     "`/identifier/weigh_action`",

@@ -101,6 +101,7 @@ PARAMETERS = (
     Parameter("running", False,
               "Estimate the mass in the hand all the time, whatever moves the arm, and publish it ten times a second. Off by "
               "default, since it takes a tenth of a processor core and replaces what a service published."),
+    Parameter("holding_from", 0.05, "Mass of the lightest object that ~/holding tells from an empty hand [kg].", 0.001, 100.0),
     Parameter("hand_on", "none",
               "Controller that ~/apply hands an accepted load on to: none, ur, franka or xarm."),
     Parameter("hand_on_service", "", "Service of that controller; empty: the usual one of its driver."),

@@ -16,7 +16,9 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import Until
+from proprio_ros.live.holding import Holding
 from proprio_ros.live.job import WEIGH, Job
+from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, Answer, ManagedNode
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Probe
@@ -24,8 +26,9 @@ from proprio_ros.probes.base import Probe
 try:
     from proprio_msgs.action import Weigh
     from proprio_msgs.msg import ElasticityEstimate, MassEstimate
+    from proprio_msgs.msg import Holding as HoldingMessage
 except ImportError:
-    Weigh = MassEstimate = ElasticityEstimate = None
+    Weigh = MassEstimate = ElasticityEstimate = HoldingMessage = None
 
 ACTION = "weigh_action"
 """Not the name of the service ``weigh``: ``ros2 service`` and ``ros2 action`` list names without saying which is meant."""
@@ -58,7 +61,7 @@ def fill(message: Any, probe: Probe[Any], entries: Mapping[str, Any]) -> Any:
 
 
 class StampedEstimates:
-    """``~/mass_estimate`` and ``~/elasticity_estimate``: what ``~/estimate`` says, as numbers."""
+    """``~/mass_estimate``, ``~/elasticity_estimate`` and ``~/holding_estimate``: what ``~/estimate`` says, as numbers."""
 
     def __init__(self, node: ManagedNode) -> None:
         self._node, self._publishers = node, {}
@@ -69,6 +72,7 @@ class StampedEstimates:
         mass = node.create_publisher(MassEstimate, "~/mass_estimate", LATCHED)
         elasticity = node.create_publisher(ElasticityEstimate, "~/elasticity_estimate", LATCHED)
         self._publishers = {"kg": (mass, MassEstimate), "Pa": (elasticity, ElasticityEstimate)}
+        self._held = node.create_publisher(HoldingMessage, "~/holding_estimate", LATCHED)
 
     def publish(self, link: str, entries: Mapping[str, Any]) -> Callable[[], None] | None:
         """An estimate of what a link holds, and nothing where the entries of ``~/estimate`` hold none, as those of the robot.
@@ -83,14 +87,25 @@ class StampedEstimates:
 
         def send(what: Mapping[str, Any]) -> None:
             message = fill(kind(probe=probe.name, final=bool(what.get("final"))), probe, what)
-            message.header.stamp = self._node.get_clock().now().to_msg()
-            message.header.frame_id = self._node.values["frame_prefix"] + link if link else ""
-            publisher.publish(message)
+            publisher.publish(self._headed(message, link))
 
         send(entries)
         if math.isnan(_number(entries.get(probe.answer[0]))):
             return None
         return lambda: send({"verdict": "withdrawn", "final": True})
+
+    def holding(self, link: str, holding: Holding) -> None:
+        """Whether a link holds something, as far as that is known."""
+        if self._publishers:
+            known = {"known": holding.state is not None, "holding": bool(holding.state)}
+            since = messages.time_message(holding.since_ns)
+            message = HoldingMessage(probability=holding.probability, since=since, **known)
+            self._held.publish(self._headed(message, link))
+
+    def _headed(self, message: Any, link: str) -> Any:
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.frame_id = self._node.values["frame_prefix"] + link if link else ""
+        return message
 
 
 class WeighAction:

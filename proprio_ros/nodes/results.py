@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
-from std_msgs.msg import Float64
+from std_msgs.msg import Bool, Float64
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros.experiment_design.choosing import Decision, words_of
@@ -17,6 +17,7 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.regression.online import OnlineEstimate
 from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
+from proprio_ros.live.holding import Holding
 from proprio_ros.live.job import WEIGH, Job
 from proprio_ros.live.online_estimator import OnlineFeed, online_entries, online_words
 from proprio_ros.live.workspace import Workspace
@@ -60,6 +61,9 @@ class Results:
         self.entries: Mapping[str, Any] = {}
         self.hear: Callable[[str, Mapping[str, Any]], None] = lambda message, entries: None
         self._stamped = StampedEstimates(node)
+        self._holding = Holding(node.values["holding_from"])
+        self._told: bool | None = None
+        self._held = node.create_publisher(Bool, "~/holding", LATCHED)
         self.load: StandingLoad | None = None
         self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
@@ -125,6 +129,9 @@ class Results:
     def final(self, estimate: Estimate, name: str, carried: Carried | None = None) -> None:
         """An estimate without what it says of the hand; with a load that will be published, where its inertia comes from."""
         entries = {**as_diagnostics(estimate), "final": True, "calibration": self._calibration}
+        value, told = estimate.values[0], estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
+        if told and name == probe_at_work().name and isinstance(value.value, float) and isinstance(value.std, float):
+            entries |= self._hear(value.value, value.std)
         self._conclude(estimate, name, entries | _about_load(carried))
 
     def calibration(self, estimate: CalibrationEstimate, output: str) -> None:
@@ -171,13 +178,24 @@ class Results:
         level = "warning" if feed.warning else "ok"
         self.link, held = link, max(estimate.mass_kg, 0.0)
         load = feed.load(held) if estimate.known else None
-        entries = {**online_entries(feed, estimate, behind_s), **_about_load(load)}
+        about = self._hear(estimate.mass_kg, estimate.std_kg)
+        entries = {**online_entries(feed, estimate, behind_s), **_about_load(load), **about}
         self.publish_estimate(level, probe.name, words, entries)
         if load is None:
-            return self.withdraw()
+            return self._withdraw_load()
         self.load = None  # the hand may hold something else since
         self._publish_numbers(probe, {probe.answer[0]: held})
         return self._publish_load(self._now_ns(), self._node.values["frame_prefix"] + link, load)
+
+    def _hear(self, mass_kg: float, std_kg: float) -> dict[str, Any]:
+        """An estimate of all that is in the hand; what it says of whether there is something."""
+        now_ns = self._now_ns()
+        self._holding.hear(now_ns, mass_kg, std_kg)
+        self._stamped.holding(self.link, self._holding)
+        if self._holding.state not in (None, self._told):
+            self._told = self._holding.state
+            self._held.publish(Bool(data=self._told))
+        return self._holding.entries(now_ns)
 
     def _publish_numbers(self, probe: Probe[Any], values: Mapping[str, float]) -> None:
         for topic, name in probe.numbers.items():
@@ -195,6 +213,12 @@ class Results:
 
     def withdraw(self) -> None:
         """What was published of the hand says nothing about what is in it now; `~/estimate`, which has a stamp, stands."""
+        if self._holding.state is not None:
+            self._holding.forget()
+            self._stamped.holding(self.link, self._holding)
+        self._withdraw_load()
+
+    def _withdraw_load(self) -> None:
         self.load = None
         while self._standing:
             _, withdraw = self._standing.popitem()

@@ -12,12 +12,14 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
+from std_msgs.msg import Bool
 from support.listening import replayed_alike
 from support.recording_bag import write_recording
 from support.simulated_live import Client, running
 from support.virtual_pick_and_place import HIGHEST, LOWEST
 
 from proprio_ros.nodes.messages import labelled, time_ns
+from proprio_ros.nodes.runtime import LATCHED
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.request import Options
 from proprio_ros.records import JointRecord, Recording
@@ -114,6 +116,10 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
                     bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.005 and newest()["changed"] == "false"
                 )
 
+            holding: list[bool] = []
+            client.world.user.create_subscription(
+                Bool, "/identifier/holding", lambda said: holding.append(said.data), LATCHED
+            )
             assert client.wait_for(newest), client.log("identifier")
             assert client.wait_for(lambda: float(newest()["seconds_of_motion"]) > 3.0 and weighs(0.0), LATEST_S), (
                 newest()
@@ -125,6 +131,7 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
                 lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S
             ), newest()
             assert client.wait_for(lambda: weighs(0.05), LATEST_S), newest()
+            assert holding == [False, True] and newest()["holding"] == "true", newest()
             client.clock.sleep(max(0.0, 14.0 - (client.clock.now() - picked_s)))
             answer = client.call("/identifier/weigh")
             assert answer.success, answer.message
@@ -137,6 +144,8 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
                 lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S
             ), newest()
             assert client.wait_for(lambda: weighs(0.0), LATEST_S), newest()
+            # the service began anew, and found what it is asked for
+            assert holding == [False, True, False] and float(newest()["holding.probability"]) < 0.01, newest()
         finally:
             work.stop()
         rests = len(client.estimates)
