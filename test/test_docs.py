@@ -1,4 +1,4 @@
-"""The documentation follows from the code where it can, points at what is there, and names the paper. ``.ci/run`` builds it."""
+"""The documentation follows from the code where it can, points at what is there, and names the paper; ``.ci/run`` builds it."""
 
 from __future__ import annotations
 
@@ -185,4 +185,8 @@ def test_the_workflow_runs_the_gate_and_the_gate_builds_the_pages() -> None:
     jobs = yaml(".github/workflows/ci.yml")["jobs"]
     assert {"run": ".ci/run"} in jobs["gate"]["steps"]
     assert {"run": COMMANDS[1]} in jobs["tests"]["steps"]
-    assert "mkdocs build --strict -f docs/mkdocs.yml" in (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8")
+    gate, pages = (
+        (REPOSITORY / path).read_text(encoding="utf-8") for path in (".ci/run", "test/test_documentation_pages.py")
+    )
+    assert "-e '.[ros,sim,test,docs]'\n" in gate and gate.endswith('.venv/bin/python .ci/tests.py "${wiring[@]}"\n')
+    assert '"mkdocs", "build", "-q", "--strict"' in pages
