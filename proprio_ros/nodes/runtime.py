@@ -41,6 +41,8 @@ IDLE_PAUSE_S = 0.008
 250 Hz had its idle listeners take a quarter of a core each. A service call still waits for three or four of them only."""
 LONGEST_TURN_S = 0.02
 """For so long messages are handed on at one wake-up: where they come faster than they are taken, timers must have their turn."""
+NAMESAKE_S = 25.0
+"""After so long a node looks for another of its name: one that was killed is listed until its lease of 20 s ends."""
 HEARD_OF_S, LOOK_S = 1.5, 0.02
 """For so long, and so often, a service is looked for before it is said not to be there: who asks waits for five seconds."""
 
@@ -67,10 +69,11 @@ class ManagedNode(LifecycleNode):
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.values = declare(self, [AUTOSTART, *self.parameters])
-        self.active = False
+        self.active, self._alone = False, True
         for service in self.services:
             if service.srv_name.endswith("/change_state"):
                 service.callback = partial(self._change_state, service.callback)
+        self.every(NAMESAKE_S, self._look_for_namesake)
         self._own = [*self.publishers, *self.subscriptions, *self.services, *self.clients, *self.timers]
 
     # --- for subclasses -----------------------------------------------------------------------------------------------
@@ -109,6 +112,17 @@ class ManagedNode(LifecycleNode):
     def every(self, period_s: float, do: Callable[[], None]) -> None:
         """Call again and again, on a clock that nobody sets: a timer on the system's pauses for as long as that is set back."""
         self.create_timer(period_s, do, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _look_for_namesake(self) -> None:
+        """Services of two nodes of one name are answered by either; said once."""
+        mine = self.get_name(), self.get_namespace()
+        if self._alone and self.get_node_names_and_namespaces().count(mine) > 1:
+            self._alone = False
+            advice = "end one of them, or start it with --ros-args -r __node:=NAME, or -r __ns:=/NAME for another arm"
+            self.say(
+                "warning",
+                f"another node is called {self.get_fully_qualified_name()}: calls reach either of them; {advice}",
+            )
 
     def listen(
         self,

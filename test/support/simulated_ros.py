@@ -565,6 +565,9 @@ class SimulatedNode:
     def get_subscriptions_info_by_topic(self, topic: str) -> list[Any]:
         return self._infos("subscriptions", topic)
 
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        return [(node._ros_name, node._ros_namespace) for node in self.graph.nodes]
+
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
         found: dict[str, set[str]] = {}
         for each in itertools.chain(self.graph.all("publishers"), self.graph.all("subscriptions")):
