@@ -165,9 +165,19 @@ class Senders:
             del self._last[gone]
         return sender
 
-    def late_s(self, sender: int, lag_ns: int) -> float:
-        """How late a message came that was sent so long ago [ns] by its publisher's clock, whose error is the least of that."""
+    def late_s(self, sender: int, lag_ns: int, set_ns: int = 0) -> float:
+        """How late a message came that was sent so long ago [ns] by its publisher's clock, whose error is the least of that.
+
+        ``set_ns``: by how much our clock was set just now; what was sent before seems late by that, and teaches nothing.
+        """
+        lags_ns = {lag_ns, lag_ns - set_ns}
         # of one that was not heard before: no message waits longer, so its clock is another one
-        error_ns = self._error_ns.get(sender, 0 if 0 <= lag_ns < LATE_NS else lag_ns)
+        error_ns = self._error_ns.get(sender, 0 if any(0 <= lag < LATE_NS for lag in lags_ns) else lag_ns)
+        if set_ns:
+            return max((1e-9 * (lag - error_ns) for lag in lags_ns if 0 <= lag - error_ns < LATE_NS), default=0.0)
         self._error_ns[sender] = min(error_ns, lag_ns)
         return max(1e-9 * (lag_ns - error_ns), 0.0)
+
+    def forget_clocks(self) -> None:
+        """What was learnt of the publishers' clocks, by ours, which has been set since."""
+        self._error_ns.clear()

@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from proprio_ros import clock
 from proprio_ros.bus.driver import ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
-from proprio_ros.bus.state import OUTDATED, ArmSample, BusState, Senders
+from proprio_ros.bus.state import LATE_NS, OUTDATED, ArmSample, BusState, Senders
 from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError
@@ -101,6 +101,7 @@ class DriverNode(ManagedNode):
         self._motors = self.create_publisher(DiagnosticStatus, "motors", LATCHED)
         self._temperatures = self.create_publisher(Float64MultiArray, TEMPERATURES, LATCHED)
         self._senders = {"current_command": Senders(), "position_command": Senders()}
+        self._system, self._set = StampClock(), (0.0, 0)
         self.create_subscription(Float64MultiArray, "current_command", self._on_current, FROM_MANY)
         self.create_subscription(Float64MultiArray, "position_command", self._on_position, FROM_MANY)
         self.create_service(Trigger, "~/stop", self._on_stop)
@@ -199,9 +200,22 @@ class DriverNode(ManagedNode):
         sender = senders.of(info.get("publication_sequence_number"), looks, sent_ns)
         if self._driver is None or not self.active or sender == OUTDATED:  # a newer one has been obeyed
             return ""
-        late_s = senders.late_s(sender, self.get_clock().now().nanoseconds - sent_ns) if sent_ns else 0.0
+        now_ns = self.get_clock().now().nanoseconds
+        late_s = senders.late_s(sender, now_ns - sent_ns, self._was_set_ns(now_ns)) if sent_ns else 0.0
         values = messages.by_joint(message, self._order)
         return values if isinstance(values, str) else command(self._driver, values, sender, late_s)
+
+    def _was_set_ns(self, now_ns: int) -> int:
+        """By how much the system's clock, which says ``now_ns``, was set within the last second [ns]."""
+        here_s = clock.now()
+        moved_s = self._system.look(now_ns, here_s)
+        if abs(moved_s) > CLOCK_JUMP_S:
+            self._set = here_s, round(1e9 * moved_s)
+        elif self._set[1] and here_s - self._set[0] > 1e-9 * LATE_NS:
+            self._set = here_s, 0
+            for senders in self._senders.values():
+                senders.forget_clocks()
+        return self._set[1]
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._driver is not None and self._thread is not None:  # active or not: the arm is held

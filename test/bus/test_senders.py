@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 
+import pytest
+
 from proprio_ros.bus.state import LATE, MOST, OUTDATED, Senders
 
 
@@ -74,6 +76,18 @@ def test_how_late_a_message_came() -> None:
     # by one that is 5 s behind, or ahead, nobody knows of the first message; of the others it is known
     assert [round(senders.late_s(2, lag * MS), 3) for lag in (5001, 5000, 5400)] == [0.0, 0.0, 0.4]
     assert [round(senders.late_s(3, lag * MS), 3) for lag in (-4999, -5000, -4600)] == [0.0, 0.0, 0.4]
+
+
+@pytest.mark.parametrize("set_ms", [-5000, -200, 200, 5000])
+def test_a_clock_that_is_set_while_a_message_is_on_its_way(set_ms: int) -> None:
+    senders = Senders()
+    senders.late_s(1, MS)
+    for late_ms in (3, 400):  # sent before
+        assert senders.late_s(1, (late_ms + set_ms) * MS, set_ms * MS) >= 0.99e-3 * (late_ms - 1)
+    # sent since; where it was set by little, nobody knows whether it was sent before
+    assert senders.late_s(1, MS, set_ms * MS) <= (0.201 if set_ms == -200 else 0.001)
+    senders.forget_clocks()
+    assert [senders.late_s(1, lag * MS) for lag in (1, 401)] == pytest.approx([0.001, 0.401])
 
 
 def test_only_so_many_publishers_are_remembered() -> None:

@@ -167,6 +167,23 @@ def test_a_command_from_before_torque_came_on_is_refused(bench: Bench, waits: st
     bench.until(lambda: bench.position()["joint1"] > here + 0.5)
 
 
+@pytest.mark.parametrize("set_s", [-5.0, -0.2, 0.2, 5.0])
+def test_commands_are_obeyed_though_the_clock_was_set_while_one_was_on_its_way(bench: Bench, set_s: float) -> None:
+    graph = bench.client.world.graph
+    positions = bench.other.create_publisher(Float64MultiArray, "/position_command", 10)
+    here = bench.position()["joint1"]
+    positions.publish(labelled({"joint1": here}))
+    bench.spin(0.2)
+    usual, graph.network = graph.network, Network(delay_s=0.02, jitter_s=0.0)
+    positions.publish(labelled({"joint1": here}))
+    graph.network, graph.set_by_s = usual, graph.set_by_s + set_s
+    bench.spin(1.5)
+    for on in (False, True):
+        assert bench.call(SetBool, "/driver/torque", SetBool.Request(data=on)).success
+    positions.publish(labelled({"joint1": here + 0.3}))
+    bench.until(lambda: bench.position()["joint1"] > here + 0.25)
+
+
 @pytest.mark.parametrize("transition", ["deactivate", "cleanup", "shutdown"])
 def test_a_lifecycle_transition_ends_with_the_arm_held(bench: Bench, transition: str) -> None:
     bench.drive()
