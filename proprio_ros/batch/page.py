@@ -129,14 +129,15 @@ def _masses(whole: Sequence[Row]) -> list[str]:
     valued, names = [row for row in whole if row["value"] is not None], _sources(whole)
     if not valued:
         return []
-    by_source = sorted(_by_source(valued).items(), key=lambda pair: -len(pair[1]))
+    by_source = _by_source(valued)
+    most = sorted(by_source, key=lambda source: -len(by_source[source]))[:MOST_PLOTS]
     left = f"<p class=small>Of the {MOST_PLOTS} sources with the most rows.</p>"
     return [
         "<h2>What was held</h2>",
         *histogram([row for row in valued if row["verdict"] == "accepted"]),
         "<p class='small hint'>Click a dot for its row; drag to look closer, double-click for all of it.</p>",
         *[left] * (len(by_source) > MOST_PLOTS),
-        *(values_figure(own, names[source][0]) for source, own in by_source[:MOST_PLOTS]),
+        *(values_figure(own, names[source][0]) for source, own in by_source.items() if source in most),
     ]
 
 

@@ -51,7 +51,7 @@ def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
                     low = value - Z95 * std if term in ANY_SIGN else max(value - Z95 * std, 0.0)
                     axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
                 axis.plot(row.value, place, "|", color=INK, markersize=9, markeredgewidth=1.6)
-            axis.set_yticks(range(len(joints)), [plain(joint) for joint in joints[::-1]])
+            axis.set_yticks(range(len(joints)), [plain(_short(joint, 32)) for joint in joints[::-1]])
             axis.set_title(f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})", fontsize=9.5, loc="left")
             axis.grid(axis="y", visible=False)
             # a file that leaves it wide open must not hide what was learnt
@@ -109,24 +109,25 @@ def held_out_figure(held_out: tuple[HeldOutRun, ...]) -> str:
     """Error of the held-out prediction of each run, and what was expected of it."""
     from matplotlib.ticker import LogLocator
 
-    names = [plain(_short(run.name)) for run in held_out][::-1]
+    names = [plain(_short(run.name, 64)) for run in held_out][::-1]
     with drawn(9.2, 0.9 + 0.24 * len(names), ncols=2, sharey=True) as (figure, (left, right)):
-        left.barh(names, [1e3 * run.rms for run in held_out][::-1], color=ACCENT, height=0.6)
+        places = range(len(names))  # shortened names may be alike
+        left.barh(places, [1e3 * run.rms for run in held_out][::-1], color=ACCENT, height=0.6)
         left.set_xscale("log")
         left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         left.xaxis.set_major_formatter("{x:g}")
         left.xaxis.set_minor_formatter("")
         left.set_xlabel("measured less predicted, rms (mrad)")
-        right.barh(names, [run.reduced_chi2 for run in held_out][::-1], color=ACCENT, height=0.6)
+        right.barh(places, [run.reduced_chi2 for run in held_out][::-1], color=ACCENT, height=0.6)
         right.axvline(1.0, color=SIMULATED, linewidth=1.0)
         right.set_xlabel("reduced chi-square (1: as promised)")
         for axis in (left, right):
             axis.grid(axis="y", visible=False)
-            axis.tick_params(axis="y", labelsize=7.5)
+            axis.set_yticks(places, names, fontsize=7.5)
         return svg(figure, "Held-out prediction of each run")
 
 
-def _short(name: str, most: int = 200) -> str:
+def _short(name: str, most: int) -> str:
     """Name of a recording without the folder that every bag has; of a long one its end, by which it differs from others."""
     name = name.removesuffix("/bag_mcap").removesuffix("/bag_sqlite3")
     return name if len(name) <= most else "…" + name[1 - most :]

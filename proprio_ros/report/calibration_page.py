@@ -11,7 +11,7 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.kinds import KINDS
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.report import calibration_figures as figures
-from proprio_ros.report import pictures
+from proprio_ros.report import html, pictures
 from proprio_ros.report.html import bulleted, framed, listed, number, plotted, provenance, table, titled, write_document
 from proprio_ros.report.motion_sections import torques
 
@@ -103,7 +103,7 @@ def _weighed(estimate: CalibrationEstimate) -> list[str]:
 def _unused(estimate: CalibrationEstimate) -> list[str]:
     parts = ["<h2>Runs that were not used</h2>"] * bool(estimate.unused)
     for n, run in enumerate(estimate.unused, start=1):
-        parts += [f"<h3>{escape(run.name)}</h3>", framed(pictures.run_figure(None, run, n))]
+        parts += [f"<h3>{html.breakable(run.name)}</h3>", framed(pictures.run_figure(None, run, n))]
     return parts
 
 
@@ -145,8 +145,8 @@ def _advice(estimate: CalibrationEstimate) -> list[str]:
         start = ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items())
         current = f"{shown('A', plan.current_A, spec='+.0f')}, {plan.duration_s:g} s"
         rows.append([plan.joint, plan.kind, start, current, f"{100 * plan.clearance_m:.0f} cm", plan.reason])
-    header = ["joint", "kind", "start (rad)", "current", "clearance", ""]
-    return ["<h2>Runs that would help most</h2>", table(header, rows, numbers=())]
+    header = ["joint", "kind", "start (rad)", "current", "clearance", "why"]
+    return ["<h2>Runs that would help most</h2>", table(header, rows, numbers=(), labels=2)]
 
 
 def _unknowns(estimate: CalibrationEstimate) -> list[str]:

@@ -71,11 +71,12 @@ class Panel:
 
 @dataclass(frozen=True)
 class Axis:
-    """The common axis: its title with the unit in brackets, the unit, and whether it is logarithmic."""
+    """The common axis: its title with the unit in brackets, the unit, and whether it is logarithmic, or of whole numbers."""
 
     title: str
     unit: str
     log: bool = False
+    whole: bool = False
 
 
 def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
@@ -90,7 +91,7 @@ def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
         top += panel.height + BELOW
     bottom = edges[-1][1]
     marks = []
-    for value, word in _ticks(x0, x1, axis.log):
+    for value, word in _ticks(x0, x1, axis.log, whole=axis.whole):
         at = LEFT + (value - x0) / (x1 - x0) * INSIDE
         line = "".join(f"M{_n(at)},{_n(above)}V{_n(below)}" for above, below in edges)
         marks.append(f'<path d="{line}"/><text x="{_n(at)}" y="{_n(bottom + 18)}" text-anchor="middle">{word}</text>')
@@ -179,7 +180,7 @@ def _reach(values: np.ndarray, margin: float) -> tuple[float, float]:
     return low - spare, high + spare
 
 
-def _ticks(low: float, high: float, log: bool, most: float = 7.0) -> list[tuple[float, str]]:
+def _ticks(low: float, high: float, log: bool, most: float = 7.0, whole: bool = False) -> list[tuple[float, str]]:
     """Places on the axis and what stands there: round numbers."""
     if log:
         digits_shown = (1,) if high - low > 1.5 else (1, 2, 5)
@@ -190,6 +191,8 @@ def _ticks(low: float, high: float, log: bool, most: float = 7.0) -> list[tuple[
     step = next(power * digit for digit in (1, 2, 5, 10) if (high - low) / (power * digit) < most)
     if math.floor(high / step) - math.ceil(low / step) < 1:  # one mark is no scale
         step /= 2.0
+    if whole:
+        step = max(step, 1.0)
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     digits += round(step * 10.0**digits, 6) % 1.0 > 0.0
     places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)

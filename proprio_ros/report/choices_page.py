@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.quantity import Sought, shown_unit
+from proprio_ros.quantity import Sought, shown, shown_unit, spec_for
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed, table, write_document
 
@@ -45,8 +45,14 @@ def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path
     Raises:
         ConfigurationError: It cannot be written.
     """
-    parts = ["<h1>Pushes, one by one</h1>", f"<p>{escape(choices[-1].chosen)}</p>"]
+    parts, last = ["<h1>Pushes, one by one</h1>"], choices[-1]
     if len(choices) > 1:  # before the first nothing is known
+        value = shown(sought.unit, last.value, spec=spec_for(sought.unit, sought.std_of(last.half, last.value)))
+        pushes = f"{len(choices) - 1} push{'es' * (len(choices) > 2)}"
+        after = f"{sought.label} {sought.said(last.half)} (95 %) after {pushes}; {sought.said(target)} asked for"
+        parts += [f"<p class=value>{escape(value)}</p>", f"<p class=interval>{escape(after)}</p>"]
+    parts.append(f"<p>{escape(last.chosen)}</p>")
+    if len(choices) > 1:
         parts.append(_figure(choices, sought, target))
     rows = []
     for number, choice in enumerate(choices, 1):
@@ -76,4 +82,4 @@ def _figure(choices: Sequence[Choice], sought: Sought, target: float) -> str:
         Panel(f"half 95 % interval ({unit_of_half})", unit_of_half, halves, rules=rules, log=True),
     ]
     about = f"{name} and 95 % interval after each push. Below: half of it, what the push promised, what was asked for."
-    return framed(chart(panels, Axis("pushes", ""), "Interval after each push"), f"Above: {about}")
+    return framed(chart(panels, Axis("pushes", "", whole=True), "Interval after each push"), f"Above: {about}")

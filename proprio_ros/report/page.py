@@ -13,7 +13,7 @@ from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.records import TORQUE_OFF
-from proprio_ros.report import pictures
+from proprio_ros.report import html, pictures
 from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, write_document
 from proprio_ros.report.motion_sections import HINT, arm_and_payload, torques, what_told
 
@@ -107,7 +107,7 @@ def _runs(estimate: Estimate) -> list[str]:
             about += f"moved by {moved:+.3f} {run.unit}"
         if run is not None and run.baseline:
             about += "; baseline"
-        parts.append(f"<h3>{escape(name)}</h3><p class=small>{escape(about)}</p>")
+        parts.append(f"<h3>{html.breakable(name)}</h3><p class=small>{escape(about)}</p>")
         trace = framed(pictures.run_figure(fit, run, n))
         if run is not None and run.arm.size:
             arm = framed(pictures.arm_figure(run, n), "From the side: dotted at the start, ring: the driven joint.")
@@ -182,10 +182,7 @@ def _interval_in_words(value: Value, interval_first: bool = False) -> str:
         words = f"{value.label}, 95 % interval {shown(value.unit, *value.ci95, spec=spec, between=' to ')}"
         if shown_unit(value.unit)[0] == 1.0:
             return words
-        in_si, deviation = spec_for(value.unit, value.std, kept=True), f"{value.std:.2g}"
-        if "e+" in deviation:  # nobody reads powers of ten
-            deviation = f"{value.std:.0f}"
-        return f"{words} ({value.value:{in_si}} {value.unit}, standard deviation {deviation})"
+        return f"{words}, standard deviation {shown(value.unit, value.std, spec=spec)}"
     return f"{value.label}: {value.reason}" if value.reason else value.label
 
 

@@ -168,7 +168,7 @@ def convergence_figure(estimate: Estimate) -> str:
     answer, name = estimate.values[0].value, estimate.values[0].label
     rules = [factor * answer] if isinstance(answer, float) and answer > 0.0 else []
     panel = Panel(f"{name} ({unit})", unit, series, 210.0, rules=rules, verticals=verticals, log=True)
-    return chart([panel], Axis("iteration", "iterations"), f"Iterations of the search: {name}")
+    return chart([panel], Axis("iteration", "iterations", whole=True), f"Iterations of the search: {name}")
 
 
 def scan_figure(estimate: Estimate) -> str:

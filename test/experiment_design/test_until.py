@@ -6,6 +6,7 @@ The arm is MuJoCo's, driven by the excitation's machine as the nodes drive it; t
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -160,6 +161,11 @@ def test_it_ends_when_it_is_sure(tmp_path: Path) -> None:
         and decisions[-1].reason in page
         and decisions[0].others[0].words in page
     )
+    grams = re.search(
+        r"<p class=value>([\d.]+) g</p>\s*<p class=interval>mass \+-[\d.]+ g \(95 %\) after (\d+) push", page
+    )
+    assert grams is not None and float(grams[1]) == pytest.approx(1e3 * decisions[-1].value, abs=0.06)
+    assert int(grams[2]) == len(decisions) - 1
 
 
 @pytest.mark.long

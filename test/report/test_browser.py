@@ -203,6 +203,17 @@ def test_values_under_the_pointer_and_a_closer_look(pages: dict[str, Path], look
     assert 0.0 < begin < begin + length < 552.0
 
 
+def test_pushes_and_iterations_are_whole_numbers_at_the_axis(pages: dict[str, Path], look: Look) -> None:
+    words = 'return [...document.querySelectorAll(".chart > .ticks text")].map((text) => text.textContent)'
+    assert look(pages["choices"], words) == ["1", "2"]
+    assert "<p class=value>50.0 g</p>" in pages["choices"].read_text()
+
+
+def test_held_out_runs_whose_names_end_alike_have_a_bar_each(pages: dict[str, Path], look: Look) -> None:
+    words = 'return document.querySelector("svg[aria-label^=Held-out]").textContent.match(/\\u2026[^\\u2026]*script>/g).length'
+    assert look(pages["swing_calibration"], words) == 2
+
+
 def test_the_policy_lets_the_page_s_own_script_run_and_no_other(
     pages: dict[str, Path], look: Look, tmp_path: Path
 ) -> None:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from html import escape
 
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.report.figures import ACCENT, INK, INSIDE, LINE, MUTED, themed
-from proprio_ros.report.html import framed
+from proprio_ros.report.html import breakable, framed
 
 EARLY, LATE = (0xF2, 0x8E, 0x2B), (0x7D, 0x4F, 0xC9)
 """Colours of the first and the last instant: also in grey print the early one is the paler."""
@@ -33,6 +32,11 @@ MM = 1e3
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
+def moved(distance_m: float) -> str:
+    """How far a sphere went, in words."""
+    return f"moved by up to {1e3 * distance_m:.1f} mm" if distance_m >= 5e-5 else "did not move"
+
+
 def sections(estimate: Estimate) -> list[str]:
     """Where the sphere was in every run: a picture, and the same in motion."""
     parts: list[str] = []
@@ -42,10 +46,10 @@ def sections(estimate: Estimate) -> list[str]:
         if shown is None:
             continue
         parts += [
-            f"<h3>{escape(path.run)}</h3>",
+            f"<h3>{breakable(path.run)}</h3>",
             framed(
                 path_figure(shown, n),
-                f"The sphere, of radius {1e3 * path.radius:g} mm, moved by up to {1e3 * shown.moved:.1f} mm. Seen along the "
+                f"The sphere, of radius {1e3 * path.radius:g} mm, {moved(shown.moved)}. Seen along the "
                 "joint's axis: dashed at the start, bold at the end. Blue, about the path of its centre: two standard deviations, "
                 "where that shows.",
                 "small-one",

@@ -24,7 +24,7 @@ from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, Verdict, no_answer
 from proprio_ros.identification.fit import SearchOptions, fit_opened, summary
 from proprio_ros.identification.gates import CONTRADICTION, MIN_USED, Contradiction, Findings, admitted, contradiction
-from proprio_ros.identification.judge import Guess, Refusal, Useful, positive, rejected
+from proprio_ros.identification.judge import Guess, Refusal, Useful, not_negative, positive, rejected
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
@@ -266,13 +266,12 @@ class WeighedSphere(Conclusion):
         moved = max(path.moved for path in self.paths)
         if mass - Z95 * std <= 0.0:
             yield (
-                f"the container may as well be empty: a sphere of up to {1e3 * max(mass + Z95 * std, 0.0):.1f} g would not show"
+                f"the container may as well be empty: a sphere of up to {1e3 * not_negative(mass, std)[1]:.1f} g would not show"
             )
         elif moved < STILL_M:
-            yield (
-                f"the sphere did not move by more than {1e3 * moved:.1f} mm in any run, so it was weighed like a fixed load: that "
-                "it rolls is not confirmed; tilt further to see it roll"
-            )
+            by = f" by more than {1e3 * moved:.1f} mm" if moved >= 5e-5 else ""
+            fixed = "it was weighed like a fixed load: that it rolls is not confirmed; tilt further to see it roll"
+            yield f"the sphere did not move{by} in any run, so {fixed}"
 
     def solver(self) -> SolverSummary:
         nominal, options = self.nominal, self.search.options
