@@ -413,6 +413,7 @@ def test_an_interval_may_be_a_share_of_the_value_or_small() -> None:
     assert useful.exceeded_by(0.05, 0.02) and not useful.exceeded_by(0.05, 0.012)
     assert not useful.exceeded_by(-0.001, 0.001) and useful.exceeded_by(0.0, 0.03)
     assert not useful.exceeded_by(0.0, 0.004)  # 0 to 7.8 g: an empty hand
+    assert useful.exceeded_by(-0.06, 0.041)  # printed as 0 to 80 g, however far below nothing it is
 
 
 def test_too_wide_is_a_verdict(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -90,14 +90,14 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
 
 @dataclass(frozen=True)
 class Useful:
-    """From when on an interval is too wide for an accepted answer: both must be exceeded by its half width, cut off at nothing."""
+    """From when on an interval is too wide for an accepted answer: both must be exceeded by half of it, as it is printed."""
 
     share: float  # of the value
     floor: float = 0.0  # in its unit; what is nearly nothing has no share to speak of
 
     def exceeded_by(self, value: float, std: float) -> bool:
         """Whether the 95 % interval of a quantity that is not negative is too wide."""
-        low, high = max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0)
+        low, high = not_negative(value, std)
         return 0.5 * (high - low) > max(self.share * max(value, 0.0), self.floor)
 
 
@@ -234,7 +234,7 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     unit, value, std = assessed.unit, assessed.value, assessed.std
     if not useful.exceeded_by(value, std):
         return
-    interval = shown(unit, max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0), spec=spec_for(unit, std))
+    interval = shown(unit, *not_negative(value, std), spec=spec_for(unit, std))
     limit = f"+-{100.0 * useful.share:.0f} % of the value"
     if useful.floor:
         limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
