@@ -310,8 +310,14 @@ class Weighed(Conclusion):
         yield from self.several(0.02)
 
     def _all_refusals(self) -> Iterator[Refusal]:
-        """And at last what takes more fits."""
-        yield from super()._all_refusals()
+        """And what takes more fits: where the best mass is below nothing its interval may lie elsewhere, not just be too wide."""
+        for refusal in super()._all_refusals():
+            if refusal.verdict is Verdict.TOO_WIDE and self.assessed.value < 0.0:
+                yield from self._by_more_fits()
+            yield refusal
+        yield from self._by_more_fits()
+
+    def _by_more_fits(self) -> Iterator[Refusal]:
         if not self.swings and not self.fit.explains and self.cause:
             yield self.misfit_of()
         constants = [run.drive.torque_constant for run in self.runs]
