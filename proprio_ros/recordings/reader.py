@@ -16,8 +16,9 @@ import numpy as np
 from lz4.frame import LZ4FrameDecompressor
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from rosbags.rosbag2 import Reader, storage_mcap
+from rosbags.rosbag2 import Reader, metadata, storage_mcap
 from rosbags.rosbag2 import reader as rosbag2_reader
+from ruamel.yaml import YAML
 
 from proprio_ros.errors import RecordingError, one_line, some
 from proprio_ros.inputs.reading import path_problem, text_of, yaml_of
@@ -373,6 +374,16 @@ class _Zstd:
     ZstdError = zstd.ZstdError
 
 
+class _Yaml(YAML):
+    """As rosbags reads metadata, all but once: a text that comes again (of each topic, at each opening) is not parsed again."""
+
+    def load(self, stream: str) -> Any:
+        with suppress(ValueError):
+            return yaml_of(stream)
+        return super().load(stream)  # says what is wrong
+
+
 # a kilobyte of zstd can stand for gigabytes, and rosbags has no option that limits what it unpacks
 storage_mcap.DECOMPRESSORS.update(zstd=_unzstd, lz4=_unlz4)
 rosbag2_reader.zstd = _Zstd
+rosbag2_reader.YAML = metadata.YAML = _Yaml
