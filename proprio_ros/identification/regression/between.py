@@ -13,6 +13,7 @@ let go by 1.9 to 4.5 %, those of driven servos by 2 to 9 % (docs: validation).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -33,8 +34,16 @@ PUBLISHED: Mapping[str, float] = {
 PSEUDO_RECORDINGS = 4.0
 """So many recordings the published word counts as."""
 CONSIDERED = ("common_scale", "own_scale", "zero")
-"""Kinds that an estimate does not follow, since whatever the model lacks looks like them; they count in what it errs by
-(consider parameters: Schmidt 1966, Advances in Control Systems 3)."""
+"""Kinds that the fit of empty recordings does not follow, since whatever the model lacks looks like them; a weighing does as far as
+the evidence says, and they count in what it errs by (as consider parameters do: Schmidt 1966, Advances in Control Systems 3)."""
+LEARNT = ("friction", "offset")
+"""Kinds whose spread is learnt of what was found; what was found of the others is also what the model lacks."""
+FOLLOWED_TOGETHER = (("common_scale",), ("own_scale", "zero"))
+"""Kinds whose spread the evidence decides, some together."""
+FACTORS = (0.01, 0.4, 0.8, 1.3, 2.0, 3.2, 5.0)
+"""Of these spreads, over those that were stated; torques that differ by more are refused as those of another unit."""
+AGREE = 0.5
+"""How likely it is that torque and zeros of two recordings are alike, before they are looked at."""
 DIFFERS = "torque and zeros that differ between recordings"
 WORDS: Mapping[str, str] = {
     "friction": "friction that differs between recordings",
@@ -105,12 +114,6 @@ class Between:
         std[:of_friction] = np.hypot(std[:of_friction] * self.friction, self.drift)
         return np.maximum(std, 1e-9)
 
-    def with_considered(self, other: Between) -> Between:
-        """With the spreads of what an estimate does not follow as another one has them."""
-        spreads = {**self.spreads, **{kind: other.spreads[kind] for kind in CONSIDERED}}
-        recordings = {**self.recordings, **{kind: other.recordings[kind] for kind in CONSIDERED}}
-        return replace(self, spreads=spreads, recordings=recordings)
-
     def learnt(self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED) -> Between:
         """With what recordings show, beside what this says.
 
@@ -130,6 +133,47 @@ class Between:
         return replace(self, spreads=spreads, recordings=recordings)
 
 
+def by_evidence(
+    kinds: NDArray[np.str_], information: FloatArray, side: FloatArray
+) -> tuple[FloatArray, dict[str, float], FloatArray, FloatArray]:
+    """What data say of terms that nobody knows how far they scatter.
+
+    Args:
+        kinds: Of the terms, shape (T,).
+        information: Of the data on them, in the standard deviations that are stated, shape (T, T).
+        side: What these say, weighted alike, shape (T,).
+
+    Returns:
+        Their mean over all spreads that there may be, none among them, shape (T,); how many times as far as stated they scatter
+        by the data, where they do, by kind; what they are at each of F spreads, shape (F, T), and how likely each is, shape (F,).
+    """
+    together = np.array([[kind in group for group in FOLLOWED_TOGETHER] for kind in kinds])
+    pairs = np.array(list(itertools.product(FACTORS, repeat=len(FOLLOWED_TOGETHER))))
+    each = [under(np.square(together @ pair), information, side) for pair in pairs]
+    weights, agree = likely(np.array([evidence for evidence, _ in each]), pairs)
+    terms, factors = np.array([values for _, values in each]), np.sqrt(weights @ np.square(pairs)).tolist()
+    wider = {kind: factor for group, factor in zip(FOLLOWED_TOGETHER, factors, strict=True) for kind in group}
+    return (1.0 - agree) * (weights @ terms), wider, terms, weights
+
+
+def under(variances: FloatArray, information: FloatArray, side: FloatArray) -> tuple[float, FloatArray]:
+    """Logarithm of how likely data are, over that without the terms; and these, whose prior is so wide about nothing."""
+    widened = np.eye(len(side)) + variances[:, None] * information
+    values = np.asarray(np.linalg.solve(widened, variances * side), np.float64)
+    return 0.5 * float(side @ values - np.linalg.slogdet(widened)[1]), values
+
+
+def likely(log_evidence: FloatArray, factors: FloatArray) -> tuple[FloatArray, float]:
+    """How likely pairs of `FACTORS` are by their evidence, where recordings differ, shape (F,); and that they agree."""
+    # a half Cauchy prior (Gelman 2006, Bayesian Analysis 1), and the steps of the grid
+    steps = np.gradient(np.array(FACTORS))[np.searchsorted(FACTORS, factors)]
+    prior = np.prod(steps / (1.0 + np.square(factors)), axis=1)
+    highest = max(float(log_evidence.max()), 0.0)
+    weights: FloatArray = prior / prior.sum() * np.exp(log_evidence - highest)
+    agree = AGREE * np.exp(-highest)
+    return weights / weights.sum(), float(agree / (agree + (1.0 - AGREE) * weights.sum()))
+
+
 def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:
     """How likely it is that values differ by each of `SPREADS` beyond what each knows of its own error, shape (200,), sum 1.
 
@@ -139,7 +183,7 @@ def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:
     """
     apart = np.maximum(variances, 1e-12) + SPREADS[:, None] ** 2
     fit = -0.5 * np.sum(np.log(apart) + np.square(errors) / apart, axis=1)
-    # a half Cauchy prior (Gelman 2006, Bayesian Analysis 1); the steps grow with the spread
+    # a half Cauchy prior, too; the steps grow with the spread
     log = fit - np.log1p(np.square(SPREADS / SPREAD_SCALE)) + np.log(SPREADS)
     weights: FloatArray = np.exp(log - log.max())
     return weights / weights.sum()

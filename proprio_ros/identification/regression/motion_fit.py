@@ -28,7 +28,7 @@ from proprio_ros.calibration_files.motions import (
 )
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
-from proprio_ros.identification.regression.between import CONSIDERED, DIFFERS, WORDS, Between, effective_freedom
+from proprio_ros.identification.regression.between import DIFFERS, WORDS, Between, effective_freedom
 from proprio_ros.identification.regression.motion_equations import (
     MIN_STRETCHES,
     WINDOW_S,
@@ -47,7 +47,7 @@ from proprio_ros.identification.regression.motion_prior import (
     prior_of_file,
     relative_torque_std,
 )
-from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_both
+from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
 from proprio_ros.identification.regression.traces import Explained
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -173,7 +173,7 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
     prior = prior_of_file(robot, arm, runs)
     none = np.zeros(len(FRICTION_TERMS) * count)
-    solution, _ = solve_both(problem, prior, Between.published(none, none), payload_stds(arm))
+    solution = solve(problem, prior, Between.published(none, none), payload_stds(arm))
     # the mean of the runs' friction
     mean = np.zeros((TERMS * count, len(solution.values)))
     mean[: ARM_TERMS * count, PARAMETERS:shared] = np.eye(ARM_TERMS * count)
@@ -297,17 +297,17 @@ def fit_payload(
     per_kg = payload_stds(arm)
     if centre is not None:
         per_kg[1:4] = np.maximum(centre[1], 1e-3)
-    solution, opened = solve_both(problem, known, between, per_kg, calibration)
+    solution, opened, scatter = solve_following(problem, known, between, per_kg, calibration)
     tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
     residual = problem.rms_by_joint(solution.residual, carrying)
-    covariances = _covariances(problem, solution, opened, terms, calibration)
+    covariances = _covariances(problem, solution, scatter, terms, calibration)
     # what is explained worse than the empty motions is not only noise: the arm is not where it was calibrated
     empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
     covariances[CALIBRATION] *= max(1.0, _misfit(tells, residual, empty_residual))
     variances = {name: float(part[0, 0]) for name, part in covariances.items()}
     # what few stretches or recordings say of their own scatter is uncertain
     freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
-    freedom += [(variances[word], number) for word, number in solution.between.by_word.items()]
+    freedom += [(variances[word], number) for word, number in solution.between.by_word.items() if word != DIFFERS]
     halves = None
     if stretches >= 2 * MIN_STRETCHES:
         late = np.zeros(len(problem.joint), dtype=bool)
@@ -393,7 +393,7 @@ def check_torque_constant(robot: Robot, joint: str, constant: float, what: str) 
 
 
 def _covariances(
-    problem: Problem, solution: Solution, differing: Solution, terms: FloatArray, calibration: MotionCalibration
+    problem: Problem, solution: Solution, scatter: FloatArray, terms: FloatArray, calibration: MotionCalibration
 ) -> dict[str, FloatArray]:
     """Of the payload's parameters by what they err by, each of shape (10, 10)."""
     # how the payload follows what its prior is made of: the calibration's values, what recordings differ by, its own size
@@ -403,13 +403,8 @@ def _covariances(
     opened = by_prior[:, :PARAMETERS] * solution.payload_prior
     geared = by_prior[:, PARAMETERS + 11 * count : PARAMETERS + 12 * count] * LOAD_FRICTION_SPREAD
     between, own = solution.between, slice(problem.own(0).start, None)
-    kinds, of_own = np.tile(between.kinds, problem.motions), by_prior[:, own]
+    words, of_own = np.tile([WORDS[kind] for kind in between.kinds], problem.motions), by_prior[:, own]
     followed = of_own * np.tile(between.std, problem.motions)
-    # where the terms that the estimate does not follow are, and how sure that is: both are its error
-    off = differing.values[own]
-    apart_from_it = np.isin(kinds, CONSIDERED)
-    considered = of_own[:, apart_from_it]
-    where = np.outer(off, off) + differing.covariance[own, own]
     # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
     by_share = follows @ calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
     apart = by_share @ by_share.T
@@ -424,11 +419,9 @@ def _covariances(
         UNDETERMINED: opened @ opened.T + geared @ geared.T,
         CALIBRATION: by_calibration,
         CONSTANTS: larger(np.outer(together, together), apart),
-        DIFFERS: considered @ where[np.ix_(apart_from_it, apart_from_it)] @ considered.T,
         **{
-            WORDS[kind]: followed[:, kinds == kind] @ followed[:, kinds == kind].T
-            for kind in WORDS
-            if kind not in CONSIDERED
+            word: followed[:, words == word] @ followed[:, words == word].T + (scatter if word == DIFFERS else 0.0)
+            for word in dict.fromkeys(WORDS.values())
         },
     }
 

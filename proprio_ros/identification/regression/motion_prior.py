@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS, MotionCalibration
-from proprio_ros.identification.regression.between import PSEUDO_RECORDINGS, PUBLISHED, Between
+from proprio_ros.identification.regression.between import CONSIDERED, PSEUDO_RECORDINGS, PUBLISHED, Between
 from proprio_ros.identification.regression.motion_equations import Arm, own_terms, sizes
 from proprio_ros.identification.regression.solve import WAVES, Prior
 from proprio_ros.records import FloatArray
@@ -105,10 +105,10 @@ def calibrated_prior(arm: Arm, calibration: MotionCalibration, motions: int) -> 
 
 
 def between_of(calibration: MotionCalibration) -> Between:
-    """By how much the recordings of a calibrated arm differ."""
-    stated = calibration.between
-    spreads = {kind: stated[kind][0] for kind in PUBLISHED} if stated else PUBLISHED
-    recordings = {kind: stated[kind][1] if stated else PSEUDO_RECORDINGS for kind in PUBLISHED}
+    """By how much a recording differs from a calibration, whose own torque and zeros nobody knows, either."""
+    stated = {kind: (spread, PSEUDO_RECORDINGS) for kind, spread in PUBLISHED.items()} | dict(calibration.between)
+    spreads = {kind: 2.0**0.5 * PUBLISHED[kind] if kind in CONSIDERED else stated[kind][0] for kind in PUBLISHED}
+    recordings = {kind: stated[kind][1] for kind in PUBLISHED}
     # the file has friction's spread in full
     unit = np.concatenate(
         [np.full(len(calibration.friction_spread) * share // 3, 1.0 / spreads[kind])

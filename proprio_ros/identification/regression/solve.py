@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
-from proprio_ros.identification.regression.between import CONSIDERED, PUBLISHED, Between
+from proprio_ros.identification.regression.between import CONSIDERED, LEARNT, Between, by_evidence
 from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
@@ -25,6 +25,8 @@ WAVES = 4
 PLACE_SHARE = 0.15
 """Standard deviation of each of them in Coulomb friction, relative to it."""
 
+FEWEST_FREE = 0.2
+"""Of a joint's independent windows at least so many count as not used up by unknowns."""
 FIXED = 1e-6
 """Of its spread is what a term that is not followed may move by."""
 SPREAD_SIGMAS = 3.0
@@ -114,13 +116,35 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
     return one if one[0, 0] > other[0, 0] else other
 
 
-def solve_both(
-    problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration | None = None
-) -> tuple[Solution, Solution]:
-    """The estimate, by the spreads that recordings show; and the solution that shows them, in which all that differs is open."""
+def solve_following(
+    problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration
+) -> tuple[Solution, Solution, FloatArray]:
+    """The estimate that follows all that recordings differ by, as far as the evidence says that they do.
+
+    Returns:
+        It; that with the spreads as they were stated; and how payloads by other spreads, each as likely as it makes the data,
+        scatter about it, shape (10, 10).
+    """
     opened = solve(problem, prior, between, per_kg, known, considered=())
-    solution = solve(problem, prior, between, per_kg, known)
-    return replace(solution, between=solution.between.with_considered(opened.between)), opened
+    first, kinds = problem.own(0).start, np.tile(opened.between.kinds, problem.motions)
+    at = first + np.flatnonzero(np.isin(kinds, CONSIDERED))
+    std = np.tile(opened.between.std, problem.motions)[at - first]
+    # what the data say of these terms alone, in their standard deviations; all else follows them linearly
+    found = opened.values[at] / std
+    precision = np.linalg.inv(opened.covariance[np.ix_(at, at)] / std[:, None] / std)
+    leads = opened.covariance[:, at] / std @ precision
+    mean, wider, terms, weights = by_evidence(kinds[at - first], precision - np.eye(len(at)), precision @ found)
+    apart = (terms - mean) @ leads[:PARAMETERS].T
+    spreads = {kind: spread * wider.get(kind, 1.0) for kind, spread in opened.between.spreads.items()}
+    between = replace(opened.between, spreads=spreads)
+    wide = Prior(opened.prior.values, opened.prior.covariance.copy())
+    wide.covariance[at, at] = np.square(np.tile(between.std, problem.motions)[at - first])
+    _, covariance = posterior(opened.information, opened.information @ wide.values, wide)
+    values = opened.values + leads @ (mean - found)
+    left_over = problem.torque - opened.scaled @ values / opened.weight
+    deviations = scores(opened.scaled, left_over * opened.weight, problem.stretch) @ covariance
+    fields = {"values": values, "covariance": covariance, "prior": wide, "between": between, "residual": left_over}
+    return replace(opened, deviations=deviations, **fields), opened, (apart * weights[:, None]).T @ apart
 
 
 def solve(
@@ -147,8 +171,7 @@ def solve(
     waves = geared.stop + count + np.arange(WAVES * count)
     same, own = np.diag(prior.covariance).copy(), slice(arm, None)
     prior, stated = Prior(prior.values, prior.covariance.copy()), between
-    kinds = [kind for kind in PUBLISHED if between.friction.any() or kind not in ("friction", "offset")]
-    kinds = [kind for kind in kinds if kind not in considered]
+    kinds = LEARNT if between.friction.any() else ()
     follows = np.where(np.isin(between.kinds, considered), FIXED, 1.0)
 
     def differing() -> None:
@@ -167,13 +190,15 @@ def solve(
         return (weight, scaled, information, *posterior(information, scaled.T @ (right * weight), prior))
 
     for _ in range(ITERATIONS):
-        *_, values, covariance = solved()
+        _, scaled, _, values, covariance = solved()
         residual = right - matrix @ values
         rms, correlation = np.zeros(count), np.ones(count)
         for number in np.flatnonzero(moves):
             mine = joint == number
             rms[number] = max(float(np.std(residual[mine])), 1e-9)
             correlation[number] = correlated_windows(residual[mine], problem.stretch[mine])
+            if known is not None and not considered:
+                rms[number] /= np.sqrt(free_share(scaled[mine], covariance, correlation[number]))
         if known is not None:
             # what a longer recording knows of its residuals holds for a short one, too
             rms, correlation = np.maximum(rms, 0.5 * known.residual), np.maximum(correlation, known.correlation)
@@ -197,6 +222,12 @@ def solve(
     return Solution(
         values, covariance, information, deviations, left_over, rms, correlation, prior, between, scaled, weight
     )
+
+
+def free_share(scaled: FloatArray, covariance: FloatArray, correlated: float) -> float:
+    """Of a joint's windows, so many of which are correlated, the share that unknowns do not take up."""
+    used = float(np.einsum("ij,ij->", scaled @ covariance, scaled))
+    return max(1.0 - used * correlated / len(scaled), FEWEST_FREE)
 
 
 def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> float:

@@ -41,7 +41,7 @@ from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import ZERO_REPEATS
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.quantity import Z95
+from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -67,6 +67,8 @@ relative, has been measured."""
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 ANY_ZERO_RAD = 0.3
 """How far a horn may be put on elsewhere than it was: standard deviation."""
+COVERED = 2.0
+"""A swing may hold so many times less than the lightest load of its calibration; it does not tell whose rotor and arm it is of."""
 SWING_ROUNDS = 4
 """How often the error of a simulated swing is looked at again."""
 
@@ -308,6 +310,16 @@ class Weighed(Conclusion):
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
         yield from self.several(0.02)
+        loads = [float(run["load_kg"]) for run in self.robot.calibration.runs] if self.robot.calibration else []
+        if self.swings and loads and COVERED * mass < min(loads):
+            joint, lightest = self.runs[0].run.joint, shown("kg", min(loads), spec=".0f")
+            said = f"{joint} swings as with {shown('kg', mass, spec='.0f')}, and no load of its calibration was lighter than"
+            cause = "a swing does not tell whose it is: another servo or arm than the one that was calibrated reads like that"
+            yield not_identifiable(
+                "not_covered",
+                "the calibration does not cover so light a load",
+                f"{said} {lightest}; {cause}. If it is this one, calibrate with such a load, too",
+            )
 
     def _all_refusals(self) -> Iterator[Refusal]:
         """And what takes more fits: where the best mass is below nothing its interval may lie elsewhere, not just be too wide."""
