@@ -195,6 +195,22 @@ def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
 
 
 @pytest.mark.long
+def test_a_swing_far_lighter_than_those_of_its_calibration_is_asked_whose_it_is(robot: Robot) -> None:
+    """Another servo with twice the load, or this one with half: nothing in a swing tells which."""
+    rng = np.random.default_rng(3)
+    machine, masses = machine_of(rng), (0.55, 1.0, 0.2, 0.35)
+    light = [as_run(f"swing {n}", *swing) for n, swing in enumerate(released(rng, np.array(masses), machine, False))]
+    learnt = calibrate(robot, known(light[:2], masses[:2]))
+    assert learnt.calibration is not None
+    calibrated = robot.with_calibration(learnt.calibration)
+    estimate = weigh(calibrated, light[2:3], facts())
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.values[0].value is None
+    assert getattr(estimate.reasons[0], "code", "") == "not_covered"
+    assert "lighter than 550 g" in estimate.reasons[0] and "another servo" in estimate.reasons[0]
+    assert weigh(calibrated, light[3:], facts()).values[0].value == pytest.approx(masses[3], rel=0.05)
+
+
+@pytest.mark.long
 def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(robot: Robot, runs: list[Run]) -> None:
     """How friction rises is not learnt from swings: what else they say is wider by that, and moves with it."""
     answers = []

@@ -60,6 +60,11 @@ class TestRealMachines:
         assert all(answer.given for answer in answers)
         hold(answers, 0.85)
 
+    def test_a_servo_that_is_let_go_and_known_is_another_one(self) -> None:
+        answers = [answer for answer in real("real_swings") if "another servo" in answer.row]
+        assert len(answers) == 4 and not any(answer.given for answer in answers)
+        assert "not_covered" in {answer.code for answer in answers}
+
     @pytest.mark.parametrize("row", ["1 empty", "1 empty, nothing", "1 empty, 1 load"])
     def test_an_arm_by_one_empty_recording_and_one_known_load(self, row: str) -> None:
         answers = [answer for answer in real("real_ur10e") if answer.row == f"real UR10e, {row}"]

@@ -166,13 +166,13 @@ def _scaled(
     # all of them lean on the same calibration: together they say no more than the best one
     scatter = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
     told = min(stds) ** 2 + scatter**2
-    # what is stated of the constants counts, too: as far as these do not contradict it
-    stated = max(calibration.torque_scale_std**2, (scale - 1.0) ** 2 - told)
-    scale = (told + stated * scale) / (told + stated)
-    std = float(np.sqrt(told * stated / (told + stated)))
+    # what a file states of the constants counts, too: as far as these do not contradict it
+    if all(robot.drive_trains[joint].torque_constant.std > 0.0 for joint in calibration.joints):
+        stated = max(calibration.torque_scale_std**2, (scale - 1.0) ** 2 - told)
+        scale, told = (told + stated * scale) / (told + stated), told * stated / (told + stated)
     runs = tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references)
     return replace(
-        calibration, torque_scale=scale, torque_scale_std=std / scale, runs=(*calibration.runs, *runs)
+        calibration, torque_scale=scale, torque_scale_std=float(np.sqrt(told)) / scale, runs=(*calibration.runs, *runs)
     ), ACCEPTED
 
 

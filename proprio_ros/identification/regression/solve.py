@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
-from proprio_ros.identification.regression.between import CONSIDERED, LEARNT, Between, by_evidence
+from proprio_ros.identification.regression.between import CONSIDERED, LEARNT, PUBLISHED, Between, by_evidence
 from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
@@ -126,24 +126,24 @@ def solve_following(
         scatter about it, shape (10, 10).
     """
     opened = solve(problem, prior, between, per_kg, known, considered=())
-    first, kinds = problem.own(0).start, np.tile(opened.between.kinds, problem.motions)
+    first, kinds = problem.own(0).start, np.tile(between.kinds, problem.motions)
     at = first + np.flatnonzero(np.isin(kinds, CONSIDERED))
-    std = np.tile(opened.between.std, problem.motions)[at - first]
-    # what the data say of these terms alone, in their standard deviations; all else follows them linearly
-    found = opened.values[at] / std
-    precision = np.linalg.inv(opened.covariance[np.ix_(at, at)] / std[:, None] / std)
-    leads = opened.covariance[:, at] / std @ precision
-    mean, wider, terms, weights = by_evidence(kinds[at - first], precision - np.eye(len(at)), precision @ found)
-    apart = (terms - mean) @ leads[:PARAMETERS].T
-    spreads = {kind: spread * wider.get(kind, 1.0) for kind, spread in opened.between.spreads.items()}
-    between = replace(opened.between, spreads=spreads)
-    wide = Prior(opened.prior.values, opened.prior.covariance.copy())
-    wide.covariance[at, at] = np.square(np.tile(between.std, problem.motions)[at - first])
+    # what the data say of these terms alone; all else follows them linearly
+    precision = np.linalg.inv(opened.covariance[np.ix_(at, at)])
+    information = precision - np.diag(1.0 / np.square(np.tile(opened.between.std, problem.motions)[at - first]))
+    leads = opened.covariance[:, at] @ precision
+    std = np.tile(between.std, problem.motions)[at - first]
+    evident = by_evidence(kinds[at - first], std[:, None] * information * std, std * (precision @ opened.values[at]))
+    mean, wider, terms, weights = evident
+    apart = (terms - mean) * std @ leads[:PARAMETERS].T
+    spreads = opened.between.spreads | {kind: between.spreads[kind] * times for kind, times in wider.items()}
+    differs, wide = replace(opened.between, spreads=spreads), Prior(opened.prior.values, opened.prior.covariance.copy())
+    wide.covariance[at, at] = np.square(np.tile(differs.std, problem.motions)[at - first])
     _, covariance = posterior(opened.information, opened.information @ wide.values, wide)
-    values = opened.values + leads @ (mean - found)
+    values = opened.values + leads @ (std * mean - opened.values[at])
     left_over = problem.torque - opened.scaled @ values / opened.weight
     deviations = scores(opened.scaled, left_over * opened.weight, problem.stretch) @ covariance
-    fields = {"values": values, "covariance": covariance, "prior": wide, "between": between, "residual": left_over}
+    fields = {"values": values, "covariance": covariance, "prior": wide, "between": differs, "residual": left_over}
     return replace(opened, deviations=deviations, **fields), opened, (apart * weights[:, None]).T @ apart
 
 
@@ -171,7 +171,7 @@ def solve(
     waves = geared.stop + count + np.arange(WAVES * count)
     same, own = np.diag(prior.covariance).copy(), slice(arm, None)
     prior, stated = Prior(prior.values, prior.covariance.copy()), between
-    kinds = LEARNT if between.friction.any() else ()
+    kinds = [kind for kind in PUBLISHED if kind not in considered and (between.friction.any() or kind not in LEARNT)]
     follows = np.where(np.isin(between.kinds, considered), FIXED, 1.0)
 
     def differing() -> None:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from between_recordings import Answer, arm_answers, pendulum_answers
 
-from proprio_ros.identification.regression.between import DIFFERS, PSEUDO_RECORDINGS, PUBLISHED, Between, spread_of_runs
+from proprio_ros.identification.regression.between import (
+    DIFFERS,
+    FACTORS,
+    PSEUDO_RECORDINGS,
+    PUBLISHED,
+    Between,
+    by_evidence,
+    likely,
+    spread_of_runs,
+    under,
+)
 
 FRICTION = np.full(6, 0.2)
 
@@ -48,6 +59,43 @@ def test_what_rests_on_several_spreads_is_known_as_well_as_the_least_of_them() -
 def test_a_published_spread_counts_as_so_many_runs() -> None:
     assert spread_of_runs(1.0, np.array([3.0]), np.array([1.0]), 4.0) == pytest.approx(np.sqrt(13.0 / 5.0))
     assert spread_of_runs(1.0, np.array([3.0]), np.array([0.0]), 1e9) == pytest.approx(1.0)
+
+
+def test_the_evidence_is_the_density_of_the_data_and_the_terms_are_their_posterior() -> None:
+    rng = np.random.default_rng(2)
+    matrix = rng.normal(size=(12, 3))
+    data = matrix @ rng.normal(size=3) + rng.normal(size=12)
+
+    def density(variances: np.ndarray) -> float:
+        of_data = np.eye(12) + (matrix * variances) @ matrix.T
+        return -0.5 * float(data @ np.linalg.solve(of_data, data) + np.linalg.slogdet(of_data)[1])
+
+    one, none = np.array([1.0, 2.0, 0.5]), np.zeros(3)
+    evidence, terms = under(one, matrix.T @ matrix, matrix.T @ data)
+    assert evidence == pytest.approx(density(one) - density(none))
+    assert terms == pytest.approx(np.linalg.solve(matrix.T @ matrix + np.diag(1.0 / one), matrix.T @ data))
+
+
+def test_spreads_that_the_data_decide() -> None:
+    pairs = np.array(list(itertools.product(FACTORS, repeat=2)))
+    # where they say nothing, recordings agree as likely as not, and the spread is a half Cauchy's as far as that is looked at
+    weights, agree = likely(np.zeros(len(pairs)), pairs)
+    assert agree == pytest.approx(0.5) and weights.sum() == pytest.approx(1.0)
+    cut = np.sqrt(max(FACTORS) / np.arctan(max(FACTORS)) - 1.0)
+    assert np.sqrt(weights @ np.square(pairs)) == pytest.approx([cut, cut], rel=0.15)
+    for true in (0.4, 1.3, 3.2):
+        says = np.sum(40.0 * (-np.log(pairs) - 0.5 * np.square(true / pairs)), axis=1)
+        assert np.sqrt(likely(says, pairs)[0] @ np.square(pairs)) == pytest.approx([true] * 2, rel=0.2)
+
+
+def test_terms_are_followed_as_far_as_they_stand_out() -> None:
+    kinds = np.array(["common_scale", "own_scale", "zero"])
+    for found, least, most in ((0.3, 0.0, 0.05), (6.0, 5.5, 6.0)):
+        # each seen to a third of what is stated
+        mean, wider, terms, weights = by_evidence(kinds, 9.0 * np.eye(3), 9.0 * np.full(3, found))
+        assert np.all(mean > least) and np.all(mean < most)
+        assert len(terms) == len(weights) == len(FACTORS) ** 2 and set(wider) == set(kinds)
+    assert wider["common_scale"] > 2.0
 
 
 def mostly_hold(answers: list[Answer], within: float = 4.0) -> None:

@@ -186,3 +186,23 @@ def test_what_is_too_short_or_of_another_arm_is_refused(robots: dict[int, Robot]
         fit_payload(robot, [short], known)
     with pytest.raises(RecordingError, match="the calibration is of j1, j2, j3, j4"):
         fit_payload(robot, [replace(motion, joints=("j1", "j2", "j3", "j5"))], known)
+
+
+@pytest.mark.long
+def test_what_is_stated_of_torque_counts_beside_a_reference_that_does_not_contradict_it(
+    robots: dict[int, Robot],
+) -> None:
+    robot, centre = robots[4], np.array([0.01, 0.0, 0.0])
+    scales = []
+    for off in (1.0, 0.8):
+        arm = Twin(5, FOUR)
+        arm.torque = arm.torque * off
+        empty, reference = arm.record("empty", 20.0), arm.record("reference", 20.0, (0.2, centre))
+        learnt = calibrate_motions(robot, [empty], [(reference, 0.2)]).motion
+        assert learnt is not None and learnt.referenced
+        scales.append((learnt.torque_scale, learnt.torque_scale_std))
+    (right, right_std), (wrong, wrong_std) = scales
+    # the file has it to 1 %, and a small arm's reference no better than to 5
+    assert abs(right - 1.0) < 0.01 and right_std < 0.0101
+    # one that is 20 % off is what the reference says it is
+    assert abs(wrong - 0.8) < 2.0 * wrong_std and 0.02 < wrong_std < 0.08
