@@ -136,7 +136,7 @@ class Between:
 def by_evidence(
     kinds: NDArray[np.str_], information: FloatArray, side: FloatArray
 ) -> tuple[FloatArray, dict[str, float], FloatArray, FloatArray]:
-    """What data say of terms that nobody knows how far they scatter.
+    """What data say of terms of which nobody knows how far they scatter.
 
     Args:
         kinds: Of the terms, shape (T,).
@@ -144,14 +144,15 @@ def by_evidence(
         side: What these say, weighted alike, shape (T,).
 
     Returns:
-        Their mean over all spreads that there may be, none among them, shape (T,); how many times as far as stated they scatter
-        by the data, where they do, by kind; what they are at each of F spreads, shape (F, T), and how likely each is, shape (F,).
+        Their mean over all spreads, none among them, shape (T,); how many times as far as stated they scatter if they do, by
+        kind; the terms at each of F spreads, shape (F, T); how likely each is, shape (F,).
     """
     together = np.array([[kind in group for group in FOLLOWED_TOGETHER] for kind in kinds])
     pairs = np.array(list(itertools.product(FACTORS, repeat=len(FOLLOWED_TOGETHER))))
     each = [under(np.square(together @ pair), information, side) for pair in pairs]
-    weights, agree = likely(np.array([evidence for evidence, _ in each]), pairs)
-    terms, factors = np.array([values for _, values in each]), np.sqrt(weights @ np.square(pairs)).tolist()
+    evidence, terms = (np.array(part) for part in zip(*each, strict=True))
+    weights, agree = likely(evidence, pairs)
+    factors = np.sqrt(weights @ np.square(pairs)).tolist()
     wider = {kind: factor for group, factor in zip(FOLLOWED_TOGETHER, factors, strict=True) for kind in group}
     return (1.0 - agree) * (weights @ terms), wider, terms, weights
 

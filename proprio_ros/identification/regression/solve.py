@@ -136,7 +136,7 @@ def solve_following(
     evident = by_evidence(kinds[at - first], std[:, None] * information * std, std * (precision @ opened.values[at]))
     mean, wider, terms, weights = evident
     apart = (terms - mean) * std @ leads[:PARAMETERS].T
-    spreads = opened.between.spreads | {kind: between.spreads[kind] * times for kind, times in wider.items()}
+    spreads = {**opened.between.spreads, **{kind: between.spreads[kind] * times for kind, times in wider.items()}}
     differs, wide = replace(opened.between, spreads=spreads), Prior(opened.prior.values, opened.prior.covariance.copy())
     wide.covariance[at, at] = np.square(np.tile(differs.std, problem.motions)[at - first])
     _, covariance = posterior(opened.information, opened.information @ wide.values, wide)
