@@ -19,6 +19,8 @@ pytest.importorskip("mujoco")
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
 from support.domains import free_domain
 from support.live import SOON_S, UP_S, Client, running, wait_for
 from support.pushes import AWAY, one_push
@@ -140,6 +142,16 @@ def test_a_weighing_goes_through_all_of_them(arm: Arm) -> None:
         late.close()
     assert client.get("/identifier", "calibration").string_value == "none"
     assert not client.set("/virtual", "object", "50 g").successful
+
+
+@pytest.mark.parametrize("service", ["/excitation/abort", "/identifier/cancel"])
+def test_two_hundred_calls_at_once(arm: Arm, service: str) -> None:
+    # on a busy computer a caller that keeps ten answers, rclpy's default, loses some by itself
+    client = arm.client.node.create_client(Trigger, service, qos_profile=QoSProfile(depth=200))
+    assert wait_for(client.service_is_ready)
+    answers = [client.call_async(Trigger.Request()) for _ in range(200)]
+    assert wait_for(lambda: all(answer.done() for answer in answers)), sum(answer.done() for answer in answers)
+    arm.client.node.destroy_client(client)
 
 
 @pytest.mark.parametrize("node", NODES)
