@@ -28,6 +28,13 @@ def trees() -> list[tuple[Path, ast.Module]]:
     return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in paths]
 
 
+def dotted(called: ast.expr) -> str:
+    """``name`` or ``module.name``, else nothing."""
+    if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
+        return f"{called.value.id}.{called.attr}"
+    return called.id if isinstance(called, ast.Name) else ""
+
+
 def looks_at_the_clock(tree: ast.Module) -> list[str]:
     """Lines that wait for time, read it, or limit how long something may take."""
     found = []
@@ -41,7 +48,7 @@ def looks_at_the_clock(tree: ast.Module) -> list[str]:
             if node.module == "time" or node.module == "support.live" or {"wait_for"} & names or alarms:
                 found.append(f"{node.lineno}: from {node.module}")
         elif isinstance(node, ast.Call):
-            called = ast.unparse(node.func)
+            called = dotted(node.func)
             if called.startswith("subprocess.") and any(each.arg == "timeout" for each in node.keywords):
                 found.append(f"{node.lineno}: {called} with a timeout")
             elif called in ALARMS:
@@ -64,7 +71,7 @@ def tries_again(tree: ast.Module) -> list[str]:
                 caught = isinstance(inner, ast.Try) and "AssertionError" in ast.unparse(inner)
                 if caught or (leaves and OUTCOMES.search(ast.unparse(inner.test))):
                     found.append(f"{inner.lineno}: in the loop of line {node.lineno}")
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "any":
+        elif isinstance(node, ast.Call) and dotted(node.func) == "any":
             for inner in ast.walk(node):
                 if (
                     isinstance(inner, ast.comprehension)
