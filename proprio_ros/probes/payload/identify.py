@@ -322,9 +322,10 @@ class Weighed(Conclusion):
             )
 
     def _all_refusals(self) -> Iterator[Refusal]:
-        """And what takes more fits: where the best mass is below nothing its interval may lie elsewhere, not just be too wide."""
+        """And what takes more fits: an interval that hardly reaches above nothing may lie elsewhere, not just be too wide."""
+        highest = self.assessed.value + Z95 * self.assessed.std
         for refusal in super()._all_refusals():
-            if refusal.verdict is Verdict.TOO_WIDE and self.assessed.value < 0.0:
+            if refusal.verdict is Verdict.TOO_WIDE and highest < 2.0 * self.options.wide_floor_kg:
                 yield from self._by_more_fits()
             yield refusal
         yield from self._by_more_fits()
