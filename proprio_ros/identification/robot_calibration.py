@@ -161,7 +161,7 @@ def _misfits(robot: Robot, fitted: Fitted, left_out: Sequence[str], count: int) 
     if noise.torque_disturbance > UNSTEADY * robot.torque_disturbance:
         come = f"{shown('N m', noise.torque_disturbance, spec='.0f')} come and go from run to run"
         file = f"the robot file expects {1e3 * robot.torque_disturbance:.1f}. It {unlike}"
-        cause = "(weights, unit of the current, gears?), or something pulls at it"
+        cause = "(weights, unit and sign of the current, gears?), or something pulls at it or was in the hand"
         return [f"misfit: the runs only agree if {come}; {file} {cause}"]
     if not fitted.problem.runs[0].run.free:
         return []
@@ -311,6 +311,8 @@ def _far_from_file(rows: Sequence[UnknownRow]) -> list[str]:
     return [
         f"{row.label} came out as {row.value:.4g} {row.unit}, {abs(row.value - row.prior) / row.prior_std:.1f} standard deviations "
         f"from the robot file's {row.prior:.4g}: correct the file, or look for what else is wrong"
+        + ": is the current in another unit?"
+        * (row.kind == "torque_constant")
         for row in rows
         if abs(row.value - row.prior) > FAR_FROM_FILE * row.prior_std
     ]

@@ -245,6 +245,8 @@ def _implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: bool) ->
             return None
         row, (values, priors, stds) = rows[0], np.array([(row.value, row.prior, row.prior_std) for row in rows]).T
         by = values if swings else priors  # a rotor may be stated as nothing
+        if not np.all(by):
+            return None
         value, std = 1.0 + float(np.mean((values - priors) / by)), float(np.mean(stds / by))
         arm = next((row.value for row in estimate.unknowns if row.kind == "arm_scale"), robot.arm_scale.value)
     known = Quantity(value, std), Quantity(arm / robot.arm_scale.value, max(robot.arm_scale.std, LEAST_ARM_STD))

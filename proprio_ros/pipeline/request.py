@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.inputs.forms import Number
 from proprio_ros.inputs.settings import Settings, read
@@ -22,8 +24,11 @@ from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.recordings.topics import OUR_DRIVER, Conventions
 from proprio_ros.records import Span
 from proprio_ros.robot import Robot, with_recorded_torque
+from proprio_ros.robot.fields import CALIBRATIONS
 
 DEFAULT_ROBOT = "open_manipulator_x"
+LEAST_TILT_M_S2 = 0.05
+"""Gravity that is stated beside a calibration may differ by so much from where that was made: 0.3 degrees."""
 TEXT_ROBOT = "open_manipulator_x_as_published"
 """Robot of a text recording that names none: the description that the paper's public example simulates."""
 
@@ -214,6 +219,18 @@ def _configured(options: Options, settings: Settings, unit: str | None) -> tuple
         if frame not in links:
             raise ConfigurationError(f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}")
         robot = replace(robot, payload_frame=str(frame))
+    if (
+        "gravity" in overrides
+        and not options.baseline
+        and any(getattr(robot, each) is not None for each in CALIBRATIONS)
+    ):
+        made = robot_named(options.calibration or options.robot or DEFAULT_ROBOT).gravity
+        if np.linalg.norm(made - robot.gravity) > LEAST_TILT_M_S2:
+            raise ConfigurationError(
+                f"robot.gravity={robot.gravity.tolist()}: the calibration was made where it is {made.tolist()}, and a recording of "
+                "the load alone does not tell which holds: leave it out, calibrate the arm as it is mounted now, or add a "
+                "recording of it with an empty hand (--baseline)"
+            )
     return robot, overrides
 
 

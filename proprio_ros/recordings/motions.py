@@ -74,7 +74,7 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
     missing = [joint for joint in joints if joint not in record.names]
     if missing:
         raise RecordingError(
-            f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}"
+            f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}: is it another arm's?"
         )
     notes = list(recording.notes)
     current, known, source = _current(recording, joints, notes)
@@ -155,7 +155,7 @@ def _unwrapped(position: FloatArray, joints: Sequence[str], name: str, notes: li
     if far.max() > WRAPPED_RAD:
         raise RecordingError(
             f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples: angles that wrap around "
-            "must be unwrapped first"
+            "must be unwrapped first, and degrees converted to rad"
         )
     return position
 

@@ -253,8 +253,9 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
         if inputs.measured:
             _refuse_controlled(name, record, inputs, joints)
         stays = "never leaves its rest level for long" if inputs.measured else "is zero throughout"
+        unit = " is it in another unit (--effort-unit)? Else" if inputs.measured else ""
         raise RecordingError(
-            f"{name}: no joint was driven: {inputs.source} {stays} ({len(inputs.times_ns)} rows);"
+            f"{name}: no joint was driven: {inputs.source} {stays} ({len(inputs.times_ns)} rows);{unit}"
             " record the probe itself, or name another input with --command-topic"
         )
     if inputs.measured and not _is_excitation(record, inputs, intervals[0]):

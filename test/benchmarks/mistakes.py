@@ -1,6 +1,6 @@
 """What is said of a good recording in which one known mistake was made: is the cause named, another one, or nothing at all?
 
-    python test/benchmarks/mistakes.py [--recordings ../shared] [--arms pushes motions swings] [--only PATTERN] [--all]
+    python test/benchmarks/mistakes.py [--recordings ../shared] [--arms pushes motions swings] [--only PATTERN] [--all] [--jobs N]
 
 Pushes of the two simulated OpenManipulator-X, motions of simulated arms of six and seven joints (in N m and in A, from a robot
 file and from a URDF alone), the real UR10e, and a real servo that is let go. Each is weighed by the command line as a user would,
@@ -10,6 +10,7 @@ recordings. ``--all`` prints every answer.
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import fnmatch
 import functools
@@ -18,8 +19,10 @@ import json
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -172,8 +175,18 @@ MISTAKES = (
     Mistake("reference stated x 1.2", "reference", asked=reference_times(1.2), everywhere=(False,)),
     Mistake("reference stated x 2", "reference", asked=reference_times(2.0), everywhere=(False,)),
     Mistake("reference stated x 1000", "reference", asked=reference_times(1000.0), everywhere=(False,)),
-    Mistake("empty and loaded swapped", "mixed up|swapped|lighter", asked=swapped, everywhere=(False,)),
+    Mistake("empty and loaded swapped", "mixed up|swapped|lighter|in the hand", asked=swapped, everywhere=(False,)),
 )
+
+
+OUTCOMES = {
+    "cause": "refused, its cause named",
+    "right": "answered, and right",
+    "wide": "too wide",
+    "other": "refused for another cause",
+    "wrong_said": "answered, wrong, and its cause named",
+    "wrong": "answered and wrong",
+}
 
 
 def said(words: list[str]) -> tuple[int, dict[str, Any], str]:
@@ -225,8 +238,10 @@ def judged(mistake: Mistake, truth_kg: float, verdict: str, interval: Any, text:
     named = bool(mistake.cause) and re.search(mistake.cause, text) is not None
     if verdict == "accepted":
         holds = interval is not None and interval[0] <= truth_kg <= interval[1]
-        return "right" if holds else "WRONG, said" if named else "WRONG"
-    return "cause" if named else "other cause"
+        return "right" if holds else "wrong_said" if named else "wrong"
+    if not named and "explains the recording, wider than" in text:
+        return "wide"
+    return "cause" if named else "other"
 
 
 def made(question: Question, mistake: Mistake, everywhere: bool, folder: Path) -> Question | None:
@@ -328,6 +343,35 @@ def swings(shared: Path, folder: Path) -> Iterator[Question]:
         yield Question(servo, "referenced", loaded, (), 0.969, robot, (), facts, loads, joint="pendulum")
 
 
+def asked_of(arms: str, options: argparse.Namespace) -> list[tuple[str, str]]:
+    """What each mistake came to, on all recordings of some kind."""
+    found = []
+    with tempfile.TemporaryDirectory() as made_in:
+        root, shared = Path(made_in), options.recordings
+        kinds: dict[str, Callable[[], Iterator[Question]]] = {
+            "pushes": lambda: pushes(shared),
+            "motions": lambda: motions(shared, root),
+            "swings": lambda: swings(shared, root),
+        }
+        for question, mistake in product(kinds[arms](), MISTAKES):
+            for everywhere in mistake.everywhere:
+                where = "all" if everywhere else "one"
+                name = f"{question.arm}, {question.way}{'' if question.empty else ' only'}, {mistake.name}, {where}"
+                if not fnmatch.fnmatch(name, options.only):
+                    continue
+                with tempfile.TemporaryDirectory() as scratch:
+                    asked = made(question, mistake, everywhere, Path(scratch))
+                    if asked is None:
+                        continue
+                    verdict, value, interval, text = answer(asked, Path(scratch))
+                outcome = judged(mistake, asked.truth_kg, verdict, interval, text)
+                found.append((mistake.name, outcome))
+                if options.all or outcome.startswith("wrong"):
+                    grams = "" if value is None else f" {1e3 * value:.1f} for {1e3 * asked.truth_kg:.1f} g"
+                    print(f"{outcome:12s} {name}: {verdict}{grams}; {text.replace(scratch, '')[:1200]}", flush=True)
+    return found
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
     parser.add_argument(
@@ -336,38 +380,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--recordings", type=Path, default=Path(__file__).resolve().parents[3] / "shared")
     parser.add_argument("--only", default="*", help="arm, way and mistake, as a pattern")
     parser.add_argument("--all", action="store_true", help="print every answer")
+    parser.add_argument("--jobs", type=int, default=2, help="processes: one for each kind of arm")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    results.table("mistakes", {"mistake": "{mistake}", "outcome": "{outcome}", "questions": "{count}"})
-    counts: dict[str, dict[str, int]] = {mistake.name: {} for mistake in MISTAKES}
-    with tempfile.TemporaryDirectory() as made_in:
-        root = Path(made_in)
-        shared = options.recordings
-        kinds = {
-            "pushes": lambda: pushes(shared),
-            "motions": lambda: motions(shared, root),
-            "swings": lambda: swings(shared, root),
-        }
-        for question in chain.from_iterable(kinds[name]() for name in options.arms):
-            for mistake in MISTAKES:
-                for everywhere in mistake.everywhere:
-                    where = "all" if everywhere else "one"
-                    name = f"{question.arm}, {question.way}{'' if question.empty else ' only'}, {mistake.name}, {where}"
-                    if not fnmatch.fnmatch(name, options.only):
-                        continue
-                    with tempfile.TemporaryDirectory() as scratch:
-                        asked = made(question, mistake, everywhere, Path(scratch))
-                        if asked is None:
-                            continue
-                        verdict, value, interval, text = answer(asked, Path(scratch))
-                    outcome = judged(mistake, asked.truth_kg, verdict, interval, text)
-                    counts[mistake.name][outcome] = counts[mistake.name].get(outcome, 0) + 1
-                    if options.all or outcome.startswith("WRONG"):
-                        grams = "" if value is None else f" {1e3 * value:.1f} for {1e3 * asked.truth_kg:.1f} g"
-                        print(f"{outcome:12s} {name}: {verdict}{grams}; {text.replace(scratch, '')[:1200]}", flush=True)
+    results.table("mistakes", {"mistake": "{mistake}", **{title: f"{{{key}}}" for key, title in OUTCOMES.items()}})
+    counts = {mistake.name: dict.fromkeys(OUTCOMES, 0) for mistake in MISTAKES}
+    with ProcessPoolExecutor(min(options.jobs, len(options.arms))) as pool:
+        for found in pool.map(partial(asked_of, options=options), options.arms):
+            for mistake, outcome in found:
+                counts[mistake][outcome] += 1
     for name, outcomes in counts.items():
-        for outcome, count in sorted(outcomes.items()):
-            results.row("mistakes", mistake=name, outcome=outcome, count=count)
+        if any(outcomes.values()):
+            results.row("mistakes", mistake=name, **outcomes)
+    total = {key: sum(outcomes[key] for outcomes in counts.values()) for key in OUTCOMES}
+    results.row("mistakes", mistake="all", **total)
     results.keep()
     return 0
 

@@ -29,7 +29,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
     "early_end": ("--robots", "1", "--masses", "0.05", "--jobs", "1"),
     "free_swings": ("--arms", "1", "--first", "10"),
-    "mistakes": ("--arms", "pushes", "--only", "*alone*, effort, sign of all joints*"),
+    "mistakes": ("--arms", "pushes", "--only", "*alone*, effort, sign of all joints*", "--jobs", "1"),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
     "running": ("--arms", "1"),

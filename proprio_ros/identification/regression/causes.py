@@ -39,6 +39,8 @@ LEAST = 0.03
 WEAK = 0.1
 """A joint counts as if gravity and inertia took at least this share of the largest torque on any."""
 LEAST_TILT_RAD, GRAVITY_ROUNDS = 0.2, 4
+DEGREES = 10.0
+"""Angles that stay below are none in degrees: as such they hardly move, and offsets and a payload would explain any torque."""
 GRAVITY_M_S2 = 9.81
 
 
@@ -128,6 +130,8 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
     for which, mistakes in asked:
         models = {1.0: model}
         for mistake in mistakes:
+            if mistake.angle > 1.0 and np.abs(motion.position).max() < DEGREES:
+                continue
             if mistake.angle not in models:
                 angle = motion.position / np.where(which, mistake.angle, 1.0)
                 with suppress(RecordingError):  # then hardly anything moved

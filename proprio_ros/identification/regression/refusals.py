@@ -71,7 +71,8 @@ def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
             "arm_unlike_urdf",
             "the arm does not fit its URDF",
             f"by its torques the arm weighs {arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
-            f"check the effort's {'unit' if arm_over_urdf > 0.0 else 'sign'}, the torque constants and the URDF's masses",
+            f"check the effort's {'unit' if arm_over_urdf > 0.0 else 'sign'}, the torque constants and the URDF's masses, "
+            "and that empty and loaded recordings are not mixed up",
         )
 
 

@@ -424,12 +424,17 @@ class Weighed(Conclusion):
     def assumptions(self) -> tuple[str, ...]:
         facts, robot, options = self.facts, self.robot, self.options
         place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
+        if np.isfinite(self.fit.chi2) and not any(facts.com_std):
+            off = 0.01 * float(np.linalg.norm(self.assessed.posterior.follows(self.name, COM)))
+            changes = f"; 1 cm elsewhere changes the mass by up to {shown('kg', off, spec='.2g')}"
+        else:
+            changes = ""
         size = " (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else ""
         free = "friction differs from swing to swing, by one factor each"
         stay = self.fit is self.nominal and not self.swings
         file = "its values stay where the file puts them" if stay else "what it leaves open was fitted under its priors"
         return (
-            f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}",
+            f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}{changes}",
             f"{free if self.swings else 'each probe starts from rest'}; the held joints stand at their recorded mean",
             f"{stated_in(robot)}; {file}",
             f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
