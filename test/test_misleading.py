@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from proprio_ros.cli import main
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.calibration_fit import fit
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.fit import solve_load
@@ -21,6 +22,7 @@ from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.loading import bag_recording, bag_runs
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options, Request
@@ -517,3 +519,26 @@ def test_a_current_twice_that_of_the_calibration_is_named(bags: Path, robot: Rob
     answer = weigh(known, [replace(run, input_current_A=2.0 * run.input_current_A)])
     assert answer.verdict is Verdict.REJECTED
     assert answer.reasons[0].startswith("the current of joint3 is about 2 times what fits")
+
+
+def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(bags: Path, tmp_path: Path) -> None:
+    """106 g for 23, accepted: the recording of a load does not tell how the base stands."""
+    calibration = tmp_path / "known.yaml"
+    empty = [bag_in(folder) for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
+    assert calibrate_from_bags(empty, {}, output=calibration).verdict is Verdict.ACCEPTED
+    bag, rolled = bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3_x0"), {"robot.gravity": [0, 6.94, -6.94]}
+    with pytest.raises(
+        ConfigurationError, match=r"the calibration was made where it is \[0.0, 0.0, -9.81\].*--baseline"
+    ):
+        replay(bag, Options(calibration=calibration, settings=rolled))
+    # an empty hand recorded as the arm stands now does tell
+    drifted = replay(bag, Options(calibration=calibration, settings=rolled, baseline=empty[:1]))
+    assert drifted.verdict is Verdict.REJECTED and "drift" in codes(drifted)
+    level = {"robot.gravity": [0, 0, -9.81], "payload.com": [0, 0, 0]}
+    answer = replay(bag, Options(calibration=calibration, settings=level))
+    assert answer.verdict is not Verdict.REJECTED
+    worth = next(re.search(r"1 cm elsewhere changes the mass by up to ([\d.]+) g", each) for each in answer.assumptions)
+    assert worth is not None
+    moved = replay(bag, Options(calibration=calibration, settings={"payload.com": [0.01, 0, 0]}))
+    change = 1e3 * abs(moved.values[0].value - answer.values[0].value)  # type: ignore[operator]
+    assert 0.5 * change < float(worth[1]) < 5.0 * change
