@@ -27,8 +27,6 @@ from proprio_ros.robot import Robot, with_recorded_torque
 from proprio_ros.robot.fields import CALIBRATIONS
 
 DEFAULT_ROBOT = "open_manipulator_x"
-LEAST_TILT_M_S2 = 0.05
-"""Gravity that is stated beside a calibration may differ by so much from where that was made: 0.3 degrees."""
 TEXT_ROBOT = "open_manipulator_x_as_published"
 """Robot of a text recording that names none: the description that the paper's public example simulates."""
 
@@ -225,7 +223,7 @@ def _configured(options: Options, settings: Settings, unit: str | None) -> tuple
         and any(getattr(robot, each) is not None for each in CALIBRATIONS)
     ):
         made = robot_named(options.calibration or options.robot or DEFAULT_ROBOT).gravity
-        if np.linalg.norm(made - robot.gravity) > LEAST_TILT_M_S2:
+        if np.linalg.norm(made - robot.gravity) > 0.05:  # m/s^2, 0.3 degrees
             raise ConfigurationError(
                 f"robot.gravity={robot.gravity.tolist()}: the calibration was made where it is {made.tolist()}, and a recording of "
                 "the load alone does not tell which holds: leave it out, calibrate the arm as it is mounted now, or add a "

@@ -32,11 +32,6 @@ MM = 1e3
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
-def moved(distance_m: float) -> str:
-    """How far a sphere went, in words."""
-    return f"moved by up to {1e3 * distance_m:.1f} mm" if distance_m >= 5e-5 else "did not move"
-
-
 def sections(estimate: Estimate) -> list[str]:
     """Where the sphere was in every run: a picture, and the same in motion."""
     parts: list[str] = []
@@ -45,11 +40,12 @@ def sections(estimate: Estimate) -> list[str]:
         shown = drawable(path)
         if shown is None:
             continue
+        moved = f"moved by up to {1e3 * shown.moved:.1f} mm" if shown.moved >= 5e-5 else "did not move"
         parts += [
             f"<h3>{breakable(path.run)}</h3>",
             framed(
                 path_figure(shown, n),
-                f"The sphere, of radius {1e3 * path.radius:g} mm, {moved(shown.moved)}. Seen along the "
+                f"The sphere, of radius {1e3 * path.radius:g} mm, {moved}. Seen along the "
                 "joint's axis: dashed at the start, bold at the end. Blue, about the path of its centre: two standard deviations, "
                 "where that shows.",
                 "small-one",
