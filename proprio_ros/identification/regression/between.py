@@ -136,12 +136,7 @@ class Between:
 def by_evidence(
     kinds: NDArray[np.str_], information: FloatArray, side: FloatArray
 ) -> tuple[FloatArray, dict[str, float], FloatArray, FloatArray]:
-    """What data say of terms of which nobody knows how far they scatter.
-
-    Args:
-        kinds: Of the terms, shape (T,).
-        information: Of the data on them, in the standard deviations that are stated, shape (T, T).
-        side: What these say, weighted alike, shape (T,).
+    """What data say of T terms of which nobody knows how far they scatter: by information, shape (T, T), in what is stated of that.
 
     Returns:
         Their mean over all spreads, none among them, shape (T,); how many times as far as stated they scatter if they do, by

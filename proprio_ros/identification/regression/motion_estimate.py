@@ -25,8 +25,8 @@ from proprio_ros.robot import Robot
 
 SHOWN_SHARE = 0.1
 """The headline is for an object of this share of the arm's mass."""
-LIGHT_REFERENCE = 0.2
-"""A reference whose mass is read with a greater relative standard deviation leaves torque constants as they are stated."""
+LIGHT_REFERENCE = 0.45
+"""A reference that is read with a greater relative half interval leaves torque constants as they are stated."""
 OWN_SHARE = 1.0 / 3.0
 """A joint's torque may be off from the others' by this share of what its file leaves open: motors of one maker are off together."""
 
@@ -132,7 +132,7 @@ def _scaled(
     # the best one first: one that is too coarse beside others says nothing, and does no harm
     for fit, motion, mass_kg in sorted(fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]):
         read, std = float(fit.values[0]), float(fit.std[0])
-        coarse = read <= 0.0 or std > LIGHT_REFERENCE * mass_kg
+        coarse = read <= 0.0 or fit.half_width > LIGHT_REFERENCE * mass_kg
         if coarse and (ratios or said_coarse):
             continue
         said = (
@@ -143,7 +143,9 @@ def _scaled(
             nothing = "the reference says nothing about the torque constants"
             said += "lighter than nothing: are the recordings mixed up?"
             return calibration, not_identifiable("says_too_little", nothing, said)
-        ratio, ratio_std = (read / mass_kg, std / mass_kg) if coarse else (mass_kg / read, std * mass_kg / read**2)
+        ratio, ratio_std = read / mass_kg, std / mass_kg
+        if not coarse:  # the reciprocal of what is uncertain is on average too large by its variance
+            ratio, ratio_std = mass_kg * read / (read**2 + std**2), std * mass_kg / read**2
         if abs(ratio - 1.0) > FAR * np.hypot(calibration.torque_scale_std, ratio_std):
             return calibration, rejected(
                 "misfit",
@@ -152,10 +154,9 @@ def _scaled(
                 "the torque constants",
             )
         if coarse:
-            said_coarse = (
-                f"{said}too coarse to tell the torque constants, which stay as stated: take a heavier one, or move "
-            )
-            said_coarse += "longer" + (", and check payload.com" if centre is not None else "")
+            check = ", and check payload.com" if centre is not None else ""
+            stay = "too coarse to tell the torque constants, which stay as stated"
+            said_coarse = f"{said}{stay}: take a heavier one, or move longer{check}"
             continue
         ratios.append(ratio)
         stds.append(ratio_std)
