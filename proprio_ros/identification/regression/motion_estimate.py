@@ -118,10 +118,7 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
 
 
 def _scaled(
-    robot: Robot,
-    calibration: MotionCalibration,
-    references: Sequence[Reference],
-    centre: Centre | None,
+    robot: Robot, calibration: MotionCalibration, references: Sequence[Reference], centre: Centre | None
 ) -> tuple[MotionCalibration, Refusal]:
     """The calibration with the torque scale that the references show, or why they do not show it."""
     open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
@@ -135,10 +132,8 @@ def _scaled(
         coarse = read <= 0.0 or fit.half_width > LIGHT_REFERENCE * mass_kg
         if coarse and (ratios or said_coarse):
             continue
-        said = (
-            f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
-            f"{shown('kg', std, spec='.0f')}, "
-        )
+        stated_as, read_as, off = (shown("kg", kg, spec=".0f") for kg in (mass_kg, read, std))
+        said = f"{motion.name}: the reference of {stated_as} is read as {read_as} +- {off}, "
         if read + Z95 * std < 0.0:
             nothing = "the reference says nothing about the torque constants"
             said += "lighter than nothing: are the recordings mixed up?"

@@ -18,14 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proprio_ros.calibration_files.motions import (
-    ARM_TERMS,
-    BODY_TERMS,
-    FRICTION_TERMS,
-    TERMS,
-    Key,
-    MotionCalibration,
-)
+from proprio_ros.calibration_files.motions import ARM_TERMS, BODY_TERMS, FRICTION_TERMS, TERMS, Key, MotionCalibration
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression.between import DIFFERS, WORDS, Between, effective_freedom

@@ -119,12 +119,7 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
 def solve_following(
     problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration
 ) -> tuple[Solution, Solution, FloatArray]:
-    """The estimate that follows all that recordings differ by, as far as the evidence says that they do.
-
-    Returns:
-        It; that with the spreads as they were stated; and how payloads by other spreads, each as likely as it makes the data,
-        scatter about it, shape (10, 10).
-    """
+    """The estimate that follows what differs as the evidence has it, the open one, and its payload's scatter, shape (10, 10)."""
     opened = solve(problem, prior, between, per_kg, known, considered=())
     first, kinds = problem.own(0).start, np.tile(between.kinds, problem.motions)
     at = first + np.flatnonzero(np.isin(kinds, CONSIDERED))
@@ -133,8 +128,8 @@ def solve_following(
     information = precision - np.diag(1.0 / np.square(np.tile(opened.between.std, problem.motions)[at - first]))
     leads = opened.covariance[:, at] @ precision
     std = np.tile(between.std, problem.motions)[at - first]
-    evident = by_evidence(kinds[at - first], std[:, None] * information * std, std * (precision @ opened.values[at]))
-    mean, wider, terms, weights = evident
+    information, side = std[:, None] * information * std, std * (precision @ opened.values[at])
+    mean, wider, terms, weights = by_evidence(kinds[at - first], information, side)
     apart = (terms - mean) * std @ leads[:PARAMETERS].T
     spreads = {**opened.between.spreads, **{kind: between.spreads[kind] * times for kind, times in wider.items()}}
     differs, wide = replace(opened.between, spreads=spreads), Prior(opened.prior.values, opened.prior.covariance.copy())
@@ -197,8 +192,9 @@ def solve(
             mine = joint == number
             rms[number] = max(float(np.std(residual[mine])), 1e-9)
             correlation[number] = correlated_windows(residual[mine], problem.stretch[mine])
-            if known is not None and not considered:
-                rms[number] /= np.sqrt(free_share(scaled[mine], covariance, correlation[number]))
+            if known is not None and not considered:  # what unknowns take up is not left over
+                used = np.einsum("ij,ij->", scaled[mine] @ covariance, scaled[mine]) * correlation[number] / mine.sum()
+                rms[number] /= np.sqrt(max(1.0 - used, FEWEST_FREE))
         if known is not None:
             # what a longer recording knows of its residuals holds for a short one, too
             rms, correlation = np.maximum(rms, 0.5 * known.residual), np.maximum(correlation, known.correlation)
@@ -222,12 +218,6 @@ def solve(
     return Solution(
         values, covariance, information, deviations, left_over, rms, correlation, prior, between, scaled, weight
     )
-
-
-def free_share(scaled: FloatArray, covariance: FloatArray, correlated: float) -> float:
-    """Of a joint's windows, so many of which are correlated, the share that unknowns do not take up."""
-    used = float(np.einsum("ij,ij->", scaled @ covariance, scaled))
-    return max(1.0 - used * correlated / len(scaled), FEWEST_FREE)
 
 
 def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> float:

@@ -312,11 +312,12 @@ class Weighed(Conclusion):
         yield from self.several(0.02)
         loads = [float(run["load_kg"]) for run in self.robot.calibration.runs] if self.robot.calibration else []
         if self.swings and loads and COVERED * mass < min(loads):
-            held, least = (shown("kg", kg, spec=".0f") for kg in (mass, min(loads)))
-            said = f"{self.runs[0].run.joint} swings as with {held}, and no load of its calibration was lighter than {least}; a swing"
-            said += " does not tell whose it is: another servo or arm than the one that was calibrated reads like that. If it is this"
-            covers = "the calibration does not cover so light a load"
-            yield not_identifiable("not_covered", covers, f"{said} one, calibrate with such a load, too")
+            said = f"{self.runs[0].run.joint} swings as with {shown('kg', mass, spec='.0f')}, and no load of its calibration was "
+            said += f"lighter than {shown('kg', min(loads), spec='.0f')}; a swing does not tell whose it is: another servo or arm "
+            said += (
+                "than the one that was calibrated reads like that. If it is this one, calibrate with such a load, too"
+            )
+            yield not_identifiable("not_covered", "the calibration does not cover so light a load", said)
 
     def _all_refusals(self) -> Iterator[Refusal]:
         """And what takes more fits: an interval that hardly reaches above nothing may lie elsewhere, not just be too wide."""
