@@ -40,7 +40,7 @@ def parts(wiring: list[str]) -> list[list[str]]:
                 break
         else:
             made.append((seconds, [file]))
-    return [[f"{SCHEDULES}{block}]"] for block in range(4)] + [of for _, of in sorted(made, reverse=True)]
+    return [[f"{SCHEDULES}{block}]"] for block in range(2)] + [of for _, of in sorted(made, reverse=True)]
 
 
 def import_what_they_share() -> None:
