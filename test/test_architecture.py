@@ -174,7 +174,7 @@ def test_files_and_functions_are_short() -> None:
     assert not long, "\n".join(long)
 
 
-MOST_LINES = 49_650
+MOST_LINES = 49_900
 """The bound for good is 50,000 lines. 47,000 were left when the rooms got their walls; the rest is for what comes in."""
 
 
