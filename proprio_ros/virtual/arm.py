@@ -12,7 +12,7 @@ sets to the current at speed (the servos apply that one).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -85,12 +85,12 @@ class VirtualArm:
             return np.array([[getattr(truth.joints[name], term) for name in self.joints] for term in terms], float)
 
         self._transmission = np.array([robot.drive_trains[name].transmission for name in self.joints])
-        self._torque_constant, self._coulomb, self._load_friction = columns(
-            "torque_constant", "coulomb", "load_friction"
-        )
+        drives = columns("torque_constant", "coulomb", "load_friction").T
+        encoders = columns("zero_rad", "once_per_turn_sin_rad", "once_per_turn_cos_rad", "encoder_noise_rad").T
+        # as plain numbers: arrays of a few joints take longer to begin with than to compute
+        self._drives, self._encoders = drives.tolist(), encoders.tolist()
+        self._drawn: list[list[float]] = []
         self._stribeck, self._stribeck_velocity = columns("stribeck", "stribeck_velocity")
-        self._zero, self._encoder_noise = columns("zero_rad", "encoder_noise_rad")
-        self._turn_sin, self._turn_cos = columns("once_per_turn_sin_rad", "once_per_turn_cos_rad")
         self._rises = bool(self._stribeck.any())
         self._velocity_before = np.zeros(len(self.joints))  # of the shafts, one substep ago
         self.grip_m = 0.0
@@ -104,25 +104,27 @@ class VirtualArm:
         """Time since the arm was built."""
         return float(self.data.time)
 
-    def step(self, current_A: FloatArray) -> None:
-        """Advance by one control period, all of which the motors' currents [A] flow, shape (J,).
+    def step(self, current_A: Sequence[float] | FloatArray) -> None:
+        """Advance by one control period, all of which the motors' currents [A] flow, one for each joint.
 
         Raises:
-            ConfigurationError: The shape is wrong.
+            ConfigurationError: There is not one for each.
             SimulationError: A current, or a velocity after the step, is not finite.
         """
-        current = np.asarray(current_A, dtype=np.float64)
-        if current.shape != self._torque_constant.shape:
-            raise ConfigurationError(f"expected currents of {', '.join(self.joints)}, got shape {current.shape}")
-        if not math.isfinite(current.dot(current)):
+        if len(current_A) != len(self.joints):
+            raise ConfigurationError(f"expected currents of {', '.join(self.joints)}, got {len(current_A)}")
+        if not math.isfinite(sum(current_A)):
             raise SimulationError("the virtual arm was given a current that is not finite; check the servos' law")
-        torque = self._torque_constant * current
         force = self._force
-        force[self._dofs] = torque / self._transmission
-        friction = (self._coulomb + self._load_friction * np.abs(torque)) / self._transmission
+        for current, (constant, coulomb, load), (_, dof, transmission) in zip(
+            current_A, self._drives, self._rows, strict=True
+        ):
+            torque = constant * current
+            force[dof] = torque / transmission
+            self._friction[dof] = (coulomb + load * abs(torque)) / transmission
         acting = self.object if self.object is not None and self.object.acts else None
         if acting is not None or self._rises:
-            driven = force.copy()
+            driven, friction = force.copy(), self._friction[self._dofs]
             for _ in range(self._substeps):
                 if acting is not None:
                     force[:] = driven
@@ -135,7 +137,6 @@ class VirtualArm:
                 self._friction[self._dofs] = friction * (1.0 + excess)
                 self.mujoco.mj_step(self.model, self.data)
         else:
-            self._friction[self._dofs] = friction
             self.mujoco.mj_step(self.model, self.data, self._substeps)
         if not math.isfinite(self._qvel.dot(self._qvel)):
             raise SimulationError(
@@ -150,12 +151,22 @@ class VirtualArm:
         """True velocities of the output shafts [rad/s], shape (J,)."""
         return self._qvel[self._dofs] / self._transmission
 
+    def sensed(self) -> tuple[list[float], list[float]]:
+        """What the encoders read before they round [rad], with fresh noise each time; true velocities of the shafts [rad/s]."""
+        places, velocities = self._qpos.tolist(), self._qvel.tolist()
+        if not self._drawn:
+            self._drawn = self._rng.standard_normal((256, len(self.joints))).tolist()[::-1]
+        angles = []
+        for (place, _, transmission), (zero, sine, cosine, std), noise in zip(
+            self._rows, self._encoders, self._drawn.pop(), strict=True
+        ):
+            true = places[place] / transmission
+            angles.append(true - zero + sine * math.sin(true) + cosine * math.cos(true) + std * noise)
+        return angles, [velocities[dof] / transmission for _, dof, transmission in self._rows]
+
     def encoder_rad(self) -> FloatArray:
         """What the encoders read before they round [rad], shape (J,); every call has fresh noise."""
-        true = self.shaft_rad()
-        reading: FloatArray = true - self._zero + self._turn_sin * np.sin(true) + self._turn_cos * np.cos(true)
-        reading += self._encoder_noise * self._rng.standard_normal(len(reading))
-        return reading
+        return np.array(self.sensed()[0])
 
     def position(self) -> dict[str, float]:
         """True positions of all joints that have one of their own [rad or m]."""
@@ -264,6 +275,7 @@ class VirtualArm:
         self._place_of = {joint.name: places[joint.name] for joint in moving if not joint.mimic}
         self._places = np.array([places[name] for name in self.joints])
         self._dofs = np.array([dofs[name] for name in self.joints])
+        self._rows = list(zip(self._places.tolist(), self._dofs.tolist(), self._transmission.tolist(), strict=True))
         self._arm_places, self._arm_dofs = np.array(list(places.values())), np.array(list(dofs.values()))
         slides = [name for name in self.joints if robot.model.joint(name).kind == "prismatic"]
         self._finger_joint = slides[0] if slides else ""

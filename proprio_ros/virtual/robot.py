@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from proprio_ros.bus.control_table import BAUD_RATES, servo_model
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.robot import Robot
@@ -65,9 +63,9 @@ class VirtualRobot:
             servo["baud_rate"] = list(BAUD_RATES.values()).index(1_000_000)
             self.servos[name] = servo
         self._all = tuple(self.servos.values())
-        self._shift = np.zeros(len(self._all))
+        self._shift = [0.0] * len(self._all)
         self._heated: set[str] = set()
-        self._current = np.zeros(len(self._all))
+        self._current = [0.0] * len(self._all)
         self._time_s: float | None = None
         self._supported = True
         self.bus = VirtualBus(self._all, self.advance, faults=self.faults)
@@ -81,11 +79,13 @@ class VirtualRobot:
             # this process was not run; what waits on the wire came meanwhile, so no watchdog may count that as silence
             for servo in self._all:
                 servo.heard(now_s)
-        arm, servos, current = self.arm, self._all, self._current
+        arm, servos = self.arm, self._all
         while self._time_s + CONTROL_PERIOD_S <= now_s:
-            self._time_s += CONTROL_PERIOD_S
-            seen = zip(servos, (arm.encoder_rad() + self._shift).tolist(), arm.velocity_rad_s().tolist(), strict=True)
-            current[:] = [servo.control(self._time_s, angle, velocity) for servo, angle, velocity in seen]
+            time_s = self._time_s = self._time_s + CONTROL_PERIOD_S
+            seen = zip(servos, self._shift, *arm.sensed(), strict=True)
+            current = self._current = [
+                servo.control(time_s, angle + shift, velocity) for servo, shift, angle, velocity in seen
+            ]
             if self._supported:
                 self._supported = not any(servo["torque_enable"] for servo in servos)
             else:
@@ -94,7 +94,7 @@ class VirtualRobot:
     def truth(self) -> tuple[dict[str, float], dict[str, float]]:
         """True joint positions [rad or m] and the currents that flow in the motors [A], by joint."""
         with self.port.lock:
-            return self.arm.position(), dict(zip(self.servos, self._current.tolist(), strict=True))
+            return self.arm.position(), dict(zip(self.servos, self._current, strict=True))
 
     def hold(self, thing: HandObject | None) -> None:
         """Put something into the hand, or take it out."""
