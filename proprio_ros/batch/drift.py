@@ -51,19 +51,12 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Period:
-    """A day or a week, or some episodes in their order.
+    """A day or a week, or some episodes in their order."""
 
-    Attributes:
-        name: Its first date, or which episodes.
-        at: Days since the first period, or the number of its first episode.
-        episodes: That it was learnt from.
-        arm: What they say about the arm.
-    """
-
-    name: str
-    at: float
-    episodes: int
-    arm: MotionCalibration
+    name: str  # its first date, or which episodes
+    at: float  # days since the first period, or the number of its first episode
+    episodes: int  # that it was learnt from
+    arm: MotionCalibration  # what they say about the arm
 
     def term(self, kind: str) -> tuple[np.ndarray, np.ndarray]:
         """Values of a kind of friction by joint and their standard deviations, what runs of a period differ by counted."""

@@ -18,19 +18,12 @@ STORAGE = (".mcap", ".db3")
 
 @dataclass(frozen=True)
 class Episode:
-    """One recording; nothing of it has been read yet.
+    """One recording; nothing of it has been read yet."""
 
-    Attributes:
-        source: The data set, or the folder that was named, as an absolute path.
-        name: Within the source; of a data set the index.
-        path: What `proprio replay` takes.
-        problem: Why it cannot be read, where listing it has shown that.
-    """
-
-    source: str
-    name: str
-    path: str
-    problem: str = ""
+    source: str  # the data set, or the folder that was named, as an absolute path
+    name: str  # within the source; of a data set the index
+    path: str  # what `proprio replay` takes
+    problem: str = ""  # why it cannot be read, where listing it has shown that
 
     @property
     def index(self) -> int | None:

@@ -31,29 +31,22 @@ MOVED_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Grasp:
-    """A stretch with one load.
+    """A stretch with one load."""
 
-    Attributes:
-        start_s, end_s: Since the first sample.
-        samples: Within.
-        mass_kg, std_kg, ci95_kg: Of what was held.
-        known: Whether the interval is narrow enough to be called a mass.
-        code: ``held``; ``empty``: the interval holds zero; ``slipped``: the load fell, but not to nothing; ``released``: it fell to
-            nothing; ``dropped``: it did while the gripper stood still.
-        what: The same as a sentence.
-        gripper: Its mean position [rad or m]; None where it was not recorded.
-    """
-
+    # start_s, end_s: since the first sample
     start_s: float
     end_s: float
-    samples: int
+    samples: int  # within
+    # mass_kg, std_kg, ci95_kg: of what was held
     mass_kg: float
     std_kg: float
     ci95_kg: tuple[float, float]
-    known: bool
+    known: bool  # whether the interval is narrow enough to be called a mass
+    # ``held``; ``empty``: the interval holds zero; ``slipped``: the load fell, but not to nothing; ``released``: it
+    # fell to nothing; ``dropped``: it did while the gripper stood still
     code: str
-    what: str
-    gripper: float | None = None
+    what: str  # the same as a sentence
+    gripper: float | None = None  # its mean position [rad or m]; None where it was not recorded
 
 
 def gripper_joint(robot: Robot, motion: Motion) -> str | None:

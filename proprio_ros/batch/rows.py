@@ -46,17 +46,12 @@ LEAST_BYTES = 8 * MOST_SAMPLES
 
 @dataclass(frozen=True)
 class Job:
-    """What is asked of every episode.
+    """What is asked of every episode."""
 
-    Attributes:
-        options: As for `proprio replay`.
-        grasps: Whether rows of grasps are wanted, too.
-        empty_first_s: For so long from its first joint state on the hand is known to be empty in every episode: what is asked is
-            what it holds later [s].
-    """
-
-    options: Options = field(default_factory=Options)
-    grasps: bool = False
+    options: Options = field(default_factory=Options)  # as for `proprio replay`
+    grasps: bool = False  # whether rows of grasps are wanted, too
+    # for so long from its first joint state on the hand is known to be empty in every episode: what is asked is what it
+    # holds later [s]
     empty_first_s: float = 0.0
 
     def fingerprint(self) -> str:
@@ -100,11 +95,7 @@ def rows_of_all(episodes: Sequence[Episode], job: Job) -> list[Row]:
 
 
 def spans_of(episode: Episode, job: Job, request: Request) -> list[Span | None]:
-    """The parts in which an episode is answered; one, unless it is long.
-
-    Raises:
-        RecordingError: It cannot be read.
-    """
+    """The parts in which an episode is answered; one, unless it is long. Raises `RecordingError`: It cannot be read."""
     parts: Sequence[Span] = []
     if episode.index is not None:
         parts = parts_of_episode(episode.source, episode.index, MOST_SAMPLES)

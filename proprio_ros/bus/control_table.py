@@ -195,11 +195,7 @@ MODELS: Mapping[str, ServoModel] = {model.name: model for model in (XM430_W350,)
 
 
 def servo_model(name: str) -> ServoModel:
-    """The model that a robot file names.
-
-    Raises:
-        RobotError: Its control table is not known.
-    """
+    """The model that a robot file names. Raises `RobotError`: Its control table is not known."""
     if name not in MODELS:
         raise RobotError(
             f"motor model {name!r}: its control table is not known; known: {', '.join(MODELS)}: add it to bus/control_table.py"

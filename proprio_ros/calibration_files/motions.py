@@ -99,42 +99,31 @@ class MotionCalibration:
     """An arm as motions with an empty hand show it, in torques as the robot file's torque constants make them of currents.
 
     n joints have P = 20 n terms, see `term_keys`.
-
-    Attributes:
-        joints: Parents before children, length n.
-        torque_constants: That the currents were multiplied with [N m/A], shape (n,).
-        values: Friction is the mean of the runs; shape (P,).
-        covariance: As a prior of the next fit, correlated residuals and the robot file's own priors counted; shape (P, P).
-        deviations: Which way each stretch of 2.5 s pulls the values: the sum of the rows' outer products is a covariance that
-            assumes nothing about the residuals within a stretch; shape (stretches, P).
-        friction_spread: Standard deviation of viscous friction, Coulomb friction and offset from run to run, in the order of
-            `FRICTION_TERMS` and then of the joints; shape (3 n,).
-        residual: RMS of the mean torque in a window that is left over [N m], shape (n,).
-        correlation: Over how many windows the residuals of a joint are correlated: so much less they say; shape (n,).
-        torque_scale: True torque over that of the robot file's constants; 1 where no reference was held.
-        torque_scale_std: How well that is known, relative.
-        arm_over_urdf: By how much the torques of the arm's own bodies are those that its URDF says.
-        fingerprint: Of the URDF.
-        runs: One mapping per run: name, duration_s, load_kg.
-        between: What differs between recordings: of each of `BETWEEN` its standard deviation, and on the word of how many
-            recordings that rests; empty in files that do not say.
-        tells: How much each joint would tell of a mass in these motions, shape (n,), sum 1; None: not kept in files.
     """
 
-    joints: tuple[str, ...]
-    torque_constants: FloatArray
-    values: FloatArray
+    joints: tuple[str, ...]  # parents before children, length n
+    torque_constants: FloatArray  # that the currents were multiplied with [N m/A], shape (n,)
+    values: FloatArray  # friction is the mean of the runs; shape (P,)
+    # as a prior of the next fit, correlated residuals and the robot file's own priors counted; shape (P, P)
     covariance: FloatArray
+    # which way each stretch of 2.5 s pulls the values: the sum of the rows' outer products is a covariance that assumes
+    # nothing about the residuals within a stretch; shape (stretches, P)
     deviations: FloatArray
+    # standard deviation of viscous friction, Coulomb friction and offset from run to run, in the order of
+    # `FRICTION_TERMS` and then of the joints; shape (3 n,)
     friction_spread: FloatArray
-    residual: FloatArray
+    residual: FloatArray  # RMS of the mean torque in a window that is left over [N m], shape (n,)
+    # over how many windows the residuals of a joint are correlated: so much less they say; shape (n,)
     correlation: FloatArray
-    torque_scale: float
-    torque_scale_std: float
-    arm_over_urdf: float
-    fingerprint: str
-    runs: tuple[Mapping[str, Any], ...]
+    torque_scale: float  # true torque over that of the robot file's constants; 1 where no reference was held
+    torque_scale_std: float  # how well that is known, relative
+    arm_over_urdf: float  # by how much the torques of the arm's own bodies are those that its URDF says
+    fingerprint: str  # of the URDF
+    runs: tuple[Mapping[str, Any], ...]  # one mapping per run: name, duration_s, load_kg
+    # what differs between recordings: of each of `BETWEEN` its standard deviation, and on the word of how many
+    # recordings that rests; empty in files that do not say
     between: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # how much each joint would tell of a mass in these motions, shape (n,), sum 1; None: not kept in files
     tells: FloatArray | None = None
 
     @property

@@ -18,23 +18,14 @@ _FORM = Whole("as in its register", lowest=-(2**31), highest=2**32 - 1)
 
 @dataclass(frozen=True)
 class MotorIdentity:
-    """What a servo keeps without power.
+    """What a servo keeps without power."""
 
-    Attributes:
-        model: Its Model Number.
-        id: On the bus.
-        firmware: Its version; all else is the same after an update.
-        homing_offset: [counts]; it shifts every position.
-        drive_mode: Bits; one turns the direction.
-        moving_threshold: [counts]; drives nothing here, so it can be used to mark a servo.
-    """
-
-    model: int
-    id: int
-    firmware: int
-    homing_offset: int
-    drive_mode: int
-    moving_threshold: int
+    model: int  # its Model Number
+    id: int  # on the bus
+    firmware: int  # its version; all else is the same after an update
+    homing_offset: int  # [counts]; it shifts every position
+    drive_mode: int  # bits; one turns the direction
+    moving_threshold: int  # [counts]; drives nothing here, so it can be used to mark a servo
 
     as_settings = asdict
 

@@ -61,23 +61,15 @@ _FORMS: dict[str, Form] = {
 
 @dataclass(frozen=True, eq=False)
 class JointCalibration:
-    """One joint as motions with known loads show it.
-
-    Attributes:
-        torque_constant: That the currents were multiplied with [N m/A].
-        values: See `TERMS`, shape (6,).
-        without: The same from all recordings but one, shape (runs, 6).
-        spread: By how much masses of recordings differ beyond what each knows of its own error, relative.
-        residual: RMS of the windows' mean torque that is left over [N m].
-        runs: One mapping per recording: name, duration_s, load_kg; read_kg, std_kg: what the others make of it.
-    """
+    """One joint as motions with known loads show it."""
 
     joint: str
-    torque_constant: float
-    values: FloatArray
-    without: FloatArray
-    spread: float
-    residual: float
+    torque_constant: float  # that the currents were multiplied with [N m/A]
+    values: FloatArray  # see `TERMS`, shape (6,)
+    without: FloatArray  # the same from all recordings but one, shape (runs, 6)
+    spread: float  # by how much masses of recordings differ beyond what each knows of its own error, relative
+    residual: float  # RMS of the windows' mean torque that is left over [N m]
+    # one mapping per recording: name, duration_s, load_kg; read_kg, std_kg: what the others make of it
     runs: tuple[Mapping[str, Any], ...]
 
     @property

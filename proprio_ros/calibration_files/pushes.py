@@ -95,15 +95,10 @@ _SMALLEST_EIGENVALUE = 1e-12  # of a correlation matrix: below it, rounding has 
 
 @dataclass(frozen=True)
 class Moment:
-    """When something was recorded, and how warm the motors were.
+    """When something was recorded, and how warm the motors were."""
 
-    Attributes:
-        time_s: Mean over its runs, by the clock of the recording [s].
-        temperature_C: Of the motors that say it, by joint.
-    """
-
-    time_s: float
-    temperature_C: Mapping[str, float] = field(default_factory=dict)
+    time_s: float  # mean over its runs, by the clock of the recording [s]
+    temperature_C: Mapping[str, float] = field(default_factory=dict)  # of the motors that say it, by joint
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers."""
@@ -124,34 +119,21 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The robot as its own recordings show it.
+    """The robot as its own recordings show it."""
 
-    Attributes:
-        keys: Of the unknowns, such as ``("coulomb", "joint3")``, length C.
-        values: Shape (C,).
-        covariance: Shape (C, C), positive definite.
-        residual_scale: Residuals over what encoder and stamps explain.
-        stamp_jitter_s: Standard deviation of the stamps.
-        torque_disturbance: Standard deviation of a torque that differs from run to run [N m].
-        start_velocity: Standard deviation of the velocity at which excitations begin [rad/s].
-        friction_spread: Relative standard deviation of friction from one free response to the next; 0: it was made of none.
-        swing_error: Error of simulated free responses, see `Robot.swing_error` [rad].
-        runs: One mapping per run used: name, joint, current_A, load_kg, samples.
-        motors: Of the arm, by joint, where its recordings say so.
-        made: When it was made, or since when it counts (see `drift`); None where the recordings do not say it.
-    """
-
-    keys: tuple[Key, ...]
-    values: FloatArray
-    covariance: FloatArray
-    residual_scale: float = 1.0
-    stamp_jitter_s: float = 0.0
-    torque_disturbance: float = 0.0
-    start_velocity: float = 0.01
-    runs: tuple[Mapping[str, Any], ...] = ()
-    motors: Motors = field(default_factory=dict)
+    keys: tuple[Key, ...]  # of the unknowns, such as ``("coulomb", "joint3")``, length C
+    values: FloatArray  # shape (C,)
+    covariance: FloatArray  # shape (C, C), positive definite
+    residual_scale: float = 1.0  # residuals over what encoder and stamps explain
+    stamp_jitter_s: float = 0.0  # standard deviation of the stamps
+    torque_disturbance: float = 0.0  # standard deviation of a torque that differs from run to run [N m]
+    start_velocity: float = 0.01  # standard deviation of the velocity at which excitations begin [rad/s]
+    runs: tuple[Mapping[str, Any], ...] = ()  # one mapping per run used: name, joint, current_A, load_kg, samples
+    motors: Motors = field(default_factory=dict)  # of the arm, by joint, where its recordings say so
+    # relative standard deviation of friction from one free response to the next; 0: it was made of none
     friction_spread: float = 0.0
-    swing_error: float = 0.0
+    swing_error: float = 0.0  # error of simulated free responses, see `Robot.swing_error` [rad]
+    # when it was made, or since when it counts (see `drift`); None where the recordings do not say it
     made: Moment | None = None
 
     @functools.cached_property

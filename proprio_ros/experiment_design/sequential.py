@@ -65,12 +65,7 @@ WORTH = 0.1  # a push that promises less than this part of what is missing is no
 
 @dataclass(frozen=True)
 class Known:
-    """What the runs so far say.
-
-    Attributes:
-        towards: Where a part of the mass is sought, the covariance of that part with all unknowns, shape (F,), and its variance
-            [kg^2]; None: all of the mass is sought.
-    """
+    """What the runs so far say."""
 
     mass: float  # of the object [kg]
     std: float  # of the mass; before any run `UNKNOWN_STD_KG`
@@ -78,6 +73,8 @@ class Known:
     runs: int  # that could be used
     fit: FitResult | None = None  # of them
     prepared: tuple[PreparedRun, ...] = ()  # all runs, as the fit takes them
+    # where a part of the mass is sought, the covariance of that part with all unknowns, shape (F,), and its variance
+    # [kg^2]; None: all of the mass is sought
     towards: tuple[np.ndarray, float] | None = None
 
 

@@ -76,12 +76,7 @@ class RunFit:
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """One run as it was recorded, whether a fit could use it or not.
-
-    Attributes:
-        arm: The links from the side at the start and at the end, each a line from joint to joint, to the right and up [m], shape
-            (2, L, 2, 2); no line where the position of a joint is not known.
-    """
+    """One run as it was recorded, whether a fit could use it or not."""
 
     name: str
     joint: str
@@ -92,6 +87,8 @@ class RecordedRun:
     input_times_s: np.ndarray  # each current holds from its time on, shape (C,); the last until `duration_s`
     input_current_A: np.ndarray
     duration_s: float
+    # the links from the side at the start and at the end, each a line from joint to joint, to the right and up [m],
+    # shape (2, L, 2, 2); no line where the position of a joint is not known
     arm: np.ndarray
     driven: np.ndarray  # place of the driven joint at the start and at the end, shape (2, 2)
     baseline: bool = False  # whether it was made without what is to be identified
@@ -99,50 +96,35 @@ class RecordedRun:
 
 @dataclass(frozen=True)
 class JointFit:
-    """One joint of a motion under a controller: mean torque over windows, as recorded and as arm, friction and payload explain it.
+    """One joint of a motion under a controller: mean torque over windows, as recorded and as arm, friction and payload make it."""
 
-    Attributes:
-        name: Of the recording.
-        times_s: Middle of each window that is shown [s], shape (K,); measured, explained: [N m].
-        payload: What the payload makes of the explained torque [N m], shape (K,).
-        left_over, usual: rms of what is not explained, and of the same where the load was known [N m].
-        told: Which share of what all joints and motions know of the mass came in each part of the recording, shape (B,).
-        part_s: Length of such a part [s].
-    """
-
-    name: str
+    name: str  # of the recording
     joint: str
-    times_s: np.ndarray
-    measured: np.ndarray
-    explained: np.ndarray
-    payload: np.ndarray
+    times_s: np.ndarray  # middle of each window that is shown [s], shape (K,)
+    measured: np.ndarray  # [N m], shape (K,)
+    explained: np.ndarray  # [N m], shape (K,)
+    payload: np.ndarray  # what the payload makes of the explained torque [N m], shape (K,)
+    # left_over, usual: rms of what is not explained, and of the same where the load was known [N m]
     left_over: float
     usual: float
+    # which share of what all joints and motions know of the mass came in each part of the recording, shape (B,)
     told: np.ndarray
-    part_s: float
+    part_s: float  # length of such a part [s]
 
 
 @dataclass(frozen=True)
 class HeldView:
-    """The arm in poses of a motion and what it held in the last of them, seen in a plane [m].
+    """The arm in poses of a motion and what it held in the last of them, seen in a plane [m]."""
 
-    Attributes:
-        side: From where, in words.
-        arm: The links, each a line from joint to joint, shape (P, L, 2, 2).
-        hand: Where the object is attached, in the last pose, shape (2,).
-        centre: Its centre of mass, shape (2,); None where no mass is stated.
-        within: Outline of the 95 % interval of the centre, shape (K, 2); None where nothing was identified of it.
-        body: Outline of the homogeneous ellipsoid of the same mass and inertia, shape (K, 2); None as for `centre`.
-        inertia_is: ``identified``, ``stated`` or ``assumed``.
-    """
-
-    side: str
-    arm: np.ndarray
-    hand: np.ndarray
-    centre: np.ndarray | None = None
+    side: str  # from where, in words
+    arm: np.ndarray  # the links, each a line from joint to joint, shape (P, L, 2, 2)
+    hand: np.ndarray  # where the object is attached, in the last pose, shape (2,)
+    centre: np.ndarray | None = None  # its centre of mass, shape (2,); None where no mass is stated
+    # outline of the 95 % interval of the centre, shape (K, 2); None where nothing was identified of it
     within: np.ndarray | None = None
+    # outline of the homogeneous ellipsoid of the same mass and inertia, shape (K, 2); None as for `centre`
     body: np.ndarray | None = None
-    inertia_is: str = ""
+    inertia_is: str = ""  # ``identified``, ``stated`` or ``assumed``
 
 
 @dataclass(frozen=True)

@@ -44,12 +44,7 @@ class KnownLoad:
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """A run as the fit uses it.
-
-    Attributes:
-        yielding_times_s, yielding_load: See ``loads_of_yielding``. In a free swing it is the load that each kilogram's weight puts
-            on the gears, with the sign of the velocity, see ``_weight_on_gears``.
-    """
+    """A run as the fit uses it."""
 
     run: Run
     used: int  # leading samples inside the usable window
@@ -60,6 +55,8 @@ class PreparedRun:
     rest: Quantity  # start position, from the samples before onset
     limited: bool  # whether the supply may limit the current inside the window, as far as the recording says
     load: KnownLoad | None = None  # what the hand is known to hold; None: the payload to be weighed
+    # yielding_times_s, yielding_load: see ``loads_of_yielding``. In a free swing it is the load that each kilogram's
+    # weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
     arm_as_payload: float = 0.0  # payload that would load the gears as the arm does [kg]; only known of free swings

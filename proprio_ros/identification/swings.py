@@ -33,11 +33,7 @@ be followed better than the next one by chance."""
 
 
 def are_free_responses(runs: Sequence[PreparedRun]) -> bool:
-    """Whether the runs are free swings.
-
-    Raises:
-        RecordingError: Some are, and some are not.
-    """
+    """Whether the runs are free swings. Raises `RecordingError`: Some are, and some are not."""
     free = [run.run.name for run in runs if run.run.free]
     driven = [run.run.name for run in runs if not run.run.free]
     if free and driven:

@@ -21,17 +21,14 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class Unknown(Tag):
-    """One scalar unknown; what it is, and whose, says ``Tag``.
-
-    Attributes:
-        asinh_scale: 0 keeps the coordinate linear; otherwise the solver moves ``asinh(value / scale)``, which is a logarithm
-            for large values and linear through zero, so that orders of magnitude are crossed and an empty hand reads 0.
-    """
+    """One scalar unknown; what it is, and whose, says ``Tag``."""
 
     value: float  # prior mean, and the value used while the unknown is not free
     std: float  # of the prior; `inf` is no prior, 0 is known exactly
     lower: float = -np.inf  # bounds on the physical value
     upper: float = np.inf
+    # 0 keeps the coordinate linear; otherwise the solver moves ``asinh(value / scale)``, which is a logarithm for large
+    # values and linear through zero, so that orders of magnitude are crossed and an empty hand reads 0
     asinh_scale: float = 0.0
     role: Role = Role.FREE
 

@@ -59,18 +59,13 @@ class Form:
 
 @dataclass(frozen=True)
 class Number(Form):
-    """A finite number within a range, of an SI unit or none.
-
-    Attributes:
-        open: Whether the lowest is outside the range.
-        hint: How a number outside comes about, such as ``lengths are in m``.
-    """
+    """A finite number within a range, of an SI unit or none."""
 
     unit: str = ""
     lowest: float = -math.inf
     highest: float = math.inf
-    open: bool = False
-    hint: str = ""
+    open: bool = False  # whether the lowest is outside the range
+    hint: str = ""  # how a number outside comes about, such as ``lengths are in m``
 
     def read(self, value: Any) -> float:
         number = finite(value)
@@ -115,20 +110,14 @@ class Whole(Number):
 
 @dataclass(frozen=True)
 class Numbers(Form):
-    """A list of numbers.
-
-    Attributes:
-        count: How many; None: from ``least`` to ``most``.
-        rising: Whether each must be greater than the one before.
-        example: What a message shows, such as ``[x, y, z] in m``.
-    """
+    """A list of numbers."""
 
     each: Number = Number()
-    count: int | None = None
+    count: int | None = None  # how many; None: from ``least`` to ``most``
     least: int = 1
     most: int = 64
-    rising: bool = False
-    example: str = ""
+    rising: bool = False  # whether each must be greater than the one before
+    example: str = ""  # what a message shows, such as ``[x, y, z] in m``
 
     def read(self, value: Any) -> tuple[float, ...]:
         least, most = (self.least, self.most) if self.count is None else (self.count, self.count)

@@ -296,11 +296,7 @@ EXPERIMENTS = {run.__name__: Experiment(run) for run in _MANY} | {"speed": Exper
 
 
 def experiment(name: str) -> Experiment:
-    """The one of that name.
-
-    Raises:
-        ConfigurationError: There is none.
-    """
+    """The one of that name. Raises `ConfigurationError`: There is none."""
     if name not in EXPERIMENTS:
         raise ConfigurationError(f"--only {name}: choose from {', '.join(EXPERIMENTS)}")
     return EXPERIMENTS[name]

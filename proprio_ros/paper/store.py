@@ -45,11 +45,7 @@ def code() -> str:
 
 
 class Store:
-    """The rows in a folder, which is made where it is not.
-
-    Raises:
-        ConfigurationError: It cannot be made.
-    """
+    """The rows in a folder, which is made where it is not. Raises `ConfigurationError`: It cannot be made."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "rows"

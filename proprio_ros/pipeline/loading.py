@@ -72,11 +72,7 @@ def _twice(one: str | Path, other: str | Path) -> str:
 
 
 def bag_runs(path: Path, request: Request) -> tuple[Run, ...]:
-    """The runs of one bag, named after it.
-
-    Raises:
-        RecordingError: It cannot be read, or holds no runs.
-    """
+    """The runs of one bag, named after it. Raises `RecordingError`: It cannot be read, or holds no runs."""
     recording = bag_recording(path, request)
     return _noted(_runs(recording, request), recording, request)
 

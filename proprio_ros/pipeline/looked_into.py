@@ -22,30 +22,20 @@ FREE_SWING = (
 
 @dataclass(frozen=True)
 class RunCheck:
-    """One run as it was found.
-
-    Attributes:
-        duration_s: How long the joint was driven [s].
-        travel: From the first to the last sample [rad or m, as ``unit`` says]; of a free swing its whole span.
-        current_A: The largest of its currents, with its sign [A]; 0 in a free swing.
-        samples: Joint states while it was driven.
-        problem: Why it is not usable, or an empty string.
-        notes: What else a reader should know.
-        mass_half_width_kg: About half the 95 % interval of a light object's mass from this run alone; None where it lifts nothing.
-        free: Whether it is a free swing: torque was off.
-    """
+    """One run as it was found."""
 
     name: str
     joint: str
-    duration_s: float
-    travel: float
+    duration_s: float  # how long the joint was driven [s]
+    travel: float  # from the first to the last sample [rad or m, as ``unit`` says]; of a free swing its whole span
     unit: str
-    current_A: float
-    samples: int
-    problem: str = ""
-    notes: tuple[str, ...] = ()
+    current_A: float  # the largest of its currents, with its sign [A]; 0 in a free swing
+    samples: int  # joint states while it was driven
+    problem: str = ""  # why it is not usable, or an empty string
+    notes: tuple[str, ...] = ()  # what else a reader should know
+    # about half the 95 % interval of a light object's mass from this run alone; None where it lifts nothing
     mass_half_width_kg: float | None = None
-    free: bool = False
+    free: bool = False  # whether it is a free swing: torque was off
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -76,18 +66,12 @@ class RunCheck:
 
 @dataclass(frozen=True)
 class MotionCheck:
-    """What a motion of several joints determines, were it made once more with an empty hand.
+    """What a motion of several joints determines, were it made once more with an empty hand."""
 
-    Attributes:
-        joints: That moved.
-        mass_half_width_kg: About half the 95 % interval of a light object's mass.
-        mass_half_width_per_kg: What every kg of the object adds to it, since torque constants are not known better; None where
-            nobody stated them.
-    """
-
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # that moved
     duration_s: float
-    mass_half_width_kg: float
+    mass_half_width_kg: float  # about half the 95 % interval of a light object's mass
+    # what every kg of the object adds to it, since torque constants are not known better; None where nobody stated them
     mass_half_width_per_kg: float | None
 
     def sentence(self) -> str:
@@ -105,52 +89,35 @@ class MotionCheck:
 
 @dataclass(frozen=True)
 class BagCheck:
-    """One bag as it was found.
-
-    Attributes:
-        joints: Joints whose positions were recorded.
-        duration_s: From the first to the last joint state [s].
-        rate_Hz: Of the joint states, by their median interval [1/s]; NaN where none could be read.
-        gaps: Intervals of more than 2.5 periods; longest_gap_s: the longest interval [s].
-        topics: Name, type and number of messages of each.
-        state_topic: Topic of the joint states.
-        input: Where the current that drove the joints would be taken from: a topic, or ``measured effort``.
-        input_unit: What its numbers are.
-        problem: Why no run could be looked for, or an empty string.
-        notes: Every repair made while reading.
-        motion: What was recorded where several joints were driven at once; then there are no runs.
-        moves, still: The joints that move, and those that do not.
-        findings: What the recording shows of itself.
-        effort_units: How the effort would compare with what gravity needs if it were in one unit or another.
-        effort_per_N_m: The effort over what gravity needs, by joint, in the publisher's unit.
-        tells: What a motion determines.
-        record: What to record instead, or beside it.
-        driver: Profile by which it was read; None where nobody stated one.
-        fitting: Names of the profiles that its topics identify; none of them is used before it is stated.
-    """
+    """One bag as it was found."""
 
     bag: str
-    joints: tuple[str, ...] = ()
-    duration_s: float = 0.0
-    rate_Hz: float = float("nan")
-    gaps: int = 0
-    longest_gap_s: float = float("nan")
-    topics: tuple[tuple[str, str, int], ...] = ()
-    state_topic: str | None = None
+    joints: tuple[str, ...] = ()  # joints whose positions were recorded
+    duration_s: float = 0.0  # from the first to the last joint state [s]
+    rate_Hz: float = float("nan")  # of the joint states, by their median interval [1/s]; NaN where none could be read
+    gaps: int = 0  # intervals of more than 2.5 periods
+    longest_gap_s: float = float("nan")  # the longest interval [s]
+    topics: tuple[tuple[str, str, int], ...] = ()  # name, type and number of messages of each
+    state_topic: str | None = None  # topic of the joint states
+    # where the current that drove the joints would be taken from: a topic, or ``measured effort``
     input: str | None = None
-    input_unit: str | None = None
+    input_unit: str | None = None  # what its numbers are
     runs: tuple[RunCheck, ...] = ()
-    problem: str = ""
-    notes: tuple[str, ...] = ()
-    motion: Motion | None = None
+    problem: str = ""  # why no run could be looked for, or an empty string
+    notes: tuple[str, ...] = ()  # every repair made while reading
+    motion: Motion | None = None  # what was recorded where several joints were driven at once; then there are no runs
+    # moves, still: the joints that move, and those that do not
     moves: tuple[str, ...] = ()
     still: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # what the recording shows of itself
+    # how the effort would compare with what gravity needs if it were in one unit or another
     effort_units: tuple[EffortUnit, ...] = ()
+    # the effort over what gravity needs, by joint, in the publisher's unit
     effort_per_N_m: Mapping[str, float] = field(default_factory=dict)
-    tells: MotionCheck | None = None
-    record: tuple[str, ...] = ()
-    driver: Driver | None = None
+    tells: MotionCheck | None = None  # what a motion determines
+    record: tuple[str, ...] = ()  # what to record instead, or beside it
+    driver: Driver | None = None  # profile by which it was read; None where nobody stated one
+    # names of the profiles that its topics identify; none of them is used before it is stated
     fitting: tuple[str, ...] = ()
 
     @property

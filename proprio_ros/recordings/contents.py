@@ -31,19 +31,12 @@ from proprio_ros.records import PointTrack, Span
 
 @dataclass(frozen=True)
 class Contents:
-    """What a bag holds, before a message of it is read.
+    """What a bag holds, before a message of it is read."""
 
-    Attributes:
-        topics: Name, type and number of messages of each.
-        states: Topic of the joint states; None where `problem` says why none was chosen.
-        inputs: Topic of the input; None where there is none but the measured effort.
-        problem: Why a topic cannot be chosen, in one line, or an empty string.
-    """
-
-    topics: tuple[tuple[str, str, int], ...]
-    states: str | None = None
-    inputs: str | None = None
-    problem: str = ""
+    topics: tuple[tuple[str, str, int], ...]  # name, type and number of messages of each
+    states: str | None = None  # topic of the joint states; None where `problem` says why none was chosen
+    inputs: str | None = None  # topic of the input; None where there is none but the measured effort
+    problem: str = ""  # why a topic cannot be chosen, in one line, or an empty string
 
 
 def look_into(

@@ -47,22 +47,16 @@ _LONGEST_META = 64_000_000
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns of a data set are what.
+    """Which columns of a data set are what."""
 
-    Attributes:
-        position: Column of the joint positions; of names that end in ``.vel``, ``.torque`` and the like, only ``.pos`` counts.
-        position_unit: One of `POSITION_UNITS`.
-        effort: Column of the measured effort; where it is not there, names in the column of the positions that end in ``.torque``,
-            ``.effort`` or ``.current`` count.
-        goal: Column of what the joints were sent to, in the unit of the positions.
-        percent: Joints, in the driver's names, whose positions are percent of their range.
-    """
-
+    # column of the joint positions; of names that end in ``.vel``, ``.torque`` and the like, only ``.pos`` counts
     position: str = "observation.state"
-    position_unit: str = "rad"
+    position_unit: str = "rad"  # one of `POSITION_UNITS`
+    # column of the measured effort; where it is not there, names in the column of the positions that end in
+    # ``.torque``, ``.effort`` or ``.current`` count
     effort: str = "observation.effort"
-    goal: str = "action"
-    percent: tuple[str, ...] = ()
+    goal: str = "action"  # column of what the joints were sent to, in the unit of the positions
+    percent: tuple[str, ...] = ()  # joints, in the driver's names, whose positions are percent of their range
 
 
 class Episode(NamedTuple):
@@ -74,20 +68,13 @@ class Episode(NamedTuple):
 
 @dataclass(frozen=True)
 class DataSet:
-    """What ``meta/`` says.
-
-    Attributes:
-        version: Of its layout, as it states it.
-        rate_hz: Frames per second.
-        features: By column: type, shape, names.
-        episodes: In the order of their indices.
-    """
+    """What ``meta/`` says."""
 
     folder: Path
-    version: str
-    rate_hz: float
-    features: Mapping[str, Mapping[str, Any]]
-    episodes: Mapping[int, Episode]
+    version: str  # of its layout, as it states it
+    rate_hz: float  # frames per second
+    features: Mapping[str, Mapping[str, Any]]  # by column: type, shape, names
+    episodes: Mapping[int, Episode]  # in the order of their indices
 
     def names(self, column: str) -> tuple[str, ...]:
         """Of the entries of a column that is a vector; empty where it is not there or names none."""

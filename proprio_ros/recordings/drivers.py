@@ -152,28 +152,18 @@ FORMS: dict[str, Form] = {
 
 @dataclass(frozen=True)
 class Driver:
-    """A profile.
+    """A profile."""
 
-    Attributes:
-        name, title: What the user called it, and what it is in a few words.
-        conventions: Its topics, and their units.
-        effort_unit: What effort of its joint states is; None where it does not say.
-        refused: Why nothing can be weighed with it, or an empty string.
-        notes: What to know about it, one sentence each.
-        recognised_by: Topics without a namespace, or types, of which any identifies it.
-        extends: Names of the profiles that it extends.
-        columns: What the columns of a data set are; None where it does not say.
-    """
-
+    # name, title: what the user called it, and what it is in a few words
     name: str
     title: str
-    conventions: Conventions
-    effort_unit: str | None = None
-    refused: str = ""
-    notes: tuple[str, ...] = ()
-    recognised_by: tuple[str, ...] = ()
-    extends: tuple[str, ...] = ()
-    columns: Columns | None = None
+    conventions: Conventions  # its topics, and their units
+    effort_unit: str | None = None  # what effort of its joint states is; None where it does not say
+    refused: str = ""  # why nothing can be weighed with it, or an empty string
+    notes: tuple[str, ...] = ()  # what to know about it, one sentence each
+    recognised_by: tuple[str, ...] = ()  # topics without a namespace, or types, of which any identifies it
+    extends: tuple[str, ...] = ()  # names of the profiles that it extends
+    columns: Columns | None = None  # what the columns of a data set are; None where it does not say
 
     def fits(self, topics: Iterable[tuple[str, str]]) -> bool:
         """Whether any of these topics, by name and type, identifies it."""

@@ -37,17 +37,11 @@ def known_or_none(values: FloatArray) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class Effort:
-    """What effort is, as the user states it; an unknown unit is refused (`ConfigurationError`).
+    """What effort is, as the user states it; an unknown unit is refused (`ConfigurationError`)."""
 
-    Attributes:
-        unit: One of `EFFORT_UNITS`; None: not stated.
-        nominal: Torque constants with which efforts were made of currents, by joint [N m/A or N/A].
-        per_count_A: Current of one raw count [A].
-    """
-
-    unit: str | None
-    nominal: Mapping[str, float]
-    per_count_A: float = CURRENT_PER_COUNT_A
+    unit: str | None  # one of `EFFORT_UNITS`; None: not stated
+    nominal: Mapping[str, float]  # torque constants with which efforts were made of currents, by joint [N m/A or N/A]
+    per_count_A: float = CURRENT_PER_COUNT_A  # current of one raw count [A]
 
     def __post_init__(self) -> None:
         if self.unit is not None and self.unit not in EFFORT_UNITS:

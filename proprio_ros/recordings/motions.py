@@ -26,30 +26,18 @@ LONGEST_GAP_S = 0.1
 
 @dataclass(frozen=True)
 class Motion:
-    """Joints that moved, and the currents that drove them.
+    """Joints that moved, and the currents that drove them."""
 
-    Attributes:
-        name: Of the recording.
-        joints: That have a motor, one per column.
-        times_s: From the first sample on [s], strictly increasing, shape (T,).
-        position: [rad], shape (T, J).
-        current_A: Of the motors, shape (T, J).
-        held: Mean position of every other joint [rad or m].
-        source: Where the currents come from.
-        notes: What a reader of the result should know, one sentence each.
-        begin_ns: Stamp of the first sample [ns]; 0: not known.
-        beside: Position of every other joint that was recorded, at the same times [rad or m], shape (T,) each.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    times_s: FloatArray
-    position: FloatArray
-    current_A: FloatArray
-    held: Mapping[str, float]
-    source: str
-    notes: tuple[str, ...] = ()
-    begin_ns: int = 0
+    name: str  # of the recording
+    joints: tuple[str, ...]  # that have a motor, one per column
+    times_s: FloatArray  # from the first sample on [s], strictly increasing, shape (T,)
+    position: FloatArray  # [rad], shape (T, J)
+    current_A: FloatArray  # of the motors, shape (T, J)
+    held: Mapping[str, float]  # mean position of every other joint [rad or m]
+    source: str  # where the currents come from
+    notes: tuple[str, ...] = ()  # what a reader of the result should know, one sentence each
+    begin_ns: int = 0  # stamp of the first sample [ns]; 0: not known
+    # position of every other joint that was recorded, at the same times [rad or m], shape (T,) each
     beside: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property

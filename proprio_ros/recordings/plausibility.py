@@ -42,34 +42,23 @@ STALE_SAMPLES = 4
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a reader should know.
+    """One thing that a reader should know."""
 
-    Attributes:
-        code: What it is, for programs; sentence: The same for people.
-        joints: That it is about.
-        values: Its numbers by joint, in the unit that the sentence names.
-    """
-
-    code: str
-    sentence: str
-    joints: tuple[str, ...] = ()
+    code: str  # what it is, for programs
+    sentence: str  # the same for people
+    joints: tuple[str, ...] = ()  # that it is about
+    # its numbers by joint, in the unit that the sentence names
     values: Mapping[str, float] = field(default_factory=dict)
     as_json = asdict
 
 
 @dataclass(frozen=True)
 class EffortUnit:
-    """How the effort would compare with the torque that gravity needs if it were in some unit.
+    """How the effort would compare with the torque that gravity needs if it were in some unit."""
 
-    Attributes:
-        unit: As for ``--effort-unit``.
-        ratio: Effort in N m over that torque by joint; 1 where all is as the URDF says.
-        plausible: Whether their median is within `PLAUSIBLE`.
-    """
-
-    unit: str
-    ratio: Mapping[str, float]
-    plausible: bool
+    unit: str  # as for ``--effort-unit``
+    ratio: Mapping[str, float]  # effort in N m over that torque by joint; 1 where all is as the URDF says
+    plausible: bool  # whether their median is within `PLAUSIBLE`
     as_json = asdict
 
 

@@ -20,19 +20,14 @@ MOST_ROWS = 200_000
 
 @dataclass(frozen=True)
 class TextRecording:
-    """The motion of one joint as text, with the setting in which it was made.
+    """The motion of one joint as text, with the setting in which it was made."""
 
-    Attributes:
-        name, joint: Of the folder, and of the joint that moved.
-        times_s: Sampling instants [s], strictly increasing, shape (T,).
-        relative_position: Position of the joint minus its start pose [rad], shape (T,).
-        setting: What setting.json says: `moving_joint`, `torque_N_m`, `start_pose_rad` by joint, and whatever else.
-    """
-
+    # name, joint: of the folder, and of the joint that moved
     name: str
     joint: str
-    times_s: FloatArray
-    relative_position: FloatArray
+    times_s: FloatArray  # sampling instants [s], strictly increasing, shape (T,)
+    relative_position: FloatArray  # position of the joint minus its start pose [rad], shape (T,)
+    # what setting.json says: `moving_joint`, `torque_N_m`, `start_pose_rad` by joint, and whatever else
     setting: dict[str, Any]
 
 

@@ -29,19 +29,12 @@ JOINT_COMMAND, BATTERY_STATE = "joint_command", "battery_state"
 
 @dataclass(frozen=True)
 class InputTopic:
-    """A topic that says what drove the joints.
+    """A topic that says what drove the joints."""
 
-    Attributes:
-        topic: Its name without a namespace.
-        msgtype: `JOINT_STATE`, whose effort counts, or the first of `FLOAT_ARRAYS`.
-        unit: Of its numbers, one of `EFFORT_UNITS`.
-        joints: Order of numbers that come without names, in the driver's names; empty: the robot's.
-    """
-
-    topic: str
-    msgtype: str
-    unit: str
-    joints: tuple[str, ...] = ()
+    topic: str  # its name without a namespace
+    msgtype: str  # `JOINT_STATE`, whose effort counts, or the first of `FLOAT_ARRAYS`
+    unit: str  # of its numbers, one of `EFFORT_UNITS`
+    joints: tuple[str, ...] = ()  # order of numbers that come without names, in the driver's names; empty: the robot's
 
     @property
     def msgtypes(self) -> tuple[str, ...]:
@@ -51,26 +44,20 @@ class InputTopic:
 
 @dataclass(frozen=True)
 class Conventions:
-    """Which topics a driver has, and what they mean; the defaults are those of this package's own driver.
+    """Which topics a driver has, and what they mean; the defaults are those of this package's own driver."""
 
-    Attributes:
-        driver: What the user called it; empty where nobody said, and the only joint states of any other name are taken, too.
-        states: Topic of the joint states, without a namespace.
-        inputs: Topics of what drives the joints, without a namespace; the first that a bag has is taken.
-        prefix: Before the names of this robot's joints; it is taken off.
-        names: The robot's names by those that the driver uses, once the prefix is off.
-        radians: What a unit of its positions is [rad]; those of sliding joints, too, are multiplied with it.
-    """
-
+    # what the user called it; empty where nobody said, and the only joint states of any other name are taken, too
     driver: str = ""
-    states: str = "joint_states"
+    states: str = "joint_states"  # topic of the joint states, without a namespace
+    # topics of what drives the joints, without a namespace; the first that a bag has is taken
     inputs: tuple[InputTopic, ...] = (
         InputTopic("applied_effort", JOINT_STATE, "N.m"),
         InputTopic("current_command", FLOAT_ARRAYS[0], "A"),
     )
-    prefix: str = ""
+    prefix: str = ""  # before the names of this robot's joints; it is taken off
+    # the robot's names by those that the driver uses, once the prefix is off
     names: Mapping[str, str] = field(default_factory=dict)
-    radians: float = 1.0
+    radians: float = 1.0  # what a unit of its positions is [rad]; those of sliding joints, too, are multiplied with it
 
     def renamed(self, names: Sequence[str]) -> tuple[str, ...]:
         """The robot's names of joints that a driver names."""

@@ -23,50 +23,34 @@ MARGIN = 0.06
 
 @dataclass(frozen=True)
 class Series:
-    """A curve.
+    """A curve."""
 
-    Attributes:
-        name: For the legend and the pointer; one without a name is not in them.
-        x, y: Shape (K,).
-        color: Class of the style sheet, such as ``measured``.
-        kind: ``line``, ``dots``, ``steps`` (each value holds until the next), or ``pairs`` (a line from each first to each second).
-        listed: Whether it is in the legend.
-    """
-
-    name: str
+    name: str  # for the legend and the pointer; one without a name is not in them
+    # x, y: shape (K,)
     x: np.ndarray
     y: np.ndarray
-    color: str
+    color: str  # class of the style sheet, such as ``measured``
+    # ``line``, ``dots``, ``steps`` (each value holds until the next), or ``pairs`` (a line from each first to each
+    # second)
     kind: str = "line"
-    listed: bool = True
+    listed: bool = True  # whether it is in the legend
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One of several plots below each other.
+    """One of several plots below each other."""
 
-    Attributes:
-        title: With the unit of y in brackets; unit: of y.
-        series: The last one is on top.
-        height: Of the plot.
-        band: x, lower and upper end of a coloured band, shape (K,) each.
-        spans: From where to where of x the plot is shaded.
-        rules: Values of y with a dashed line.
-        verticals: Values of x with a line.
-        log: Whether y is a logarithmic axis.
-        highest: Of y that is shown.
-    """
-
-    title: str
-    unit: str
-    series: Sequence[Series]
-    height: float = 150.0
+    title: str  # with the unit of y in brackets
+    unit: str  # of y
+    series: Sequence[Series]  # the last one is on top
+    height: float = 150.0  # of the plot
+    # x, lower and upper end of a coloured band, shape (K,) each
     band: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-    spans: Sequence[tuple[float, float]] = ()
-    rules: Sequence[float] = ()
-    verticals: Sequence[float] = ()
-    log: bool = False
-    highest: float = math.inf
+    spans: Sequence[tuple[float, float]] = ()  # from where to where of x the plot is shaded
+    rules: Sequence[float] = ()  # values of y with a dashed line
+    verticals: Sequence[float] = ()  # values of x with a line
+    log: bool = False  # whether y is a logarithmic axis
+    highest: float = math.inf  # of y that is shown
 
 
 @dataclass(frozen=True)

@@ -16,21 +16,15 @@ from proprio_ros.report.html import framed, table, write_document
 
 @dataclass(frozen=True)
 class Choice:
-    """What was known before a push, and what was chosen.
+    """What was known before a push, and what was chosen."""
 
-    Attributes:
-        value, half: Of what is sought, and of its 95 % interval; before the first push what may be.
-        promised: Half interval that the push promises.
-        chosen: The push, or why there was none, in words; others: what was not chosen.
-        decided_s: What it took.
-    """
-
+    # value, half: of what is sought, and of its 95 % interval; before the first push what may be
     value: float
     half: float
-    promised: float
-    chosen: str
-    others: Sequence[str]
-    decided_s: float
+    promised: float  # half interval that the push promises
+    chosen: str  # the push, or why there was none, in words
+    others: Sequence[str]  # what was not chosen
+    decided_s: float  # what it took
 
 
 def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path: Path) -> None:

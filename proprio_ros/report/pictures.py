@@ -68,18 +68,13 @@ def arm_figure(run: RecordedRun, number: int) -> str:
 
 @dataclass
 class ArmPicture:
-    """An arm in a plane, to scale.
+    """An arm in a plane, to scale."""
 
-    Attributes:
-        low, high: Corners of what is shown [m], shape (2,).
-        scale: Units of the picture per metre.
-        body: What is drawn.
-    """
-
+    # low, high: corners of what is shown [m], shape (2,)
     low: np.ndarray
     high: np.ndarray
-    scale: float
-    body: list[str] = field(default_factory=list)
+    scale: float  # units of the picture per metre
+    body: list[str] = field(default_factory=list)  # what is drawn
     WIDTH, MARGIN, BELOW = 300.0, 18.0, 44.0
 
     @classmethod

@@ -15,30 +15,19 @@ from proprio_ros.robot.geometry import FloatArray
 
 @dataclass(frozen=True)
 class Motor:
-    """What the driver needs to know of a joint's motor.
+    """What the driver needs to know of a joint's motor."""
 
-    Attributes:
-        model: Name of the model, empty when it is not driven by this package.
-        id: Its number on the bus; None when it is not on one.
-        current_limit_A: Largest current that may be commanded [A].
-    """
-
-    model: str
-    id: int | None
-    current_limit_A: float
+    model: str  # name of the model, empty when it is not driven by this package
+    id: int | None  # its number on the bus; None when it is not on one
+    current_limit_A: float  # largest current that may be commanded [A]
 
 
 @dataclass(frozen=True)
 class FingerTravel:
-    """How far one finger is open at some angles of its motor, as measured: linkages do not open evenly.
+    """How far one finger is open at some angles of its motor, as measured: linkages do not open evenly."""
 
-    Attributes:
-        at_rad: Of the motor's output shaft, rising, length 2 or more.
-        open_m: Of one finger, from anywhere [m], rising with the angle.
-    """
-
-    at_rad: tuple[float, ...]
-    open_m: tuple[float, ...]
+    at_rad: tuple[float, ...]  # of the motor's output shaft, rising, length 2 or more
+    open_m: tuple[float, ...]  # of one finger, from anywhere [m], rising with the angle
 
     @functools.cached_property
     def coefficients(self) -> tuple[float, float, float]:
@@ -70,50 +59,34 @@ class DriveTrain:
     The torque that reaches the joint is ``torque_constant x current - armature x acceleration``, less friction against
     the motion: ``(coulomb + load_friction x |torque|) x (1 + stribeck x exp(-(velocity / stribeck_velocity)^2)) + viscous
     x |velocity|``.
-
-    Attributes:
-        torque_constant: [N m/A].
-        coulomb: Dry friction [N m].
-        viscous: [N m s/rad].
-        load_friction: Part of the motor's torque that the gears lose.
-        armature: Inertia of rotor and gears [kg m^2].
-        zero: True position minus reading [rad].
-        nominal_torque_constant: What published efforts were made with [N m/A].
-        supply_voltage_V: 0 when the supply does not limit the current.
-        back_emf_V_s_per_rad: Voltage that the motor makes per speed.
-        resistance_ohm: Of the winding.
-        usable_velocity: Faster samples are left out [rad/s].
-        encoder_resolution: One count [rad].
-        encoder_noise: Standard deviation of a reading, beyond rounding [rad].
-        transmission: Joint position per shaft position: 1 when the motor sits in the joint, m/rad for a finger (each of
-            two fingers moves this far).
-        encoder_once_per_turn: Standard deviation of the sine and of the cosine part of the encoder's once-per-turn
-            error, which a magnet off the axis makes [rad].
-        stribeck: By how much of itself dry friction is greater at rest.
-        stribeck_velocity: Speed at which 1/e of that is left [rad/s].
-        finger_travel: What was measured of a finger's travel, for squeezes alone: published positions count with `transmission`.
-        driven_by: What drives the motor where no current does; None: a current.
     """
 
-    torque_constant: Quantity
-    coulomb: Quantity
-    viscous: Quantity
-    load_friction: Quantity
-    armature: Quantity
-    zero: Quantity
-    nominal_torque_constant: float
-    supply_voltage_V: float
-    back_emf_V_s_per_rad: float
-    resistance_ohm: float
-    usable_velocity: float
-    encoder_resolution: float
-    encoder_noise: float
+    torque_constant: Quantity  # [N m/A]
+    coulomb: Quantity  # dry friction [N m]
+    viscous: Quantity  # [N m s/rad]
+    load_friction: Quantity  # part of the motor's torque that the gears lose
+    armature: Quantity  # inertia of rotor and gears [kg m^2]
+    zero: Quantity  # true position minus reading [rad]
+    nominal_torque_constant: float  # what published efforts were made with [N m/A]
+    supply_voltage_V: float  # 0 when the supply does not limit the current
+    back_emf_V_s_per_rad: float  # voltage that the motor makes per speed
+    resistance_ohm: float  # of the winding
+    usable_velocity: float  # faster samples are left out [rad/s]
+    encoder_resolution: float  # one count [rad]
+    encoder_noise: float  # standard deviation of a reading, beyond rounding [rad]
+    # joint position per shaft position: 1 when the motor sits in the joint, m/rad for a finger (each of two fingers
+    # moves this far)
     transmission: float = 1.0
+    # standard deviation of the sine and of the cosine part of the encoder's once-per-turn error, which a magnet off the
+    # axis makes [rad]
     encoder_once_per_turn: float = 0.0
+    # by how much of itself dry friction is greater at rest
     stribeck: Quantity = field(default_factory=lambda: Quantity(0.0))
+    # speed at which 1/e of that is left [rad/s]
     stribeck_velocity: Quantity = field(default_factory=lambda: Quantity(0.1))
+    # what was measured of a finger's travel, for squeezes alone: published positions count with `transmission`
     finger_travel: FingerTravel | None = None
-    driven_by: Drive | None = None
+    driven_by: Drive | None = None  # what drives the motor where no current does; None: a current
 
     @property
     def reading_std(self) -> float:

@@ -52,18 +52,12 @@ class Goal:
 
 @dataclass(frozen=True)
 class Drive:
-    """How the duty cycle of a motor follows from what was recorded.
+    """How the duty cycle of a motor follows from what was recorded."""
 
-    Attributes:
-        kind: As the robot file names it; takes: what the duty cycle is made of, in words.
-        follows_goal: Whether it needs the goal.
-        forms: Of each key in the robot file; one whose class has a default may be left out.
-    """
-
-    kind: ClassVar[str]
-    takes: ClassVar[str]
-    follows_goal: ClassVar[bool] = False
-    forms: ClassVar[Mapping[str, Form]]
+    kind: ClassVar[str]  # as the robot file names it
+    takes: ClassVar[str]  # what the duty cycle is made of, in words
+    follows_goal: ClassVar[bool] = False  # whether it needs the goal
+    forms: ClassVar[Mapping[str, Form]]  # of each key in the robot file; one whose class has a default may be left out
 
     def duty(
         self, times_s: FloatArray, position: FloatArray, effort: FloatArray | None, goal: Goal | None, delay_s: float
@@ -82,11 +76,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class DutyCycle(Drive):
-    """The driver publishes the duty cycle in counts.
-
-    Attributes:
-        per_count: Duty cycle of one count: 1/885 for the Present PWM of a Dynamixel, with the sign of the torque.
-    """
+    """The driver publishes the duty cycle in counts."""
 
     kind: ClassVar[str] = "duty_cycle"
     takes: ClassVar[str] = MEASURED
@@ -94,7 +84,7 @@ class DutyCycle(Drive):
         "per_count": Number("duty cycle, 0 to 1, of one count of the published effort", "", -1.0, 1.0)
     }
 
-    per_count: float
+    per_count: float  # duty cycle of one count: 1/885 for the Present PWM of a Dynamixel, with the sign of the torque
 
     def duty(
         self, times_s: FloatArray, position: FloatArray, effort: FloatArray | None, goal: Goal | None, delay_s: float
@@ -105,14 +95,7 @@ class DutyCycle(Drive):
 
 @dataclass(frozen=True)
 class PositionServo(Drive):
-    """The firmware makes the duty cycle from the distance to the goal, and publishes nothing of it.
-
-    Attributes:
-        gain_per_rad: Duty cycle per rad of distance.
-        limit: Largest duty cycle.
-        dead_band_rad: Nearer to the goal it is zero, and counts from there.
-        goal_speed_rad_s: The firmware moves its goal no faster.
-    """
+    """The firmware makes the duty cycle from the distance to the goal, and publishes nothing of it."""
 
     kind: ClassVar[str] = "position_servo"
     takes: ClassVar[str] = COMPUTED
@@ -124,10 +107,10 @@ class PositionServo(Drive):
         "goal_speed_rad_s": Number("the firmware moves its goal no faster", "rad/s", 0.0, 1e3, open=True),
     }
 
-    gain_per_rad: float
-    limit: float = 1.0
-    dead_band_rad: float = 0.0
-    goal_speed_rad_s: float = np.inf
+    gain_per_rad: float  # duty cycle per rad of distance
+    limit: float = 1.0  # largest duty cycle
+    dead_band_rad: float = 0.0  # nearer to the goal it is zero, and counts from there
+    goal_speed_rad_s: float = np.inf  # the firmware moves its goal no faster
 
     def duty(
         self, times_s: FloatArray, position: FloatArray, effort: FloatArray | None, goal: Goal | None, delay_s: float

@@ -19,24 +19,18 @@ _STILL_M = 1e-6  # a link whose height changes by less than this stands where it
 
 @dataclass(frozen=True)
 class _Step:
-    """One joint on the way from the base to a link that can be lowered, as plain numbers: numpy is slow for three of them.
+    """One joint on the way from the base to a link that can be lowered, as plain numbers: numpy is slow for three of them."""
 
-    Attributes:
-        parent: Index of the step before it, -1 for the base.
-        driver, multiplier, offset: The independent joint that it follows; it is its own where it mimics none.
-        columns: Of parent_R_joint at position zero; origin: in the parent's frame [m]; axis: in its own frame.
-        counts: Whether its child is one of the links asked for.
-    """
-
-    parent: int
+    parent: int  # index of the step before it, -1 for the base
     kind: str
+    # driver, multiplier, offset: the independent joint that it follows; it is its own where it mimics none
     driver: str
     multiplier: float
     offset: float
-    columns: tuple[Vector, Vector, Vector]
-    origin: Vector
-    axis: Vector
-    counts: bool
+    columns: tuple[Vector, Vector, Vector]  # of parent_R_joint at position zero
+    origin: Vector  # in the parent's frame [m]
+    axis: Vector  # in its own frame
+    counts: bool  # whether its child is one of the links asked for
 
 
 def clearance(robot: Robot, pose: Mapping[str, float]) -> float:

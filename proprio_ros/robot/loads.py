@@ -19,17 +19,11 @@ from proprio_ros.robot.urdf import Joint
 
 
 class Load(NamedTuple):
-    """By joint.
+    """By joint."""
 
-    Attributes:
-        gravity: Effort that holds it [N m or N].
-        inertia: What it moves, without rotors [kg m^2 or kg].
-        reactions: Of each joint that moves: what the others need then to stand, for its acceleration and for its speed
-            squared.
-    """
-
-    gravity: dict[str, float]
-    inertia: dict[str, float]
+    gravity: dict[str, float]  # effort that holds it [N m or N]
+    inertia: dict[str, float]  # what it moves, without rotors [kg m^2 or kg]
+    # of each joint that moves: what the others need then to stand, for its acceleration and for its speed squared
     reactions: dict[str, dict[str, tuple[float, float]]]
 
 

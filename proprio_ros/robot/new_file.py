@@ -27,18 +27,13 @@ _WRITTEN_BY_CALIBRATE = ("model_fingerprint", "calibration", "joint_calibration"
 
 @dataclass(frozen=True)
 class NewFile:
-    """A robot file to fill in.
-
-    Attributes:
-        payload_frame: A guess at the link in which objects are held, to be checked.
-        to_state: Dotted keys that must be stated before the file can be loaded.
-    """
+    """A robot file to fill in."""
 
     name: str
     text: str
     joints: tuple[str, ...]
-    payload_frame: str
-    to_state: tuple[str, ...]
+    payload_frame: str  # a guess at the link in which objects are held, to be checked
+    to_state: tuple[str, ...]  # dotted keys that must be stated before the file can be loaded
 
 
 def new_robot_file(

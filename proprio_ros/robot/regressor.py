@@ -40,19 +40,12 @@ def _skew(v: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Where the bodies of an arm are, and how they move, at every sample; n bodies, all in the base frame about its origin.
+    """Where the bodies of an arm are, and how they move, at every sample; n bodies, all in the base frame about its origin."""
 
-    Attributes:
-        rotation: base_R_body, shape (T, n, 3, 3).
-        origin: Of each body's frame [m], shape (T, n, 3).
-        axis: Screw axis of each joint (angular, linear), shape (T, n, 6).
-        twist: Of each body (angular, linear), shape (T, n, 6).
-    """
-
-    rotation: FloatArray
-    origin: FloatArray
-    axis: FloatArray
-    twist: FloatArray
+    rotation: FloatArray  # base_R_body, shape (T, n, 3, 3)
+    origin: FloatArray  # of each body's frame [m], shape (T, n, 3)
+    axis: FloatArray  # screw axis of each joint (angular, linear), shape (T, n, 6)
+    twist: FloatArray  # of each body (angular, linear), shape (T, n, 6)
 
 
 def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) -> Kinematics:

@@ -52,60 +52,47 @@ from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot with its drive trains, as its YAML file states it.
-
-    Attributes:
-        drive_trains, motors: By joint; joints without a motor have none.
-        delay: From the stamp of a command to torque, less that of a position [s].
-        arm_scale: All masses of the model times this.
-        stamp_jitter_s: Standard deviation of the stamps.
-        onset_jitter_s: Standard deviation of the delay from run to run.
-        torque_disturbance: Standard deviation of a torque that is there in one run and not in the next, such as friction
-            that is not the same every time [N m].
-        start_velocity: Standard deviation of the velocity at which a locked joint is when its excitation begins [rad/s].
-        friction_spread: Standard deviation of friction from one free response to the next, relative.
-        swing_error: What neighbouring samples of a free response share of the error of its simulation: standard deviation that one
-            sample must have so that independent ones weigh as much [rad]. Calibrations and free responses themselves show it.
-        link_mass_std, link_com_std, link_inertia_std: How far a single link lies off the URDF, beyond `arm_scale`:
-            relative mass, each coordinate of its centre of mass [m], relative inertia about it.
-        drift: How fast a calibration ages.
-        residual_scale: Residuals of a calibration over what encoder and stamps explain.
-        calibration: What is known about this very arm, with all correlations; None when the file's numbers stand alone.
-        motion_calibration: What motions with an empty hand say about this very arm; it is for motions alone.
-        joint_calibration: What motions with known loads say about the only joint of this very robot.
-        friction_velocity: Coulomb's law is smoothed over this speed [rad/s].
-        payload_frame: Link in which objects are held.
-        held: Where joints stand that a recording lacks [rad or m].
-        gravity: In the base frame [m/s^2], shape (3,).
-        source, settings: The YAML file, and its content with everything it extends merged in; `with_overrides` builds on it.
-    """
+    """A robot with its drive trains, as its YAML file states it."""
 
     name: str
     model: RobotModel
+    # drive_trains, motors: by joint; joints without a motor have none
     drive_trains: dict[str, DriveTrain]
     motors: dict[str, Motor]
-    delay: Quantity
-    arm_scale: Quantity
-    stamp_jitter_s: float
-    friction_velocity: float
-    payload_frame: str
-    gravity: FloatArray
+    delay: Quantity  # from the stamp of a command to torque, less that of a position [s]
+    arm_scale: Quantity  # all masses of the model times this
+    stamp_jitter_s: float  # standard deviation of the stamps
+    friction_velocity: float  # Coulomb's law is smoothed over this speed [rad/s]
+    payload_frame: str  # link in which objects are held
+    gravity: FloatArray  # in the base frame [m/s^2], shape (3,)
+    # source, settings: the YAML file, and its content with everything it extends merged in; `with_overrides` builds on
+    # it
     source: Path
     settings: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    onset_jitter_s: float = 0.0
+    onset_jitter_s: float = 0.0  # standard deviation of the delay from run to run
+    # standard deviation of a torque that is there in one run and not in the next, such as friction that is not the same
+    # every time [N m]
     torque_disturbance: float = 0.0
+    # standard deviation of the velocity at which a locked joint is when its excitation begins [rad/s]
     start_velocity: float = 0.01
-    friction_spread: float = 0.15
+    friction_spread: float = 0.15  # standard deviation of friction from one free response to the next, relative
+    # what neighbouring samples of a free response share of the error of its simulation: standard deviation that one
+    # sample must have so that independent ones weigh as much [rad]. Calibrations and free responses themselves show it
     swing_error: float = 0.0
+    # link_mass_std, link_com_std, link_inertia_std: how far a single link lies off the URDF, beyond `arm_scale`:
+    # relative mass, each coordinate of its centre of mass [m], relative inertia about it
     link_mass_std: float = 0.0
     link_com_std: float = 0.0
     link_inertia_std: float = 0.0
-    residual_scale: float = 1.0
+    residual_scale: float = 1.0  # residuals of a calibration over what encoder and stamps explain
+    # what is known about this very arm, with all correlations; None when the file's numbers stand alone
     calibration: Calibration | None = None
+    # what motions with an empty hand say about this very arm; it is for motions alone
     motion_calibration: MotionCalibration | None = None
+    # what motions with known loads say about the only joint of this very robot
     joint_calibration: JointCalibration | None = None
-    drift: Drift = field(default_factory=Drift)
-    held: Mapping[str, float] = field(default_factory=dict)
+    drift: Drift = field(default_factory=Drift)  # how fast a calibration ages
+    held: Mapping[str, float] = field(default_factory=dict)  # where joints stand that a recording lacks [rad or m]
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.

@@ -27,42 +27,28 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True, eq=False)
 class ReducedModel:
-    """A robot with some joints held: n bodies that move, each everything between one active joint and the next.
+    """A robot with some joints held: n bodies that move, each everything between one active joint and the next."""
 
-    Attributes:
-        joint_names: Active joints, parents before children, length n.
-        kinds: 'revolute' or 'prismatic' of each, length n.
-        parents: Index of the body that each joint stands on, -1 for the base, shape (n,).
-        placement: parentbody_T_joint at position zero, shape (n, 4, 4).
-        axes: Unit axis in each joint's frame, shape (n, 3).
-        pseudo_inertia: Of each body about its joint's frame, which moves with the body, shape (n, 4, 4).
-        gravity: In the base frame [m/s^2], shape (3,).
-        frames: For every link the body that it belongs to (-1 for the base) and body_T_link.
-    """
-
-    joint_names: tuple[str, ...]
-    kinds: tuple[str, ...]
-    parents: NDArray[np.int64]
-    placement: FloatArray
-    axes: FloatArray
-    pseudo_inertia: FloatArray
-    gravity: FloatArray
+    joint_names: tuple[str, ...]  # active joints, parents before children, length n
+    kinds: tuple[str, ...]  # 'revolute' or 'prismatic' of each, length n
+    parents: NDArray[np.int64]  # index of the body that each joint stands on, -1 for the base, shape (n,)
+    placement: FloatArray  # parentbody_T_joint at position zero, shape (n, 4, 4)
+    axes: FloatArray  # unit axis in each joint's frame, shape (n, 3)
+    pseudo_inertia: FloatArray  # of each body about its joint's frame, which moves with the body, shape (n, 4, 4)
+    gravity: FloatArray  # in the base frame [m/s^2], shape (3,)
+    # for every link the body that it belongs to (-1 for the base) and body_T_link
     frames: dict[str, tuple[int, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """Kinematics and inertias of a robot: a tree of links.
-
-    Attributes:
-        links, joints: All, parents before children.
-        root: Name of the root link; its frame is the base frame.
-    """
+    """Kinematics and inertias of a robot: a tree of links."""
 
     name: str
+    # links, joints: all, parents before children
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
-    root: str
+    root: str  # name of the root link; its frame is the base frame
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> RobotModel:

@@ -32,28 +32,22 @@ _ROUNDING = 1e-9  # relative; inertias are printed with eight digits or more
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint of the tree.
-
-    Attributes:
-        kind: One of `JOINT_KINDS`.
-        parent, child: Link it stands on, and link it carries.
-        origin: parent_T_joint at position zero, shape (4, 4).
-        axis: Unit axis in the joint frame, shape (3,).
-        lower, upper: Smallest and largest position [rad or m], infinite when there is none.
-        velocity_limit, effort_limit: [rad/s or m/s] and [N m or N], infinite when there is none.
-        mimic: (source joint, multiplier, offset) of a joint that follows another; None for an independent one.
-    """
+    """One joint of the tree."""
 
     name: str
-    kind: str
+    kind: str  # one of `JOINT_KINDS`
+    # parent, child: link it stands on, and link it carries
     parent: str
     child: str
-    origin: FloatArray
-    axis: FloatArray
+    origin: FloatArray  # parent_T_joint at position zero, shape (4, 4)
+    axis: FloatArray  # unit axis in the joint frame, shape (3,)
+    # lower, upper: smallest and largest position [rad or m], infinite when there is none
     lower: float
     upper: float
+    # velocity_limit, effort_limit: [rad/s or m/s] and [N m or N], infinite when there is none
     velocity_limit: float
     effort_limit: float
+    # (source joint, multiplier, offset) of a joint that follows another; None for an independent one
     mimic: tuple[str, float, float] | None = None
 
     @property

@@ -21,16 +21,12 @@ RECORDED_TORQUE = {"value": 1.0, "std": 0.1}
 
 @dataclass(frozen=True)
 class Wide:
-    """A default that goes with the joint.
+    """A default that goes with the joint."""
 
-    Attributes:
-        of: ``largest torque``: zero, and so much of it as standard deviation; ``weakest``: the same of the weakest joint, for a
-            spread of its own; ``nominal``: the nominal torque constant, and so much of that.
-        share: How much.
-    """
-
+    # ``largest torque``: zero, and so much of it as standard deviation; ``weakest``: the same of the weakest joint, for
+    # a spread of its own; ``nominal``: the nominal torque constant, and so much of that
     of: str
-    share: float
+    share: float  # how much
 
     def at(self, nominal: float, largest: float) -> Quantity:
         """Of a joint with this nominal torque constant [N m/A] and largest torque [N m]."""

@@ -48,11 +48,7 @@ _TRANSPOSE = np.eye(9).reshape(3, 3, 3, 3).swapaxes(0, 1).reshape(9, 9)
 
 
 def check_law(law: str) -> str:
-    """The law, if there is such a one.
-
-    Raises:
-        SimulationError: There is none of that name.
-    """
+    """The law, if there is such a one. Raises `SimulationError`: There is none of that name."""
     if law not in LAWS:
         raise SimulationError(f"unknown law of elasticity {law!r}: choose one of {', '.join(LAWS)}")
     return law

@@ -39,27 +39,19 @@ def harmless(parameters: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class JointRun:
-    """What one rollout is driven by and where it is looked at.
+    """What one rollout is driven by and where it is looked at."""
 
-    Attributes:
-        sample_times_s: Encoder stamps after command onset [s], shape (T,), increasing.
-        input_times_s: When the current changes [s], shape (S,), increasing, first at 0.
-        input_current_A: The current from each of those instants on [A], shape (S,).
-        input_load: Load from each of those instants on beside gravity's, shape (S, 2): with an empty hand [N m], and what each
-            kilogram carried adds [N m/kg]; None is none.
-        supply: (voltage [V], back-EMF constant [V s/rad], resistance [ohm]); voltage 0 means no limit.
-        friction_velocity: v_s, where Coulomb's law is smoothed [rad/s].
-        step_s: Longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's.
-        fine_step_s: Step while the joint is near standstill [s]; equal to ``step_s`` where there is no dry friction.
-    """
-
-    sample_times_s: np.ndarray
-    input_times_s: np.ndarray
-    input_current_A: np.ndarray
+    sample_times_s: np.ndarray  # encoder stamps after command onset [s], shape (T,), increasing
+    input_times_s: np.ndarray  # when the current changes [s], shape (S,), increasing, first at 0
+    input_current_A: np.ndarray  # the current from each of those instants on [A], shape (S,)
+    # (voltage [V], back-EMF constant [V s/rad], resistance [ohm]); voltage 0 means no limit
     supply: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    friction_velocity: float = 1e-3
-    step_s: float = 1.0 / 240.0
+    friction_velocity: float = 1e-3  # v_s, where Coulomb's law is smoothed [rad/s]
+    step_s: float = 1.0 / 240.0  # longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's
+    # step while the joint is near standstill [s]; equal to ``step_s`` where there is no dry friction
     fine_step_s: float = 1.0 / 240.0
+    # load from each of those instants on beside gravity's, shape (S, 2): with an empty hand [N m], and what each
+    # kilogram carried adds [N m/kg]; None is none
     input_load: np.ndarray | None = None
 
 

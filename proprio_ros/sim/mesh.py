@@ -32,19 +32,11 @@ _TET_CORNERS = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])  # faces o
 
 @dataclass(frozen=True)
 class TetMesh:
-    """A solid out of tetrahedra.
+    """A solid out of tetrahedra. Raises `ConfigurationError`: Not a sound mesh; the message says where."""
 
-    Attributes:
-        points: Reference positions [m], shape (N, 3); x along the squeeze.
-        tets: Corners of each tetrahedron, positively oriented, shape (M, 4).
-        cells: Number of the cell that each tetrahedron belongs to, shape (M,); the change of volume is shared within a cell.
-
-    Raises:
-        ConfigurationError: Not a sound mesh; the message says where.
-    """
-
-    points: np.ndarray
-    tets: np.ndarray
+    points: np.ndarray  # reference positions [m], shape (N, 3); x along the squeeze
+    tets: np.ndarray  # corners of each tetrahedron, positively oriented, shape (M, 4)
+    # number of the cell that each tetrahedron belongs to, shape (M,); the change of volume is shared within a cell
     cells: np.ndarray
 
     def __post_init__(self) -> None:

@@ -30,15 +30,11 @@ _SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 @dataclass(frozen=True)
 class PayloadShape:
-    """How a payload's mass is spread about its centre of mass.
+    """How a payload's mass is spread about its centre of mass."""
 
-    Attributes:
-        second_moment_per_mass: Integral of r r^T dm / m about the centre of mass in the payload frame [m^2], shape (3, 3).
-        description: The words it was made from, for the report.
-    """
-
+    # integral of r r^T dm / m about the centre of mass in the payload frame [m^2], shape (3, 3)
     second_moment_per_mass: np.ndarray
-    description: str
+    description: str  # the words it was made from, for the report
 
     @classmethod
     def of(cls, shape: str, size: float | Sequence[float] | None) -> PayloadShape:
@@ -114,21 +110,14 @@ class PayloadShape:
 
 @dataclass(frozen=True)
 class PayloadFacts:
-    """What is stated about the object before its mass is known (``config/probes/payload.yaml`` and ``--set``).
+    """What is stated about the object before its mass is known (``config/probes/payload.yaml`` and ``--set``)."""
 
-    Attributes:
-        com: Centre of mass in the payload frame [m], shape (3,).
-        com_std: How far the true centre may lie from it [m], shape (3,); 0 means known.
-        shape: Spread of the mass.
-        shape_std_relative: Relative uncertainty of that spread (a guessed size is not a measured one).
-        com_guessed: Whether nobody stated where it is.
-    """
-
-    com: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    com: np.ndarray = field(default_factory=lambda: np.zeros(3))  # centre of mass in the payload frame [m], shape (3,)
+    # how far the true centre may lie from it [m], shape (3,); 0 means known
     com_std: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    shape: PayloadShape = field(default_factory=lambda: PayloadShape.of("point", None))
-    shape_std_relative: float = 0.0
-    com_guessed: bool = False
+    shape: PayloadShape = field(default_factory=lambda: PayloadShape.of("point", None))  # spread of the mass
+    shape_std_relative: float = 0.0  # relative uncertainty of that spread (a guessed size is not a measured one)
+    com_guessed: bool = False  # whether nobody stated where it is
 
     @property
     def per_kg(self) -> np.ndarray:

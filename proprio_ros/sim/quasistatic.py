@@ -119,24 +119,16 @@ class Elastic:
 
 @dataclass(frozen=True)
 class SqueezeCurve:
-    """Equilibria at K squeezes; all shapes are (K,) but for the nodes' positions.
+    """Equilibria at K squeezes; all shapes are (K,) but for the nodes' positions."""
 
-    Attributes:
-        squeeze: How far the faces were moved together [m].
-        force: That the block pushes each finger with [N], and its derivatives [N/m, N/Pa, N/Pa].
-        points: Nodal positions [m], shape (K, N, 3).
-        least_j: Smallest relative volume of a tetrahedron.
-        iterations: Of Newton's method, in all.
-    """
-
-    squeeze: np.ndarray
-    force: np.ndarray
+    squeeze: np.ndarray  # how far the faces were moved together [m]
+    force: np.ndarray  # that the block pushes each finger with [N], and its derivatives [N/m, N/Pa, N/Pa]
     by_squeeze: np.ndarray
     by_mu: np.ndarray
     by_lambda: np.ndarray
-    points: np.ndarray
-    least_j: np.ndarray
-    iterations: int
+    points: np.ndarray  # nodal positions [m], shape (K, N, 3)
+    least_j: np.ndarray  # smallest relative volume of a tetrahedron
+    iterations: int  # of Newton's method, in all
 
 
 class QuasiStatic:

@@ -46,17 +46,13 @@ _SOURCES = ("mesh.py", "energies.py", "quasistatic.py", "response.py")
 
 @dataclass(frozen=True)
 class Response:
-    """phi over a grid.
+    """phi over a grid."""
 
-    Attributes:
-        made_of: Settings and a hash of the code, one line of JSON.
-        squeeze, ratio: Relative to the length, and Poisson's, evenly spaced from 0; shapes (S,) and (N,).
-        nodes: phi, its derivative by s, by nu, and by both, each multiplied by the spacing of what it is by; shape (S, N, 4).
-    """
-
-    made_of: str
+    made_of: str  # settings and a hash of the code, one line of JSON
+    # squeeze, ratio: relative to the length, and Poisson's, evenly spaced from 0; shapes (S,) and (N,)
     squeeze: np.ndarray
     ratio: np.ndarray
+    # phi, its derivative by s, by nu, and by both, each multiplied by the spacing of what it is by; shape (S, N, 4)
     nodes: np.ndarray
 
     @property

@@ -34,35 +34,27 @@ class Law:
 
     In all of them ``y`` is the state, ``dy`` its tangents, ``u`` the input, ``p``, ``dp`` the parameters and their tangents of
     world ``w``, ``data`` what is known about run ``r``.
-
-    Attributes:
-        directions: how many tangents D.
-        state, input: Warp vectors; tangent: Warp matrix (state, D).
-        data, out: Warp structs, of what is known about the runs and of the results.
-        delay: column of the delay in the parameters.
-        start: (p, dp, w, data, r) -> y, dy.
-        rates: (y, dy, u, p, dp, w, data, r) -> their rates.
-        moved: (y, dy, z, dz, k, dk, data, r) -> the rates k, dk with those of positions made anew from the velocities in z.
-        still: (y, k, data, r, step) -> whether it is, or may come within a step, near standstill.
-        record: (out, w, sample, y, dy, lead, d_lead), which writes a result; ``lead`` is below 0 before the onset [s].
-        weights: of the outer and the inner stages of RK4, and what their sum is multiplied by.
-        max_unroll: loops with more turns stay loops in the compiled code, the stages of RK4 among them.
     """
 
-    directions: int
+    directions: int  # how many tangents D
+    # state, input: Warp vectors
     state: Any
     input: Any
-    tangent: Any
+    tangent: Any  # Warp matrix (state, D)
+    # data, out: Warp structs, of what is known about the runs and of the results
     data: Any
     out: Any
-    delay: int
-    start: Callable[..., Any]
-    rates: Callable[..., Any]
+    delay: int  # column of the delay in the parameters
+    start: Callable[..., Any]  # (p, dp, w, data, r) -> y, dy
+    rates: Callable[..., Any]  # (y, dy, u, p, dp, w, data, r) -> their rates
+    # (y, dy, z, dz, k, dk, data, r) -> the rates k, dk with those of positions made anew from the velocities in z
     moved: Callable[..., Any]
-    still: Callable[..., Any]
+    still: Callable[..., Any]  # (y, k, data, r, step) -> whether it is, or may come within a step, near standstill
+    # (out, w, sample, y, dy, lead, d_lead), which writes a result; ``lead`` is below 0 before the onset [s]
     record: Callable[..., Any]
+    # of the outer and the inner stages of RK4, and what their sum is multiplied by
     weights: tuple[float, float, float] = (1.0, 2.0, 1.0 / 6.0)
-    max_unroll: int = 16
+    max_unroll: int = 16  # loops with more turns stay loops in the compiled code, the stages of RK4 among them
 
 
 @cache
@@ -187,22 +179,16 @@ class PlainLaw:
     """What a walk without tangents needs, right for ``wp.Tape``: as in `Law`, with ``dp`` and all that begins with d left out.
 
     The first two entries of the state are position and velocity of the joint.
-
-    Attributes:
-        start: (p, w, data, r) -> y.
-        rates: (y, u, p, w, data, r) -> k.
-        step: (y, h, u, p, w, data, r) -> the state a time h later, by its integrator.
-        still: as in `Law`.
     """
 
     state: Any
     input: Any
     data: Any
     delay: int
-    start: Callable[..., Any]
-    rates: Callable[..., Any]
-    step: Callable[..., Any]
-    still: Callable[..., Any]
+    start: Callable[..., Any]  # (p, w, data, r) -> y
+    rates: Callable[..., Any]  # (y, u, p, w, data, r) -> k
+    step: Callable[..., Any]  # (y, h, u, p, w, data, r) -> the state a time h later, by its integrator
+    still: Callable[..., Any]  # as in `Law`
 
 
 @cache

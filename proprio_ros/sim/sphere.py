@@ -38,22 +38,16 @@ _SIZES = (1, 8, 16)
 class Enclosure:
     """The inside of a container and the sphere's size.
 
-    Attributes:
-        shape: ``"box"``, ``"cylinder"`` (axis along z) or ``"sphere"``.
-        inner_size: [m] box: [x, y, z]; cylinder: [diameter, diameter, length]; sphere: three times its diameter; shape (3,).
-        radius: Of the sphere inside [m].
-        inertia_factor: kappa; 0.4 for a solid ball, 2/3 for a hollow one.
-        ramp_depth: d_0 of the default law [m].
-
     Raises:
         SimulationError: Unknown shape, or a sphere that does not fit.
     """
 
-    shape: str
+    shape: str  # ``"box"``, ``"cylinder"`` (axis along z) or ``"sphere"``
+    # [m] box: [x, y, z]; cylinder: [diameter, diameter, length]; sphere: three times its diameter; shape (3,)
     inner_size: np.ndarray
-    radius: float
-    inertia_factor: float = 0.4
-    ramp_depth: float = 5e-4
+    radius: float  # of the sphere inside [m]
+    inertia_factor: float = 0.4  # kappa; 0.4 for a solid ball, 2/3 for a hollow one
+    ramp_depth: float = 5e-4  # d_0 of the default law [m]
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
@@ -71,16 +65,12 @@ class Enclosure:
 
 @dataclass(frozen=True)
 class Contact:
-    """Constants of the law of contact, per kilogram of the sphere.
+    """Constants of the law of contact, per kilogram of the sphere."""
 
-    Attributes:
-        stiffness: [1/s^2]; damping: [1/s]; traction: [1/s]; friction: coefficient of friction.
-    """
-
-    stiffness: float
-    damping: float
-    traction: float
-    friction: float
+    stiffness: float  # [1/s^2]
+    damping: float  # [1/s]
+    traction: float  # [1/s]
+    friction: float  # its coefficient
 
     @classmethod
     def of(cls, frequency: float, damping_ratio: float, friction: float, traction: float = 300.0) -> "Contact":
@@ -107,21 +97,14 @@ def paper_contact(
 
 @dataclass(frozen=True)
 class SphereRun:
-    """One rollout with a sphere.
+    """One rollout with a sphere."""
 
-    Attributes:
-        joint: What drives the joint, and where it is looked at. Its ``step_s`` should not be above ``Contact.step_s``.
-        kind: ``"revolute"`` or ``"prismatic"``.
-        axis: Of the joint, in the container's frame, shape (3,).
-        joint_origin: A point on the axis, in the container's frame [m], shape (3,).
-        gravity: At joint position 0, in the container's frame [m/s^2], shape (3,).
-    """
-
+    # what drives the joint, and where it is looked at. Its ``step_s`` should not be above ``Contact.step_s``
     joint: JointRun
-    kind: str
-    axis: np.ndarray
-    joint_origin: np.ndarray
-    gravity: np.ndarray
+    kind: str  # ``"revolute"`` or ``"prismatic"``
+    axis: np.ndarray  # of the joint, in the container's frame, shape (3,)
+    joint_origin: np.ndarray  # a point on the axis, in the container's frame [m], shape (3,)
+    gravity: np.ndarray  # at joint position 0, in the container's frame [m/s^2], shape (3,)
 
     def gravity_terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Constant, cos and sin parts of gravity in the container's frame as the joint turns [m/s^2] (Rodrigues)."""

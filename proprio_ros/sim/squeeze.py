@@ -38,24 +38,18 @@ _SIZES = (1, 4, 8, 12, 18)
 class SqueezeRun:
     """One closing of the gripper on the block.
 
-    Attributes:
-        joint: What drives the joint and when it is looked at.
-        length: Of the block along the squeeze [m].
-        area: Of the face that is pushed [m^2].
-        travel: How fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0; negative where the joint's
-            coordinate falls when closing.
-        response: Of the block in this run's orientation and contact.
-        bend: What the second and the third power of the joint's coordinate add to that closing [m/rad^2, m/rad^3].
-
     Raises:
         SimulationError: A length or area that is not above 0, or no travel.
     """
 
-    joint: JointRun
-    length: float
-    area: float
+    joint: JointRun  # what drives the joint and when it is looked at
+    length: float  # of the block along the squeeze [m]
+    area: float  # of the face that is pushed [m^2]
+    # how fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0; negative where the joint's
+    # coordinate falls when closing
     travel: float
-    response: Response
+    response: Response  # of the block in this run's orientation and contact
+    # what the second and the third power of the joint's coordinate add to that closing [m/rad^2, m/rad^3]
     bend: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:

@@ -318,11 +318,7 @@ class VirtualArm:
 
 
 def import_mujoco() -> Any:
-    """MuJoCo's module.
-
-    Raises:
-        ConfigurationError: It is not installed.
-    """
+    """MuJoCo's module. Raises `ConfigurationError`: It is not installed."""
     try:
         import mujoco
     except ImportError as error:

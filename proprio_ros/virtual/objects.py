@@ -62,11 +62,7 @@ class HandObject(ABC):
 
 @dataclass(frozen=True)
 class Payload(HandObject):
-    """A rigid body in the hand.
-
-    Raises:
-        ConfigurationError: A number is no mass or length.
-    """
+    """A rigid body in the hand. Raises `ConfigurationError`: A number is no mass or length."""
 
     kind = "payload"
     form = "payload:0.05,size=0.03,com=[0.01,0,0]"

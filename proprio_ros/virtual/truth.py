@@ -126,11 +126,7 @@ class Truth:
 
     @classmethod
     def from_json(cls, text: str) -> Truth:
-        """Read what `as_json` wrote.
-
-        Raises:
-            ConfigurationError: It is no JSON, or no truth.
-        """
+        """Read what `as_json` wrote. Raises `ConfigurationError`: It is no JSON, or no truth."""
         try:
             given: dict[str, Any] = json.loads(text)
             joints = {name: JointTruth(**values) for name, values in given.pop("joints").items()}

@@ -10,25 +10,19 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SpherePath:
-    """Where the sphere is believed to have been during a run.
-
-    Attributes:
-        shape, inner_size, radius: Of the inside, along the axes of the container, shape (3,), and of the sphere [m].
-        times_s: Shape (K,).
-        position, std: Of the sphere's centre in the container's frame [m], shape (K, 3).
-        world_from_container: Shape (K, 3, 3).
-        across: The joint's axis in the container's frame; one looks along it, shape (3,).
-    """
+    """Where the sphere is believed to have been during a run."""
 
     run: str
+    # shape, inner_size, radius: of the inside, along the axes of the container, shape (3,), and of the sphere [m]
     shape: str
     inner_size: np.ndarray
     radius: float
-    times_s: np.ndarray
+    times_s: np.ndarray  # shape (K,)
+    # position, std: of the sphere's centre in the container's frame [m], shape (K, 3)
     position: np.ndarray
     std: np.ndarray
-    world_from_container: np.ndarray
-    across: np.ndarray
+    world_from_container: np.ndarray  # shape (K, 3, 3)
+    across: np.ndarray  # the joint's axis in the container's frame; one looks along it, shape (3,)
 
     @property
     def moved(self) -> float:

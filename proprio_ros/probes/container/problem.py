@@ -35,38 +35,31 @@ RESTING_STD_M = 3e-4
 
 @dataclass(frozen=True)
 class ContainerFacts:
-    """What is stated about the container and the sphere (``config/probes/container.yaml`` and ``--set``).
+    """What is stated about the container and the sphere (``config/probes/container.yaml`` and ``--set``)."""
 
-    Attributes:
-        enclosure: Its inside, and the sphere's size.
-        centre: Of the container in the payload frame [m], shape (3,).
-        rotation: payload_R_container, shape (3, 3).
-        mass, mass_std: Of the shell [kg]; an infinite standard deviation means not stated.
-        settled: Whether the sphere lay still in the lowest place before the current came on.
-        start, start_std: Where its centre was instead, in the container's frame [m], shape (3,); None where not stated.
-        contact_frequency: Of the sphere on a wall [rad/s]: hard enough that a touch is short beside the motion.
-        damping_ratio, friction, traction, law: Of contact, see ``sim/sphere.py`` [1, 1, 1/s].
-        k_e, k_d, k_f: Of the law ``paper`` [N/m, N s/m, N s/m], instead of frequency, damping ratio and traction.
-        guessed: Keys of sizes and places that the user did not state.
-    """
-
-    enclosure: Enclosure
+    enclosure: Enclosure  # its inside, and the sphere's size
+    # of the container in the payload frame [m], shape (3,)
     centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # payload_R_container, shape (3, 3)
+    # mass, mass_std: of the shell [kg]; an infinite standard deviation means not stated
     mass: float = 0.03
     mass_std: float = np.inf
-    settled: bool = True
+    settled: bool = True  # whether the sphere lay still in the lowest place before the current came on
+    # start, start_std: where its centre was instead, in the container's frame [m], shape (3,); None where not stated
     start: np.ndarray | None = None
     start_std: float = 1e-3
+    # of the sphere on a wall [rad/s]: hard enough that a touch is short beside the motion
     contact_frequency: float = 400.0
+    # damping_ratio, friction, traction, law: of contact, see ``sim/sphere.py`` [1, 1, 1/s]
     damping_ratio: Quantity = field(default_factory=lambda: Quantity(0.4, 0.2))
     friction: Quantity = field(default_factory=lambda: Quantity(0.35, 0.15))
     traction: float = 300.0
     law: str = "ramped"
+    # k_e, k_d, k_f: of the law ``paper`` [N/m, N s/m, N s/m], instead of frequency, damping ratio and traction
     k_e: float = 1000.0
     k_d: float = 1.0
     k_f: float = 1.0
-    guessed: tuple[str, ...] = ()
+    guessed: tuple[str, ...] = ()  # keys of sizes and places that the user did not state
 
     @property
     def shell(self) -> PayloadFacts:
@@ -102,17 +95,11 @@ SIGNALS = ("both", "joint", "camera")
 
 @dataclass(frozen=True)
 class SphereTrack:
-    """Where a camera saw the sphere during a run: a second signal beside the joint's encoder.
+    """Where a camera saw the sphere during a run: a second signal beside the joint's encoder."""
 
-    Attributes:
-        times_s: Since the run's onset, increasing, shape (C,).
-        position: Of the sphere's centre in the container's frame [m], shape (C, 3).
-        std: Of each coordinate [m].
-    """
-
-    times_s: np.ndarray
-    position: np.ndarray
-    std: float
+    times_s: np.ndarray  # since the run's onset, increasing, shape (C,)
+    position: np.ndarray  # of the sphere's centre in the container's frame [m], shape (C, 3)
+    std: float  # of each coordinate [m]
 
     def within(self, first_s: float, last_s: float) -> SphereTrack:
         """The part between two instants."""

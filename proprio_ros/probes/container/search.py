@@ -41,21 +41,17 @@ MOST_ENDS = 5
 
 @dataclass(frozen=True)
 class ContainerOptions:
-    """How to solve, and when to refuse.
+    """How to solve, and when to refuse."""
 
-    Attributes:
-        integrator, step_s: See ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter.
-        starts_kg: First guesses of the sphere's mass.
-        wide_share, wide_floor_kg: An answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
-        signals: What runs that a camera saw are fitted to, one of ``SIGNALS``.
-    """
-
+    # integrator, step_s: see ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter
     integrator: str = "rk4"
     step_s: float = 1.0 / 240.0
-    starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)
+    starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)  # first guesses of the sphere's mass
+    # wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is
+    # ``too_wide``
     wide_share: float = 0.5
     wide_floor_kg: float = 0.005
-    signals: str = "both"
+    signals: str = "both"  # what runs that a camera saw are fitted to, one of ``SIGNALS``
 
     def __post_init__(self) -> None:
         if self.signals not in SIGNALS:

@@ -34,13 +34,6 @@ LEVEL = 0.02
 class Container(HandObject):
     """A closed box of six thin walls, rigid in the hand, with a sphere that is free inside.
 
-    Attributes:
-        mass_kg: Of the walls, spread evenly over them.
-        inner_size_m: Along the axes of the payload frame, shape (3,).
-        centre_m: Of the box in the payload frame, shape (3,).
-        sphere_mass_kg, sphere_radius_m: Of the sphere, a solid ball.
-        friction: Sliding friction between sphere and walls; rolling costs nothing.
-
     Raises:
         ConfigurationError: A number is no mass or length, or the sphere does not fit.
     """
@@ -58,12 +51,13 @@ class Container(HandObject):
         }
     )
 
-    mass_kg: float = 0.03
-    inner_size_m: Vector = (0.06, 0.04, 0.04)
-    centre_m: Vector = (0.035, 0.0, 0.0)
+    mass_kg: float = 0.03  # of the walls, spread evenly over them
+    inner_size_m: Vector = (0.06, 0.04, 0.04)  # along the axes of the payload frame, shape (3,)
+    centre_m: Vector = (0.035, 0.0, 0.0)  # of the box in the payload frame, shape (3,)
+    # sphere_mass_kg, sphere_radius_m: of the sphere, a solid ball
     sphere_mass_kg: float = 0.012
     sphere_radius_m: float = 0.01
-    friction: float = 0.4
+    friction: float = 0.4  # sliding friction between sphere and walls; rolling costs nothing
 
     def __post_init__(self) -> None:
         check_mass("mass", self.mass_kg)

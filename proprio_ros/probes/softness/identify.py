@@ -64,20 +64,16 @@ PRIOR_DOMINATED = 0.7
 
 @dataclass(frozen=True)
 class SqueezeOptions:
-    """How to solve, and when to refuse.
+    """How to solve, and when to refuse."""
 
-    Attributes:
-        integrator, step_s: See ``SqueezeSimulator``.
-        starts_Pa: First guesses of Young's modulus, two orders of magnitude apart or more.
-        widest_relative: Half width of the 95 % interval of Young's modulus over its value beyond which none is given.
-        wide_share: An answer whose half width exceeds this share of the value is ``too_wide``.
-    """
-
+    # integrator, step_s: see ``SqueezeSimulator``
     integrator: str = "rk4"
     step_s: float = 1.0 / 480.0
+    # first guesses of Young's modulus, two orders of magnitude apart or more
     starts_Pa: tuple[float, ...] = (3e3, 1e4, 4e4, 1.6e5, 6e5)
+    # half width of the 95 % interval of Young's modulus over its value beyond which none is given
     widest_relative: float = 1.0
-    wide_share: float = 0.5
+    wide_share: float = 0.5  # an answer whose half width exceeds this share of the value is ``too_wide``
 
 
 @dataclass(frozen=True)

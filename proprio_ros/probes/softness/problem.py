@@ -36,28 +36,19 @@ HIGHEST_RATIO = 0.47
 
 @dataclass(frozen=True)
 class BlockFacts:
-    """What is stated about the block and how it is held (``config/probes/softness.yaml`` and ``--set``).
+    """What is stated about the block and how it is held (``config/probes/softness.yaml`` and ``--set``)."""
 
-    Attributes:
-        size: Of the block, x along the squeeze [m], shape (3,); of a mesh its extent.
-        law: Of elasticity, one of ``energies.LAWS``.
-        contact: Of its faces with the fingers, one of ``quasistatic.CONTACTS``.
-        fingers: How many move, each by the joint's transmission or measured travel.
-        gap: How far the fingers together close before they touch it [m].
-        poissons_ratio, relaxation_s: Priors, of the latter viscosity over Young's modulus.
-        mesh: Of a block that is no box.
-        guessed: Keys of sizes that the user did not state.
-    """
-
-    size: np.ndarray
-    law: str = "log"
-    contact: str = "frictionless"
-    fingers: int = 2
+    size: np.ndarray  # of the block, x along the squeeze [m], shape (3,); of a mesh its extent
+    law: str = "log"  # of elasticity, one of ``energies.LAWS``
+    contact: str = "frictionless"  # of its faces with the fingers, one of ``quasistatic.CONTACTS``
+    fingers: int = 2  # how many move, each by the joint's transmission or measured travel
+    # how far the fingers together close before they touch it [m]
     gap: Quantity = field(default_factory=lambda: Quantity(0.001, 0.002))
+    # poissons_ratio, relaxation_s: priors, of the latter viscosity over Young's modulus
     poissons_ratio: Quantity = field(default_factory=lambda: Quantity(0.3, 0.12))
     relaxation_s: Quantity = field(default_factory=lambda: Quantity(0.0, 0.01))
-    mesh: TetMesh | None = None
-    guessed: tuple[str, ...] = ()
+    mesh: TetMesh | None = None  # of a block that is no box
+    guessed: tuple[str, ...] = ()  # keys of sizes that the user did not state
 
     @property
     def length(self) -> float:

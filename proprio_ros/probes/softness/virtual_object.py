@@ -27,13 +27,6 @@ class SoftBlock(HandObject):
     "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction", ICRA 2025,
     arXiv:2410.03920) answers to a uniaxial stretch. It never pulls.
 
-    Attributes:
-        youngs_modulus_Pa: E, for small strains.
-        size_m: Along the squeeze, and of the pressed face; shape (3,).
-        damping: Per rate of compression [N s/m].
-        gap_m: How far each finger closes, from where it was when the block was put between them, until it touches.
-        poissons_ratio: For small strains.
-
     Raises:
         ConfigurationError: A number is negative, or in another unit.
     """
@@ -51,11 +44,12 @@ class SoftBlock(HandObject):
     )
     acts = True
 
-    youngs_modulus_Pa: float
-    size_m: Vector = (0.03, 0.03, 0.03)
-    damping: float = 0.0
+    youngs_modulus_Pa: float  # E, for small strains
+    size_m: Vector = (0.03, 0.03, 0.03)  # along the squeeze, and of the pressed face; shape (3,)
+    damping: float = 0.0  # per rate of compression [N s/m]
+    # how far each finger closes, from where it was when the block was put between them, until it touches
     gap_m: float = 0.0
-    poissons_ratio: float = 0.25
+    poissons_ratio: float = 0.25  # for small strains
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.youngs_modulus_Pa <= 1e9:
