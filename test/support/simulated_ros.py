@@ -32,6 +32,9 @@ from support.simulated_time import Ended, SimulatedClock
 SYSTEM_AHEAD_NS = 1_700_000_000_000_000_000
 """System time where the clock of the world says zero."""
 
+SENT_AGAIN_S = 0.2
+"""After which a reliable middleware has sent again what was lost."""
+
 
 @dataclass
 class Network:
@@ -83,6 +86,11 @@ class Graph:
         if not draw() < network.reorder:
             at_s = max(at_s, last_s)
         return [at_s, at_s + network.jitter_s] if draw() < network.double else [at_s]
+
+    def call_arrival(self) -> float:
+        """When a service's request or answer comes: calls are reliable, what is lost is sent again."""
+        arrivals = self.arrival(-math.inf)
+        return arrivals[0] if arrivals else self.clock._now_s + SENT_AGAIN_S
 
     def remove(self, group: str) -> None:
         """A process is gone, and all it offered."""
@@ -281,13 +289,13 @@ class Client:
             return future
 
         def answer(response: Any) -> None:
-            for at_s in node.graph.arrival(-math.inf)[:1]:
-                node._ros_answers.append((at_s, future, response, self))
-                node.due(at_s)
+            at_s = node.graph.call_arrival()
+            node._ros_answers.append((at_s, future, response, self))
+            node.due(at_s)
 
-        for at_s in node.graph.arrival(-math.inf)[:1]:
-            service.queue.append((at_s, request, SimpleNamespace(answer=answer)))
-            service._node.due(at_s)
+        at_s = node.graph.call_arrival()
+        service.queue.append((at_s, request, SimpleNamespace(answer=answer)))
+        service._node.due(at_s)
         return future
 
     def remove_pending_request(self, future: Future) -> None:
