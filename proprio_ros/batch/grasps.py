@@ -59,15 +59,10 @@ def gripper_joint(robot: Robot, motion: Motion) -> str | None:
 
 
 class Grasps:
-    """Finds the stretches of a motion that comes in parts.
+    """Finds the stretches of a motion that comes in parts, for a probe that is `Online`.
 
-    Args:
-        request: Whose probe is `Online`.
-        robot: With a calibration of motions.
-        first: The first part; where its other joints stand they count as standing throughout.
-
-    Raises:
-        RobotError: The calibration is of another arm.
+    Where other joints stand in the first part they count as standing throughout. Raises `RobotError`: The calibration
+    of motions is of another arm.
     """
 
     def __init__(self, request: Request, robot: Robot, first: Motion) -> None:
@@ -133,12 +128,9 @@ class Grasps:
 
 
 def _said(before: OnlineEstimate | None, now: OnlineEstimate, gripper_moved: bool | None) -> tuple[str, str]:
-    """What became of the load, as a code and as a sentence.
+    """What became of the load from one stretch to the next, as a code and as a sentence.
 
-    Args:
-        before: Of the stretch before; None: this is the first.
-        now: Of this stretch.
-        gripper_moved: Whether it did where one became the other; None: nobody knows.
+    The first stretch has none before it; None: nobody knows whether the gripper moved where one became the other.
     """
     empty = now.ci95_kg[0] <= 0.0
     heavy = f"{1e3 * now.mass_kg:.0f} g ({1e3 * now.ci95_kg[0]:.0f} to {1e3 * now.ci95_kg[1]:.0f})"

@@ -131,12 +131,9 @@ def listing(
 ) -> str:
     """All of it as JSON for ``rows.js``, which names the columns.
 
-    Args:
-        rows: In their order.
-        sources: Of each what it is called on the page, and where it lies, by the name of its partition.
-        pages: Files beside the page, by the number of the row that each is of.
-        far: Numbers of the rows that are far from the others of their source.
-        about: What else the script needs.
+    ``sources`` say what each is called on the page, and where it lies, by the name of its partition; ``pages`` are
+    files beside the page by the number of their row, ``far`` the numbers of rows that are far from the others of their
+    source, ``about`` is what else the script needs.
     """
     sentences, names, causes = Sentences(), list(sources), causes_of(rows)
     place = {cause: number for number, cause in enumerate(causes)}

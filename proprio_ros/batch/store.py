@@ -51,11 +51,7 @@ def chunks_of(episodes: Sequence[Episode], size: int) -> Iterator[list[Episode]]
 
 
 class Store:
-    """The rows of one job in a folder.
-
-    Args:
-        folder: Made where it is not.
-        job: Whose rows they are.
+    """The rows of one job in a folder, which is made where it is not.
 
     Raises:
         ConfigurationError: The folder cannot be made, holds the rows of another job, or another process writes to it.

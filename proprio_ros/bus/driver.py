@@ -56,14 +56,9 @@ class DriverSettings:
 class ArmDriver:
     """Drives the servos of one robot.
 
-    `cycle` belongs to one thread; `command_currents`, `command_positions`, `hold`, `stop` and `set_torque` may be called from any.
-
-    Args:
-        robot: Joints, limits, motors and transmissions.
-        bus: Its servos.
-        settings: Limits and deadlines.
-        log: Called with sentences for the operator with a severity: ``info``, ``warning`` or ``error``.
-        clock: Monotonic seconds.
+    `cycle` belongs to one thread; `command_currents`, `command_positions`, `hold`, `stop` and `set_torque` may be
+    called from any. ``log`` is called with a severity, ``info``, ``warning`` or ``error``, and a sentence for the
+    operator; the clock gives monotonic seconds.
     """
 
     def __init__(

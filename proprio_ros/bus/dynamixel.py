@@ -121,15 +121,10 @@ class Goal(NamedTuple):
 
 
 class DynamixelBus:
-    """The servos of one arm on one port.
+    """The servos that should be there of one arm on one port, such as /dev/ttyUSB0, at one of `BAUD_RATES`.
 
-    Args:
-        port: Such as /dev/ttyUSB0.
-        servos: That should be there.
-        baud_rate: In bits per second, one of `BAUD_RATES`.
-        reply_timeout_s: See `REPLY_TIMEOUT_S`.
-        fast_sync_read: Whether to use Fast Sync Read where every servo's firmware knows it.
-        connect: Makes another port than the serial one of that name; it is asked for bytes again and again.
+    Fast Sync Read is used where it may be, and every servo's firmware knows it; ``connect`` makes another port than the
+    serial one of that name, which is asked for bytes again and again.
 
     Attributes:
         fast: Whether all servos answer in one packet (Fast Sync Read); known after `handshake`.
@@ -302,12 +297,10 @@ class DynamixelBus:
     def prepare(self, *, watchdog_s: float, position_d_gain: int) -> None:
         """Put every servo into current-based position mode with torque on, holding where it is.
 
-        A servo with a hardware error is rebooted first, one whose watchdog tripped is woken. Where the mode has to change,
-        torque is off for the few milliseconds that this takes (EEPROM). Return delay is set to zero.
-
-        Args:
-            watchdog_s: The servo stops by itself when the bus is silent for so long; 0 turns that off.
-            position_d_gain: Register value; the servo's own default of 0 lets a held joint ring.
+        A servo with a hardware error is rebooted first, one whose watchdog tripped is woken. Where the mode has to
+        change, torque is off for the few milliseconds that this takes (EEPROM). Return delay is set to zero. A servo
+        stops by itself when the bus is silent for as long as its watchdog says [s], 0: never; its own D gain of 0 lets
+        a held joint ring.
         """
         for servo in self.servos:
             if self.read(servo.id, "hardware_error_status"):

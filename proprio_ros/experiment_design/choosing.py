@@ -93,16 +93,10 @@ def words_of(decision: Decision) -> str:
 
 
 class Chooser(ABC):
-    """One identification whose pushes are chosen one by one.
+    """One identification whose pushes are chosen one by one; ``whole`` is asked before the target counts as met.
 
-    Args:
-        robot: With its calibration where there is one.
-        sequence: With `until`; its settings of ways, rest and brake count for every push.
-        sought: What is identified.
-        whole: Asked before the target counts as met.
-
-    Raises:
-        ConfigurationError: The sequence has no `until`.
+    The sequence's settings of ways, rest and brake count for every push. Raises `ConfigurationError`: It has no
+    `until`.
     """
 
     no_push = "no push of any joint stays inside the limits with what the hand may hold"  # where `ranked` has none
@@ -159,13 +153,7 @@ class Chooser(ABC):
         return self._half(self._found.std)
 
     def next(self, runs: Sequence[Run], pose: Mapping[str, float], elapsed_s: float) -> Decision:
-        """What to do now.
-
-        Args:
-            runs: All so far, the newest last.
-            pose: Where the arm stands [rad or m].
-            elapsed_s: Since the sequence began.
-        """
+        """What to do now, by all runs so far, the newest last, where the arm stands [rad or m], and the time so far [s]."""
         began = time.perf_counter()
         self._take_in(runs)
         target, said, count = self._until.half_interval, self.sought.said, _count(len(runs))

@@ -37,13 +37,7 @@ class _Best:
 
 
 class Search:
-    """A search that can be stopped at any time.
-
-    Args:
-        robot: Whose poses are searched.
-        joints: That may be driven.
-        tries: Simulates the runs of one joint from one pose.
-    """
+    """A search over poses that can be stopped at any time; ``tries`` simulates the runs of one joint from one pose."""
 
     def __init__(self, robot: Robot, joints: Iterable[str], tries: Try) -> None:
         self._robot, self._tries, self._rest = robot, tries, zero_pose(robot)

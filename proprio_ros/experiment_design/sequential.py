@@ -113,12 +113,8 @@ class _Rows(NamedTuple):
 class Catalogue:
     """All pushes of a robot with an object in its hand, prepared once; see `Catalogue.rank`.
 
-    Args:
-        robot: With its calibration where there is one.
-        facts: Of the object.
-        joints: That may be driven; default all that carry the hand against gravity.
-        starts: How many positions of the driven joint over its range.
-        suits: Whether a push may begin where the driven joint stands at a position [rad] in the pose of a run; default: anywhere.
+    Joints may be driven that carry the hand against gravity, or those named, from so many positions over their range;
+    ``suits`` says whether a push may begin where the driven joint stands at a position [rad] in the pose of a run.
     """
 
     def __init__(

@@ -100,15 +100,9 @@ def chosen_known(
 ) -> list[ExcitationRun]:
     """Pushes with a known load in the hand after which a weighing is to be as sure as asked; all chosen beforehand.
 
-    What they would tell follows from where the arm is pushed, so that nothing of them need be recorded before the next is chosen.
-
-    Args:
-        robot: With the calibration so far.
-        reference_kg: In the hand; 0: nothing.
-        half_interval: Of weighings of `WEIGHED_KG` afterwards, of `LIGHT_KG` where the hand is empty, by `WEIGHED_PUSHES` pushes
-            of their own [kg].
-        at_most_s: For all of them.
-        sequence: Whose ways, rest and brake count.
+    What they would tell follows from where the arm is pushed, so that nothing of them need be recorded before the next
+    is chosen. Asked is a half interval [kg] of weighings of `WEIGHED_KG` afterwards, of `LIGHT_KG` where the hand is
+    empty (a reference of 0 kg), by `WEIGHED_PUSHES` pushes of their own; ways, rest and brake are the sequence's.
     """
     weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
     catalogue = Catalogue(robot)
@@ -121,11 +115,7 @@ def chosen_refresh(
 ) -> tuple[list[ExcitationRun], float, float]:
     """Pushes with an empty hand after which a weighing is nearly as sure as with the calibration when it was made.
 
-    Args:
-        fresh: With the calibration as it was made.
-        aged: With what is left of it (see `drift`).
-        at_most_s: For all of them.
-        sequence: Whose ways, rest and brake count.
+    ``aged`` has what is left of it (see `drift`); ways, rest and brake are the sequence's.
 
     Returns:
         The pushes, none where a tenth at most is missing; half the 95 % interval of a predicted weighing of `WEIGHED_KG` when the

@@ -279,17 +279,12 @@ def summary(
     margin: float = np.inf,
     final: FitResult | None = None,
 ) -> SolverSummary:
-    """What every start did.
+    """What every start did, of a search from all of them.
 
-    Args:
-        fit: Of the search from all starts.
-        name: Of the unknown that is searched for.
-        starts: First guesses of it; where there are more starts they are taken in turn.
-        tolerance: Ends agree that are no farther from the best, in the unknown's unit, ..
-        iterations: Of all searches together.
-        options: What was asked for.
-        margin: .. and whose cost is above the best by less.
-        final: The fit that gave the answer, where that is another one, started from the ends of this.
+    First guesses of the unknown ``name`` are taken in turn where there are more starts. Ends agree that are no farther
+    from the best than the tolerance, in its unit, and whose cost is above the best by less than the margin; iterations
+    are those of all searches together. ``final`` is the fit that gave the answer, where that is another one, started
+    from the ends of this.
     """
     refined = () if final is None or final is fit else _paths(final, name, tolerance, margin)
     paths = _paths(fit, name, tolerance, margin, starts)
@@ -355,16 +350,10 @@ class _Held:
 def misfit_profile(fit: FitResult, name: str, posterior: Posterior, inflation: float, value: float, std: float) -> Scan:
     """Chi-square above its least over the unknown called ``name``, everything else fitted again at each of its values.
 
-    Upwards and downwards from the fit at once, each of these fits starts from its neighbour's end, where the posterior expects its
-    own, so that a few iterations reach it (Raue et al. 2009, Bioinformatics 25(15), call it the profile likelihood).
-
-    Args:
-        fit: With all that is open.
-        name: Of the unknown.
-        posterior: Of the fit, with ``inflation``.
-        inflation: Of the variance of the samples.
-        value: That was stated, in the unknown's unit; the profile reaches as far about it as about that of the fit.
-        std: Of the statement.
+    Upwards and downwards from the fit at once, each of these fits starts from its neighbour's end, where the posterior
+    expects its own, so that a few iterations reach it (Raue et al. 2009, Bioinformatics 25(15), call it the profile
+    likelihood). It reaches as far about the stated value, in the unknown's unit, as about that of the fit, whose
+    posterior has the inflation of the samples' variance.
     """
     problem, row, column = fit.problem, fit.problem.index[name], fit.column(name)
     unknown, best, own = problem.unknowns[row], float(fit.values[row]), float(posterior.covariance[column, column])

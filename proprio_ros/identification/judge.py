@@ -117,12 +117,7 @@ class Guess:
 
 
 class Assessment:
-    """A fit with what it is worth.
-
-    Args:
-        fit: Whose values are given.
-        name: Of the unknown that the probe is for.
-        opened: Whose covariance is given; default that of ``fit``.
+    """A fit with what it is worth; ``name`` is the unknown that the probe is for, and the covariance that of ``opened``.
 
     Attributes:
         known: Whether the robot's calibration knows the joints that were driven: then the residuals are known, too, and only more
@@ -205,9 +200,7 @@ class Assessment:
 def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Refusal:
     """What the verdict is, and why: of what speaks against an answer the first counts, and what comes after it is not computed.
 
-    Args:
-        refusals: From the worst that can be wrong to the least; none where all is well.
-        assessed: The fit, where the answer is one: its unknowns and its stamps speak, too.
+    Refusals come from the worst that can be wrong to the least; of a fit, unknowns and stamps speak, too.
     """
     refusal = next(iter(refusals), ACCEPTED)
     if assessed is None or not np.isfinite(assessed.fit.chi2):
@@ -260,14 +253,8 @@ def positive(
 ) -> Value:
     """A quantity that is not negative, with an interval that is not either: an empty hand reads 0.
 
-    Args:
-        name: Of the quantity.
-        unit: Of value, std and highest.
-        value: Estimated; what is below 0 reads 0.
-        std: Of the estimate.
-        withheld: Why no number is given; empty where it is.
-        highest: That it can have.
-        quantile: Half width of a 95 % interval in standard deviations.
+    Value, std and highest are in its unit; ``withheld`` says why no number is given, and the quantile is half the width
+    of a 95 % interval in standard deviations.
     """
     if withheld:
         return Value(name, unit, None, reason=withheld)
@@ -278,13 +265,8 @@ def positive(
 def not_negative(value: float, std: float, quantile: float = Z95) -> tuple[float, float]:
     """The 95 % interval of a quantity that cannot be below nothing, never shorter above than the likelihood has it.
 
-    An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the narrower the
-    less likely it is.
-
-    Args:
-        value: Estimated, of either sign.
-        std: Of it.
-        quantile: Half width of a 95 % interval in standard deviations.
+    An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the
+    narrower the less likely it is. The quantile is half the width of a 95 % interval in standard deviations.
     """
     half = quantile * std
     return max(value - half, 0.0), max(value, 0.0) + half

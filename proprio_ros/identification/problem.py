@@ -45,13 +45,8 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 class Problem:
     """The whitened residuals of all runs as a function of the unknowns, for many guesses at once.
 
-    Args:
-        robot: Its supply and friction smoothing count; its drive trains come with the runs.
-        runs: Sharing the payload and the drive trains.
-        facts: What is stated about the payload.
-        unknowns: From ``load_unknowns``, or ``robot_unknowns`` where every run's load is known.
-        integrator: ``"rk4"`` or ``"semi_implicit"``.
-        step_s: Longest integration step.
+    The runs share payload and drive trains; of the robot supply and friction smoothing count. The unknowns are those of
+    ``load_unknowns``, or of ``robot_unknowns`` where every run's load is known; the step is the longest [s].
     """
 
     def __init__(

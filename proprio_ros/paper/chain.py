@@ -54,10 +54,7 @@ _TRIANGLE = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # rows and columns of J, in 
 
 
 def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
-    """The ten inertial parameters (m, hx, hy, hz, Jxx, Jyy, Jzz, Jxy, Jxz, Jyz) of pseudo-inertias; linear.
-
-    Args:
-        pseudo: About the body's frame, shape (..., 4, 4).
+    """The ten inertial parameters (m, hx, hy, hz, Jxx, Jyy, Jzz, Jxy, Jxz, Jyz) of pseudo-inertias (..., 4, 4); linear.
 
     Returns:
         Shape (..., 10): mass [kg], first moments [kg m], and rotational inertia about the frame's origin [kg m^2], whose

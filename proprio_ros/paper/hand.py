@@ -69,17 +69,10 @@ class Played(NamedTuple):
 
 
 def play(name: str, seed: int, held: HandObject | None, exact: bool = False, anywhere: bool = False) -> Played:
-    """Let the robot of a seed play a sequence.
+    """Let the robot of a seed play a sequence of ``config/probes``; SimulationError where a run of it was not made.
 
-    Args:
-        name: Of a file in ``config/probes``.
-        seed: Of the hidden robot, and of its noise.
-        held: What is in its hand.
-        exact: Whether the robot is one of which all is known (``known_robot``), and only its noise is drawn.
-        anywhere: Whether a sphere lies somewhere on the container's floor when the current comes on, drawn for each run.
-
-    Raises:
-        SimulationError: A run of the sequence was not made.
+    With ``exact`` all is known of the robot (``known_robot``), and only its noise is drawn; ``anywhere`` lets a sphere
+    lie somewhere on the container's floor when the current comes on, drawn for each run.
     """
     robot = stated_robot()
     joints = tuple(robot.drive_trains)

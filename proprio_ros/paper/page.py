@@ -27,17 +27,9 @@ TIME = Axis("time after the current came on (s)", "s")
 def write_paper_page(
     found: Mapping[str, Sequence[Rows]], path: Path, command: str, seeds: int, recording: Rows | None = None
 ) -> None:
-    """Write the page.
+    """Write the page, with the command that makes it again; ConfigurationError where the file cannot be written.
 
-    Args:
-        found: Rows of every seed by experiment.
-        path: The HTML file.
-        command: That makes it again.
-        seeds: How many were asked for.
-        recording: What ``published`` made of the paper's own recording, where it was given.
-
-    Raises:
-        ConfigurationError: The file cannot be written.
+    ``recording`` is what ``published`` made of the paper's own recording, where it was given.
     """
     parts = [*paper_parts(found, seeds, recording), *_cost(found), *provenance(command, [], {})]
     write_document(path, "The paper, reproduced", parts, "--out")

@@ -87,12 +87,8 @@ def _carry(source: list[wp.array], row: int, target: list[wp.array], to: int) ->
 class SoftBody:
     """A block between the fingers of a gripper, many guesses (worlds) at a time.
 
-    Args:
-        mesh: The block.
-        mass: Of the block [kg], spread evenly over its volume.
-        travel: How fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0.
-        law: One of ``energies.LAWS``.
-        contact: One of ``quasistatic.CONTACTS``.
+    Its mass [kg] is spread evenly over its volume; the fingers close on each other by ``travel`` per unit of the joint
+    [m/rad, or m/m], not 0. The law is one of ``energies.LAWS``, the contact one of ``quasistatic.CONTACTS``.
 
     Raises:
         SimulationError: Unknown law or contact, no mass or no travel.

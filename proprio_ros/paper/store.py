@@ -101,12 +101,7 @@ def run(
 ) -> dict[str, list[Rows]]:
     """All rows by experiment, in the order of the seeds; what is kept is not computed again.
 
-    Args:
-        store: Where rows are kept.
-        names: Of the experiments; none is all.
-        seeds: From 0 on.
-        processes: At a time; those that take times run alone.
-        tell: Hears how far it is.
+    No names are all experiments. So many processes work at a time; those that take times run alone.
     """
     wanted = tasks_of(names, seeds)
     missing = [task for task in wanted if store.read(task) is None]

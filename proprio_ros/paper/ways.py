@@ -104,11 +104,7 @@ def _descended(
 class SphereLastFrame:
     """The paper's loss for the sphere in a container: its contact law, semi-implicit Euler, last frame, one unknown.
 
-    Args:
-        robot: As stated or calibrated.
-        run: One lift.
-        facts: With the shell's mass stated.
-        all_samples: Whether all of them are compared instead of the last frame.
+    Of one lift, with the shell's mass stated; with ``all_samples`` of all of them instead of the last frame.
     """
 
     def __init__(self, robot: Robot, run: Run, facts: ContainerFacts, all_samples: bool = False) -> None:

@@ -55,15 +55,10 @@ DOUBTFUL_EFFORT = (*UNUSABLE_EFFORT, "effort_without_sign")
 
 @one_blas_thread
 def check_bags(paths: str | Path | Sequence[str | Path], options: Options | None = None) -> tuple[str, list[BagCheck]]:
-    """Look into bags without fitting anything.
+    """Look into bags or text recordings without fitting anything: the robot's name, and one entry per bag.
 
-    Args:
-        paths: Bags or text recordings.
-        options: As for ``proprio replay``; what is left open there is said in the answer. Of the settings ``robot.``,
-            ``held.JOINT`` and ``payload.frame`` count, and what is stated about an object is not looked at.
-
-    Returns:
-        The robot's name, and one entry per bag.
+    What the options leave open is said in the answer. Of the settings ``robot.``, ``held.JOINT`` and ``payload.frame``
+    count, and what is stated about an object is not looked at.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: No path is given, the robot cannot be read, a path is no bag, or a setting

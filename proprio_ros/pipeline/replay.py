@@ -34,12 +34,9 @@ from proprio_ros.threads import one_blas_thread
 
 @one_blas_thread
 def replay(paths: str | Path | Sequence[str | Path], options: Options | None = None) -> Estimate:
-    """Identify what the probe names from one or more recordings of the same object.
+    """Identify what the probe names from one or more bags or text recordings of the same object.
 
-    Args:
-        paths: Bags (folders or files, either storage) or text recordings; all runs in all of them give one estimate. One path
-            may stand alone.
-        options: Probe, robot and settings.
+    All runs in all of them give one estimate. One path may stand alone.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.

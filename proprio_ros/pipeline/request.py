@@ -118,11 +118,7 @@ def request_of(options: Options) -> Request:
 
 
 def read_request(options: Options, facts: Callable[[Settings], Any] = lambda settings: None) -> Request:
-    """Read what is asked; whatever it is about.
-
-    Args:
-        options: What the user states.
-        facts: Takes what is stated about the object from the settings; what it leaves there is refused.
+    """Read what is asked; ``facts`` takes what is stated about the object from the settings, and what it leaves is refused.
 
     Raises:
         ConfigurationError, RobotError: In one line, what is wrong with it.

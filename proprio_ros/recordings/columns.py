@@ -93,19 +93,9 @@ def array_columns(
 ) -> JointColumns:
     """Columns of an array of what drives the joints, as the quantity ``effort``.
 
-    A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
-    the excitation.
-
-    Args:
-        bag: The open bag.
-        topic: Of a type of `FLOAT_ARRAYS`.
-        means: What it is.
-        joint_order: The robot's joints, in the order of numbers without labels.
-        recorded: Joints with joint states.
-        conventions: Of the driver.
-
-    Raises:
-        RecordingError: Labels or lengths do not fit.
+    A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers
+    ends the excitation. Numbers without labels are in the order of the robot's joints. Raises `RecordingError`: Labels
+    or lengths do not fit.
     """
     parts, notes = bag.rows(topic), dict[str, None]()
     stated, labelled = conventions.renamed(means.joints), list[Sequence[str]]()

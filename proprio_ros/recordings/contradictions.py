@@ -68,11 +68,7 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
 
 
 def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
-    """Look at header stamps beside the times of their recording.
-
-    Args:
-        where: Bag and topic, for the sentence.
-        columns: The joint states.
+    """Look at header stamps beside the times of their recording; bag and topic are for the sentence.
 
     Returns:
         A note where the stamps are of another clock, which runs at another pace.
@@ -100,13 +96,9 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
 def refuse_other_current(recording: Recording, effort: Effort, usable_velocity: Mapping[str, float]) -> None:
     """Look at commanded currents beside measured efforts, joint by joint, where the joint is slow and the command does not change.
 
-    Args:
-        recording: As it was read.
-        effort: What its effort is. Where the command is the input its unit does not matter: that which fits best is taken.
-        usable_velocity: Up to which the supply drives what is commanded, of each joint that was pushed [rad/s].
-
-    Raises:
-        RecordingError: What flowed is not what was commanded.
+    Where the command is the input the unit of the effort does not matter: that which fits best is taken. Up to its
+    usable velocity [rad/s] the supply drives what a joint is commanded. Raises `RecordingError`: What flowed is not
+    that.
     """
     record, inputs = recording.joints, recording.commanded or recording.inputs
     if inputs is None or inputs.measured or inputs.computed or record.reported_effort is None:

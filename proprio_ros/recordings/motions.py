@@ -50,10 +50,8 @@ class Motion:
 def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str, float] | None = None) -> Motion:
     """The whole recording as one motion, with measured currents where there are any: a command is reached late, and not quite.
 
-    Args:
-        recording: As it was read.
-        joints: Those of the robot that have a motor and turn.
-        held: Positions of joints that are not recorded, or that replace recorded ones [rad or m].
+    Of the joints that have a motor and turn; ``held`` are positions of others that are not recorded, or that replace
+    recorded ones [rad or m].
 
     Raises:
         RecordingError: A joint, its current or enough samples are missing, or nothing moves.

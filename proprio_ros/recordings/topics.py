@@ -127,12 +127,9 @@ class Topics:
         raise RecordingError(f"{self.path}: {why}")
 
     def states(self, name: str | None, command_name: str | None = None, conventions: Conventions = OUR_DRIVER) -> Topic:
-        """The joint states; refuses a bag that has none, or several that may be meant.
+        """The joint states: as the user calls them, else those that the driver's conventions name, else the only ones.
 
-        Args:
-            name: What the user calls them; None: those that the driver's conventions name, else the only ones.
-            command_name: What the user calls the input, which is not taken for them.
-            conventions: Of the driver.
+        Refuses a bag that has none, or several that may be meant; what the user calls the input is not taken for them.
         """
         if name is not None:
             return self.chosen(name, [JOINT_STATE], "--state-topic")
@@ -160,12 +157,9 @@ class Topics:
     def input(
         self, name: str | None, states: Topic, conventions: Conventions = OUR_DRIVER
     ) -> tuple[Topic, InputTopic] | None:
-        """The topic of what drove the joints, and what it means; None where there is none, several are refused.
+        """What drove the joints, and what it means: as the user calls it, else the first that the driver's conventions name.
 
-        Args:
-            name: What the user calls it; None: the first that the driver's conventions name.
-            states: The joint states, whose namespace it has.
-            conventions: Of the driver.
+        It has the namespace of the joint states. None where there is none, several are refused.
         """
         if name is not None:
             topic = self.chosen(name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")

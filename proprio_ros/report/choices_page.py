@@ -28,16 +28,9 @@ class Choice:
 
 
 def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path: Path) -> None:
-    """Write the page; an older one of that name is replaced in one step.
+    """Write the page of choices, the last of which says why it ended; an older one of that name is replaced in one step.
 
-    Args:
-        choices: In order; the last says why it ended.
-        sought: What the choices are about.
-        target: Half interval that was asked for.
-        path: The HTML file.
-
-    Raises:
-        ConfigurationError: It cannot be written.
+    The target is the half interval that was asked for. Raises `ConfigurationError`: The file cannot be written.
     """
     parts, last = ["<h1>Pushes, one by one</h1>"], choices[-1]
     if len(choices) > 1:  # before the first nothing is known

@@ -129,15 +129,10 @@ def table(
     ids: Sequence[str] = (),
     labels: int = 0,
 ) -> str:
-    """Rows of text.
+    """Rows of text; the columns in ``numbers`` are set to the right, and the rows' ``ids`` are for links.
 
-    Args:
-        header: Of the columns.
-        rows: Of cells.
-        numbers: Columns that are set to the right.
-        ids: Of the rows, for links.
-        labels: How many first columns say what a row is of. Where there are any, a row becomes a block of lines on a narrow screen,
-            each with its column's name; a table without scrolls there.
+    So many first columns say what a row is of. Where there are any, a row becomes a block of lines on a narrow screen,
+    each with its column's name; a table without scrolls there.
     """
     right = set(numbers)
     marks = [f' id="{escape(one)}"' for one in ids] or [""] * len(rows)

@@ -39,18 +39,10 @@ def write_page(
     sources: Sequence[str] = (),
     force: bool = False,
 ) -> None:
-    """Write the page for one result; an older page of that name is replaced in one step.
+    """Write the page for one result; an older page is replaced in one step, another file of that name only with ``force``.
 
-    Args:
-        estimate: What to show.
-        path: The HTML file.
-        own: What only its probe has to show, as HTML.
-        command: The command line that gives the same result again.
-        sources: The recordings it came from.
-        force: Whether another file of that name may be replaced, too.
-
-    Raises:
-        ConfigurationError: The file cannot be written.
+    ``own`` is what only its probe has to show, as HTML; the command line gives the same result again from its sources.
+    Raises `ConfigurationError`: The file cannot be written.
     """
     parts = [*_headline(estimate), *arm_and_payload(estimate.held_views), *what_told(estimate.joint_fits)]
     parts += [*_runs(estimate), *own]

@@ -28,11 +28,7 @@ def topic_of(robot: str) -> str:
 
 
 class LiveDescription:
-    """What was heard on a topic.
-
-    Args:
-        topic: What messages call it.
-        folder: Below which descriptions are kept.
+    """What was heard on a topic; descriptions are kept below a folder.
 
     Attributes:
         path: Of the URDF file that counts; None: none was heard that can be used.

@@ -109,14 +109,10 @@ class Robot:
         return any(drive.stribeck.value > 0.0 or drive.stribeck.std > 0.0 for drive in self.drive_trains.values())
 
     def with_overrides(self, overrides: Mapping[str, Any]) -> Robot:
-        """The same robot with some settings replaced.
+        """The same robot with some settings replaced, by dotted key such as ``joints.joint3.drive_train.coulomb_N_m``.
 
-        Args:
-            overrides: By dotted key, such as ``joints.joint3.drive_train.coulomb_N_m``. A number replaces a quantity
-                and is known exactly; ``{"std": 0.01}`` changes only what it names.
-
-        Raises:
-            RobotError: A key is unknown or a value does not fit it.
+        A number replaces a quantity and is known exactly; ``{"std": 0.01}`` changes only what it names. Raises
+        `RobotError`: A key is unknown or a value does not fit it.
         """
         settings = merged(copy.deepcopy(dict(self.settings)), nested_settings(self.model.independent_joints, overrides))
         settings.pop("calibration", None)

@@ -16,11 +16,8 @@ class MixedSimulator(Generic[_Special]):
     """Worlds of runs with an object go to its simulator, the others to the joint's.
 
     Parameter vectors are those of the object's simulator for every world; the joint's come first in them.
-
-    Args:
-        special: The simulator of the runs with the object, in their order.
-        plain: The other runs, in theirs.
-        with_object: Which of all runs have the object, shape (R,).
+    ``with_object`` says which of all runs, shape (R,), are those of the special simulator; they and the plain ones keep
+    their order.
     """
 
     def __init__(

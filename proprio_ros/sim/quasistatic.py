@@ -132,17 +132,10 @@ class SqueezeCurve:
 
 
 class QuasiStatic:
-    """Squeezes a block to given distances.
+    """Squeezes a block to given distances, by one of ``energies.LAWS`` and one of ``CONTACTS`` (else SimulationError).
 
-    Args:
-        mesh: The block, or its octant.
-        law: One of ``energies.LAWS``.
-        contact: One of ``CONTACTS``.
-        octant: The mesh is an eighth of the block, and its faces at the lowest x, y and z are planes of symmetry. Squeeze and
-            force are still those of the whole block.
-
-    Raises:
-        SimulationError: Unknown law or contact.
+    As an octant the mesh is an eighth of the block, and its faces at the lowest x, y and z are planes of symmetry.
+    Squeeze and force are still those of the whole block.
     """
 
     def __init__(self, mesh: TetMesh, law: str = "log", contact: str = "bonded", octant: bool = False) -> None:

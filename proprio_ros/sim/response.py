@@ -101,14 +101,10 @@ class Response:
 def build(
     size: np.ndarray, law: str = "log", contact: str = "bonded", cells: int = CELLS, far: bool = False
 ) -> Response:
-    """Compute a table; half a minute for bonded faces.
+    """Compute a table for a block with such edges [m], x along the squeeze, shape (3,); half a minute for bonded faces.
 
-    Args:
-        size: Edges of the block [m], x along the squeeze, shape (3,); only their ratios matter.
-        law: One of ``energies.LAWS``.
-        contact: One of ``quasistatic.CONTACTS``.
-        cells: Of an octant along a mean edge.
-        far: As ``FARTHEST`` says, where that can be; tables of one simulator must reach equally far.
+    Only the ratios of the edges matter; cells are of an octant along a mean edge. ``far``: as ``FARTHEST`` says, where
+    that can be; tables of one simulator must reach equally far.
 
     Raises:
         SimulationError: Unknown law or contact, or a block of such a shape cannot be squeezed that far.

@@ -127,16 +127,8 @@ class SphereRun:
 class SphereSimulator(JointSimulator):
     """Rolls out many worlds (guesses) of one or more runs, each with a sphere in its container.
 
-    Parameter vectors have the order of ``SPHERE_PARAMETERS``; everything else is as in ``JointSimulator``.
-
-    Args:
-        runs: The runs; worlds refer to them by index.
-        enclosure: The container's inside and the sphere's size, the same in all runs.
-        law: Of contact, one of ``LAWS``.
-        integrator, device: As for ``JointSimulator``.
-
-    Raises:
-        SimulationError: Also an unknown law.
+    Parameter vectors have the order of ``SPHERE_PARAMETERS``, the law of contact is one of ``LAWS`` (else
+    SimulationError), and the enclosure is the same in all runs; everything else is as in ``JointSimulator``.
     """
 
     parameters = SPHERE_PARAMETERS

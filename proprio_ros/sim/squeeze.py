@@ -63,14 +63,8 @@ class SqueezeRun:
 class SqueezeSimulator(JointSimulator):
     """Rolls out many worlds (guesses) of one or more closings of a gripper on a block.
 
-    Parameter vectors have the order of ``SQUEEZE_PARAMETERS``; everything else is as in ``JointSimulator``.
-
-    Args:
-        runs: The runs; worlds refer to them by index. Their tables may differ, over the same grid (the same law).
-        integrator, device: As for ``JointSimulator``.
-
-    Raises:
-        SimulationError: Also tables of different laws.
+    Parameter vectors have the order of ``SQUEEZE_PARAMETERS``; the runs' tables may differ, over the same grid (the
+    same law, else SimulationError). Everything else is as in ``JointSimulator``.
     """
 
     parameters = SQUEEZE_PARAMETERS

@@ -53,14 +53,9 @@ class VirtualArm:
         seed: int = 0,
         control_period_s: float = 0.001,
     ) -> None:
-        """Build the arm at rest.
+        """Build the arm at rest; the seed is of the encoder noise, and a `step` advances by the control period.
 
-        Args:
-            robot: Its model, gravity and transmissions.
-            truth: Its hidden numbers.
-            position: True joint positions at the start [rad or m]; 0, or the limit next to it, where none is given.
-            seed: Of the encoder noise.
-            control_period_s: What one `step` advances.
+        True joint positions at the start [rad or m] are 0, or the limit next to it, where none is given.
 
         Raises:
             ConfigurationError: MuJoCo is missing or refuses the robot, the truth is of another robot, or a position lies

@@ -69,20 +69,14 @@ class _Part(NamedTuple):
 
 
 class VirtualBus:
-    """The half-duplex wire with its servos.
+    """The half-duplex wire with its servos, whose IDs are distinct (else ConfigurationError).
 
-    Args:
-        servos: With distinct IDs.
-        advance: Moves the world on to a time [s]; called before every packet is handled.
-        faults: What goes wrong, which may be changed at any time; none by default.
-        wire_time: Whether replies take the time of their bits and of the servos' return delay.
+    ``advance`` moves the world on to a time [s] before every packet is handled; ``faults`` may be changed at any time;
+    with ``wire_time`` replies take the time of their bits and of the servos' return delay.
 
     Attributes:
         port_baud: Bits per second of the computer's port; servos with another rate hear only noise. None: all
             understand, since a pseudo-terminal has no rate.
-
-    Raises:
-        ConfigurationError: Two servos share an ID.
     """
 
     def __init__(

@@ -33,15 +33,10 @@ FOREIGN_JOINTS = ("conveyor", "lift")
 
 
 class EffortDriver:
-    """Arm, motors and the last command.
+    """Arm, motors and the last command; until the first one somebody holds the arm, as a person would.
 
-    Until the first command somebody holds the arm, as a person would.
-
-    Args:
-        robot: The robot as its file states it; ``truth`` is what it is really like.
-        joints: The controller's, in its order; empty: the robot file's.
-        unit: Of efforts, one of `UNITS`.
-        position: Joint positions at the start [rad or m].
+    Of a robot as its file states it, and as it is really like; efforts in one of `UNITS` are of the controller's joints
+    in its order (none: the robot file's), positions those at the start [rad or m].
 
     Raises:
         ConfigurationError: The unit or a joint is not known, MuJoCo is missing, or the robot cannot be simulated.

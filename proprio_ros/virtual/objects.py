@@ -101,11 +101,7 @@ class Payload(HandObject):
 
 
 def parse_object(text: str, kinds: Iterable[type[HandObject]]) -> HandObject | None:
-    """What a user types for an object; None is an empty hand.
-
-    Args:
-        text: Such as ``0.05``, the mass of a payload, or the `form` of a kind.
-        kinds: That there are.
+    """What a user types for an object: ``0.05``, the mass of a payload, or the `form` of a kind; None is an empty hand.
 
     Raises:
         ConfigurationError: It is none of their forms.

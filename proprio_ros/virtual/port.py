@@ -54,12 +54,10 @@ class Outbox:
 
 
 class PtyPort:
-    """A pseudo-terminal with the emulated bus behind it, in a thread that keeps the world in real time.
+    """A pseudo-terminal with the emulated bus behind it, in a thread that keeps the world in the pace of real time.
 
-    Args:
-        bus: Its ``advance`` is called at least every 2 ms, from the port's thread only.
-        link: Path that points to the pseudo-terminal, as a udev rule would make it.
-        clock: Time of the world [s], in the pace of real time.
+    The bus's ``advance`` is called at least every 2 ms, from that thread only. ``link`` points to it, as a udev rule
+    would make it.
 
     Attributes:
         lock: Held while bus and world are touched; hold it to change faults, servos or the world from outside.

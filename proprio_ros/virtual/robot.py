@@ -30,14 +30,9 @@ def parked(robot: Robot) -> dict[str, float]:
 
 
 class VirtualRobot:
-    """Servos and arm; `port` is what a driver opens.
+    """Servos and arm, by ids and models of the robot file's motors; `port`, to which ``link`` points, is what a driver opens.
 
     Until torque is switched on for the first time somebody holds the arm, as a person would.
-
-    Args:
-        robot: The robot as its file states it; ids and models of its motors make the servos.
-        truth: What it is really like.
-        link: Path that shall point to the pseudo-terminal.
 
     Raises:
         ConfigurationError: MuJoCo is missing, or the robot cannot be simulated.

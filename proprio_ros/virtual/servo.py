@@ -276,15 +276,10 @@ class VirtualServo:
     # --- the motor side
 
     def control(self, now_s: float, angle_rad: float, velocity_rad_s: float) -> float:
-        """One period of the controller: measure, look for trouble, choose the current.
+        """One period of the controller: measure, look for trouble, choose the current that flows until the next call [A].
 
-        Args:
-            now_s: Time; `CONTROL_PERIOD_S` after the last call.
-            angle_rad: Of the shaft; rounded to the encoder's counts.
-            velocity_rad_s: Of the shaft.
-
-        Returns:
-            Current that flows until the next call [A], a whole number of the servo's counts.
+        It comes `CONTROL_PERIOD_S` after the last one, with the shaft's angle and velocity, and is a whole number of
+        counts.
         """
         if self._tuned_V != self.supply_voltage_V:
             self._tune()

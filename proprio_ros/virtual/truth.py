@@ -64,16 +64,13 @@ class Truth:
     def draw(cls, robot: Robot, seed: int, *, links: bool = False, stribeck: bool = False) -> Truth:
         """Draw a robot from what its file leaves open.
 
-        Friction that the file gives as zero with a standard deviation is one-sided: it is drawn uniformly from a part of that
-        deviation (Coulomb 0.3 to 0.9, viscous 0.1 to 0.6, with the load 0 to 0.6 of it), so that no joint is stuck for good.
-        Everything else is normal, and cut off where it would make no sense. Where voltages drive the motors, an arm's torque
-        constants are off together by 0.3 of what the file leaves open, and each by 3 % more.
+        Friction that the file gives as zero with a standard deviation is one-sided: it is drawn uniformly from a part
+        of that deviation (Coulomb 0.3 to 0.9, viscous 0.1 to 0.6, with the load 0 to 0.6 of it), so that no joint is
+        stuck for good. Everything else is normal, and cut off where it would make no sense. Where voltages drive the
+        motors, an arm's torque constants are off together by 0.3 of what the file leaves open, and each by 3 % more.
 
-        Args:
-            robot: The robot.
-            seed: The same seed gives the same motors, whether or not links and Stribeck's excess are drawn.
-            links: Whether the links' masses, centres and inertias and the scale of all depart from the URDF.
-            stribeck: Whether dry friction is greater at rest.
+        The same seed gives the same motors, whether or not masses, centres and inertias of links and the scale of all
+        depart from the URDF (``links``), and dry friction is greater at rest (``stribeck``).
         """
         motors, bodies, excess = (np.random.default_rng((seed, part)) for part in range(3))
         together = float(np.random.default_rng((seed, 3)).normal())

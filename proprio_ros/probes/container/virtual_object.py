@@ -124,12 +124,7 @@ class Container(HandObject):
         self.put_sphere(arm, np.where(np.abs(down) > LEVEL, np.sign(down), 0.0) * room)
 
     def put_sphere(self, arm: VirtualArm, inside_m: FloatArray) -> None:
-        """Put the sphere elsewhere in its container, moving with it.
-
-        Args:
-            arm: That holds it.
-            inside_m: Its centre from the container's [m], shape (3,).
-        """
+        """Put the sphere elsewhere in its container, moving with it: its centre from the container's [m], shape (3,)."""
         import numpy as np
 
         box, ball = arm.data.body(CONTAINER), arm.data.joint(SPHERE)
