@@ -31,12 +31,9 @@ from proprio_ros.schema import header
 from proprio_ros.threads import one_blas_thread
 
 DAY_NS = 86_400_000_000_000
-LONGEST_DAYS = 21
-"""Recordings over so many days are told apart by day, over more by week."""
-MOST_GROUPS = 12
-"""Where no recording has a stamp, they make so many groups, in their order."""
-MOST_PERIODS, MOST_OF_PERIOD = 60, 5
-"""Periods that are looked at, and episodes of each: evenly over all of them."""
+LONGEST_DAYS = 21  # recordings over so many days are told apart by day, over more by week
+MOST_GROUPS = 12  # where no recording has a stamp, they make so many groups, in their order
+MOST_PERIODS, MOST_OF_PERIOD = 60, 5  # periods that are looked at, and episodes of each: evenly over all of them
 
 _TERMS = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}
 COLUMNS = (

@@ -32,14 +32,10 @@ from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.report import bars_figure, small_table
 from proprio_ros.threads import end_with_parent
 
-MOST_REPORTS = 12
-"""Rows whose pages are written unless told otherwise; more are written by several processes."""
-MOST_SHOWN = 20
-"""Rows that a terminal shows."""
-MOST_EMPTY = 20
-"""Episodes that calibrate an arm."""
-LEAST_FIRST_S = SHORTEST_S
-"""Of each episode, where its first seconds are those of an empty hand."""
+MOST_REPORTS = 12  # rows whose pages are written unless told otherwise; more are written by several processes
+MOST_SHOWN = 20  # rows that a terminal shows
+MOST_EMPTY = 20  # episodes that calibrate an arm
+LEAST_FIRST_S = SHORTEST_S  # of each episode, where its first seconds are those of an empty hand
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from proprio_ros.batch.rows import Job, failed_row, rows_of_all, source_name
 from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, write_rows
 from proprio_ros.threads import end_with_parent
 
-CHUNK = 64
-"""Episodes per file, at most."""
+CHUNK = 64  # episodes per file, at most
 TELL_S = 5.0
 TRIES = 3
 

@@ -12,10 +12,8 @@ from proprio_ros.quantity import shown_unit
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed
 
-MOST_POINTS = 10_000
-"""Of a plot."""
-SHORTEST_NS = 60 * 10**9
-"""Recordings that begin within less are shown in their order, which says more."""
+MOST_POINTS = 10_000  # of a plot
+SHORTEST_NS = 60 * 10**9  # recordings that begin within less are shown in their order, which says more
 
 
 def values_figure(own: Sequence[Row], name: str) -> str:

@@ -40,8 +40,7 @@ COLUMNS = {
 """What each column of a row holds."""
 MOST_SAMPLES = 30_000
 """Joint states that are answered at once: ten minutes at 50 Hz, half a minute at 1 kHz. Longer motions need no more memory."""
-LEAST_BYTES = 8 * MOST_SAMPLES
-"""A bag that is smaller holds fewer: it need not be looked into."""
+LEAST_BYTES = 8 * MOST_SAMPLES  # a bag that is smaller holds fewer: it need not be looked into
 
 
 @dataclass(frozen=True)

@@ -25,15 +25,12 @@ from proprio_ros.robot.kinematics import clearance, zero_pose
 
 SAG_RAD = 0.06
 """A held joint under load is no further from its goal than this: 0.03 rad at 0.3 A with the servo's own gain."""
-LOST_AFTER_S = 0.2
-"""No servo answered for so long: the bus is lost."""
+LOST_AFTER_S = 0.2  # no servo answered for so long: the bus is lost
 LOOKAHEAD_S = 0.05
 """A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
-SINK_M = 1e-3
-"""An arm that is too low may be moved, but not lower by more than this: encoders are not exact."""
+SINK_M = 1e-3  # an arm that is too low may be moved, but not lower by more than this: encoders are not exact
 SAME_S = 0.02  # when a command was sent is known about so well
-HEALTH_PERIOD_S = 0.2
-"""One servo's temperature and voltage are read so often, while nothing is driven."""
+HEALTH_PERIOD_S = 0.2  # one servo's temperature and voltage are read so often, while nothing is driven
 
 
 @dataclass(frozen=True)

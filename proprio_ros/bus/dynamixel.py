@@ -40,10 +40,8 @@ from proprio_ros.calibration_files.motors import MotorIdentity, Motors
 from proprio_ros.errors import BusError, PortLostError, RobotError
 from proprio_ros.robot import Robot
 
-TRIES = 3
-"""A read or write is tried so often before the servo counts as not answering."""
-ALERT = 0x80
-"""Bit of a status packet's error byte: see Hardware Error Status."""
+TRIES = 3  # a read or write is tried so often before the servo counts as not answering
+ALERT = 0x80  # bit of a status packet's error byte: see Hardware Error Status
 _STATUS_WORDS = {
     1: "failed to process the instruction",
     2: "does not know the instruction",

@@ -13,12 +13,10 @@ from proprio_ros.robot import Robot
 
 FAR_COUNTS = 1_000_000
 """Goal position, from the present one, at which current-based position mode pushes with its whole current."""
-LARGEST_GAP = 100
-"""So many messages of one publisher may be lost between two that come."""
+LARGEST_GAP = 100  # so many messages of one publisher may be lost between two that come
 LATE, LATE_NS, OUTDATED = 8, 1_000_000_000, -1
 """A message may come so many places late, and so long; who sent one that came before, or after newer ones of its publisher."""
-MOST = 16
-"""So many publishers of one topic are remembered."""
+MOST = 16  # so many publishers of one topic are remembered
 
 
 class JointMode(Enum):

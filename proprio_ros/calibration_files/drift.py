@@ -27,10 +27,8 @@ WALL_S = 1e9
 """A stamp before this, in 2001, is none of a clock on the wall: simulations begin at zero, and nobody knows how old they are."""
 ONE_SESSION_H = 1.0 / 6.0
 """What lies no further apart is one session: run-to-run torque, which the calibration has learnt, holds what changes in it."""
-READ_TO_K = 1.0
-"""Motors say whole degrees: a difference up to this is none."""
-WORTH_SAYING = 0.03
-"""Friction known worse by this part of itself is said."""
+READ_TO_K = 1.0  # motors say whole degrees: a difference up to this is none
+WORTH_SAYING = 0.03  # friction known worse by this part of itself is said
 
 
 @dataclass(frozen=True)

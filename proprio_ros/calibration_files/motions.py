@@ -58,14 +58,11 @@ DRIVE_TERMS: Mapping[str, str] = {
 that goes with sine and cosine of the joint's angle, and of twice the angle."""
 FRICTION_TERMS: Mapping[str, str] = {"viscous": "N m s/rad", "coulomb": "N m", "offset": "N m"}
 """What differs from run to run."""
-ARM_TERMS = len(BODY_TERMS) + len(DRIVE_TERMS)
-"""Per joint, that do not differ from run to run."""
+ARM_TERMS = len(BODY_TERMS) + len(DRIVE_TERMS)  # per joint, that do not differ from run to run
 TERMS = ARM_TERMS + len(FRICTION_TERMS)
 UNITS: Mapping[str, str] = {**BODY_TERMS, **DRIVE_TERMS, **FRICTION_TERMS}
-VERSION = 2
-"""Of the section; 1 had no such number, no torque constants and no friction that goes with the angle."""
-Key = tuple[str, str]
-"""Kind of a term, and its joint."""
+VERSION = 2  # of the section; 1 had no such number, no torque constants and no friction that goes with the angle
+Key = tuple[str, str]  # kind of a term, and its joint
 _LARGEST = 1e5
 _LEAST_STD = 1e-15
 _JOINT: dict[str, Form] = {

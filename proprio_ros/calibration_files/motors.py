@@ -50,8 +50,7 @@ class MotorIdentity:
             return None
 
 
-Motors = Mapping[str, MotorIdentity]
-"""By joint."""
+Motors = Mapping[str, MotorIdentity]  # by joint
 
 
 def other_arm(calibrated: Motors, found: Motors) -> str:

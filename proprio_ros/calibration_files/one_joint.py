@@ -44,8 +44,7 @@ TERMS: Mapping[str, str] = {
 }
 """All in torques as the robot file's torque constant makes them of currents: ``scale`` is such a torque over the true one, the two
 shares of load friction are of the true torque and of its square."""
-FEWEST_RUNS = 3
-"""Of fewer, none says by how much they differ."""
+FEWEST_RUNS = 3  # of fewer, none says by how much they differ
 _LARGEST = 1e6
 _RUN: dict[str, Form] = RUN | {
     "read_kg": Number(unit="kg", lowest=-_LARGEST, highest=_LARGEST),

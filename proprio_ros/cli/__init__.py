@@ -17,8 +17,7 @@ from proprio_ros.cli.parser import UsageError, make_parser
 from proprio_ros.cli.terminal import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, complain, json_error, say
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line
 
-LONGEST_WORD = 100_000
-"""Characters of one word of the command line."""
+LONGEST_WORD = 100_000  # characters of one word of the command line
 
 
 def run() -> NoReturn:

@@ -27,8 +27,7 @@ COLOURS = {
     "2": r"  (?:note|assumed|solver|fit|topic): .*",
 }
 """Of what a line begins with, by the terminal's number of the colour: green, yellow, red, dim."""
-NARROWEST = 40
-"""A terminal that is narrower, or says so, is not wrapped for."""
+NARROWEST = 40  # a terminal that is narrower, or says so, is not wrapped for
 Table = Sequence[tuple[str, ...]]
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 

@@ -34,8 +34,7 @@ OF_A_SWING = ("friction_change", "moment_change", "swing_zero")
 MOMENT_REPEATS = 0.015
 """Standard deviation of gravity's moment over inertia between swings of one joint with one load, relative: masses of servos that
 were let go repeat to 1.9 to 4.5 %, which is 1 to 2 % of it where the rotor is half of the inertia."""
-ZERO_REPEATS = 0.3
-"""Of a zero as well as the file knows it, what differs from swing to swing."""
+ZERO_REPEATS = 0.3  # of a zero as well as the file knows it, what differs from swing to swing
 COMMON_SHARE = 0.5
 """Of the variance of torque constants, what motors of one kind have in common before anything is learnt: a maker's number is off
 for all of them, and each differs from it. If each erred on its own alone, several joints together would tell the arm's weight from

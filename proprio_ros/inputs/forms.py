@@ -212,10 +212,8 @@ class Part(Form):
         return self.kind
 
 
-REQUIRED: Any = object()
-"""The default of a key that must be there."""
-LEFT_OUT: Any = object()
-"""The default of a key that is left out of what is read where it is not there."""
+REQUIRED: Any = object()  # the default of a key that must be there
+LEFT_OUT: Any = object()  # the default of a key that is left out of what is read where it is not there
 
 
 @dataclass(frozen=True)

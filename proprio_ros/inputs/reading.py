@@ -20,17 +20,12 @@ from typing import Any
 
 from proprio_ros.errors import ProprioError, one_line
 
-LONGEST_TEXT = 2_000_000
-"""Bytes of a YAML or JSON file, and of a URDF; a calibration of forty joints has a tenth of it."""
-LONGEST_VALUE = 10_000
-"""Characters of one VALUE of KEY=VALUE."""
-LONGEST_TABLE = 64_000_000
-"""Bytes of a CSV file: over ten hours at 30 Hz."""
-DEEPEST = 32
-"""Lists and mappings within each other; the deepest file of this package has six."""
+LONGEST_TEXT = 2_000_000  # bytes of a YAML or JSON file, and of a URDF; a calibration of forty joints has a tenth of it
+LONGEST_VALUE = 10_000  # characters of one VALUE of KEY=VALUE
+LONGEST_TABLE = 64_000_000  # bytes of a CSV file: over ten hours at 30 Hz
+DEEPEST = 32  # lists and mappings within each other; the deepest file of this package has six
 _TOO_DEEP = f"nested more than {DEEPEST} deep"
-MOST_NODES = 20_000
-"""Keys, values, lists and mappings of a YAML file, those that an alias stands for counted each time."""
+MOST_NODES = 20_000  # keys, values, lists and mappings of a YAML file, those that an alias stands for counted each time
 LONGEST_NAME, LONGEST_PATH = 255, 4095
 """Bytes of a file's name and of a path (Linux: NAME_MAX, PATH_MAX less its final zero)."""
 

@@ -23,8 +23,7 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.sphere import Enclosure
 from proprio_ros.virtual.objects import Payload
 
-Rows = dict[str, Any]
-"""What an experiment returns: lists of rows by name, all of it JSON."""
+Rows = dict[str, Any]  # what an experiment returns: lists of rows by name, all of it JSON
 
 OBJECTS: Mapping[str, tuple[float, str, float]] = {
     "heavy ball": (0.050, "sphere", 0.045),
@@ -33,13 +32,11 @@ OBJECTS: Mapping[str, tuple[float, str, float]] = {
     "light cube": (0.010, "cube", 0.030),
 }
 """Mass [kg], shape and size [m]; of the cubes, which the paper does not size, the edge is ours."""
-STARTS_KG = (1e-6, 0.000477, 0.001, 0.005, 0.095, 0.191, 4.772)
-"""First guesses from nothing to the paper's greatest."""
+STARTS_KG = (1e-6, 0.000477, 0.001, 0.005, 0.095, 0.191, 4.772)  # first guesses from nothing to the paper's greatest
 CUBES: Mapping[str, tuple[float, float]] = {"light cube": (1694.6, 0.130), "heavy cube": (12824.6, 0.258)}
 """Young's modulus [Pa] and Poisson's ratio of the Lame parameters that the paper found."""
 EDGE_M, GAP_M, BLOCK_DAMPING = 0.03, 0.0005, 0.5
-LIFT, LOWER = 0, 1
-"""Runs of the sequence ``payload_elbow``."""
+LIFT, LOWER = 0, 1  # runs of the sequence ``payload_elbow``
 
 
 def payload(name: str) -> tuple[Payload, PayloadFacts]:

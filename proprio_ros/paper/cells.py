@@ -11,8 +11,7 @@ import numpy as np
 from proprio_ros.paper.cases import Rows
 from proprio_ros.report.html import table
 
-COLORS = ("agreeing", "answer", "current", "measured", "apart")
-"""Of series in one plot, classes of the style sheet."""
+COLORS = ("agreeing", "answer", "current", "measured", "apart")  # of series in one plot, classes of the style sheet
 STATES = ((False, "as stated"), (True, "calibrated"))
 
 

@@ -148,8 +148,7 @@ def tracking(seed: int) -> Rows:
     return {"rows": rows}
 
 
-HUNG_KG, HUNG_SIZE_M, PENDULUM_M = 0.050, 0.045, 0.06
-"""A ball on a slide, or below two hinges."""
+HUNG_KG, HUNG_SIZE_M, PENDULUM_M = 0.050, 0.045, 0.06  # a ball on a slide, or below two hinges
 
 
 def extensions(seed: int) -> Rows:
@@ -247,8 +246,7 @@ EFFECTS: Mapping[str, tuple[float, ...]] = {
     "armature": (-0.5, -0.25, 0.0, 0.25, 0.5),
 }
 """What the model is wrong by: relative torque, unmodelled Coulomb friction [N m], relative armature."""
-SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)
-"""Per frame of 1/60 s."""
+SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)  # per frame of 1/60 s
 
 
 def effects(seed: int) -> Rows:

@@ -31,10 +31,8 @@ PERIOD_S, RATE_HZ = 0.001, 40.0
 COUNT_RAD, COUNT_A, COUNT_RAD_S = 2.0 * np.pi / 4096, 0.00269, 0.02398
 """XM430-W350: of the encoder, the current and the velocity."""
 SUPPLY_V, BACK_EMF_V_S, RESISTANCE_OHM = 12.0, 2.49, 5.22
-HOLD_A_PER_RAD, HOLD_A_S_PER_RAD = 22.5, 0.84
-"""What a servo holds its joint with."""
-CAMERA_STD_M, CAMERA_HZ = 0.002, 30.0
-"""Of a camera that sees the sphere, for the experiment that wants one."""
+HOLD_A_PER_RAD, HOLD_A_S_PER_RAD = 22.5, 0.84  # what a servo holds its joint with
+CAMERA_STD_M, CAMERA_HZ = 0.002, 30.0  # of a camera that sees the sphere, for the experiment that wants one
 
 
 @lru_cache(maxsize=1)

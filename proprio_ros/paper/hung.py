@@ -34,8 +34,7 @@ from proprio_ros.sim.joint_kernels import PARAMETERS
 from proprio_ros.sim.payload import joint_coefficients
 
 STARTS_KG = (0.005, 0.016, 0.05, 0.16, 0.5)
-DECAY = (2.5, 2.0)
-"""How fast the payload's own motion dies out [1/s]: expected, and standard deviation."""
+DECAY = (2.5, 2.0)  # how fast the payload's own motion dies out [1/s]: expected, and standard deviation
 AWAY = (-1.0, 0.0, 1.0)
 """Frequencies of a slide that a search starts from, in standard deviations from what is expected."""
 START_STD = {"prismatic": (0.004, 0.1), "universal": (0.1, 1.0)}

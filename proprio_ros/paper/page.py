@@ -19,8 +19,7 @@ from proprio_ros.paper.searches_page import effects, landscapes, optimisers
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed, provenance, table, write_document
 
-IN_GRAMS = ("identified (g)", "rms error (g)", "interval (g)", "holds", "verdict")
-"""Columns of `identified` for a mass."""
+IN_GRAMS = ("identified (g)", "rms error (g)", "interval (g)", "holds", "verdict")  # columns of `identified` for a mass
 TIME = Axis("time after the current came on (s)", "s")
 
 

@@ -14,13 +14,9 @@ AUTHORS = (
 )
 ADDRESS = "https://arxiv.org/abs/2410.03920"
 
-MASS_ERRORS = "2 to 6 g, 10 to 28 %"
-"""Of table I over its four objects; which has which is not available here."""
-TIME = "2.5 to 2.7 s (Apple M1 Max)"
-"""To identify the mass."""
-STARTS_END = "55 to 58 g"
-"""Table II, heavy ball of 50 g."""
-SPHERE_ERROR = "6 g (50 %)"
-"""V-B, a sphere of 12 g."""
+MASS_ERRORS = "2 to 6 g, 10 to 28 %"  # of table I over its four objects; which has which is not available here
+TIME = "2.5 to 2.7 s (Apple M1 Max)"  # to identify the mass
+STARTS_END = "55 to 58 g"  # table II, heavy ball of 50 g
+SPHERE_ERROR = "6 g (50 %)"  # V-B, a sphere of 12 g
 LAME = {"light cube": (749.6, 264.3), "heavy cube": (5097.6, 5430.4)}
 """V-C: mu and lambda [Pa] that it found; nothing says what is true of the cubes."""

@@ -14,8 +14,7 @@ from proprio_ros.paper.hand import play
 from proprio_ros.paper.ways import SphereLastFrame
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 
-EVALUATIONS = 150
-"""Simulations that each search may ask for."""
+EVALUATIONS = 150  # simulations that each search may ask for
 
 
 def optimisers(seed: int) -> Rows:

@@ -43,10 +43,8 @@ KEEP = ("states", "starts")
 SEGMENT_BYTES = 2**20
 """States of a segment: as many whole frames as fit, at least one. A launch costs 50 us, and what fits into the cache is faster."""
 _STATES = 4
-FRICTION_VELOCITY = 1e-3
-"""v_s, where Coulomb's law is smoothed [rad/s]."""
-MARGIN = 0.8
-"""Of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency."""
+FRICTION_VELOCITY = 1e-3  # v_s, where Coulomb's law is smoothed [rad/s]
+MARGIN = 0.8  # of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency
 
 
 @dataclass(frozen=True)

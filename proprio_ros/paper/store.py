@@ -23,8 +23,7 @@ from proprio_ros.paper.cases import Rows
 from proprio_ros.paper.experiments import EXPERIMENTS, experiment
 from proprio_ros.threads import end_with_parent, one_blas_thread
 
-Task = tuple[str, int]
-"""Experiment and seed."""
+Task = tuple[str, int]  # experiment and seed
 
 _PAGES = ("page.py", "cells.py", "searches_page.py", "quoted.py", "store.py")
 NO_ROWS = ("cli/", "nodes/", "launch/", "report/", *(f"paper/{name}" for name in _PAGES))

@@ -55,8 +55,7 @@ from proprio_ros.version import __version__
 HEAVIEST_REFERENCE_KG = 5.0
 BEYOND_PRIOR = 2.0
 """Standard deviations from nothing of an error that the reference's mass would have, from which it is told."""
-LEAST_ARM_STD = 0.02
-"""No URDF is taken to know an arm's weight better, relative."""
+LEAST_ARM_STD = 0.02  # no URDF is taken to know an arm's weight better, relative
 
 
 @one_blas_thread

@@ -17,8 +17,7 @@ from proprio_ros.recordings.effort import EFFORT_UNITS, Effort, ampere
 from proprio_ros.recordings.topics import OUR_DRIVER
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
 
-RATE_OFF = 0.004
-"""Of the pace of header stamps, against that of the recorder's clock: quartz keeps 0.0001."""
+RATE_OFF = 0.004  # of the pace of header stamps, against that of the recorder's clock: quartz keeps 0.0001
 CLEARLY = 5.0
 """Times the scatter of what comes late that two clocks must drift apart; a recorder that falls behind does so in jumps."""
 OTHER_UNIT = 100.0
@@ -27,20 +26,16 @@ FEWEST_STAMPS = 20
 OTHER_CLOCK_S = 0.5
 """A clock further off than this is not the recorder's (simulated time), and may run at a pace of its own."""
 
-CURRENT_OFF = 0.05
-"""Of the measured current, against the commanded: real XM430 deliver 0.98 to 0.99 of it."""
+CURRENT_OFF = 0.05  # of the measured current, against the commanded: real XM430 deliver 0.98 to 0.99 of it
 TORQUE_OFF = 0.3
 """The same where others command: an arm may measure torque behind its gears, which lacks what friction and rotor take."""
-LEAST_CURRENT_A = 0.005
-"""What the two must differ by, on average, whatever is commanded; two counts of an XM430."""
+LEAST_CURRENT_A = 0.005  # what the two must differ by, on average, whatever is commanded; two counts of an XM430
 SAME_UNIT = {"N.m": 4.0, "A": 4.0, "mA": 1.5, "raw": 1.5}
 """Effort in no unit that is known is compared with no command: the nearest one must fit to this factor. Per mille of a motor's
 rating lie near mA and raw counts."""
-SETTLED_S = 0.1
-"""A motor follows a command within this time, delay of bus and driver included."""
+SETTLED_S = 0.1  # a motor follows a command within this time, delay of bus and driver included
 FEWEST_READINGS = 8
-ELSEWHERE_SHARE = 0.3
-"""Of the readings that are far from the command, above which they follow another one."""
+ELSEWHERE_SHARE = 0.3  # of the readings that are far from the command, above which they follow another one
 
 
 def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:

@@ -36,8 +36,7 @@ from proprio_ros.records import (
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
 POSITION_UNITS = ("rad", "deg")
-CLOCK = ("timestamp", "frame_index")
-"""Columns that say when a frame was; the first that is there counts."""
+CLOCK = ("timestamp", "frame_index")  # columns that say when a frame was; the first that is there counts
 FRAMES, BUFFER = 8192, 1 << 20
 """Frames, and bytes of a column, that are held at once where a part of an episode is read."""
 _EPISODE = re.compile(r"(?s)(?P<folder>.+)#(?P<index>\d{1,9})$")

@@ -22,8 +22,7 @@ from proprio_ros.recordings.datasets import POSITION_UNITS, Columns
 from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.recordings.topics import FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
 
-DEEPEST = 8
-"""Files that extend each other."""
+DEEPEST = 8  # files that extend each other
 _TYPES = {"sensor_msgs/JointState": JOINT_STATE, "std_msgs/Float64MultiArray": FLOAT_ARRAYS[0]}
 _RADIANS = {"rad": 1.0, "degree": math.pi / 180.0}
 _SENTENCE = 500

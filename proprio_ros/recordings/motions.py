@@ -12,16 +12,11 @@ from proprio_ros.records import BoolArray, FloatArray, Recording
 
 MOVED_RAD = 0.05
 """A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
-SHORTEST_S = 3.0
-"""A shorter motion says nothing about how well it is explained [s]."""
-SLOWEST_HZ = 20.0
-"""Below this rate a motion of half a second has no shape."""
-WRAPPED_RAD = 3.0
-"""No arm turns that far between two samples."""
-LARGEST_STEP_RAD = 1.0
-"""Angles whose steps are smaller than this once they are unwrapped did wrap around."""
-LONGEST_GAP_S = 0.1
-"""Across a longer gap nobody knows how the arm moved [s]."""
+SHORTEST_S = 3.0  # a shorter motion says nothing about how well it is explained [s]
+SLOWEST_HZ = 20.0  # below this rate a motion of half a second has no shape
+WRAPPED_RAD = 3.0  # no arm turns that far between two samples
+LARGEST_STEP_RAD = 1.0  # angles whose steps are smaller than this once they are unwrapped did wrap around
+LONGEST_GAP_S = 0.1  # across a longer gap nobody knows how the arm moved [s]
 
 
 @dataclass(frozen=True)

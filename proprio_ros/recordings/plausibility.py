@@ -19,15 +19,12 @@ from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recordi
 from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.regressor import body_parameters, kinematics, momentum_and_gravity
 
-MOVED_M = 0.002
-"""A slide that moves less stands still [m]."""
-LONGEST_LAG_S = 0.15
-"""Of a velocity behind its position; filters of servos take less [s]."""
+MOVED_M = 0.002  # a slide that moves less stands still [m]
+LONGEST_LAG_S = 0.15  # of a velocity behind its position; filters of servos take less [s]
 LAG_S = 0.015
 """What a lag must reach to be said [s]; a velocity computed from the last two positions lags by half a period."""
 SURE_CORRELATION = 0.9
-SMOOTHED_S = 0.1
-"""Efforts are compared with gravity over this time [s]."""
+SMOOTHED_S = 0.1  # efforts are compared with gravity over this time [s]
 PLAUSIBLE = (0.5, 2.0)
 """Effort over the torque that gravity needs: within it lie an unknown load, gears that lose a part, and a URDF that is 15 % off."""
 LEAST_T = 15.0
@@ -36,8 +33,7 @@ LEAST_LOAD = 0.1
 """Of the largest change of gravity's torque on any joint: a wrist that hardly lifts says nothing of units."""
 FEW_LEVELS = 5
 """An effort that takes fewer values than this between zeros is a sequence of excitations, and no old reading."""
-STALE_SAMPLES = 4
-"""Equal efforts in a row, typically, while the joint moves."""
+STALE_SAMPLES = 4  # equal efforts in a row, typically, while the joint moves
 
 
 @dataclass(frozen=True)

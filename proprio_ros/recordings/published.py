@@ -14,8 +14,7 @@ from proprio_ros.recordings.text import TextRecording
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-FRAME_S = 1.0 / 60.0
-"""The paper's frame."""
+FRAME_S = 1.0 / 60.0  # the paper's frame
 PROBE_FRAMES = 36
 """The paper's elbow probe lasts 0.6 s: 36 frames. Its recording goes on for longer, without saying what the motor did then."""
 

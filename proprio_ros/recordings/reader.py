@@ -31,14 +31,10 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-MOST_MESSAGES = 1_000_000
-"""Messages of one topic of a bag: nearly three hours at 100 Hz."""
-MOST_BYTES = 500_000_000
-"""Bytes of the messages of one topic, together."""
-MOST_BYTES_OF_ONE = 200_000
-"""Bytes of one message: that of a thousand joints."""
-MOST_UNPACKED = 2_000_000_000
-"""Bytes of a compressed bag's files, or of one chunk of it, once they are unpacked."""
+MOST_MESSAGES = 1_000_000  # messages of one topic of a bag: nearly three hours at 100 Hz
+MOST_BYTES = 500_000_000  # bytes of the messages of one topic, together
+MOST_BYTES_OF_ONE = 200_000  # bytes of one message: that of a thousand joints
+MOST_UNPACKED = 2_000_000_000  # bytes of a compressed bag's files, or of one chunk of it, once they are unpacked
 _TOGETHER = 8192  # messages that are decoded at once
 
 

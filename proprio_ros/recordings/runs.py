@@ -28,25 +28,19 @@ from proprio_ros.records import (
 
 MEASURED_CURRENT_FLOOR_A = 0.015
 """Measured currents scatter by 8-15 mA around the command on a real OpenManipulator-X; less is rest [A]."""
-REST_S = 0.2
-"""A measured rest level is taken over the opening of the recording [s]."""
-SETTLING_S = 0.3
-"""After a run ends the joint is braked; what it does meanwhile is no rest [s]."""
-BEFORE_S = 1.0
-"""Rest before the onset that a run carries along [s]."""
+REST_S = 0.2  # a measured rest level is taken over the opening of the recording [s]
+SETTLING_S = 0.3  # after a run ends the joint is braked; what it does meanwhile is no rest [s]
+BEFORE_S = 1.0  # rest before the onset that a run carries along [s]
 AFTER_S = 0.3
 """Of what the joint does after its run, so much is carried along: it shows when the current truly ended [s]."""
-MOVING_SPAN = 0.02
-"""A joint that a position controller holds gives way by less than this [rad or m]."""
+MOVING_SPAN = 0.02  # a joint that a position controller holds gives way by less than this [rad or m]
 REPEATED_SHARE = 0.2
 """Of the joint states in a run may repeat the one before while the joint moves, before it is taken for a publisher's doing."""
 STEADY_SHARE, STEADY_WITHIN = 0.8, 0.25
 """The current of an excitation is constant: so much of it lies so close to its median, once single samples are smoothed. Of 194
 simulated ones 0.82 to 1 of it does even unsmoothed; under the controllers of real servos mostly 0 to 0.75."""
-AT_REST_S = 0.3
-"""An excitation begins at rest: for so long before it the joint has not moved."""
-MIN_SAMPLES = 5
-"""Fewer samples than this say nothing about a motion that starts at rest."""
+AT_REST_S = 0.3  # an excitation begins at rest: for so long before it the joint has not moved
+MIN_SAMPLES = 5  # fewer samples than this say nothing about a motion that starts at rest
 RELEASE_S = 0.05
 """A servo that was told to let go may take so long; what it does meanwhile is no free response. Torque that comes back may come so
 long before it is said [s]."""
@@ -57,8 +51,7 @@ FELL_SPAN = 0.1
 """Where torque is off, a joint that moves more than this swings, and one that moves less is held by its friction [rad]."""
 LONGEST_SWING_S = 5.0
 """Of a free response: what comes later is told by friction more than by weight, and costs computing time [s]."""
-STANDS_STILL = 0.005
-"""A joint that stays this close to where it ends has come to rest [rad]."""
+STANDS_STILL = 0.005  # a joint that stays this close to where it ends has come to rest [rad]
 
 
 class DrivenAtOnce(RecordingError):

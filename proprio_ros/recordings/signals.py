@@ -52,15 +52,12 @@ REGISTER, LARGEST_COUNT = 65536, 4096
 """Values of a register of 16 bits, and what no motor's current, duty or load in counts exceeds."""
 IMPLAUSIBLE_SPEED = 10.0
 """rad/s or m/s: no joint of an arm gets that fast there and back between a few samples; a damaged number does."""
-LONGEST_JUMP = 3
-"""Samples in a row that may be damaged: more that agree with each other are a slipped encoder."""
-GARBAGE_SHARE = 0.05
-"""Fewer messages than this with impossible numbers are left out; more have another unit."""
+LONGEST_JUMP = 3  # samples in a row that may be damaged: more that agree with each other are a slipped encoder
+GARBAGE_SHARE = 0.05  # fewer messages than this with impossible numbers are left out; more have another unit
 FOREIGN_CLOCK_NS = 500_000_000
 """Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
 
-SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 5.0
-"""Joint states that come faster or slower have stamps in another unit."""
+SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 5.0  # joint states that come faster or slower have stamps in another unit
 
 _NO_TIMES: TimeArray = np.empty(0, dtype=np.int64)
 

@@ -14,8 +14,7 @@ from proprio_ros.inputs.forms import FormError, Number, Text, Whole, shortly
 from proprio_ros.inputs.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of
 from proprio_ros.records import IMPLAUSIBLE_POSITION, MIN_SAMPLES, FloatArray, PointTrack
 
-MOST_ROWS = 200_000
-"""Rows of a CSV file: nearly two hours at 30 Hz."""
+MOST_ROWS = 200_000  # rows of a CSV file: nearly two hours at 30 Hz
 
 
 @dataclass(frozen=True)

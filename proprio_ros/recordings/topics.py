@@ -19,10 +19,8 @@ STRING = "std_msgs/msg/String"
 BATTERY = "sensor_msgs/msg/BatteryState"
 POINT = "geometry_msgs/msg/PointStamped"
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
-TORQUE_ENABLED = "torque_enabled"
-"""Topic that says whether the motors' torque is on."""
-TEMPERATURES = "motor_temperatures"
-"""Topic of how warm each motor is."""
+TORQUE_ENABLED = "torque_enabled"  # topic that says whether the motors' torque is on
+TEMPERATURES = "motor_temperatures"  # topic of how warm each motor is
 JOINT_COMMAND, BATTERY_STATE = "joint_command", "battery_state"
 """Topics of the goals of position servos, and of their supply."""
 

@@ -16,10 +16,8 @@ from proprio_ros.report.figures import ACCENT, INK, MUTED, PALE, SIMULATED, draw
 TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck")
 OF_MOTIONS = ("torque_share", "coulomb", "viscous", "load_friction", "armature", "offset")
 ANY_SIGN = ("torque_constant", "torque_share", "offset")
-MOST_OVER = 5.0
-"""Bars are cut at so many times the most that any joint may have by now."""
-NOTICEABLE = 0.3
-"""Correlations below this are not worth a row of the picture."""
+MOST_OVER = 5.0  # bars are cut at so many times the most that any joint may have by now
+NOTICEABLE = 0.3  # correlations below this are not worth a row of the picture
 MOST_CORRELATED = 30
 RUNS_A_ROW = 4
 
@@ -28,11 +26,6 @@ def joints_of(unknowns: tuple[UnknownRow, ...], of_runs: bool = False) -> list[s
     """Joints whose drive trains are among the unknowns; ``of_runs``: only where runs said so, and not motions."""
     kinds = {"torque_constant"} if of_runs else {"torque_constant", "torque_share"}
     return [str(row.scope) for row in unknowns if row.kind in kinds]
-
-
-def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
-    """The same as SVG."""
-    return svg(draw_drive_trains(unknowns), "Drive-train terms of every joint with 95 % intervals, before and after")
 
 
 def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:

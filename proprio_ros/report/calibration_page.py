@@ -12,6 +12,7 @@ from proprio_ros.kinds import KINDS
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import html, pictures
+from proprio_ros.report.figures import svg
 from proprio_ros.report.html import bulleted, framed, listed, number, plotted, provenance, table, titled, write_document
 from proprio_ros.report.motion_sections import torques
 
@@ -29,7 +30,10 @@ def write_calibration_report(
     if figures.joints_of(estimate.unknowns):
         parts += plotted(
             "The drive train",
-            figures.drive_train_figure(estimate.unknowns),
+            svg(
+                figures.draw_drive_trains(estimate.unknowns),
+                "Drive-train terms of every joint with 95 % intervals, before and after",
+            ),
             "Pale: the 95 % interval of the robot file, cut where it is far wider. Dark: what the recordings leave of it. A dark "
             "bar as long as the pale one was not learnt.",
         )
@@ -48,7 +52,9 @@ def write_calibration_report(
             "further than promised: bars on the right that reach far past 1 contradict the others.",
         )
     parts += [*_motions(estimate), *_weighed(estimate), *torques(estimate.joint_fits, False, learnt=True)]
-    parts += _unused(estimate)
+    parts += ["<h2>Runs that were not used</h2>"] * bool(estimate.unused)
+    for n, run in enumerate(estimate.unused, start=1):
+        parts += [f"<h3>{html.breakable(run.name)}</h3>", framed(pictures.run_figure(None, run, n))]
     parts += listed("What the runs could not separate", estimate.not_separated)
     if estimate.calibration is not None:
         parts += plotted(
@@ -74,7 +80,7 @@ def _motions(estimate: CalibrationEstimate) -> list[str]:
         [joint, shown("N m", rms, spec=".0f"), f"{windows:.1f}"]
         for joint, rms, windows in zip(motion.joints, motion.residual, motion.correlation, strict=True)
     ]
-    parts = [
+    return [
         "<h2>The motions</h2>",
         table(["", "duration", "in the hand"], runs, numbers=(1, 2)),
         f"<p>By its torques the arm weighs {motion.arm_over_urdf:.2f} times what its URDF says. The torque constants count as "
@@ -82,7 +88,6 @@ def _motions(estimate: CalibrationEstimate) -> list[str]:
         "<h3>Torque that is left over</h3>",
         table(["joint", "rms over windows of 0.5 s", "windows that share an error"], joints, numbers=(1, 2)),
     ]
-    return parts
 
 
 def _weighed(estimate: CalibrationEstimate) -> list[str]:
@@ -98,13 +103,6 @@ def _weighed(estimate: CalibrationEstimate) -> list[str]:
         )
     title = "<h3>Each motion, weighed by the calibration of the others</h3>"
     return [title, table(["", "held", "weighs", "95 %"], rows, numbers=(1, 2, 3))]
-
-
-def _unused(estimate: CalibrationEstimate) -> list[str]:
-    parts = ["<h2>Runs that were not used</h2>"] * bool(estimate.unused)
-    for n, run in enumerate(estimate.unused, start=1):
-        parts += [f"<h3>{html.breakable(run.name)}</h3>", framed(pictures.run_figure(None, run, n))]
-    return parts
 
 
 def _headline(estimate: CalibrationEstimate) -> list[str]:

@@ -17,8 +17,7 @@ WIDTH, LEFT, RIGHT = 640.0, 74.0, 14.0
 TITLE, BELOW, AXIS = 34.0, 12.0, 42.0
 """Height of a panel's title, of the space below a panel, and of the axis below the last one."""
 INSIDE = WIDTH - LEFT - RIGHT
-MARGIN = 0.06
-"""Space above and below the curves, as a share of their range."""
+MARGIN = 0.06  # space above and below the curves, as a share of their range
 
 
 @dataclass(frozen=True)

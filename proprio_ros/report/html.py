@@ -26,9 +26,6 @@ def policy(*scripts: str) -> str:
     return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}"
 
 
-POLICY = policy(SCRIPT)
-"""Of a page without a script of its own."""
-
 STYLE = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 """Of every page: bright, dark, narrow and on paper."""
 

@@ -13,8 +13,7 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.report.calibration_figures import draw_drive_trains, joints_of
 from proprio_ros.report.figures import ACCENT, INK, MUTED, drawn, plain
 
-MOST_ROWS = 40
-"""Of a table or of bars; what there is more is counted."""
+MOST_ROWS = 40  # of a table or of bars; what there is more is counted
 
 
 def small_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], after: Iterable[str] = ()) -> str:

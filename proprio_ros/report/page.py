@@ -213,17 +213,9 @@ def _convergence(estimate: Estimate) -> list[str]:
     rows = []
     for stage, paths in (("robot as stated", solver.paths), ("all open", solver.refined)):
         for path in paths:
+            start = f"{factor * path.start:{'.0f' if factor * path.start >= 100.0 else '.3g'}}"
             stops = [f"{factor * (path.scheduled or 0.0):.1f}"] * scheduled
-            end = f"{factor * path.end:.3f}"
-            rows.append(
-                [
-                    *[stage] * refined,
-                    f"{factor * path.start:{'.0f' if factor * path.start >= 100.0 else '.3g'}}",
-                    *stops,
-                    end,
-                    f"{path.cost:.3g}",
-                ]
-            )
+            rows.append([*[stage] * refined, start, *stops, f"{factor * path.end:.3f}", f"{path.cost:.3g}"])
     return [
         "<h2>Convergence of every start</h2>",
         f"<p class=small>{escape(about)}</p>",
@@ -237,7 +229,8 @@ def _values(estimate: Estimate) -> list[str]:
     rows = []
     for each in (part for value in estimate.values for part in (_components(value) if _known(value) else [value])):
         none = not _known(each)
-        numbers = ["-"] * 3 if none else [number(each.value, each.std), number(each.std, each.std), _interval(each)]
+        interval = "-" if each.ci95 is None else " to ".join(number(end, each.std) for end in each.ci95)
+        numbers = ["-"] * 3 if none else [number(each.value, each.std), number(each.std, each.std), interval]
         rows.append([each.label, *numbers, each.unit.replace("^2", "²"), each.reason])
     header = ["estimate", "value", "std", "95 % interval", "unit", *[""] * any(row[-1] for row in rows)]
     parts.append(table(header, [row[: len(header)] for row in rows], numbers=(1, 2, 3), labels=1))
@@ -264,7 +257,3 @@ def _values(estimate: Estimate) -> list[str]:
             rows.append(["condition of the scaled normal matrix", f"{fit.condition:.2g}"])
         parts.append("<h3>Fit</h3>" + table(["", ""], rows, numbers=(1,)))
     return parts
-
-
-def _interval(value: Value) -> str:
-    return "-" if value.ci95 is None else " to ".join(number(end, value.std) for end in value.ci95)

@@ -16,8 +16,7 @@ from proprio_ros.report.html import bars, percent
 
 TIME, RELEASED = "time after the current came on (s)", "time after it was let go (s)"
 SHOWN_SOURCES = 8
-HIGHEST_CHI2 = 15.0
-"""Of a profile that is shown: the 95 % interval ends at 3.8."""
+HIGHEST_CHI2 = 15.0  # of a profile that is shown: the 95 % interval ends at 3.8
 
 
 def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) -> str:

@@ -15,8 +15,7 @@ from proprio_ros.inputs.reading import path_problem
 from proprio_ros.robot.tree import RobotModel
 from proprio_ros.robot.urdf import Joint
 
-PACKAGE = "robot_descriptions:"
-"""What a source begins with that names a robot of the package robot_descriptions."""
+PACKAGE = "robot_descriptions:"  # what a source begins with that names a robot of the package robot_descriptions
 _BAGS = (".mcap", ".db3")
 _TOOLS = ("tcp", r"(^|_)(eef?|end_?effector|grasp)", "tool", "hand", "flange", "gripper")
 """What fixed frames of tools are called, those nearest to the object first."""

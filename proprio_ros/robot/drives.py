@@ -22,8 +22,7 @@ import numpy as np
 from proprio_ros.inputs.forms import Form, Number
 from proprio_ros.robot.geometry import FloatArray
 
-STEP_S = 0.002
-"""A goal that is limited in speed is followed in such steps, as firmware does every few milliseconds."""
+STEP_S = 0.002  # a goal that is limited in speed is followed in such steps, as firmware does every few milliseconds
 MEASURED, COMPUTED = "duty cycle and supply voltage", "goal, position and supply voltage by the servo's law"
 
 

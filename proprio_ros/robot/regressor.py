@@ -13,8 +13,7 @@ import numpy as np
 from proprio_ros.robot.geometry import FloatArray, inertia_about_origin
 from proprio_ros.robot.tree import ReducedModel
 
-PARAMETERS = 10
-"""Of a body: m [kg], m c [kg m] (3), I [kg m^2] about the body's origin: xx, xy, xz, yy, yz, zz."""
+PARAMETERS = 10  # of a body: m [kg], m c [kg m] (3), I [kg m^2] about the body's origin: xx, xy, xz, yy, yz, zz
 
 
 def body_parameters(pseudo_inertia: FloatArray) -> FloatArray:

@@ -21,8 +21,7 @@ from proprio_ros.inputs.reading import LONGEST_TEXT
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.urdf import Joint, Link, UrdfReader
 
-STANDARD_GRAVITY = (0.0, 0.0, -9.81)
-"""m/s^2 in the base frame, z up."""
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2 in the base frame, z up
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from proprio_ros.inputs.reading import LONGEST_TEXT
 from proprio_ros.robot.geometry import FloatArray, frozen, motion, pseudo_inertia, rotation_from_rpy, transform
 
 JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
-LONGEST_NAME = 255
-"""Characters of the name of a link or a joint."""
+LONGEST_NAME = 255  # characters of the name of a link or a joint
 MOST_LINKS = 256
 """Each link that moves with a driven joint has unknowns of its own; a humanoid with two hands has half as many links."""
 _LARGEST = {"mass": 1e4, "inertia": 1e5, "xyz": 100.0, "rpy": 100.0}  # kg, kg m^2, m, rad

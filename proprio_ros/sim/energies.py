@@ -35,8 +35,7 @@ import numpy as np
 from proprio_ros.errors import SimulationError
 
 LAWS = ("log", "smith", "linear", "warp_compat")
-LEAST_J = 0.05
-"""Where log J is continued; smaller than in any squeeze that a block survives."""
+LEAST_J = 0.05  # where log J is continued; smaller than in any squeeze that a block survives
 
 _PERMUTATION = np.zeros((3, 3, 3))
 _PERMUTATION[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0

@@ -33,10 +33,8 @@ slide)."""
     STRIBECK, STRIBECK_VELOCITY,
 ) = range(len(PARAMETERS))  # fmt: skip
 
-VOLTAGE, BACK_EMF, RESISTANCE, FRICTION_VELOCITY = range(4)
-"""Columns of ``JointData.constants``."""
-CURRENT, LOAD, LOAD_PER_KG = range(3)
-"""Entries of the input."""
+VOLTAGE, BACK_EMF, RESISTANCE, FRICTION_VELOCITY = range(4)  # columns of ``JointData.constants``
+CURRENT, LOAD, LOAD_PER_KG = range(3)  # entries of the input
 
 runtime.start()
 VEC2 = wp.types.vector(length=2, dtype=FLOAT)

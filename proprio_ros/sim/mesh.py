@@ -22,8 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.reading import path_problem
 
-MAX_CELLS = 64
-"""Cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed."""
+MAX_CELLS = 64  # cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed
 MIN_QUALITY = 0.05
 """Smallest mean ratio of a tetrahedron (1 is regular, 0 is flat); a cell of a box has 0.84 where it is a cube."""
 _FLAT = 1e-6  # of the length: nodes that near to an end belong to it

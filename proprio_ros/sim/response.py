@@ -35,8 +35,7 @@ from proprio_ros.sim.quasistatic import CONTACTS, QuasiStatic
 CELLS = 6
 """Of the octant, along a mean edge: 12 for the block. Its error of E with bonded faces at 30 % squeeze, against second-order
 elements: 0.2, 0.9, 1.6 % at nu = 0.13, 0.26, 0.40 (0.1, 0.4, 0.9 % at 5 %)."""
-RATIOS = (0.0, 0.48, 13)
-"""First and last Poisson's ratio of the table, and how many."""
+RATIOS = (0.0, 0.48, 13)  # first and last Poisson's ratio of the table, and how many
 SQUEEZES = {"log": (0.0, 0.6, 25), "linear": (0.0, 0.6, 25), "smith": (0.0, 0.3, 13), "warp_compat": (0.0, 0.3, 13)}
 """First and last squeeze of the table relative to the length, and how many; the force of the last two laws peaks and drops."""
 FARTHEST = (0.0, 0.8, 49)

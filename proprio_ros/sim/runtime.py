@@ -19,11 +19,9 @@ FLOAT = wp.float64
 """All rollouts run in double precision: on a CPU float32 is no faster, and its gradients are off by up to 0.1 %."""
 FLOATS = wp.array2d(dtype=FLOAT)
 
-COMPILERS = min(os.cpu_count() or 1, 4)
-"""Kernels that are compiled at the same time."""
+COMPILERS = min(os.cpu_count() or 1, 4)  # kernels that are compiled at the same time
 _refusal = ""
-_alone = 0
-"""How many kernels were compiled in this process for the first who asked, and not ahead."""
+_alone = 0  # how many kernels were compiled in this process for the first who asked, and not ahead
 
 
 def start() -> None:

@@ -30,8 +30,7 @@ from proprio_ros.sim.sphere_kernels import SPHERE_PARAMETERS, SphereData, sphere
 SPHERE_INDEX = {name: row for row, name in enumerate(SPHERE_PARAMETERS)}
 SHAPES = ("box", "cylinder", "sphere")
 LAWS = ("ramped", "paper")
-_SIZES = (1, 8, 16)
-"""More directions than the last go in several launches: see ``sphere_kernels.py``."""
+_SIZES = (1, 8, 16)  # more directions than the last go in several launches: see ``sphere_kernels.py``
 
 
 @dataclass(frozen=True)

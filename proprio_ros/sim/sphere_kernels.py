@@ -36,8 +36,7 @@ SPHERE_MASS, START_X, START_Y, START_Z, STIFFNESS, DAMPING, TRACTION, FRICTION, 
     len(PARAMETERS), len(SPHERE_PARAMETERS)
 )
 AXIS, ORIGIN, TURNS, GRAVITY, GRAVITY_BY_COS, GRAVITY_BY_SIN, HALF_SIZE = 0, 3, 6, 7, 10, 13, 16
-RADIUS, INERTIA_FACTOR, RAMP_DEPTH = 19, 20, 21
-"""Columns of ``SphereData.geometry`` where they start."""
+RADIUS, INERTIA_FACTOR, RAMP_DEPTH = 19, 20, 21  # columns of ``SphereData.geometry`` where they start
 FACES = {"box": 6, "cylinder": 3, "sphere": 1}
 MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
 STATE = wp.types.vector(length=11, dtype=FLOAT)

@@ -24,10 +24,8 @@ BLOCK_TERMS = ("youngs_modulus", "poissons_ratio", "block_viscosity", "gap")
 """What a block adds to the parameters of ``joint.py``: Pa, 1, Pa s, m."""
 SQUEEZE_PARAMETERS = (*PARAMETERS, *BLOCK_TERMS)
 YOUNGS_MODULUS, POISSONS_RATIO, BLOCK_VISCOSITY, GAP = range(len(PARAMETERS), len(SQUEEZE_PARAMETERS))
-LENGTH, AREA, TRAVEL, TABLE, BEND_2, BEND_3 = range(6)
-"""Columns of ``SqueezeData.block``."""
-RAMP = 1e-3
-"""s_r: relative squeeze over which the viscosity sets in."""
+LENGTH, AREA, TRAVEL, TABLE, BEND_2, BEND_3 = range(6)  # columns of ``SqueezeData.block``
+RAMP = 1e-3  # s_r: relative squeeze over which the viscosity sets in
 
 
 @wp.struct

@@ -24,12 +24,9 @@ from proprio_ros.virtual.objects import HandObject
 from proprio_ros.virtual.robot import LONGEST_PAUSE_S, parked
 from proprio_ros.virtual.truth import Truth
 
-PERIOD_S = 0.001
-"""Of the motors' current controllers, as of the virtual servos'."""
-UNITS = ("A", "N.m")
-"""What an effort may be: the motor's current, or current x nominal torque constant (N for a slide)."""
-FOREIGN_JOINTS = ("conveyor", "lift")
-"""Joints of other machines on the same topic."""
+PERIOD_S = 0.001  # of the motors' current controllers, as of the virtual servos'
+UNITS = ("A", "N.m")  # what an effort may be: the motor's current, or current x nominal torque constant (N for a slide)
+FOREIGN_JOINTS = ("conveyor", "lift")  # joints of other machines on the same topic
 
 
 class EffortDriver:

@@ -21,13 +21,10 @@ if TYPE_CHECKING:
     from proprio_ros.virtual.arm import VirtualArm
 
 Vector = tuple[float, float, float]
-SixOfInertia = tuple[float, float, float, float, float, float]
-"""xx, yy, zz, xy, xz, yz [kg m^2]."""
+SixOfInertia = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz [kg m^2]
 
-HEAVIEST_KG = 5.0
-"""An arm on a desk holds less; a larger number was meant in grams."""
-LONGEST_M = 1.0
-"""A larger number was meant in millimetres."""
+HEAVIEST_KG = 5.0  # an arm on a desk holds less; a larger number was meant in grams
+LONGEST_M = 1.0  # a larger number was meant in millimetres
 
 
 class HandObject(ABC):

@@ -12,8 +12,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 BROADCAST_ID = 0xFE
-ALERT = 0x80
-"""Bit of the error byte: look at Hardware Error Status."""
+ALERT = 0x80  # bit of the error byte: look at Hardware Error Status
 _HEADER = b"\xff\xff\xfd\x00"
 _BEFORE_BODY = 7  # header, ID, LEN
 _LONGEST = 4096  # a longer LEN is a damaged one; the longest request of 252 servos is below this

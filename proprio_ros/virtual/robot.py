@@ -14,10 +14,8 @@ from proprio_ros.virtual.port import PtyPort
 from proprio_ros.virtual.servo import CONTROL_PERIOD_S, VirtualServo
 from proprio_ros.virtual.truth import Truth
 
-LONGEST_PAUSE_S = 0.5
-"""When this process was not run for longer, the world stood still meanwhile."""
-LATE_S = 0.03
-"""The port moves the world on every 2 ms; more means that this process was not run."""
+LONGEST_PAUSE_S = 0.5  # when this process was not run for longer, the world stood still meanwhile
+LATE_S = 0.03  # the port moves the world on every 2 ms; more means that this process was not run
 PARKED = {"joint2": -1.0, "joint3": 0.6, "joint4": 0.4}
 """Where an OpenManipulator-X is parked: away from all limits, high above the table [rad]."""
 OVERHEATED_C = 90.0

@@ -23,10 +23,8 @@ from proprio_ros.bus.control_table import (
 )
 from proprio_ros.virtual.protocol import ALERT, Error
 
-CONTROL_PERIOD_S = 0.001
-"""Period of the current controller: `VirtualServo.control` is called once per period [s]."""
-REBOOT_S = 0.3
-"""Time without an answer after a reboot; assumed [s]."""
+CONTROL_PERIOD_S = 0.001  # period of the current controller: `VirtualServo.control` is called once per period [s]
+REBOOT_S = 0.3  # time without an answer after a reboot; assumed [s]
 AMBIENT_C = 30.0
 
 _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")

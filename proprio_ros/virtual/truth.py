@@ -15,8 +15,7 @@ from proprio_ros.robot import DriveTrain, Robot
 ALIKE, OFF_TOGETHER = 0.03, 0.3
 """Torque constants of servos of one type, in one arm, differ by the first from each other; and all together from the robot file by
 that share of what it leaves open, which allows for other gears and supplies, too."""
-FASTEST_LATENCY_S, SLOWEST_LATENCY_S = 0.002, 0.006
-"""From a command on the bus to the motor's torque."""
+FASTEST_LATENCY_S, SLOWEST_LATENCY_S = 0.002, 0.006  # from a command on the bus to the motor's torque
 
 
 @dataclass(frozen=True)

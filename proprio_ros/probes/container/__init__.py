@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings, probe_file
@@ -47,15 +47,13 @@ class Container(
     answer = ("sphere_mass", "kg")
     numbers = MappingProxyType({"mass": "sphere_mass", "sphere_mass": "sphere_mass"})
     keys = ("container.", "sphere.", "contact.")
-    unknowns = MappingProxyType(
-        {
-            "container_mass": Kind("kg", "container mass"),
-            "sphere_mass": Kind("kg", "sphere mass"),
-            **{f"sphere_{axis}": Kind("m", f"start of the sphere, {axis}", "run") for axis in "xyz"},
-            "contact_damping": Kind("1", "damping ratio of a touch"),
-            "contact_friction": Kind("1", "friction between sphere and walls"),
-        }
-    )
+    unknowns: ClassVar[Mapping[str, Kind]] = {
+        "container_mass": Kind("kg", "container mass"),
+        "sphere_mass": Kind("kg", "sphere mass"),
+        **{f"sphere_{axis}": Kind("m", f"start of the sphere, {axis}", "run") for axis in "xyz"},
+        "contact_damping": Kind("1", "damping ratio of a touch"),
+        "contact_friction": Kind("1", "friction between sphere and walls"),
+    }
     hand = "the container has to be in the hand with its sphere"
     default_sequence = "container"
     virtual_object = VirtualContainer

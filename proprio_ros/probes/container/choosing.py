@@ -57,12 +57,10 @@ from proprio_ros.sim.sphere import SphereRun
 
 STARTS = 8
 """Start positions of the driven joint: finer than for a rigid load, since the sphere is to leave its end early in a push."""
-SIMULATED = 40
-"""Pushes in which the sphere is simulated."""
+SIMULATED = 40  # pushes in which the sphere is simulated
 TILT_MARGIN = LEVEL
 """rad, beyond that slope: an arm that stands so far off still has the sphere at rest in the same end, and in time."""
-ROLLED_SHARE = 0.5
-"""The sphere leaves its end where it would come to rest this share of its least room away."""
+ROLLED_SHARE = 0.5  # the sphere leaves its end where it would come to rest this share of its least room away
 
 
 class SphereUntilSure(CatalogueChooser):

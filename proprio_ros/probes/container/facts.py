@@ -21,8 +21,7 @@ from proprio_ros.records import Run
 from proprio_ros.robot import rotation_from_rpy
 from proprio_ros.sim.sphere import LAWS, Enclosure
 
-MOST_PLACES = 2000
-"""Places of the sphere in one run: two seconds at 1 kHz."""
+MOST_PLACES = 2000  # places of the sphere in one run: two seconds at 1 kHz
 DECIDING = ("container.inner_size", "container.centre", "sphere.radius")
 """Facts without a safe default: those of the probe file are the sample recordings'."""
 _PLACE = "[x, y, z] in m"

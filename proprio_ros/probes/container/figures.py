@@ -18,15 +18,12 @@ from proprio_ros.report.html import breakable, framed
 
 EARLY, LATE = (0xF2, 0x8E, 0x2B), (0x7D, 0x4F, 0xC9)
 """Colours of the first and the last instant: also in grey print the early one is the paler."""
-INSTANTS = 5
-"""Spheres drawn in the picture, the first and the last among them."""
+INSTANTS = 5  # spheres drawn in the picture, the first and the last among them
 MOST_SAMPLES = 120
 MOST_CLOCK_READINGS = 60
 SLOWER = 5.0
-PAUSE_S = 1.0
-"""At the end of the moving picture, before it starts again."""
-ALONG_SIGHT = 0.05
-"""Gravity whose part across the line of sight is less than this is not drawn as an arrow."""
+PAUSE_S = 1.0  # at the end of the moving picture, before it starts again
+ALONG_SIGHT = 0.05  # gravity whose part across the line of sight is less than this is not drawn as an arrow
 MM = 1e3
 
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -43,19 +43,15 @@ from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, motion
 
-STILL_M = 1e-3
-"""A sphere that moves less was weighed like any load that does not move."""
-EMPTY_SIGMAS = 3.0
-"""How far from what was stated about it a baseline may be before it is not believed."""
+STILL_M = 1e-3  # a sphere that moves less was weighed like any load that does not move
+EMPTY_SIGMAS = 3.0  # how far from what was stated about it a baseline may be before it is not believed
 ALIKE_KG, ALIKE_SHARE = 1e-3, 0.1
 """Masses that differ by less, or by this share, do not contradict each other: where a sphere bounces and how it slips is not quite
 what the law of contact says, which is worth so much in a single run. Half of the difference then counts as uncertainty."""
-SAME_KG = 5e-4
-"""A difference that is not worth a sentence."""
+SAME_KG = 5e-4  # a difference that is not worth a sentence
 GUESSED_SHARE, GUESSED_PLACE_M = 0.1, 5e-3
 """How far off a size and a place may be that were not stated: standard deviations."""
-STIFFER = 2.0
-"""The contact's frequency is not known: the fit is repeated with so many times as much."""
+STIFFER = 2.0  # the contact's frequency is not known: the fit is repeated with so many times as much
 
 
 def find_sphere(

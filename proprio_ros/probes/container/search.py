@@ -31,11 +31,9 @@ from proprio_ros.sim.joint import JointRun
 
 LOST_SHARE = 0.25
 """Where the sphere is, is no longer known when its standard deviation passes this share of the room it has, .."""
-LOST_GROWTH = 2.0
-""".. and so many times what it was when the current came on: not to know where it lay is not chaos."""
+LOST_GROWTH = 2.0  # .. and so many times what it was when the current came on: not to know where it lay is not chaos.
 UNPREDICTABLE = "the sphere's bounces made its place unpredictable"
-DISTINCT = 0.03
-"""Ends of the first search whose masses differ by less than this share, or by 0.1 g, are one."""
+DISTINCT = 0.03  # ends of the first search whose masses differ by less than this share, or by 0.1 g, are one
 MOST_ENDS = 5
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.virtual.objects import (
@@ -24,10 +24,8 @@ if TYPE_CHECKING:
 
 CONTAINER, SPHERE = "held/container", "held/sphere"
 CONTACT_SOLREF = (0.002, 1.0)
-WALL_M = 0.05
-"""Walls are this thick to the outside, so that a fast sphere cannot pass them in one step."""
-LEVEL = 0.02
-"""A floor that is tilted less than this holds the sphere in its middle [rad]."""
+WALL_M = 0.05  # walls are this thick to the outside, so that a fast sphere cannot pass them in one step
+LEVEL = 0.02  # a floor that is tilted less than this holds the sphere in its middle [rad]
 
 
 @dataclass(frozen=True)
@@ -40,16 +38,14 @@ class Container(HandObject):
 
     kind = "container"
     form = "container:0.03,sphere=0.012,inner=[0.06,0.04,0.04],radius=0.01"
-    keys = MappingProxyType(
-        {
-            "mass": ("mass_kg", 1),
-            "sphere": ("sphere_mass_kg", 1),
-            "inner": ("inner_size_m", 3),
-            "radius": ("sphere_radius_m", 1),
-            "centre": ("centre_m", 3),
-            "friction": ("friction", 1),
-        }
-    )
+    keys: ClassVar[Mapping[str, tuple[str, int]]] = {
+        "mass": ("mass_kg", 1),
+        "sphere": ("sphere_mass_kg", 1),
+        "inner": ("inner_size_m", 3),
+        "radius": ("sphere_radius_m", 1),
+        "centre": ("centre_m", 3),
+        "friction": ("friction", 1),
+    }
 
     mass_kg: float = 0.03  # of the walls, spread evenly over them
     inner_size_m: Vector = (0.06, 0.04, 0.04)  # along the axes of the payload frame, shape (3,)

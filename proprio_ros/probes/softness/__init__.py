@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings, probe_file
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from proprio_ros.robot import Robot
 
 LIMIT = "largest_squeeze"
-GAP_M = 0.0005
-"""From the fingers to the block of the demo."""
+GAP_M = 0.0005  # from the fingers to the block of the demo
 
 
 @dataclass(frozen=True)
@@ -51,18 +50,16 @@ class Softness(
     answer = ("youngs_modulus", "Pa")
     numbers = MappingProxyType({name: name for name in ("youngs_modulus", "lame_mu", "lame_lambda")})
     keys = ("block.",)
-    unknowns = MappingProxyType(
-        {
-            "youngs_modulus": Kind("Pa", "Young's modulus"),
-            "poissons_ratio": Kind("1", "Poisson's ratio"),
-            "lame_mu": Kind("Pa", "Lam\u00e9's mu"),
-            "lame_lambda": Kind("Pa", "Lam\u00e9's lambda"),
-            "secant_stiffness": Kind("N/m", "secant stiffness"),
-            LIMIT: Kind("1", "largest squeeze"),
-            "block_relaxation": Kind("s", "relaxation time of the block"),
-            "gap": Kind("m", "closing before the touch", "run"),
-        }
-    )
+    unknowns: ClassVar[Mapping[str, Kind]] = {
+        "youngs_modulus": Kind("Pa", "Young's modulus"),
+        "poissons_ratio": Kind("1", "Poisson's ratio"),
+        "lame_mu": Kind("Pa", "Lam\u00e9's mu"),
+        "lame_lambda": Kind("Pa", "Lam\u00e9's lambda"),
+        "secant_stiffness": Kind("N/m", "secant stiffness"),
+        LIMIT: Kind("1", "largest squeeze"),
+        "block_relaxation": Kind("s", "relaxation time of the block"),
+        "gap": Kind("m", "closing before the touch", "run"),
+    }
     hand = "the block has to be between the fingers"
     default_sequence = "softness"
     virtual_object = SoftBlock

@@ -33,8 +33,7 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 
 CURRENTS, DURATIONS_S = 10, (0.6, 1.0)
-LEAST_BEYOND = 1.2
-"""The smallest current, over what friction takes of it."""
+LEAST_BEYOND = 1.2  # the smallest current, over what friction takes of it
 UNKNOWN_SHARE = 3.0
 """How far off a modulus may be that no squeeze has told, as a share of it: so that the variance is finite."""
 RAISE_BY = 1.4

@@ -13,8 +13,7 @@ from proprio_ros.quantity import shown_unit
 from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, plain, svg
 from proprio_ros.report.html import framed
 
-VIEW = np.array([-0.3, 1.0, -0.3])
-"""Where one looks: along y, a little from the right and from above."""
+VIEW = np.array([-0.3, 1.0, -0.3])  # where one looks: along y, a little from the right and from above
 
 
 def sections(estimate: Estimate) -> list[str]:

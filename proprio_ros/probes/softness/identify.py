@@ -45,21 +45,16 @@ from proprio_ros.sim.quasistatic import QuasiStatic
 ALIKE_SHARE = 0.15
 """Moduli that differ by less, or by less than they are known to, do not contradict each other: friction is not the same in each
 run, and it is as large as a soft block's force."""
-UNTOUCHED = 3e-3
-"""Relative squeeze below which a block was hardly pressed."""
-CRUSHED = 0.45
-"""Relative squeeze beyond which no law of elasticity here is to be trusted."""
+UNTOUCHED = 3e-3  # relative squeeze below which a block was hardly pressed
+CRUSHED = 0.45  # relative squeeze beyond which no law of elasticity here is to be trusted
 SHOWN_SHAPES, SHOWN_CELLS, MOST_SHOWN_TETS = 6, 4, 2000
 """How many states of the block a report shows, of how many cells along its longest edge; a finer mesh is not shown."""
-CHI2_95_OF_TWO = 5.991464547107979
-"""What the square of a standard normal vector of two components stays below in 95 %."""
+CHI2_95_OF_TWO = 5.991464547107979  # what the square of a standard normal vector of two components stays below in 95 %
 RATIO_SPREAD = 1.3
 """Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is
 stated, its interval is so much wider."""
-GUESSED_SHARE = 0.1
-"""How far off each side of a block may be that was not stated: standard deviation."""
-PRIOR_DOMINATED = 0.7
-"""Posterior over prior standard deviation above which a value is the prior's."""
+GUESSED_SHARE = 0.1  # how far off each side of a block may be that was not stated: standard deviation
+PRIOR_DOMINATED = 0.7  # posterior over prior standard deviation above which a value is the prior's
 
 
 @dataclass(frozen=True)

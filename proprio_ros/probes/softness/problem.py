@@ -28,8 +28,7 @@ from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SqueezeRun, SqueezeSimulator
 
 SOFTEST_PA, START_PA, STIFFEST_PA = 1e2, 3e4, 1e8
 """Moduli that are looked for: foam has a thousand pascals, hard rubber ten millions."""
-LEAST_RELAXATION_S = -2e-4
-"""No block gives energy back, but a force that comes a little late looks as if it did."""
+LEAST_RELAXATION_S = -2e-4  # no block gives energy back, but a force that comes a little late looks as if it did
 HIGHEST_RATIO = 0.47
 """Beyond it a block keeps its volume, and four-node tetrahedra lock, even with J averaged over a cell."""
 

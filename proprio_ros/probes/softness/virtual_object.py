@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.virtual.objects import HandObject, Vector, check_lengths
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from proprio_ros.records import FloatArray
     from proprio_ros.virtual.arm import VirtualArm
 
-FLATTEST = 0.02
-"""A block is as stiff as one that is squeezed to this share of its length, however much further."""
+FLATTEST = 0.02  # a block is as stiff as one that is squeezed to this share of its length, however much further
 
 
 @dataclass(frozen=True)
@@ -33,15 +32,13 @@ class SoftBlock(HandObject):
 
     kind = "block"
     form = "block:12000,size=[0.03,0.03,0.03],gap=0.004,nu=0.25"
-    keys = MappingProxyType(
-        {
-            "modulus": ("youngs_modulus_Pa", 1),
-            "size": ("size_m", 3),
-            "gap": ("gap_m", 1),
-            "damping": ("damping", 1),
-            "nu": ("poissons_ratio", 1),
-        }
-    )
+    keys: ClassVar[Mapping[str, tuple[str, int]]] = {
+        "modulus": ("youngs_modulus_Pa", 1),
+        "size": ("size_m", 3),
+        "gap": ("gap_m", 1),
+        "damping": ("damping", 1),
+        "nu": ("poissons_ratio", 1),
+    }
     acts = True
 
     youngs_modulus_Pa: float  # E, for small strains
