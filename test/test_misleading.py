@@ -521,6 +521,20 @@ def test_a_current_twice_that_of_the_calibration_is_named(bags: Path, robot: Rob
     assert answer.reasons[0].startswith("the current of joint3 is about 2 times what fits")
 
 
+@pytest.mark.parametrize("degrees", [-1.0, 1.0])
+def test_a_base_that_is_tilted_is_worth_what_the_answer_says(bags: Path, robot: Robot, degrees: float) -> None:
+    """50 g read 45 g, 2.5 standard deviations off and accepted, on a base that was tilted by one degree after the calibration."""
+    known = robot.with_calibration(calibrate(robot, empty_runs(bags, robot)).calibration)
+    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_ball_50g_joint3"), Request(known))
+    answer = weigh(known, [run])
+    worth = next(re.search(r"1 degree of tilt .* by up to ([\d.]+) g", each) for each in answer.assumptions[2:])
+    assert worth is not None
+    angle = np.radians(degrees)
+    tilted = replace(known, gravity=9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)]))
+    change = 1e3 * abs(weigh(tilted, [run]).values[0].value - answer.values[0].value)  # type: ignore[operator]
+    assert 0.5 * float(worth[1]) < change < 1.3 * float(worth[1])
+
+
 def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(bags: Path, tmp_path: Path) -> None:
     """106 g for 23, accepted: the recording of a load does not tell how the base stands."""
     calibration = tmp_path / "known.yaml"

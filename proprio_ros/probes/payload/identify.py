@@ -273,7 +273,7 @@ class Weighed(Conclusion):
             fit_opened(partial(solve_load, self.robot, group, self.facts, self.options)).value_of(self.name)
             for group in ([self.runs[outlier]], others)
         )
-        question = "was the same object held in the same place?"
+        question = "was the same object held in the same place, and does the base stand as it did?"
         return gates.contradiction(name, "kg", one, rest, ALIKE_SHARE * abs(mass), ALIKE_KG, question)
 
     def guess(self) -> list[Guess]:
@@ -430,14 +430,25 @@ class Weighed(Conclusion):
         size = " (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else ""
         free = "friction differs from swing to swing, by one factor each"
         stay = self.fit is self.nominal and not self.swings
+        tilt = f"; 1 degree of tilt of its base changes the mass by up to {shown('kg', self._tilted(1.0), spec='.2g')}"
         file = "its values stay where the file puts them" if stay else "what it leaves open was fitted under its priors"
         return (
             f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}{changes}",
             f"{free if self.swings else 'each probe starts from rest'}; the held joints stand at their recorded mean",
-            f"{stated_in(robot)}; {file}",
+            f"{stated_in(robot)}; {file}{'' if self.swings else tilt}",
             f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
             f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
         )
+
+    def _tilted(self, degrees: float) -> float:
+        """What it is worth that gravity pulls from elsewhere about a driven joint, by the balance at rest of the worst run [kg]."""
+        worst = 0.0
+        for run in (run for run in self.runs if run.load is None):
+            per_kg = run.coefficients.per_kg(self.facts)
+            _, cos, sin, _ = run.coefficients.arm + self.assessed.value * per_kg
+            turned = run.weight_at_rest(np.array([0.0, sin, -cos, 0.0]))
+            worst = max(worst, abs(np.radians(degrees) * turned / (run.weight_at_rest(per_kg) or np.inf)))
+        return worst
 
 
 def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], withheld: str) -> Value:
