@@ -250,6 +250,9 @@ class Load:
         """Let come to rest what moves in it while the arm stands; the torque that holds its weight, shape (4,) [N m]."""
         return np.zeros(4)
 
+    def couple(self, model: Any, data: Any) -> None:
+        """Before each step: what acts on the hand beside the body's own weight and inertia."""
+
 
 def ball(mass: float, diameter: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Load:
     """A solid ball [kg, m]."""
@@ -334,6 +337,7 @@ def simulate(
     step_s: float = STEP_S,
     extra_torque: float = 0.0,
     shake: tuple[float, float] = (0.0, 1.0),
+    braked_s: float = BRAKED_S,
 ) -> Motion:
     """Move one joint from rest by a current and brake it; see `record` for the arguments.
 
@@ -367,7 +371,7 @@ def simulate(
     reach_V = SUPPLY_V if robot.back_emf else math.inf
     driven_steps = round(duration_s / step_s)
     data.qfrc_applied[driven] = extra_torque
-    steps = driven_steps + math.ceil(BRAKED_S / step_s)
+    steps = driven_steps + math.ceil(braked_s / step_s)
     positions, currents = np.empty((steps + 1, 4)), np.zeros(steps + 1)
     # views, looked up once: the loop is all that takes time
     step, qpos, qvel, ctrl = mujoco.mj_step, data.qpos[:4], data.qvel[:4], data.ctrl
@@ -392,6 +396,8 @@ def simulate(
             if rises:
                 friction *= 1.0 + rise * np.exp(-(((1.5 * qvel - 0.5 * before) / width) ** 2))
         before[:] = qvel
+        if load is not None:
+            load.couple(model, data)
         step(model, data)
     positions[steps] = qpos
     probed = positions[: driven_steps + 1]
@@ -410,8 +416,9 @@ def record(
     load: Load | None,
     rng: np.random.Generator,
     shake: tuple[float, float] = (0.0, 1.0),
+    braked_s: float = BRAKED_S,
 ) -> Recording:
-    """Probe once and record it: held 0.25 s, driven, braked 0.15 s; states and commands at 40 Hz, the onset at time 0.
+    """Probe once and record it: held 0.25 s, driven, braked 0.15 s or longer; states and commands at 40 Hz, the onset at time 0.
 
     Efforts are what the driven motor reports while it is driven, times the nominal torque constant; other motors tell none.
 
@@ -424,6 +431,7 @@ def record(
         load: What is in the hand.
         rng: For jitter and encoder noise.
         shake: Amplitude [A] and period [s] of a square wave about that current.
+        braked_s: How long it is held and recorded afterwards.
     """
     if robot.quantised:
         current_A = COUNT_A * round(current_A / COUNT_A)
@@ -431,9 +439,9 @@ def record(
     extra = robot.run_torque * float(rng.standard_normal())
     late_s = robot.onset_s * float(rng.standard_normal())
     step_s = STEP_S if load is None else load.step_s
-    motion = simulate(robot, joint, start, current_A, duration_s, load, step_s, extra, shake)
+    motion = simulate(robot, joint, start, current_A, duration_s, load, step_s, extra, shake, braked_s)
     period_s = 1.0 / RATE_HZ
-    first, last = -round(BEFORE_S / period_s), round((duration_s + BRAKED_S) / period_s)
+    first, last = -round(BEFORE_S / period_s), round((duration_s + braked_s) / period_s)
     cycles_s = period_s * np.arange(first, last + 1, dtype=np.float64)
     instants_s = cycles_s + robot.sampling_jitter_s * _gaussian(rng, len(cycles_s))
     stamps_s = instants_s + robot.stamp_jitter_s * _gaussian(rng, len(cycles_s))

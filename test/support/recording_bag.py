@@ -14,8 +14,12 @@ from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import FloatArray, JointRecord, Recording
 
 
-def write_recording(path: str | Path, recording: Recording, storage: str = "mcap") -> None:
+def write_recording(
+    path: str | Path, recording: Recording, storage: str = "mcap", effort_per_A: float | None = None
+) -> None:
     """Write /joint_states (position, velocity, effort) and, if there is an input, /current_command with labels.
+
+    With ``effort_per_A`` [N m/A] the input is written as a driver does, to /applied_effort.
 
     Reading it back with effort_unit 'N.m' gives the same arrays, bit by bit.
 
@@ -29,10 +33,19 @@ def write_recording(path: str | Path, recording: Recording, storage: str = "mcap
         ConfigurationError: Unknown storage.
     """
     types, record, inputs = message_types(), recording.joints, recording.inputs
-    messages = [] if inputs is None else [
-        ("/current_command", FLOAT_ARRAYS[0], time_ns, _float_array(types, inputs.names, current))
-        for time_ns, current in zip(inputs.times_ns, inputs.current_A, strict=True)
-    ]  # fmt: skip
+    if inputs is not None and effort_per_A is not None:
+        applied = JointRecord(
+            inputs.times_ns, inputs.names, np.zeros_like(inputs.current_A), effort=effort_per_A * inputs.current_A
+        )
+        messages = [
+            ("/applied_effort", JOINT_STATE, time_ns, _joint_state(types, applied, row))
+            for row, time_ns in enumerate(applied.times_ns)
+        ]
+    else:
+        messages = [] if inputs is None else [
+            ("/current_command", FLOAT_ARRAYS[0], time_ns, _float_array(types, inputs.names, current))
+            for time_ns, current in zip(inputs.times_ns, inputs.current_A, strict=True)
+        ]  # fmt: skip
     messages += [
         ("/joint_states", JOINT_STATE, time_ns, _joint_state(types, record, row))
         for row, time_ns in enumerate(record.times_ns)

@@ -1,0 +1,151 @@
+"""The particles that judge `contents` obey the laws of others: waves, viscosity, weight, and the arm that carries them."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+if shutil.which("gcc") is None:
+    pytest.skip("needs gcc", allow_module_level=True)
+
+from filled_arm import CONTAINERS, EXCHANGE_S, PUSHES, Case, Filled, filled, probe_of
+from random_arm import JOINTS, HiddenRobot, simulate
+from support.contents import Cylinder, Grains, Liquid, sloshing, theory_hz
+
+CYLINDER, FILL_M = Cylinder(0.035, 0.1), 0.06
+NONE, DOWN = np.zeros(3), np.array([0.0, 0.0, -9.81])
+
+
+@pytest.mark.long
+def test_a_wave_is_as_fast_as_theory_says_and_a_finer_grid_agrees() -> None:
+    coarse, fine = (sloshing(CYLINDER, FILL_M, 0.1, layers, EXCHANGE_S) for layers in (20, 26))
+    thin, _ = sloshing(CYLINDER, FILL_M, 0.001, 20, EXCHANGE_S)
+    assert thin == pytest.approx(theory_hz(0.035, FILL_M), rel=0.03)
+    assert coarse[0] == pytest.approx(fine[0], rel=0.04)
+    assert coarse[1] == pytest.approx(fine[1], rel=0.25) and coarse[1] < 0.1
+
+
+def test_a_swirl_dies_as_stokes_says() -> None:
+    """Azimuthal flow J1(3.8317 r/R) sin(pi z/2h): no slip at side and bottom, no stress on top, an exact solution."""
+    liquid = Liquid(CYLINDER, FILL_M, 1.0, 20)
+    r = np.hypot(liquid.x[:, 0], liquid.x[:, 1])
+    angle = np.linspace(0.0, np.pi, 61)
+    bessel = np.cos(angle - 3.8317 / 0.035 * r[:, None] * np.sin(angle)).mean(axis=1)
+    size = 0.05 * bessel * np.sin(0.5 * np.pi * liquid.x[:, 2] / FILL_M) / r
+    liquid.v[:] = size[:, None] * np.column_stack([-liquid.x[:, 1], liquid.x[:, 0], np.zeros_like(r)])
+
+    def spin() -> float:
+        return float((liquid.x[:, 0] * liquid.v[:, 1] - liquid.x[:, 1] * liquid.v[:, 0]).sum())
+
+    found = []
+    for _ in range(50):
+        liquid.step(DOWN, NONE, NONE, NONE, EXCHANGE_S)
+        found.append(spin())
+    rate = np.log(found[9] / found[49]) / (40 * EXCHANGE_S)
+    assert rate == pytest.approx(1e-3 * ((3.8317 / 0.035) ** 2 + (0.5 * np.pi / FILL_M) ** 2), rel=0.03)
+
+
+def test_contents_weigh_what_they_weigh_and_follow_their_container() -> None:
+    liquid, grains = Liquid(CYLINDER, FILL_M, 0.001, 14), Grains(CYLINDER, 0.03, 0.008, 1400.0, 0.4)
+    assert len(grains.x) >= 100
+    for contents in (liquid, grains):
+        told = np.mean([contents.step(DOWN, NONE, NONE, NONE, EXCHANGE_S) for _ in range(10)], axis=0)
+        centre, _ = contents.moments()
+        weight = contents.kg * DOWN
+        np.testing.assert_allclose(told, [*weight, *np.cross(centre, weight)], atol=2e-3 * contents.kg * 9.81)
+    push = np.array([1.0, 0.0, 0.0])
+    share = -liquid.step(DOWN, push, NONE, NONE, EXCHANGE_S)[0] / liquid.kg
+    ks = 1.8412 / 0.035 * FILL_M
+    assert share == pytest.approx(1.0 - 2.0 * np.tanh(ks) / (2.39 * ks), abs=0.03)  # the rest sloshes
+    held = np.mean([grains.step(DOWN, push, NONE, NONE, EXCHANGE_S)[0] for _ in range(50)]) / grains.kg
+    assert held == pytest.approx(-1.0, abs=0.03)  # grains that do not slide are carried along
+
+
+@dataclass
+class Bob:
+    """A point that slides along x on a spring in the container: MuJoCo has it, too."""
+
+    kg: float = 0.06
+    height: float = 0.04
+    per_m: float = 30.0
+    damping: float = 0.1
+    at: float = 0.0
+    speed: float = 0.0
+    steps: ClassVar[int] = 20
+
+    def moments(self) -> tuple[np.ndarray, np.ndarray]:
+        c = np.array([0.0, 0.0, self.height])
+        return c, self.kg * (c @ c * np.eye(3) - np.outer(c, c))
+
+    def step(
+        self, gravity: np.ndarray, acceleration: np.ndarray, angular: np.ndarray, turning: np.ndarray, seconds: float
+    ) -> np.ndarray:
+        told = np.zeros(6)
+        for _ in range(self.steps):
+            x, v = np.array([self.at, 0.0, self.height]), np.array([self.speed, 0.0, 0.0])
+            free = gravity - acceleration - np.cross(angular, x) - np.cross(turning, np.cross(turning, x))
+            free -= 2.0 * np.cross(turning, v)
+            gained = free[0] - (self.per_m * self.at + self.damping * self.speed) / self.kg
+            force = self.kg * (free - [gained, 0.0, 0.0])
+            told += np.concatenate([force, np.cross(x, force)]) / self.steps
+            self.speed += seconds / self.steps * gained
+            self.at += seconds / self.steps * self.speed
+        return told
+
+
+@dataclass(frozen=True)
+class InMujoco(Filled):
+    """The same, solved as one system."""
+
+    def add_to(self, spec: Any) -> Any:
+        import mujoco
+
+        body, bob = super().add_to(spec), Bob()
+        moving = body.add_body(
+            name="bob", pos=self.bottom + np.array([0.0, 0.0, bob.height]), mass=bob.kg, inertia=[1e-9] * 3
+        )
+        moving.explicitinertial, moving.ipos = True, np.zeros(3)
+        moving.add_joint(
+            type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], stiffness=bob.per_m, damping=[bob.damping, 0.0, 0.0]
+        )
+        return body
+
+    def settle(self, model: Any, data: Any) -> np.ndarray:
+        import mujoco
+
+        data.qpos[4] = 0.0
+        mujoco.mj_forward(model, data)
+        return np.zeros(4)
+
+
+def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
+    """A bob on a spring, a quarter of the load, coupled step by step and solved by MuJoCo as one; frozen, it moves otherwise."""
+    empty, bob = filled(Case("nothing", 1)), Bob()
+    kg, centre = empty.mass + bob.kg, empty.bottom + np.array([0.0, 0.0, bob.height])
+    both = (empty.mass * np.array(empty.offset) + bob.kg * centre) / kg
+    about = np.diag(empty.inertia[:3])
+    for mass, place in ((empty.mass, np.array(empty.offset)), (bob.kg, centre)):
+        d = place - both
+        about = about + mass * (d @ d * np.eye(3) - np.outer(d, d))
+    six = (*(float(about[n, n]) for n in range(3)), float(about[0, 1]), float(about[0, 2]), float(about[1, 2]))
+    frozen = Filled(kg, tuple(both.tolist()), six, empty.bottom, None, (bob.kg, *bob.moments()))
+    hidden = HiddenRobot(coulomb=(0.02,) * 4, viscous=(0.01,) * 4, armature=(0.005,) * 4, compliance=True)
+    for push in PUSHES[2:]:
+        probe = probe_of(push, hidden, frozen)
+        loads = (
+            InMujoco(empty.mass, empty.offset, empty.inertia, empty.bottom), replace(frozen, pour=lambda tilt: Bob()), frozen
+        )  # fmt: skip
+        shake = (push.shake_A, 0.25) if push.shake_A else (0.0, 1.0)
+        one, coupled, still = (
+            simulate(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, shake=shake).position[
+                :, JOINTS.index(probe.joint)
+            ]
+            for load in loads
+        )
+        assert np.abs(coupled - one).max() < 0.02 * np.abs(still - one).max()
+    assert CONTAINERS[1].mass == empty.mass
