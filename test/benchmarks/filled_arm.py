@@ -36,7 +36,7 @@ from support.contents import Contents, Cylinder, Grains, Liquid, sloshing, theor
 from support.recording_bag import write_recording
 
 EXCHANGE_S = 0.002
-AFTER_S = 0.9
+AFTER_S = 0.2
 """Held and recorded after a push."""
 ONSET_NS = 1_760_000_010_000_000_000
 

@@ -47,7 +47,7 @@ ELSEWHERE = {
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
     "first_time",  # asks an index of packages, for minutes
-    "case", "figures", "results",  # no benchmarks
+    "case", "figures", "filled_arm", "results",  # no benchmarks
 }  # fmt: skip
 NEEDS = {"distorted": "recordings_real", "mistakes": "recordings", "real": "recordings_real", "simulated": "recordings"}
 

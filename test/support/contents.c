@@ -37,6 +37,7 @@ typedef struct {
     char *valid[3];
     double *full, *depth, *p, *r, *s, *q, *diagonal;
     char *wet;
+    int *inside, count; /* wet cells */
 } Liquid;
 
 static void place(const Liquid *l, int a, int i, int j, int k, double *x)
@@ -85,7 +86,7 @@ Liquid *liquid_new(int n, const double *x, double radius, double height, int lay
     }
     double **more[] = {&l->full, &l->depth, &l->p, &l->r, &l->s, &l->q, &l->diagonal, &l->spare};
     for (int m = 0; m < 8; m++) *more[m] = calloc(1, bytes);
-    l->wet = calloc(1, l->cells);
+    l->wet = calloc(1, l->cells), l->inside = calloc(l->cells, sizeof(int));
     const int fine = 16;
     for (int i = 0; i < l->nx; i++) for (int j = 0; j < l->ny; j++) for (int k = 1; k <= layers + 1; k++) {
         int at = i * l->stride[0] + j * l->stride[1] + k;
@@ -134,7 +135,7 @@ void liquid_free(Liquid *l)
     }
     double *more[] = {l->full, l->depth, l->p, l->r, l->s, l->q, l->diagonal, l->spare, l->x, l->v, l->c};
     for (int m = 0; m < 11; m++) free(more[m]);
-    free(l->wet), free(l);
+    free(l->wet), free(l->inside), free(l);
 }
 
 double *liquid_places(Liquid *l) { return l->x; }
@@ -199,15 +200,14 @@ static double conduct(const Liquid *l, int a, int face) /* of a face between a w
     return l->open[a][face] / fmax(0.1, in / (in - out));
 }
 
-static void apply(const Liquid *l, const double *s, double *q)
+static void apply(const Liquid *l, const double *s, double *q) /* s is nought in dry cells */
 {
-    for (int m = l->stride[0]; m < l->cells - l->stride[0]; m++) {
-        if (!l->wet[m]) continue;
+    for (int i = 0; i < l->count; i++) {
+        const int m = l->inside[i];
         double sum = l->diagonal[m] * s[m];
         for (int a = 0; a < 3; a++) {
-            int d = l->stride[a];
-            if (l->wet[m - d]) sum -= l->open[a][m] * s[m - d];
-            if (l->wet[m + d]) sum -= l->open[a][m + d] * s[m + d];
+            const int d = l->stride[a];
+            sum -= l->open[a][m] * s[m - d] + l->open[a][m + d] * s[m + d];
         }
         q[m] = sum;
     }
@@ -217,11 +217,13 @@ static void project(Liquid *l)
 {
     const int first = l->stride[0], last = l->cells - l->stride[0];
     double *p = l->p, *r = l->r, *s = l->s, *q = l->q;
+    l->count = 0;
     for (int m = first; m < last; m++) {
         double open = 0.0;
         for (int a = 0; a < 3; a++) open += l->open[a][m] + l->open[a][m + l->stride[a]];
         l->wet[m] = l->depth[m] > 0.0 && open > 1e-6;
-        if (!l->wet[m]) p[m] = 0.0;
+        if (l->wet[m]) l->inside[l->count++] = m;
+        else p[m] = 0.0;
     }
     for (int m = first; m < last; m++) {
         l->diagonal[m] = r[m] = 0.0;
@@ -234,20 +236,26 @@ static void project(Liquid *l)
     }
     apply(l, p, q);
     double rho = 0.0, size = 0.0;
-    for (int m = first; m < last; m++) if (l->wet[m]) {
+    memset(s, 0, l->cells * sizeof(double));
+    for (int i = 0; i < l->count; i++) {
+        int m = l->inside[i];
         size += r[m] * r[m] / l->diagonal[m];
         r[m] -= q[m], s[m] = r[m] / l->diagonal[m], rho += r[m] * s[m];
-    } else s[m] = q[m] = 0.0;
+    }
     for (int turn = 0; turn < 400 && rho > 1e-10 * size + 1e-24; turn++) {
         apply(l, s, q);
         double curve = 0.0, next = 0.0;
-        for (int m = first; m < last; m++) if (l->wet[m]) curve += s[m] * q[m];
+        for (int i = 0; i < l->count; i++) curve += s[l->inside[i]] * q[l->inside[i]];
         double step = rho / curve;
-        for (int m = first; m < last; m++) if (l->wet[m]) {
+        for (int i = 0; i < l->count; i++) {
+            int m = l->inside[i];
             p[m] += step * s[m], r[m] -= step * q[m];
             next += r[m] * r[m] / l->diagonal[m];
         }
-        for (int m = first; m < last; m++) if (l->wet[m]) s[m] = r[m] / l->diagonal[m] + next / rho * s[m];
+        for (int i = 0; i < l->count; i++) {
+            int m = l->inside[i];
+            s[m] = r[m] / l->diagonal[m] + next / rho * s[m];
+        }
         rho = next;
     }
     for (int a = 0; a < 3; a++) {
