@@ -32,7 +32,8 @@ from proprio_ros.probes import probe_at_work
 from proprio_ros.robot import Robot
 
 RUNNING_PERIOD_S = 0.1
-UNFED_S = 2.0  # joint states that say nothing for so long are worth a word
+UNFED_S, STALLED_S = 2.0, 0.5
+"""Joint states that say nothing for so long, in the beginning and later, are worth a word: no mass stands meanwhile."""
 
 Identify = Callable[[Job, Path, Options, Callable[[Estimate], None]], Estimate]
 """From a bag to its estimate; see `Jobs.identify`."""
@@ -139,7 +140,7 @@ class Weighing:
     def _weigh_on(self, feed: OnlineFeed) -> None:
         """Take what arrived, and publish what it says."""
         arrived, renamed = self._inputs.arrived, self._inputs.conventions.renamed
-        published_s, fed_s, samples, said = -math.inf, clock.now(), 0, ""
+        published_s, fed_s, samples, said, changed = -math.inf, clock.now(), 0, "", False
         with threadpool_limits(1, user_api="blas"):
             while arrived is not None and arrived is self._inputs.arrived:
                 said = self._say_whether_fed(feed, fed_s, said)
@@ -153,8 +154,10 @@ class Weighing:
                 estimate = feed.add(time_s, renamed(message.name), message.position, message.effort, unit)
                 if feed.samples > samples:
                     samples, fed_s = feed.samples, clock.now()
-                if estimate is not None and not self._silent() and clock.now() - published_s >= 0.8 * RUNNING_PERIOD_S:
-                    published_s = clock.now()
+                if estimate is None or self._silent():
+                    continue
+                if clock.now() - published_s >= 0.8 * RUNNING_PERIOD_S or estimate.changed is not changed:
+                    published_s, changed = clock.now(), estimate.changed
                     behind_s = 1e-9 * (self._node.get_clock().now().nanoseconds - now_ns)
                     self._results.running(feed, estimate, self._link, behind_s)
 
@@ -163,7 +166,7 @@ class Weighing:
         if self._silent():
             return said
         why = ""
-        if clock.now() - fed_s > UNFED_S:
+        if clock.now() - fed_s > (STALLED_S if feed.samples else UNFED_S):
             why = f"the running estimate waits: {feed.waits_for or 'no joint states of the arm are coming'}"
         if why == said:
             return said

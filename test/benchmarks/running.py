@@ -1,6 +1,15 @@
-"""How soon a virtual OpenManipulator-X at work notices what it picks up and puts down, and how well it weighs it.
+"""How soon an arm at work notices what it picks up and puts down, and how well it weighs it.
 
-    python test/benchmarks/running.py [--arms 4] [--first 1]
+    python test/benchmarks/running.py [--arms 4] [--first 1] [--sensing 12] [--minutes 5]
+
+Arms with torque sensing (`--sensing`) are drawn at random, of six and seven joints, at 100, 200 and 500 Hz: MuJoCo's inverse
+dynamics along moves from pose to pose, noise, friction, drift and scale of each sensor of their own
+(`support/sensing_arm.py`). Empty for twice 30 s, which calibrate; then each works ten times with 0.1 to 2 kg for 5 s and
+without for 5 s; the rest of its minutes with nothing, and with 1 kg, shows false changes; half a minute goes on 0.8 rad
+beside the poses of the calibration. How late a change is noticed counts while the arm moves. The bound is how long somebody
+who knew the arm exactly, but for noise and drift of its sensors, would have to look until 6 standard deviations tell 0.1 kg.
+
+Virtual OpenManipulator-X (`--arms`):
 
 Each arm moves from pose to pose under its servos' position controller: empty for twice 30 s, which calibrate it, then for some ten
 seconds each with nothing, 50 g, nothing, 20 g (every second arm 100 g) and nothing. An object comes and goes in the middle of a
@@ -9,16 +18,21 @@ motion. Half intervals count from 3 s after a change on.
 
 from __future__ import annotations
 
+import tempfile
 import time
-from collections.abc import Sequence
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from results import Results, parser_of
+from support.sensing_arm import SensingArm, write_sensing_arm
 from support.virtual_pick_and_place import Worker
 from threadpoolctl import threadpool_limits
 
 from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.identification.regression.online import OnlineEstimator
+from proprio_ros.identification.regression.online import STEP_SIGMAS, OnlineEstimate, OnlineEstimator
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
@@ -60,13 +74,212 @@ def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
     return np.array(rows), late, false, (time.process_time() - begun_s) / (0.01 * samples)
 
 
+# --- arms with torque sensing ------------------------------------------------------------------------------------------
+
+RATES_HZ = (100.0, 200.0, 500.0)
+MASSES_KG = (0.1, 0.2, 0.5, 1.0, 2.0)
+STAYS_S, SOON_S = 5.0, 0.5
+ELSEWHERE_RAD = 0.8
+
+
+@dataclass
+class Sensed:
+    """What arms showed: how late changes were seen [s], by mass; errors and half widths [kg] in rows; false changes, hours, CPU."""
+
+    late: dict[float, list[float]] = field(default_factory=lambda: {mass: [] for mass in MASSES_KG})
+    soon: list[tuple[float, float, float]] = field(default_factory=list)
+    later: list[tuple[float, float, float]] = field(default_factory=list)
+    elsewhere: list[tuple[float, float, float]] = field(default_factory=list)
+    known_s: list[float] = field(default_factory=list)
+    bound_s: list[float] = field(default_factory=list)
+    false: int = 0
+    hours: float = 0.0
+    cpu: float = 0.0
+
+
+def told_by(weight: OnlineEstimator, motion: Motion, begun_s: float) -> Iterator[tuple[float, OnlineEstimate]]:
+    """When each estimate came, in seconds of the motion."""
+    for time_s, position, effort in zip(motion.times_s.tolist(), motion.position, motion.current_A, strict=True):
+        if weight.add(begun_s + time_s, position, effort) and (estimate := weight.estimate()) is not None:
+            yield time_s, estimate
+
+
+def bound_s(arm: SensingArm, mass_kg: float = 0.1) -> float:
+    """Median over poses of the time until a step shows by `STEP_SIGMAS`, where only noise and drift are unknown [s]."""
+    weight = [arm.weight_per_kg() for _ in range(50)]
+    told = []
+    gains = np.array([1.0 - np.exp(-2.0 / arm.rate_Hz / arm.drift_s)]) * arm.drift**2
+    keeps = np.exp(-1.0 / arm.rate_Hz / arm.drift_s)
+    for per_kg in weight:
+        variance, answer, information, samples = arm.drift**2, np.zeros(arm.joints), 0.0, 0
+        for sample in range(-2000, 20000):
+            variance = keeps**2 * variance + gains[0]
+            spread = variance + arm.noise**2
+            if sample >= 0:
+                innovation = mass_kg * per_kg - keeps * answer
+                answer = keeps * answer + variance / spread * innovation
+                information += float(np.sum(innovation**2 / spread))
+                samples += 1
+                if information > STEP_SIGMAS**2:
+                    break
+            variance = variance * arm.noise**2 / spread
+        told.append(samples / arm.rate_Hz)
+    return float(np.median(told))
+
+
+def moving_s(motion: Motion, since_s: float, until_s: float) -> float:
+    """How long the arm moved between two instants [s]; at rest friction may carry anything."""
+    inside = (motion.times_s >= since_s) & (motion.times_s <= until_s)
+    speed = np.abs(np.gradient(motion.position, motion.times_s, axis=0)).max(axis=1)
+    return float(np.mean(speed[inside] > 0.1) * (until_s - since_s))
+
+
+def sense(seed: int, minutes: float) -> Sensed:
+    """One arm, from calibration to the end of its minutes."""
+    shown, joints, rate_Hz = Sensed(), 6 + seed % 2, RATES_HZ[seed % len(RATES_HZ)]
+    with tempfile.TemporaryDirectory() as name:
+        robot, arm = (
+            load_robot(write_sensing_arm(Path(name), joints, seed)),
+            SensingArm(Path(name), joints, seed, rate_Hz),
+        )
+        shown.bound_s.append(bound_s(arm))
+        weight = OnlineEstimator(robot, fit_empty(robot, [arm.work(30.0, name=f"empty {n}") for n in range(2)]))
+        begun_s, cpu_s, told_s = 0.0, 0.0, 0.0
+        loads = [arm.load(mass) for mass in MASSES_KG * 2]
+        schedule = [
+            (STAYS_S * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None) for n in range(20)
+        ]
+        rest_s = max(60.0 * minutes - STAYS_S * 22 - 30.0, 20.0)
+        parts = [
+            (arm.work(STAYS_S * 22, schedule), schedule, shown.later),
+            (arm.work(0.5 * rest_s), [], shown.later),
+            (arm.work(0.5 * rest_s, [(0.0, one := arm.load(1.0))]), [(0.0, one)], shown.later),
+            (arm.work(30.0, [(0.0, one)], elsewhere=ELSEWHERE_RAD), [(0.0, one)], shown.elsewhere),
+        ]
+        for motion, changes, rows in parts:
+            began = time.process_time()
+            events = [(0.0, None), *changes]
+            held, noticed, known, before, last = None, True, True, False, 0.0
+            for time_s, estimate in told_by(weight, motion, begun_s):
+                while events and time_s >= events[0][0]:
+                    (since_s, held), known = events.pop(0), False
+                    noticed = since_s == 0.0
+                mass, half = (held[0] if held else 0.0), 0.5 * (estimate.ci95_kg[1] - estimate.ci95_kg[0])
+                if estimate.changed and not before:
+                    if noticed and time_s > 2.0:
+                        shown.false += 1
+                    elif not noticed:
+                        shown.late[max(mass, last)].append(moving_s(motion, since_s, time_s))
+                    noticed = True
+                before = estimate.changed
+                row = (mass, estimate.mass_kg - mass, half)
+                if not known and since_s > 0.0 and noticed and estimate.motion_s >= SOON_S:
+                    shown.soon.append(row)
+                    shown.known_s.append(time_s - since_s)
+                    known = True
+                if time_s - since_s > 3.0:
+                    rows.append(row)
+                last = mass or last
+            begun_s += float(motion.times_s[-1]) + 1.0
+            told_s += float(motion.times_s[-1])
+            cpu_s += time.process_time() - began
+        changes = len(schedule)
+        seen = sum(len(late) for late in shown.late.values())
+        shown.late[MASSES_KG[0]] += [np.inf] * (changes - seen)
+    shown.hours, shown.cpu = told_s / 3600.0, cpu_s / told_s
+    return shown
+
+
+def together(every: Sequence[Sensed]) -> Sensed:
+    """As one."""
+    whole = Sensed()
+    for each in every:
+        for mass, late in each.late.items():
+            whole.late[mass] += late
+        for name in ("soon", "later", "elsewhere", "known_s", "bound_s"):
+            getattr(whole, name).extend(getattr(each, name))
+        whole.false, whole.hours, whole.cpu = (
+            whole.false + each.false,
+            whole.hours + each.hours,
+            max(whole.cpu, each.cpu),
+        )
+    return whole
+
+
+def sensed_figures(shown: Sensed) -> dict[str, float]:
+    lates = np.concatenate([np.array(late) for late in shown.late.values()])
+    seen = lates[np.isfinite(lates)]
+    figures = {
+        "changes": len(lates), "noticed": len(seen), "late_s": float(np.median(seen)), "most_s": float(seen.max()),
+        "within": float(100.0 * np.mean(lates <= 0.2)), "false": shown.false, "hours": shown.hours, "cpu": shown.cpu,
+        "bound_s": float(np.mean(shown.bound_s)), "known_s": float(np.median(shown.known_s)),
+    }  # fmt: skip
+    for name in ("soon", "later", "elsewhere"):
+        rows = np.array(getattr(shown, name))
+        figures |= {
+            f"{name}_rms": float(1e3 * np.sqrt(np.mean(rows[:, 1] ** 2))),
+            f"{name}_half": float(1e3 * np.mean(rows[:, 2])),
+            f"{name}_hold": float(100.0 * np.mean(np.abs(rows[:, 1]) < rows[:, 2])),
+        }
+    return figures
+
+
+def sensing(results: Results, options: Namespace) -> None:
+    """The table of arms with torque sensing."""
+    results.table(
+        "sensing",
+        {
+            "arm": "{arm}",
+            "changes noticed; median, latest": "{noticed} of {changes}; {late_s:.2f}, {most_s:.2f} s",
+            "within 0.2 s": "{within:.0f} %",
+            "bound for 0.1 kg": "{bound_s:.3f} s",
+            "false ones": "{false} in {hours:.2f} h",
+            "after 0.5 s of motion: rms error, mean half interval, g; holds": "{soon_rms:.0f}, {soon_half:.0f}; {soon_hold:.0f} %",
+            "from 3 s on": "{later_rms:.0f}, {later_half:.0f}; {later_hold:.0f} %",
+            "at other poses": "{elsewhere_rms:.0f}, {elsewhere_half:.0f}; {elsewhere_hold:.0f} %",
+            "of a core": "{cpu:.3f}",
+        },
+    )
+    every = []
+    for seed in range(options.first, options.first + options.sensing):
+        with threadpool_limits(1, user_api="blas"):
+            every.append(sense(seed, options.minutes))
+        name = f"{seed}, {6 + seed % 2} joints, {RATES_HZ[seed % len(RATES_HZ)]:.0f} Hz"
+        results.row("sensing", arm=name, **sensed_figures(every[-1]))
+    whole = together(every)
+    results.row("sensing", arm="all", **sensed_figures(whole))
+    results.table(
+        "late", {"mass": "{mass:g} kg", "changes": "{changes}", "median": "{median_s:.2f} s", "95 %": "{most_s:.2f} s"}
+    )
+    for mass, late in whole.late.items():
+        seen = np.array(late)
+        results.row(
+            "late",
+            mass=mass,
+            changes=len(seen),
+            median_s=float(np.median(seen)),
+            most_s=float(np.quantile(seen, 0.95, method="lower")),
+        )
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """One row per arm, and the figures of all."""
     parser = parser_of(__doc__)
     parser.add_argument("--arms", type=int, default=4)
     parser.add_argument("--first", type=int, default=1, help="seed of the first arm")
+    parser.add_argument("--sensing", type=int, default=12, help="arms with torque sensing")
+    parser.add_argument("--minutes", type=float, default=5.0, help="that each of them works")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
+    if options.sensing:
+        sensing(results, options)
+    if options.arms:
+        servos(results, options)
+    results.keep()
+
+
+def servos(results: Results, options: Namespace) -> None:
+    """The table of virtual arms."""
     results.table(
         "running",
         {
@@ -87,7 +300,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         every.append(watched)
         results.row("running", arm=f"{seed}", **_figures([watched]))
     results.row("running", arm="all", **_figures(every))
-    results.keep()
 
 
 def _figures(watched: Sequence[tuple[np.ndarray, list[float], int, float]]) -> dict[str, float]:

@@ -21,7 +21,7 @@ class Estimator:
     """In the place of a running estimate: keeps what it is given."""
 
     def __init__(self, held: dict[str, float]) -> None:
-        self.held, self.rows = held, []
+        self.held, self.rows, self.frozen = held, [], False
 
     def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float]) -> bool:
         self.rows.append((list(positions), list(currents)))
@@ -79,6 +79,16 @@ def test_a_joint_outside_the_calibration_that_moves_is_named(feed: OnlineFeed) -
     assert feed.warning.startswith("joint3 is not in the calibration and not where it counts as standing")
     feed.add(0.4, ["joint4"], [0.3], [0.0], "A")  # heard for the first time, and not at zero
     assert feed.warning.startswith("joint3, joint4 ")
+
+
+def test_joint_states_that_say_the_same_again_and_again_do_not_count(feed: OnlineFeed) -> None:
+    estimator: Any = feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "A")
+    estimator.frozen = True
+    feed.add(0.1, JOINTS, AT_REST, [1.0, 2.0], "A")
+    assert feed.samples == 1 and "their publisher stalls" in feed.waits_for
+    estimator.frozen = False
+    feed.add(0.2, JOINTS, AT_REST, [1.0, 2.0], "A")
+    assert feed.samples == 2 and not feed.waits_for
 
 
 def test_only_the_arm_that_moves_is_weighed() -> None:

@@ -1,26 +1,26 @@
 """What the hand holds, sample by sample while the arm works, and when that changed.
 
-Windows of half a second are made as they complete, as `motion_equations` has them, and compared with the torques of the empty
-arm as its motion calibration has them. The windows of the last seconds of motion are one small Bayesian regression: the mass is
-unknown; the arm, its torque constants, its friction in this session and the place of the load in the hand are nuisances under the
-calibration's prior.
-What is left over is correlated over seconds, so each joint's residuals are a Gaussian process with exponential correlation: its
-size and length are those of the empty motions.
+Windows of a tenth of a second, each by half over the one before, are rows as `motion_equations` has them: the mean torque of each
+joint that moves, less that of the empty arm as its motion calibration has it. A Kalman filter follows what they say. Its state: the
+mass and the place of what is held; arm, torque constants and friction under the calibration's prior, to which they return within
+`MEMORY_S`; and of each joint the torque that no model has, with exponential correlation, as large and long as in the empty motions.
+How noisy a window of a tenth of a second is, the innovations themselves say.
 
-Something picked up or put down is a step of the mass. For each instant at which it may have been, the log-likelihood ratio of a
-step there is summed over all windows since (cumulative sums with unknown size and onset: Willsky & Jones 1976, IEEE Transactions
-on Automatic Control 21; Basseville & Nikiforov 1993, Detection of Abrupt Changes, chapter 2.4). Windows from before a change say
-nothing about the new load, but still how friction is in this session: they stay, with a mass of their own.
+Something picked up or put down is a step of the mass. For each instant of the last second at which it may have been, the filter
+carries along how it would answer to a step of one kilogram there; innovations that look like that are a change (generalised
+likelihood ratio: Willsky & Jones 1976, IEEE Transactions on Automatic Control 21; Basseville & Nikiforov 1993, Detection of Abrupt
+Changes, chapters 2.4 and 7). The filter of just before it then goes on with a mass of which nothing is known, so what the arm
+showed before counts for the arm and not for the load. How early that can be told: `test/benchmarks/running.py` has the bound.
 
 A window in which a joint stands still says nothing of it, since there dry friction carries what it likes. So an arm at rest keeps
-its last answer.
+its last answer. Joint states that say the same again while the arm moves are no news.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,39 +28,53 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
-from proprio_ros.identification.regression.motion_equations import HOP_SHARE, WINDOW_S, Arm, Rows, fill_drives
+from proprio_ros.identification.regression.motion_equations import HOP_SHARE, Arm, Rows, fill_drives
+from proprio_ros.identification.regression.motion_equations import WINDOW_S as CALIBRATED_S
 from proprio_ros.identification.regression.motion_prior import LEAST_TORQUE_STD, relative_torque_std
-from proprio_ros.identification.regression.solve import Prior, posterior
-from proprio_ros.identification.regression.weak_form import Windows
+from proprio_ros.identification.regression.weak_form import Windows, carriers
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import LONGEST_GAP_S
 from proprio_ros.records import FloatArray
-from proprio_ros.robot import Robot
+from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.robot.regressor import point_mass
+from proprio_ros.robot.regressor import PARAMETERS, kinematics, momentum_and_gravity, point_mass
 
-HOP_S = 0.1
-"""A window every tenth of a second, so ten estimates per second."""
-SMOOTHED_S = 0.12
-"""Positions are those of a parabola through so much before and after: about 6 Hz, as offline, but without a future."""
+WINDOW_S, WINDOW_SAMPLES = 0.1, 10
+"""Windows are so long, and have so many samples at least."""
+SMOOTHED_S, SMOOTHED_SAMPLES = 0.02, 3
+"""Positions are those of a parabola through so much before and after, and so many samples at least."""
+THINNED_S = 0.005
+"""Samples that are closer say nothing more, once they are smoothed."""
+LEARNT_S = 0.3
+"""In so long the period of the joint states shows."""
 LEAST_TAU_S = 0.3
 """What no model has (friction that goes with place and direction) stays alike for at least so long."""
 NOISE_FACTOR = 2.0
 """A fit leaves less over in the motions that it was made from than in others; with this, 95 % intervals held on arms in MuJoCo."""
+LEAST_NOISE = 0.05
+"""A window is at least so noisy, in parts of what the calibration leaves over."""
+TURNING = 0.3
+"""Where a joint turns round, so much of its Coulomb friction is open."""
 MEMORY_S = 12.0
-"""Seconds of motion that are kept: friction in the gears of a session is not that of another, and takes that long to show."""
-STEP_SIGMAS, STAY_SIGMAS = 5.0, 3.0
+"""Seconds of motion that count: friction in the gears of a session is not that of another, and takes that long to show."""
+STEP_SIGMAS, STAY_SIGMAS = 6.0, 4.0
 """A step of the mass this far from zero is a change, and stays one while it is this far."""
 LEAST_SHARE = 0.1
 """And so large in parts of what was held: what the load's place and gears do to its weight is no change."""
+LATEST_STEP_S = 1.0
+"""How long ago, in seconds of motion, a change is looked for."""
+FRESH_S = 0.6
+"""After so much motion a change stands, and where exactly it was."""
+ONSET_SHARE = 0.05
+"""An instant is found to a quarter of a window: of the first window after it so much may lie before it."""
+NOISE_WINDOWS, FEWEST_WINDOWS = 100, 20
+"""A window's noise is learnt from so many."""
+MISFIT_S = 1.0
+"""Innovations that are larger than they should be widen the interval for about so long."""
 LONG_PAUSE_S = 2.0
 """After so long without a sample windows begin where samples come again."""
-LATEST_STEP_S = 1.5
-"""How long ago, in seconds of motion, a change is looked for."""
-LEAST_AFTER = 3
-"""Windows after a change before it counts: one that something touched is no object."""
-UNSURE_S = 0.15
-"""A change is found to this instant: windows that touch it say nothing of either load."""
+FROZEN, FROZEN_S, FROZEN_RAD_S = 4, 0.05, 0.1
+"""Joint states that say the same so often, of an arm that was so fast for so long before, come from a publisher that stalls."""
 TOLD_S = 1.0
 """`changed` is told for so long."""
 RESTING_S = 0.5
@@ -79,7 +93,7 @@ class OnlineEstimate:
         time_s: End of the newest window that was looked at, on the clock of the samples.
         mass_kg, std_kg: Of what is held; below zero where the hand seems lighter than empty.
         ci95_kg: 95 % interval.
-        motion_s: Seconds of motion since the last change that it rests on.
+        motion_s: Seconds of motion since the last change that it rests on, `MEMORY_S` at most.
         changed: Whether something was picked up or put down just now.
         since_s: When it last was, or when the first sample came.
         resting_since_s: When the arm came to rest; None while it moves.
@@ -108,12 +122,12 @@ class OnlineEstimator:
         calibration: Of its motions with an empty hand.
         centre_m: The load's centre of mass in the payload frame, shape (3,).
         centre_std_m: How far off that may be in each coordinate.
-        window_s: Seconds of motion that an estimate rests on at most.
         held: Positions of the joints that are not in the calibration [rad or m]; 0 or the nearest limit where not given.
 
     Attributes:
         joints: Of the calibration.
         centre_m: As given.
+        frozen: Whether joint states say the same again and again while the arm moves.
 
     Raises:
         RobotError: The calibration is of another arm.
@@ -126,13 +140,11 @@ class OnlineEstimator:
         *,
         centre_m: Sequence[float] = (0.0, 0.0, 0.0),
         centre_std_m: float = CENTRE_STD_M,
-        window_s: float = MEMORY_S,
         held: dict[str, float] | None = None,
     ) -> None:
         self.joints = calibration.joints
         others = [name for name in robot.model.independent_joints if name not in self.joints]
-        places = zero_pose(robot, others) | (held or {})
-        self._arm = Arm.of(robot, self.joints, places)
+        self._arm = Arm.of(robot, self.joints, zero_pose(robot, others) | (held or {}))
         names = self._arm.model.joint_names
         if tuple(names) != tuple(self.joints):
             raise RobotError(f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(names)}")
@@ -142,40 +154,26 @@ class OnlineEstimator:
         )
         self._calibration = calibration
         self.centre_m = tuple(float(axis) for axis in centre_m)
-        self._point = point_mass(np.asarray(centre_m))
-        self._centre_std_m = max(centre_std_m, 1e-4)
-        count = len(self.joints)
-        covariance = calibration.covariance.copy()
-        friction = calibration.friction
-        covariance[friction, friction] += np.diag(calibration.friction_spread**2)
-        # a file rounds: what should be zero may be a little below
-        spread = np.sqrt(np.diag(covariance))
-        size, ways = np.linalg.eigh(covariance / spread[:, None] / spread)
-        self._prior_root = spread[:, None] * ways * np.sqrt(np.maximum(size, 0.0))
-        # by how much the calibration's terms are off where one torque constant is off by its standard deviation
-        self._by_share = calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
-        self._widest_kg = self._arm.kg
-        self._window_s = window_s
-        self._noise = NOISE_FACTOR * np.maximum(calibration.residual, 1e-6)
-        # an exponential that decays over tau makes 2 tau / hop neighbours one
-        self._tau_s = np.maximum(0.5 * calibration.correlation * HOP_SHARE * WINDOW_S, LEAST_TAU_S)
+        self._knows = _Knows(self._arm, calibration, np.asarray(centre_m), max(centre_std_m, 1e-4))
         self._forget()
 
     def _forget(self) -> None:
         """As if nothing had come."""
         self._samples: deque[tuple[float, tuple[float, ...], tuple[float, ...]]] = deque()
-        self._period_s = 0.0
+        self._period_s = self._window_s = self._hop_s = 0.0
         self._next_s = float("nan")
-        self._windows: deque[Rows] = deque()
-        self._steps: list[float] = []
+        self._filter: _Filter | None = None
+        self._after: _Filter | None = None  # the same since a change that is fresh
         self._fresh_s: float | None = None
-        self._mass: tuple[float, float] | None = None
-        self._apart = 0.0, 0.0
-        self._looked_s = self._first_s = self._changed_at_s = float("nan")
-        self._moved_s = float("nan")
+        self._looked_s = self._first_s = self._changed_at_s = self._before_s = self._moved_s = float("nan")
         self._told_until_s = -np.inf
+        self._same, self._jitter = 0, np.zeros((self._arm.count, self._arm.count))
 
     # --- what comes in ------------------------------------------------------------------------------------------------
+
+    @property
+    def frozen(self) -> bool:
+        return self._same >= FROZEN
 
     def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float]) -> bool:
         """One sample of all joints of the calibration, in its order.
@@ -196,209 +194,351 @@ class OnlineEstimator:
                 self._forget()
             else:
                 return False
+        if self._repeats(row):
+            return False
         if not self._samples:
             self._first_s = time_s
         if not self._samples or time_s - self._samples[-1][0] > LONG_PAUSE_S:
+            self._samples.clear()
             self._next_s = time_s + SMOOTHED_S + 0.02
         self._samples.append(row)
-        new = False
-        while time_s >= self._next_s + WINDOW_S + SMOOTHED_S:
+        if not self._period_s and not self._learns_period():
+            return False
+        new, smoothed_s = False, self._smoothed * self._period_s
+        while time_s >= self._next_s + self._window_s + smoothed_s:
             self._make(self._next_s)
-            self._next_s += HOP_S
+            self._next_s += self._hop_s
             new = True
-        while self._samples and self._samples[0][0] < self._next_s - SMOOTHED_S - 0.2:
+        while self._samples and self._samples[0][0] < self._next_s - smoothed_s - 0.2:
             self._samples.popleft()
         return new
 
+    def _repeats(self, row: tuple[float, tuple[float, ...], tuple[float, ...]]) -> bool:
+        """Whether a sample says nothing new of an arm that moves."""
+        if len(self._samples) < 2 or row[1:] != self._samples[-1][1:]:
+            self._same = 0
+            return False
+        last = self._samples[-1]
+        before = next((each for each in reversed(self._samples) if last[0] - each[0] >= FROZEN_S), last)
+        if np.abs(np.subtract(last[1], before[1])).max() < FROZEN_RAD_S * (last[0] - before[0]) or before is last:
+            return False  # it may have come to rest
+        self._same += 1
+        return True
+
+    def _learns_period(self) -> bool:
+        times_s = [row[0] for row in self._samples]
+        if times_s[-1] - times_s[0] < LEARNT_S or len(times_s) < WINDOW_SAMPLES:
+            return False
+        period_s = float(np.median(np.diff(times_s)))
+        self._width = max(round(WINDOW_S / period_s), WINDOW_SAMPLES)
+        self._period_s, self._window_s = period_s, self._width * period_s
+        self._hop_s = 0.5 * self._window_s
+        self._smoothed = max(round(SMOOTHED_S / period_s), SMOOTHED_SAMPLES)
+        self._thin = max(int(THINNED_S / period_s), 1)
+        self._next_s = times_s[0] + (self._smoothed + 1) * period_s
+        self._filter = _Filter(self._knows, self._window_s)
+        return True
+
     def _make(self, start_s: float) -> None:
         """The window that begins there."""
-        self._looked_s = start_s + WINDOW_S
+        self._looked_s = start_s + self._window_s
         window = self._window(start_s)
-        if window is None or not len(window.joint):
+        if window is None or not len(window.rows.joint):
             return
-        self._moved_s = start_s + WINDOW_S
-        self._windows.append(window)
-        while len(self._windows) > round(self._window_s / HOP_S):
-            self._windows.popleft()
-        self._steps = [at for at in self._steps if at > self._windows[0].start_s[0]]
-        self._solve()
+        self._moved_s = start_s + self._window_s
+        self._hear(window)
 
-    def _window(self, start_s: float) -> Rows | None:
-        lowest, highest = start_s - SMOOTHED_S, start_s + WINDOW_S + SMOOTHED_S
-        rows = [row for row in self._samples if lowest - LONGEST_GAP_S <= row[0] <= highest + LONGEST_GAP_S]
+    def _window(self, start_s: float) -> _Window | None:
+        period_s, reach, width, thin = self._period_s, self._smoothed, self._width, self._thin
+        lowest, highest = start_s - reach * period_s, start_s + (width + reach) * period_s
+        longest_s = min(max(3.5 * period_s, 0.25 * self._window_s), LONGEST_GAP_S)
+        rows = [row for row in self._samples if lowest - longest_s <= row[0] <= highest + longest_s]
         times_s = np.array([row[0] for row in rows])
-        if len(rows) < 5 or np.diff(times_s).max() > LONGEST_GAP_S or times_s[0] > lowest or times_s[-1] < highest:
+        if len(rows) < 5 or np.diff(times_s).max() > longest_s or times_s[0] > lowest or times_s[-1] < highest:
             return None
-        if self._period_s == 0.0:
-            self._period_s = WINDOW_S / max(round(WINDOW_S / float(np.median(np.diff(times_s)))), 10)
-        period_s = self._period_s
-        reach = max(round(SMOOTHED_S / period_s), 2)
-        width = round(WINDOW_S / period_s)
+        # what came in a burst was not stamped when it was measured
+        if not 0.6 < len(rows) * period_s / (times_s[-1] - times_s[0] + period_s) < 1.4:
+            return None
         grid_s = start_s + period_s * np.arange(-reach, width + reach)
         position = _interpolated(grid_s, times_s, np.array([row[1] for row in rows]))
-        current = _interpolated(grid_s[reach:-reach], times_s, np.array([row[2] for row in rows]))
+        current = _interpolated(grid_s, times_s, np.array([row[2] for row in rows]))
         # a parabola through the neighbours, and its slope (Savitzky & Golay 1964)
-        steps = np.arange(-reach, reach + 1)
-        design = np.linalg.pinv(np.vander(steps, 3, increasing=True))
-        view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[:width]
+        design = np.linalg.pinv(np.vander(np.arange(-reach, reach + 1), 3, increasing=True))
+        view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[:width:thin]
         smooth, velocity = view @ design[0], view @ design[1] / period_s
-        inside_s = np.asarray(grid_s[reach:-reach], dtype=np.float64)
-        windows = Windows.over(width, width, width)
-        return self._arm.rows(
-            windows, inside_s, period_s, smooth, velocity, current * self._calibration.torque_constants
-        )
+        left_over = position[reach : reach + width : thin] - smooth
+        self._jitter = 0.8 * self._jitter + 0.2 * left_over.T @ left_over / len(smooth) / (1.0 - design[0][reach])
+        torque = np.lib.stride_tricks.sliding_window_view(current, thin, axis=0)[reach : reach + width : thin].mean(-1)
+        inside_s: FloatArray = np.asarray(start_s + period_s * np.arange(0, width, thin), dtype=np.float64)
+        windows = Windows.over(len(smooth), len(smooth), len(smooth))
+        constants = self._calibration.torque_constants
+        made = self._arm.rows(windows, inside_s, thin * period_s, smooth, velocity, torque * constants)
+        return _Window(made, self._of_acceleration(windows, design[1], smooth[len(smooth) // 2]))
+
+    def _of_acceleration(self, windows: Windows, slope: FloatArray, position: FloatArray) -> FloatArray:
+        """What noise of positions and stamps makes of the torque that accelerates the arm, covariance, shape (n, n).
+
+        Late or early stamps move all joints at once, so their errors go together.
+        """
+        weights = np.zeros((len(windows.slope) - 1) * self._thin + len(slope))
+        for number, share in enumerate(windows.slope):
+            weights[number * self._thin : number * self._thin + len(slope)] += share * slope
+        per_position = float(weights @ weights) / (self._thin * self._period_s**2) ** 2
+        inertia = inertia_matrix(self._arm.model, position, self._calibration.values[: 11 * self._arm.count])
+        result: FloatArray = per_position * inertia @ self._jitter @ inertia
+        return result
 
     # --- what it says -------------------------------------------------------------------------------------------------
 
-    def _solve(self) -> None:
-        """Regress what the windows say, with a step where there is one; where exactly shows in the windows after it."""
-        rows = _Rows(list(self._windows), self)
-        if self._fresh_s is not None and rows.after(self._fresh_s) > round(LATEST_STEP_S / HOP_S):
-            self._steps.append(self._fresh_s)
-            self._fresh_s = None
-        solution = rows.solve(self._steps)
-        known = self._fresh_s is not None
-        onset_s = rows.step(self._steps, solution, STAY_SIGMAS if known else STEP_SIGMAS)
-        if onset_s is not None:
-            solution = rows.solve([*self._steps, onset_s])
-            self._changed_at_s = onset_s
-            if not known:
-                self._told_until_s = self._looked_s + TOLD_S
-        elif known:
-            self._changed_at_s = self._steps[-1] if self._steps else np.nan
-            self._told_until_s = -np.inf
-        self._fresh_s = onset_s
-        self._mass = solution.mass_kg, solution.std_kg
-        self._apart = rows.apart(solution)
+    def _hear(self, window: _Window) -> None:
+        """Go on by a window, and look for a step; where exactly it was shows in the windows after it."""
+        main, known = self._filter, self._fresh_s is not None
+        assert main is not None
+        main.step(window)
+        if self._after is not None and self._after.motion_s > FRESH_S:
+            main, known = self._commit(window)
+        onset_s = main.onset(STAY_SIGMAS if known else STEP_SIGMAS)
+        if onset_s is None:
+            if known:  # it was none
+                self._changed_at_s, self._told_until_s = self._before_s, -np.inf
+            self._fresh_s = self._after = None
+            return
+        if not known:
+            self._before_s, self._told_until_s = self._changed_at_s, self._looked_s + TOLD_S
+        if onset_s == self._fresh_s and self._after is not None:
+            self._after.step(window)
+        else:
+            self._after = main.after(onset_s)
+        self._fresh_s = self._changed_at_s = onset_s
+
+    def _commit(self, window: _Window) -> tuple[_Filter, bool]:
+        """A change stands: go on from it, and look for the next."""
+        assert self._after is not None
+        self._filter = self._after
+        self._filter.step(window)
+        self._fresh_s = self._after = None
+        return self._filter, False
 
     def estimate(self) -> OnlineEstimate | None:
         """What the hand holds now; None before anything moved."""
-        if self._mass is None:
+        now = self._filter if self._after is None else self._after
+        if now is None or not now.motion_s:
             return None
-        mass, std = self._mass
-        scale = self._calibration.torque_scale
+        scale, mass = self._calibration.torque_scale, now.mass_kg
         # nobody knows whether all torque constants are off together or each on its own: the larger covers every mixture
-        counted, apart = self._apart
-        constants = max(apart, abs(mass) * self._calibration.torque_scale_std)
-        std = float(np.sqrt(max(std**2 - counted**2, 0.0) + constants**2)) * scale
+        counted, apart = np.linalg.norm(now.by_share), np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD)
+        constants = max(float(apart), abs(mass) * self._calibration.torque_scale_std)
+        std = float(np.sqrt(max(now.std_kg**2 - float(counted) ** 2, 0.0) + constants**2)) * scale
         mass *= scale
-        since = self._changed_at_s if np.isfinite(self._changed_at_s) else self._first_s
-        begun = self._fresh_s if self._fresh_s is not None else self._steps[-1] if self._steps else -np.inf
         resting = self._looked_s - self._moved_s >= RESTING_S
         return OnlineEstimate(
             self._looked_s,
             mass,
             std,
             (mass - Z95 * std, mass + Z95 * std),
-            HOP_S * sum(window.start_s[0] >= begun for window in self._windows),
+            min(now.motion_s, MEMORY_S),
             self._looked_s < self._told_until_s,
-            since,
+            self._changed_at_s if np.isfinite(self._changed_at_s) else self._first_s,
             self._moved_s if resting else None,
         )
 
 
+class _Knows:
+    """What is known of an arm, for every filter of it."""
+
+    def __init__(self, arm: Arm, calibration: MotionCalibration, centre_m: FloatArray, centre_std_m: float) -> None:
+        count = arm.count
+        covariance, friction = calibration.covariance.copy(), calibration.friction
+        covariance[friction, friction] += np.diag(calibration.friction_spread**2)
+        # a file rounds: what should be zero may be a little below
+        spread = np.sqrt(np.diag(covariance))
+        size, ways = np.linalg.eigh(covariance / spread[:, None] / spread)
+        kept = size > 1e-9 * size[-1]
+        self.values, self.count, self.widest_kg, self.centre_std_m = calibration.values, count, arm.kg, centre_std_m
+        self.root = spread[:, None] * ways[:, kept] * np.sqrt(size[kept])
+        # by how much the calibration's terms are off where one torque constant is off by its standard deviation
+        self.by_share = calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
+        self.noise = NOISE_FACTOR * np.maximum(calibration.residual, 1e-6)
+        # an exponential that decays over tau makes 2 tau / hop neighbours one
+        self.tau_s = np.maximum(0.5 * calibration.correlation * HOP_SHARE * CALIBRATED_S, LEAST_TAU_S)
+        self.coulomb = np.abs(calibration.values[friction][count : 2 * count])
+        self.point = point_mass(centre_m)
+
+
 @dataclass(frozen=True)
-class _Solution:
-    """Masses of one regression, and what a step is tested against.
+class _Window:
+    """Its rows, and the covariance of what errors of positions put on all joints' torque, shape (n, n)."""
+
+    rows: Rows
+    of_acceleration: FloatArray
+
+    @property
+    def start_s(self) -> float:
+        return float(self.rows.start_s[0])
+
+
+class _Filter:
+    """A Kalman filter of windows.
+
+    All unknowns are in units of their prior's standard deviation: those of the calibration, the torque that no model has, and of
+    the load its mass and three coordinates of its centre.
 
     Attributes:
-        mass_kg, std_kg: Of the newest stretch.
-        design: Whitened columns of everything unknown, scaled by their priors, shape (E, U).
-        residual: Whitened, shape (E,).
-        inverse: Posterior covariance of the scaled unknowns, shape (U, U).
+        motion_s: Seconds of motion since the load changed, or since the beginning.
     """
 
-    mass_kg: float
-    std_kg: float
-    design: FloatArray
-    residual: FloatArray
-    inverse: FloatArray
+    def __init__(self, knows: _Knows, window_s: float) -> None:
+        self._knows, self._window_s = knows, window_s
+        self._arm = slice(0, knows.root.shape[1])
+        self._other = slice(self._arm.stop, self._arm.stop + knows.count)
+        self._load = slice(self._other.stop, self._other.stop + 4)
+        size, self.motion_s = self._load.stop, 0.0
+        self._covariance, self._time_s, self._misfit = np.eye(size), float("nan"), 1.0
+        # columns: what was measured, shares of the torque constants, and steps that may have been
+        self._state = np.zeros((size, 1 + knows.count))
+        self._loud = [deque[tuple[float, float]](maxlen=NOISE_WINDOWS) for _ in range(knows.count)]
+        self._begun_s, self._heavy_kg = -np.inf, 0.0
+        self._onsets: list[float] = []
+        self._information, self._along = np.zeros(0), np.zeros(0)
+        self._past: deque[tuple[_Window, FloatArray, FloatArray, float, float]] = deque()
 
+    @property
+    def mass_kg(self) -> float:
+        return float(self._state[self._load.start, 0]) * self._knows.widest_kg
 
-class _Rows:
-    """All equations of the kept windows, by joint and then by time."""
+    @property
+    def std_kg(self) -> float:
+        """Of the mass; more where windows do not fit."""
+        variance = self._covariance[self._load.start, self._load.start] * max(self._misfit, 1.0)
+        return float(np.sqrt(variance)) * self._knows.widest_kg
 
-    def __init__(self, windows: list[Rows], arm: OnlineEstimator) -> None:
-        self._arm = arm
-        rows = Rows.together(windows)
-        order = np.argsort(rows.joint, kind="stable")
-        rows = Rows(*(getattr(rows, field.name)[order] for field in fields(rows)))
-        self.joint, self.start_s, self.load, design = rows.joint, rows.start_s, rows.payload, rows.design
-        self.along = self.load @ arm._point
-        calibration, count = arm._calibration, len(arm.joints)
-        mass = 0.0 if arm._mass is None else arm._mass[0]
-        fill_drives(design, calibration.values, rows, slice(11 * count, 12 * count), mass * self.along)
-        right = rows.torque - design @ calibration.values
-        self.roots = []
-        for number in range(count):
-            at = self.start_s[self.joint == number]
-            apart = np.abs(at[:, None] - at[None, :])
-            kernel = arm._noise[number] ** 2 * (np.exp(-apart / arm._tau_s[number]) + 0.02 * np.eye(len(at)))
-            self.roots.append(np.linalg.inv(np.linalg.cholesky(kernel)) if len(at) else kernel)
-        self.right = self._white(right)
-        self.arm_design = self._white(design @ arm._prior_root)
-        self.share_design = self._white(design @ arm._by_share)
-        self.heavy_kg = abs(mass) + (0.05 if arm._mass is None else arm._mass[1])
+    @property
+    def by_share(self) -> FloatArray:
+        """What each torque constant puts on the mass that is off by `LEAST_TORQUE_STD` [kg], shape (n,)."""
+        return self._state[self._load.start, 1 : 1 + self._knows.count] * self._knows.widest_kg
 
-    def _white(self, values: FloatArray) -> FloatArray:
-        return np.concatenate(
-            [root @ values[self.joint == number] for number, root in enumerate(self.roots) if len(root)]
+    def step(self, window: _Window) -> None:
+        """Go on by one window."""
+        start_s, hop_s = window.start_s, 0.5 * self._window_s
+        self._past.append(
+            (window, self._state[:, : 1 + self._knows.count], self._covariance, self._time_s, self._misfit)
         )
+        while len(self._past) * hop_s > LATEST_STEP_S:
+            self._past.popleft()
+            self._onsets, self._state = self._onsets[1:], np.delete(self._state, 1 + self._knows.count, axis=1)
+            self._information, self._along = self._information[1:], self._along[1:]
+        self._pass(start_s, hop_s)
+        self._onsets.append(start_s + hop_s)
+        self._state = np.column_stack([self._state, np.zeros(len(self._state))])
+        self._information, self._along = np.append(self._information, 0.0), np.append(self._along, 0.0)
+        self._update(window)
+        self.motion_s += hop_s
 
-    def _share(self, onset_s: float) -> FloatArray:
-        """How much of each row's window lies after an instant, by its weight, shape (E,)."""
-        x = np.clip(2.0 * (onset_s - self.start_s) / WINDOW_S - 1.0, -1.0, 1.0)
-        before = 0.5 + 35.0 / 32.0 * (x - x**3 + 0.6 * x**5 - x**7 / 7.0)  # integral of (1 - x^2)^3
-        return 1.0 - before
+    def _pass(self, start_s: float, hop_s: float) -> None:
+        """What is forgotten from window to window."""
+        late_s = hop_s if np.isnan(self._time_s) else start_s - self._time_s
+        keeps = np.ones(len(self._state))
+        keeps[self._arm], keeps[self._other] = np.exp(-hop_s / MEMORY_S), np.exp(-late_s / self._knows.tau_s)
+        self._state = self._state * keeps[:, None]
+        fading = keeps.copy()
+        fading[self._load] = np.exp(0.5 * hop_s / MEMORY_S)
+        covariance = self._covariance * fading[:, None] * fading
+        prior = np.arange(self._load.start)
+        covariance[prior, prior] += 1.0 - keeps[: self._load.start] ** 2
+        self._covariance, self._time_s = covariance, start_s
 
-    def solve(self, steps: Sequence[float]) -> _Solution:
-        """The masses of the stretches between the steps."""
-        arm = self._arm
-        along, columns = self.along, []
-        heavy = self.heavy_kg * arm._centre_std_m
-        # between which instants each stretch lies; windows across a step hold any part of both, each its own
-        begins = [-np.inf, *(at + UNSURE_S for at in steps)]
-        ends = [*(at - UNSURE_S - WINDOW_S for at in steps), np.inf]
-        for begin, end in zip(reversed(begins), reversed(ends), strict=True):
-            held = (self.start_s >= begin) & (self.start_s <= end)
-            columns.append(held * along * arm._widest_kg)
-            columns += [held * self.load[:, axis] * heavy for axis in (1, 2, 3)]
-        for at in steps:
-            across = (self.start_s > at - UNSURE_S - WINDOW_S) & (self.start_s < at + UNSURE_S)
-            columns += [(self.start_s == start) * along * arm._widest_kg for start in np.unique(self.start_s[across])]
-        design = np.hstack([self._white(np.column_stack(columns)), self.arm_design])
-        unknowns = design.shape[1]
-        prior = Prior(np.zeros(unknowns), np.eye(unknowns))
-        values, inverse = posterior(design.T @ design, design.T @ self.right, prior)
-        mass, std = values[0] * arm._widest_kg, np.sqrt(inverse[0, 0]) * arm._widest_kg
-        return _Solution(float(mass), float(std), design, self.right - design @ values, inverse)
+    def _update(self, made: _Window) -> None:
+        knows, window, mass_kg = self._knows, made.rows, self.mass_kg or self._heavy_kg
+        joint = window.joint
+        along, design, count = window.payload @ knows.point, window.design.copy(), knows.count
+        fill_drives(design, knows.values, window, slice(11 * count, 12 * count), mass_kg * along)
+        heavy = max(abs(mass_kg), 0.02) * knows.centre_std_m
+        rows = np.hstack([
+            design @ knows.root, np.eye(count)[joint] * knows.noise, along[:, None] * knows.widest_kg,
+            window.payload[:, 1:4] * heavy,
+        ])  # fmt: skip
+        shares = np.clip(2.0 * (np.array(self._onsets) - window.start_s[0]) / self._window_s - 1.0, -1.0, 1.0)
+        before = 0.5 + 35.0 / 32.0 * (shares - shares**3 + 0.6 * shares**5 - shares**7 / 7.0)
+        heard = np.hstack([
+            (window.torque - design @ knows.values)[:, None], design @ knows.by_share, along[:, None] * (1.0 - before)
+        ])  # fmt: skip
+        innovation = heard - rows @ self._state
+        spread = self._covariance @ rows.T
+        expected = rows @ spread
+        expected += made.of_acceleration[np.ix_(joint, joint)]
+        expected += np.diag((TURNING * knows.coulomb[joint] * (1.0 - window.direction**2)) ** 2)
+        if abs(window.start_s[0] - self._begun_s) < 0.25 * self._window_s:
+            expected += np.diag((ONSET_SHARE * self._heavy_kg * along) ** 2)
+        inverse = np.linalg.inv(expected + np.diag([self._noise(number) for number in joint]))
+        inverse = 0.5 * (inverse + inverse.T)
+        gain = spread @ inverse
+        self._state = self._state + gain @ innovation
+        self._covariance = self._covariance - gain @ spread.T
+        weighted = inverse @ innovation[:, 0]
+        steps = innovation[:, 1 + count :]
+        self._along = self._along + steps.T @ weighted
+        self._information = self._information + np.einsum("ij,ik,kj->j", steps, inverse, steps)
+        keeps = np.exp(-0.5 * self._window_s / MISFIT_S)
+        self._misfit = keeps * self._misfit + (1.0 - keeps) * float(innovation[:, 0] @ weighted) / len(joint)
+        for row, number in enumerate(joint):
+            self._loud[number].append((float(innovation[row, 0]) ** 2, float(expected[row, row])))
 
-    def apart(self, solution: _Solution) -> tuple[float, float]:
-        """What torque constants that err each on its own put on the mass [kg]: as the solution has it, and as they are known."""
-        by_share = self._arm._widest_kg * (solution.inverse[0] @ (solution.design.T @ self.share_design))
-        counted = float(np.linalg.norm(by_share))
-        return counted, float(np.linalg.norm(by_share * self._arm._apart_std / LEAST_TORQUE_STD))
+    def _noise(self, joint: int) -> float:
+        """Variance of a window's mean torque that is its own [N^2 m^2], by the innovations of late."""
+        own, heard = self._knows.noise[joint] ** 2, self._loud[joint]
+        if len(heard) < FEWEST_WINDOWS:
+            return float(own)
+        squares, expected = np.median(np.array(heard), axis=0)
+        # 0.455: the median of a squared normal number
+        return float(np.clip(squares / 0.455 - expected, LEAST_NOISE**2 * own, own))
 
-    def after(self, onset_s: float) -> int:
-        """How many windows begin after an instant."""
-        return len(np.unique(self.start_s[self.start_s >= onset_s]))
-
-    def step(self, steps: Sequence[float], solution: _Solution, sigmas: float) -> float | None:
-        """When something was picked up or put down that is not among the known steps; None: nothing was."""
-        starts = np.unique(self.start_s)
-        earliest = steps[-1] + 2.0 * WINDOW_S if steps else -np.inf
-        onsets = starts[max(1, len(starts) - round(LATEST_STEP_S / HOP_S)) : len(starts) - LEAST_AFTER + 1]
-        onsets = onsets[onsets > earliest]
-        if not len(onsets):
+    def onset(self, sigmas: float) -> float | None:
+        """When something was picked up or put down since this filter began; None: nothing was."""
+        # a window that lies behind it must have been heard
+        ready = np.array(self._onsets) <= self._time_s + 1e-6
+        ready &= np.array(self._onsets) > self._begun_s + 2.0 * self._window_s
+        if not ready.any():
             return None
-        columns = self._white(np.column_stack([self._share(at) * self.along for at in onsets]))
-        free = columns - solution.design @ (solution.inverse @ (solution.design.T @ columns))
-        information = np.maximum(np.einsum("ij,ij->j", columns, free), 1e-12)
-        change_kg = columns.T @ solution.residual / information
-        score = np.abs(change_kg) * np.sqrt(information)
+        information = np.maximum(self._information, 1e-12)
+        change_kg = self._along / information
+        score = np.where(ready, np.abs(change_kg) * np.sqrt(information), 0.0)
         best = int(np.argmax(score))
-        least_kg = LEAST_SHARE * abs(solution.mass_kg)
-        return float(onsets[best]) if score[best] > sigmas and abs(change_kg[best]) > least_kg else None
+        least_kg = LEAST_SHARE * abs(self.mass_kg)
+        return self._onsets[best] if score[best] > sigmas and abs(change_kg[best]) > least_kg else None
+
+    def after(self, onset_s: float) -> _Filter:
+        """The same, with a load of which nothing is known since then."""
+        new, load = _Filter(self._knows, self._window_s), self._load
+        behind = [past for past in self._past if past[0].start_s + self._window_s > onset_s + 1e-6]
+        _, state, covariance, new._time_s, new._misfit = behind[0]
+        number = self._onsets.index(onset_s)
+        change_kg = float(self._along[number] / max(self._information[number], 1e-12))
+        new._begun_s, new._heavy_kg = onset_s, float(state[load.start, 0]) * self._knows.widest_kg + change_kg
+        new._state, new._covariance = state.copy(), covariance.copy()
+        new._state[load] = 0.0
+        new._covariance[load], new._covariance[:, load] = 0.0, 0.0
+        new._covariance[load, load] = np.eye(4)
+        new._loud = [deque(heard, maxlen=NOISE_WINDOWS) for heard in self._loud]
+        for window, *_ in behind:
+            if window.start_s >= onset_s - 1e-6:
+                new.step(window)
+        return new
+
+
+def inertia_matrix(model: ReducedModel, position: FloatArray, terms: FloatArray) -> FloatArray:
+    """Of an arm of n joints at a pose [rad]; terms: parameters of its bodies and its rotors, shape (11 n,). Shape (n, n)."""
+    count = len(position)
+    bodies = terms[: PARAMETERS * count].reshape(count, PARAMETERS)
+    # momentum of each body where one joint after the other turns at 1 rad/s
+    motion = kinematics(model, np.tile(position, (count, 1)), np.eye(count))
+    result = np.diag(terms[PARAMETERS * count :])
+    for body, own in enumerate(bodies):
+        momentum, _ = momentum_and_gravity(
+            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
+        )
+        for joint in carriers(model, body):
+            result[joint] += (momentum @ own) @ motion.axis[0, joint]
+    return result
 
 
 def _interpolated(at_s: NDArray[Any], times_s: FloatArray, values: FloatArray) -> FloatArray:

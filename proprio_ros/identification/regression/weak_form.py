@@ -91,14 +91,14 @@ def torque_regressor(
         momentum, wrench = momentum_and_gravity(
             motion.rotation[:, body], motion.origin[:, body], twists[:, body], model.gravity
         )
-        for joint in _carriers(model, body):
+        for joint in carriers(model, body):
             axis = axes[:, joint, None]
             rest = (turning[:, joint, None] @ momentum + axis @ wrench)[:, 0]
             result[:, joint, body] = windows.derivative((axis @ momentum)[:, 0], period_s) - windows.mean(rest)
     return result
 
 
-def _carriers(model: ReducedModel, body: int) -> list[int]:
+def carriers(model: ReducedModel, body: int) -> list[int]:
     """The joints that carry a body: its own, its parent's, and so on to the base."""
     joints = [body]
     while model.parents[joints[-1]] >= 0:
