@@ -167,6 +167,27 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
     return EXIT_OK
 
 
+def robot_export(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio robot export``: the URDF with what a calibration learnt; returns the exit code."""
+    from proprio_ros.inputs.resources import check_new, write_in_one_step
+    from proprio_ros.pipeline.export import learnt_urdf
+    from proprio_ros.pipeline.request import Options, robot_of
+
+    output = Path(options.output)
+    check_new(output, (".urdf",), options.force)
+    robot = robot_of(Options(robot=options.robot, calibration=options.calibration, settings=_settings(options.set)))
+    learnt = learnt_urdf(robot)
+    write_in_one_step(output, learnt.text, "--output")
+    about = {"robot": robot.name, "output": str(output), "friction": list(learnt.joints), "links": list(learnt.links)}
+    bent = f"\n  inertia about the centre is not as learnt, since no body is so: {', '.join(learnt.bent)}" * bool(
+        learnt.bent
+    )
+    joints, links = ", ".join(learnt.joints) or "no joint", ", ".join(learnt.links) or "no link"
+    text = f"{output}: friction of {joints}; inertia of {links}{bent}"
+    terminal.show(options.json, {**schema.header("robot"), **about, "not_as_learnt": list(learnt.bent)}, text)
+    return EXIT_OK
+
+
 def table(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio table``: a table made anew; returns the exit code."""
     settings = _settings(options.set)

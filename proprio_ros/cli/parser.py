@@ -199,7 +199,8 @@ def _robot(add: Callable[..., _Parser]) -> None:
         help="a robot file for another arm",
         description="Robot files say what an arm's motors are, and how well each number is known.",
     )
-    new = it.add_subparsers(required=True, metavar="COMMAND").add_parser(
+    kinds = it.add_subparsers(required=True, metavar="COMMAND")
+    new = kinds.add_parser(
         "new",
         command=obey.robot_new,
         help="write a robot file to fill in, from a URDF",
@@ -211,6 +212,17 @@ def _robot(add: Callable[..., _Parser]) -> None:
     new.add_argument("urdf", metavar="URDF", help=sources)
     new.add_argument("--output", required=True, metavar="FILE.yaml", help="the robot file, for `--robot`")
     new.share("effort-unit", "force", "json")
+    export = kinds.add_parser(
+        "export",
+        command=obey.robot_export,
+        help="write the URDF with what a calibration learnt",
+        description="Write the robot's URDF with friction as <dynamics damping friction> of each joint, and with links that weigh "
+        "what a calibration by motions learnt; everything else stays.",
+        epilog=EXIT_WRITTEN,
+    )
+    export.share("robot", "calibration", "set")
+    export.add_argument("--output", required=True, metavar="FILE.urdf", help="the URDF")
+    export.share("force", "json")
 
 
 def _table(add: Callable[..., _Parser]) -> None:

@@ -130,9 +130,14 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
 
 
 def check_new_yaml(path: Path, force: bool) -> None:
-    """Refuse an output that is no .yaml file, cannot be written, or is there and may not be replaced, before the work is done."""
-    if path.suffix not in (".yaml", ".yml"):
-        raise ConfigurationError(f"--output {path}: name a .yaml file")
+    """As `check_new`, of a .yaml file."""
+    check_new(path, (".yaml", ".yml"), force)
+
+
+def check_new(path: Path, suffixes: Sequence[str], force: bool) -> None:
+    """Refuse an output that has no such suffix, cannot be written, or is there and may not be replaced, before the work is done."""
+    if path.suffix not in suffixes:
+        raise ConfigurationError(f"--output {path}: name a {suffixes[0]} file")
     if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
         raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
     if path.exists() and not force:
