@@ -43,6 +43,8 @@ WINDOW_S, WINDOW_SAMPLES = 0.1, 10
 """Windows are so long, and have so many samples at least."""
 SMOOTHED_S, SMOOTHED_SAMPLES = 0.02, 3
 """Positions are those of a parabola through so much before and after, and so many samples at least."""
+COUNTS = 2.5
+"""An encoder that flickers by a count or two is at rest."""
 THINNED_S = 0.005
 """Samples that are closer say nothing more, once they are smoothed."""
 LEARNT_S = 0.3
@@ -153,6 +155,7 @@ class OnlineEstimator:
             [LEAST_TORQUE_STD if told else relative_torque_std(robot, name) for name in self.joints]
         )
         self._calibration = calibration
+        self._least_rad = COUNTS * np.array([robot.drive_trains[name].encoder_resolution for name in self.joints])
         self.centre_m = tuple(float(axis) for axis in centre_m)
         self._knows = _Knows(self._arm, calibration, np.asarray(centre_m), max(centre_std_m, 1e-4))
         self._forget()
@@ -272,7 +275,8 @@ class OnlineEstimator:
         inside_s: FloatArray = np.asarray(start_s + period_s * np.arange(0, width, thin), dtype=np.float64)
         windows = Windows.over(len(smooth), len(smooth), len(smooth))
         constants = self._calibration.torque_constants
-        made = self._arm.rows(windows, inside_s, thin * period_s, smooth, velocity, torque * constants)
+        moves = np.ptp(position, axis=0) > self._least_rad
+        made = self._arm.rows(windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves)
         return _Window(made, self._of_acceleration(windows, design[1], smooth[len(smooth) // 2]))
 
     def _of_acceleration(self, windows: Windows, slope: FloatArray, position: FloatArray) -> FloatArray:
