@@ -61,7 +61,6 @@ class JointSimulator:
     Args:
         runs: The runs; worlds refer to them by index. Runs may have different lengths.
         integrator: One of ``INTEGRATORS``.
-        device: Warp device name.
 
     Raises:
         ConfigurationError: Warp cannot keep compiled kernels.
@@ -72,7 +71,7 @@ class JointSimulator:
     harmless: np.ndarray = harmless(PARAMETERS)
     tangent_sizes: tuple[int, ...] = _TANGENT_SIZES
 
-    def __init__(self, runs: Sequence[JointRun], integrator: str = "rk4", device: str = "cpu") -> None:
+    def __init__(self, runs: Sequence[JointRun], integrator: str = "rk4") -> None:
         runtime.check()
         if integrator not in INTEGRATORS:
             raise SimulationError(f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}")
@@ -80,7 +79,6 @@ class JointSimulator:
             raise SimulationError("nothing to simulate: every run needs at least one sample after the command's onset")
         self.runs = tuple(runs)
         self.integrator = integrator
-        self.device = device
         self.sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
         self.sample_counts.setflags(write=False)
         self._width = int(self.sample_counts.max())
@@ -99,17 +97,17 @@ class JointSimulator:
             steps[row] = run.step_s, min(run.fine_step_s, run.step_s)
         self._samples = self._array(samples)
         self._switch_times = self._array(switch_times)
-        self._inputs = wp.array(inputs, dtype=VEC3, device=device)
+        self._inputs = wp.array(inputs, dtype=VEC3, device="cpu")
         self._constants, self._steps = self._array(constants), self._array(steps)
-        self._input_counts = wp.array(input_counts, dtype=wp.int32, device=device)
-        self._full_counts = wp.array(self.sample_counts, dtype=wp.int32, device=device)
+        self._input_counts = wp.array(input_counts, dtype=wp.int32, device="cpu")
+        self._full_counts = wp.array(self.sample_counts, dtype=wp.int32, device="cpu")
         self._launches: dict[tuple[int, int, bool], _Launch] = {}
 
     def _array(self, values: np.ndarray) -> wp.array:
-        return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=FLOAT, device=self.device)
+        return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=FLOAT, device="cpu")
 
     def _zeros(self, shape: int | tuple[int, ...], kind: Any = FLOAT, **options: bool) -> wp.array:
-        return wp.zeros(shape, dtype=kind, device=self.device, **options)
+        return wp.zeros(shape, dtype=kind, device="cpu", **options)
 
     def windows(self, fraction: float) -> np.ndarray:
         """How many samples of each run lie in the first ``fraction`` of its time, at least three; shape (R,), int32."""
@@ -188,10 +186,8 @@ class JointSimulator:
         out += [self._zeros((worlds, steps), VEC3), self._zeros(worlds, wp.int32)]
         out += [self._zeros((worlds, samples), wp.int32)]
         given = [*self._run_data(self._full_counts), runs, p, capacity]
-        command = runtime.launch(
-            schedule(law), dim=worlds, inputs=given, outputs=out, device=self.device, record_cmd=record_cmd
-        )
-        return out, command
+        how: dict[str, Any] = {"dim": worlds, "device": "cpu", "record_cmd": record_cmd}
+        return out, runtime.launch(schedule(law), inputs=given, outputs=out, **how)
 
     def rollout(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at the sample instants, shapes (W, T); arguments as in ``jacobian``."""
@@ -242,14 +238,11 @@ class _Launch:
         for name, array in zip(out_type.vars, self._outputs, strict=True):
             setattr(out, name, array)
         inputs = [*owner._run_data(counts), world_run, p, dp]
-        self._command = runtime.launch(
-            kernel, dim=worlds, inputs=inputs, outputs=[out], device=owner.device, record_cmd=True
-        )
-        self._inputs = [world_run, counts, p, dp]
-        self._given: list[np.ndarray | None] = [None] * len(self._inputs)
+        self._command = runtime.launch(kernel, dim=worlds, inputs=inputs, outputs=[out], device="cpu", record_cmd=True)
         # on the CPU a Warp array is the host's own memory: written and read in place, without a copy
-        self._views = [array.numpy() for array in self._inputs] if p.device.is_cpu else []
-        self._results = self._read() if self._views else None
+        self._views = [array.numpy() for array in (world_run, counts, p, dp)]
+        self._given: list[np.ndarray | None] = [None] * len(self._views)
+        self._results = tuple(output.numpy() for output in self._outputs)
 
     def __call__(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
@@ -257,21 +250,16 @@ class _Launch:
         for at, values in enumerate((world_run, counts, p, dp)):
             self._put(at, values)
         self._command.launch()
-        return self._results or self._read()
-
-    def _read(self) -> tuple[np.ndarray, ...]:
-        return tuple(output.numpy() for output in self._outputs)
+        return self._results
 
     def _put(self, at: int, values: np.ndarray) -> None:
         """Hand an input over; a read-only array that was already given has not changed."""
         if self._given[at] is values:
             return
         self._given[at] = None if values.flags.writeable else values
-        whole = self._views[at] if self._views else np.zeros_like(self._inputs[at].numpy())
+        whole = self._views[at]
         whole[..., : values.shape[-1]] = values
         whole[..., values.shape[-1] :] = 0
-        if not self._views:
-            self._inputs[at].assign(whole)
 
 
 class TapedRollout:
@@ -285,7 +273,7 @@ class TapedRollout:
     """
 
     def __init__(self, owner: JointSimulator, law: PlainLaw, world_run: np.ndarray, p: np.ndarray) -> None:
-        worlds, width, device = len(p), owner._width, owner.device
+        worlds, width = len(p), owner._width
         longest = max(float(run.sample_times_s[-1]) + abs(float(p[:, DELAY].min())) for run in owner.runs)
         finest = min(min(run.fine_step_s, run.step_s) for run in owner.runs)
         capacity = int(np.ceil(longest / finest)) + width + int(owner._switch_times.shape[1]) + 2
@@ -294,8 +282,8 @@ class TapedRollout:
                 f"{capacity} steps of {finest:.2g} s are too many for a tape (at most {MAX_STEPS}): use a longer step, "
                 "or the forward sensitivities"
             )
-        runs = wp.array(world_run, dtype=wp.int32, device=device)
-        self._p = wp.array(p, dtype=FLOAT, device=device, requires_grad=True)
+        runs = wp.array(world_run, dtype=wp.int32, device="cpu")
+        self._p = wp.array(p, dtype=FLOAT, device="cpu", requires_grad=True)
         (_, *taken, sample_step), _ = owner.forward(law, runs, self._p, capacity)
         self._sampled = owner._zeros((worlds, width), requires_grad=True)
         y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
@@ -303,13 +291,13 @@ class TapedRollout:
         samples = [owner._samples, owner._data(), runs, self._p, sample_step, y]
         self._tape = wp.Tape()
         with self._tape:
-            runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device=device)
-            runtime.launch(observe(law), dim=(worlds, width), inputs=samples, outputs=[self._sampled], device=device)
+            runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device="cpu")
+            runtime.launch(observe(law), dim=(worlds, width), inputs=samples, outputs=[self._sampled], device="cpu")
         self.q = self._sampled.numpy().copy()
 
     def gradient(self, weights: np.ndarray) -> np.ndarray:
         """Gradient of ``sum(weights * q)`` by the parameters of each world: weights (W, T), gradient (W, P), a copy."""
-        seed = wp.array(np.ascontiguousarray(weights, dtype=np.float64), dtype=FLOAT, device=self._p.device)
+        seed = wp.array(np.ascontiguousarray(weights, dtype=np.float64), dtype=FLOAT, device="cpu")
         self._tape.backward(grads={self._sampled: seed})
         gradient = self._p.grad.numpy().copy()  # a view on the CPU, and zero() below would empty it
         self._tape.zero()

@@ -26,10 +26,9 @@ class MixedSimulator(Generic[_Special]):
         plain: Sequence[JointRun],
         with_object: Sequence[bool] | np.ndarray,
         integrator: str = "rk4",
-        device: str = "cpu",
     ) -> None:
         self.special = special
-        self.plain = JointSimulator(plain, integrator, device) if plain else None
+        self.plain = JointSimulator(plain, integrator) if plain else None
         self.with_object = np.asarray(with_object, dtype=bool)
         self.parameters = special.parameters
         own, others = iter(special.runs), iter(plain)

@@ -135,16 +135,11 @@ class SphereSimulator(JointSimulator):
     tangent_sizes = _SIZES
 
     def __init__(
-        self,
-        runs: Sequence[SphereRun],
-        enclosure: Enclosure,
-        law: str = "ramped",
-        integrator: str = "rk4",
-        device: str = "cpu",
+        self, runs: Sequence[SphereRun], enclosure: Enclosure, law: str = "ramped", integrator: str = "rk4"
     ) -> None:
         if law not in LAWS:
             raise SimulationError(f"unknown law of contact {law!r}: choose one of {', '.join(LAWS)}")
-        super().__init__([run.joint for run in runs], integrator, device)
+        super().__init__([run.joint for run in runs], integrator)
         self.sphere_runs = tuple(runs)
         self.enclosure = enclosure
         self.law = law

@@ -71,8 +71,8 @@ class SqueezeSimulator(JointSimulator):
     harmless = harmless(SQUEEZE_PARAMETERS)
     tangent_sizes = _SIZES
 
-    def __init__(self, runs: Sequence[SqueezeRun], integrator: str = "rk4", device: str = "cpu") -> None:
-        super().__init__([run.joint for run in runs], integrator, device)
+    def __init__(self, runs: Sequence[SqueezeRun], integrator: str = "rk4") -> None:
+        super().__init__([run.joint for run in runs], integrator)
         self.squeeze_runs = tuple(runs)
         tables = list({run.response.made_of: run.response for run in runs}.values())
         if any(table.nodes.shape != tables[0].nodes.shape or (table.grid != tables[0].grid).any() for table in tables):
@@ -82,7 +82,7 @@ class SqueezeSimulator(JointSimulator):
             np.array([[run.length, run.area, run.travel, which[run.response.made_of], *run.bend] for run in runs])
         )
         self._grid = self._array(tables[0].grid)
-        self._nodes = wp.array(np.stack([table.nodes for table in tables]), dtype=VEC4, device=device)
+        self._nodes = wp.array(np.stack([table.nodes for table in tables]), dtype=VEC4, device="cpu")
 
     def squeeze(self, world_run: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Squeeze relative to the block's length at joint positions q (W, T): (W, T), below 0 where the block is not touched.

@@ -174,8 +174,8 @@ def states_of(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray) 
 
 def record_forward(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray) -> tuple[wp.array, Any]:
     """The forward pass as a command to launch again and again, and the states that it fills, shape (W, T)."""
-    runs = wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device=simulator.device)
-    given = wp.array(np.asarray(p, dtype=np.float64), dtype=FLOAT, device=simulator.device)
+    runs = wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device="cpu")
+    given = wp.array(np.asarray(p, dtype=np.float64), dtype=FLOAT, device="cpu")
     (states, *_), command = simulator.forward(_law_of(simulator), runs, given, record_cmd=True)
     return states, command
 
