@@ -105,7 +105,9 @@ class Search:
 
     def _keep(self, score: float, plan: ExcitationPlan) -> None:
         kept = self._found.setdefault((plan.joint, plan.kind), [])
-        near = [best for best in kept if self._are_near(best.plan, plan)]
+        axes = self._axes[plan.joint].items()
+        reach = {name: NEAR * (axis[1] - axis[0]) for name, axis in axes}
+        near = [b for b in kept if all(abs(b.plan.start[name] - plan.start[name]) < far for name, far in reach.items())]
         if any(best.score <= score for best in near):
             return
         if near:  # a descent goes on from there
@@ -113,7 +115,3 @@ class Search:
         else:
             kept.append(_Best(score, plan))
         kept[:] = sorted((best for best in kept if best not in near[1:]), key=lambda best: best.score)[:SAME_KIND]
-
-    def _are_near(self, one: ExcitationPlan, other: ExcitationPlan) -> bool:
-        axes = self._axes[one.joint].items()
-        return all(abs(one.start[name] - other.start[name]) < NEAR * (axis[1] - axis[0]) for name, axis in axes)

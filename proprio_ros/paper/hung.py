@@ -160,7 +160,10 @@ class HungProblem(Problem):
     def __init__(self, robot: Robot, runs: Sequence[PreparedRun], hung: Hung, unknowns: Sequence[Unknown]) -> None:
         self.hung = hung
         self._prepared = tuple(runs)
-        self._gravity = [_gravity_at_start(robot, run) for run in runs]
+        self._gravity = []  # as the hand feels it before each run [m/s^2], shape (3,)
+        for run in runs:
+            pose = {**run.run.held, run.run.joint: run.rest.value}
+            self._gravity.append(robot.model.frame_transform(robot.payload_frame, pose)[:3, :3].T @ robot.gravity)
         super().__init__(robot, runs, KnownLoad().facts, unknowns)
         self._affine = False  # stiffness and damping are products of two unknowns
 
@@ -199,12 +202,6 @@ class HungProblem(Problem):
                 if slides:
                     dp[:, row, to[f"start_{n}"], at["payload_frequency"]] = -2.0 * resting / frequency**3
         return p, dp
-
-
-def _gravity_at_start(robot: Robot, run: PreparedRun) -> np.ndarray:
-    """As the hand feels it before the run [m/s^2], shape (3,)."""
-    hand = robot.model.frame_transform(robot.payload_frame, {**run.run.held, run.run.joint: run.rest.value})
-    return hand[:3, :3].T @ robot.gravity
 
 
 def hung_unknowns(robot: Robot, runs: Sequence[PreparedRun], hung: Hung) -> list[Unknown]:

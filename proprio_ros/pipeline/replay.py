@@ -86,7 +86,8 @@ def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Reco
             runs.extend(once.checked(path, found))
             sources.extend([Path(path)] * len(found))
     _refuse_unsuited(request, runs, motions)
-    request = replace(request, robot=aged_for(request.robot, runs, paths, options.state_topic))
+    if (learnt := request.robot.calibration) is not None and learnt.made is not None and runs:
+        request = replace(request, robot=aged_robot(request.robot, moment_of(runs, paths, options.state_topic)))
     whole = replace(request, options=replace(options, span=None))
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []
@@ -154,15 +155,8 @@ def _held_views(request: Request, robot: Robot, motion: Motion, estimate: Estima
     return held_views(robot, motion, about, load.inertia_is, within)
 
 
-def aged_for(robot: Robot, runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None) -> Robot:
-    """The robot, of whose calibration as much is known as was left when some runs were recorded (see `drift`)."""
-    if robot.calibration is None or robot.calibration.made is None or not runs:
-        return robot
-    return aged_robot(robot, moment_of(runs, paths, state_topic))
-
-
 def aged_robot(robot: Robot, now: Moment) -> Robot:
-    """The robot, of whose calibration as much is known as is left by now."""
+    """The robot, of whose calibration as much is known as is left by now (see `drift`)."""
     if robot.calibration is None:
         return robot
     calibration = aged(robot.calibration, robot.drift, now)

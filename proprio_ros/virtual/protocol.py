@@ -77,10 +77,6 @@ def crc16(data: bytes, crc: int = 0) -> int:
     return crc
 
 
-def _with_crc(data: bytes) -> bytes:
-    return data + crc16(data).to_bytes(2, "little")
-
-
 def stuff(body: bytes) -> bytes:
     """Instruction byte and parameters such that no header can occur in them."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
@@ -94,7 +90,8 @@ def unstuff(body: bytes) -> bytes:
 def encode_instruction(servo_id: int, code: int, params: bytes = b"") -> bytes:
     """Packet that a computer sends."""
     body = stuff(bytes([code]) + params)
-    return _with_crc(_HEADER + bytes([servo_id]) + (len(body) + 2).to_bytes(2, "little") + body)
+    data = _HEADER + bytes([servo_id]) + (len(body) + 2).to_bytes(2, "little") + body
+    return data + crc16(data).to_bytes(2, "little")
 
 
 def encode_status(servo_id: int, error: int, params: bytes = b"") -> bytes:

@@ -56,7 +56,10 @@ class Truth:
     @classmethod
     def nominal(cls, robot: Robot) -> Truth:
         """The robot file's values exactly; its encoders make no once-per-turn error."""
-        joints = {name: _nominal(drive) for name, drive in robot.drive_trains.items()}
+        joints = {}
+        for name, drive in robot.drive_trains.items():
+            terms = {term: getattr(drive, term).value for term in _TERMS}
+            joints[name] = JointTruth(**terms, zero_rad=drive.zero.value, encoder_noise_rad=drive.encoder_noise)
         return cls(joints, max(robot.delay.value, 0.0), robot.arm_scale.value)
 
     @classmethod
@@ -138,8 +141,3 @@ class Truth:
 
 
 _TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")
-
-
-def _nominal(drive: DriveTrain) -> JointTruth:
-    terms = {name: getattr(drive, name).value for name in _TERMS}
-    return JointTruth(**terms, zero_rad=drive.zero.value, encoder_noise_rad=drive.encoder_noise)
