@@ -25,6 +25,8 @@ CORRECTING_SHARE = 0.85
 back. With 0.6 a shoulder with 150 g in the hand ran on for 0.9 rad after a push, with this for 0.28."""
 LOST_RAD = 0.5
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
+USUAL_ROTOR = 1.0 / 3.0
+"""Of the spread that holds where no file states a rotor. Held for one three times as heavy as it was, a wrist swung up."""
 SLACK_RAD = 0.004  # the sum rests so near to the goal: friction would have it hunt
 DEAD_RAD, DEAD_RAD_S = 0.0015, 0.12
 """Off by so little is not off: an encoder's noise would shake a joint that stands, and what shakes creeps in spite of friction."""
@@ -78,9 +80,9 @@ class Hold:
         }
         self._loads = Loads(robot)
         self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in self.joints}
-        # a rotor that nobody stated is as heavy as it may well be: its inertia is most of a wrist's, and makes its spring
+        # a rotor that nobody stated is as heavy as most are: its inertia is most of a wrist's, and makes its spring
         self._rotor = {
-            name: (drive.armature.value or drive.armature.std) / drive.transmission**2
+            name: (drive.armature.value or USUAL_ROTOR * drive.armature.std) / drive.transmission**2
             for name, drive in robot.drive_trains.items()
         }
         self._friction = {name: drive.coulomb.value for name, drive in robot.drive_trains.items()}

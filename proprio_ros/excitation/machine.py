@@ -30,7 +30,14 @@ from proprio_ros.excitation.guards import (
     free_swing,
     unfit,
 )
-from proprio_ros.excitation.plans import LEAST_CURRENT_A, ExcitationRun, ExcitationSequence, check_sequence, margin
+from proprio_ros.excitation.plans import (
+    LEAST_CURRENT_A,
+    ExcitationRun,
+    ExcitationSequence,
+    check_sequence,
+    margin,
+    push_unit,
+)
 from proprio_ros.excitation.ways import Way, Ways
 from proprio_ros.robot import Robot
 
@@ -373,8 +380,9 @@ class ExcitationMachine:
         if phase is Phase.SETTLE:
             self._recent.clear()
         run = f"run {self.run_number} of {self.runs}" + f", attempt {self.attempt}" * (self.attempt > 1)
+        unit = push_unit(self.robot, self._run.joint)
         shake = f" +-{abs(self._run.shake_A):.3g}" * (self._run.shake_A != 0.0)
-        pushed = "swings freely" if self._run.free else f"is pushed with {self._current_A:+.3g}{shake} A"
+        pushed = "swings freely" if self._run.free else f"is pushed with {self._current_A:+.3g}{shake} {unit}"
         if self._run.goal_step:
             pushed = f"is pushed by a goal {self._run.goal_step:+.3g} {self._unit} away"
         self.message = {

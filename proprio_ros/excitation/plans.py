@@ -26,6 +26,8 @@ START_MARGIN_RAD = 0.08
 """A start pose stays this far from a joint's limits, so that noise at rest cannot look like running into one."""
 LARGEST_CURRENT_A = 10.0  # no servo of this kind takes more: such a number was meant in mA
 LARGEST_POSITION_RAD = 7.0  # beyond a full turn: such a number was meant in degrees
+FIRST = ("empty_hand", "payload", "reference", "empty_hand_elbow", "payload_elbow", "reference_elbow")
+"""Sequences that every arm can make: where it has none of their joints, `first.first_sequence` makes them."""
 LEAST_CURRENT_A = 0.01  # four counts of an XM430: less is as good as none
 SHORTEST_SHAKE_S = 0.08  # three samples at 40 a second
 LEAST_SHAKES = 2  # fewer periods are no shaking
@@ -159,7 +161,8 @@ def load_sequence(name_or_path: str | Path, robot: Robot) -> ExcitationSequence:
     """Read the section ``excitation`` of a probe file and check it against the robot.
 
     Args:
-        name_or_path: One of `sequence_names`, the path of a YAML file, or the section itself as JSON, in braces.
+        name_or_path: One of `sequence_names`, the path of a YAML file, or the section itself as JSON, in braces. Those of `FIRST`
+            are made from the URDF of an arm that has none of their joints.
         robot: The arm that is to make the runs.
 
     Raises:
@@ -180,9 +183,28 @@ def load_sequence(name_or_path: str | Path, robot: Robot) -> ExcitationSequence:
             )
             raise ConfigurationError(f"{path.name}: {words}")
         section, name, where = _whole(content["excitation"], path), path.stem, f"{path.name}: excitation"
+        if not is_path and name in FIRST and not _its_joints(section) & {*robot.drive_trains}:
+            from proprio_ros.excitation.first import first_sequence  # which is written in the words of this file
+
+            sequence = first_sequence(robot, section["hand"])
+            check_sequence(sequence, robot)
+            return sequence
     sequence = _sequence(section, name, robot, where)
     check_sequence(sequence, robot)
     return sequence
+
+
+def largest_current_A(robot: Robot, joint: str) -> float:
+    """That may be commanded, by the robot file, and by the effort that the URDF allows."""
+    most = robot.model.joint(joint).effort_limit / abs(robot.drive_trains[joint].nominal_effort_per_current)
+    return min(robot.motors[joint].current_limit_A, most if most > 0.0 else math.inf)
+
+
+def push_unit(robot: Robot, joint: str) -> str:
+    """What the currents of a sequence are: of a joint whose torque constant is stated as 1, torques."""
+    if robot.drive_trains[joint].nominal_torque_constant != 1.0:
+        return "A"
+    return "N" if robot.model.joint(joint).kind == "prismatic" else "N m"
 
 
 def margin(robot: Robot, joint: str, margin_rad: float) -> float:
@@ -265,16 +287,17 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
         if not abs(run.goal_step) <= largest_step:
             yield f"goal_step={run.goal_step:g} must be {largest_step:.3g} at most, either way; it is in rad (m for a slide)"
     largest = max(abs(run.current_A), run.max_current_A or 0.0) + abs(run.shake_A)
-    if not math.isfinite(run.current_A + run.shake_A) or largest > LARGEST_CURRENT_A:
-        yield f"{largest:g} A is too much for a servo: currents are in A, not mA"
+    unit, most = push_unit(robot, run.joint), largest_current_A(robot, run.joint)
+    if not math.isfinite(run.current_A + run.shake_A) or largest > max(LARGEST_CURRENT_A, most):
+        yield f"{largest:g} {unit} is too much for a servo: currents are in A, not mA"
     limit = robot.motors[run.joint].current_limit_A
     if largest > limit:
         yield (
-            f"{largest:g} A{' with shake_A' * (run.shake_A != 0.0)} is above the motor's limit of {limit:g} A; lower it, or "
-            "current_limit_A in the robot file"
+            f"{largest:g} {unit}{' with shake_A' * (run.shake_A != 0.0)} is above the motor's limit of {limit:g} {unit}; lower it, "
+            "or current_limit_A in the robot file"
         )
     if run.max_current_A is not None and not abs(run.current_A) <= run.max_current_A:
-        yield f"max_current_A={run.max_current_A:g} is a magnitude and must not be below that of {run.current_A:g} A"
+        yield f"max_current_A={run.max_current_A:g} is a magnitude and must not be below that of {run.current_A:g} {unit}"
     if not 0.0 < run.duration_s <= 60.0:
         yield f"duration_s={run.duration_s:g} must be above 0 s, and 60 s at most"
     if not 0.0 <= run.min_travel < run.max_travel:
@@ -297,9 +320,9 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
         least_A = min(abs(mean_A + run.shake_A), abs(mean_A - run.shake_A))
         if least_A < LEAST_CURRENT_A:
             yield (
-                f"with shake_A={run.shake_A:g} about {mean_A:g} A the current is {least_A:.3g} A for half of each period, "
-                f"and a recording would be cut there; keep both halves at {LEAST_CURRENT_A:g} A or more: change shake_A, "
-                "current_A, raise_by or max_current_A"
+                f"with shake_A={run.shake_A:g} about {mean_A:g} {unit} the current is {least_A:.3g} {unit} for half of each "
+                f"period, and a recording would be cut there; keep both halves at {LEAST_CURRENT_A:g} {unit} or more: change "
+                "shake_A, current_A, raise_by or max_current_A"
             )
         mean_A = run.other_current(mean_A)
 
@@ -354,6 +377,10 @@ def _whole(section: Any, path: Path) -> Any:
         named = one_line(repr(like), 60)
         raise ConfigurationError(f"{path.name}: excitation.like={named}: name one of the package's sequences")
     return {**base, **{key: value for key, value in section.items() if key != "like"}}
+
+
+def _its_joints(section: Any) -> set[str]:
+    return {run["joint"] for run in section["runs"]}
 
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:

@@ -236,7 +236,7 @@ def test_names_and_paths_that_are_not_there(robot: Robot, tmp_path: Path) -> Non
 
 def test_another_robot_says_what_it_lacks() -> None:
     with pytest.raises(ConfigurationError, match="drives pivot"):
-        load_sequence("empty_hand", load_robot("pendulum"))
+        load_sequence("container", load_robot("pendulum"))
 
 
 def test_sequences_made_in_code_are_checked_too(robot: Robot) -> None:
