@@ -49,6 +49,10 @@ class RecordingError(ProprioError, ValueError):
     """A recording cannot be read, or does not hold what is needed: no joint states, NaN, an unknown effort unit."""
 
 
+class TooLittleMotion(RecordingError):
+    """Joints of a recording stand, or move for too short, for a regression of what it says by itself."""
+
+
 class ConfigurationError(ProprioError, ValueError):
     """An option, a setting or a probe file is wrong: an unknown key, a wrong unit, a wrong shape."""
 

@@ -15,7 +15,7 @@ from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Findings, screen_run, unusable
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.regression.motion_fit import refuse_useless
+from proprio_ros.identification.regression.at_rest import refuse_useless
 from proprio_ros.identification.regression.one_joint_fit import fit_one_joint
 from proprio_ros.identification.regression.one_joint_known import tables_of
 from proprio_ros.inputs.resources import paths_of

@@ -122,7 +122,8 @@ def _motion(recording: Recording, request: Request) -> Motion:
     known = {*recording.joints.names, *locked}
     slides = [robot.model.joint(name) for name in robot.model.independent_joints if name not in known]
     taken = {each.name: float(np.clip(0.0, each.lower, each.upper)) for each in slides if each.kind == "prismatic"}
-    motion = motion_of(recording, joints=turning_joints(robot), held={**taken, **locked})
+    still = robot.motion_calibration is not None
+    motion = motion_of(recording, joints=turning_joints(robot), held={**taken, **locked}, standing=still)
     notes = tuple(
         f"{recording.name}: {name} was not recorded and is taken to stand at {value:g} m; --set held.{name}=VALUE states it"
         for name, value in taken.items()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.records import BoolArray, FloatArray, Recording
 
 MOVED_RAD = 0.05
@@ -42,14 +42,17 @@ class Motion:
         return tuple(name for name, span in zip(self.joints, spans, strict=True) if span > MOVED_RAD)
 
 
-def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str, float] | None = None) -> Motion:
+def motion_of(
+    recording: Recording, *, joints: Sequence[str], held: Mapping[str, float] | None = None, standing: bool = False
+) -> Motion:
     """The whole recording as one motion, with measured currents where there are any: a command is reached late, and not quite.
 
     Of the joints that have a motor and turn; ``held`` are positions of others that are not recorded, or that replace
-    recorded ones [rad or m].
+    recorded ones [rad or m]; ``standing``: it is of use where none of them moves, too.
 
     Raises:
-        RecordingError: A joint, its current or enough samples are missing, or nothing moves.
+        RecordingError: A joint, its current or enough samples are missing.
+        TooLittleMotion: Nothing moves.
     """
     record, name = recording.joints, recording.name
     missing = [joint for joint in joints if joint not in record.names]
@@ -76,8 +79,8 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         begin_ns=int(record.times_ns[0]),
         beside={joint: recorded[:, record.column(joint)] for joint in others},
     )
-    if not motion.moved:
-        raise RecordingError(f"{name}: no joint moved by more than {MOVED_RAD} rad")
+    if not (standing or motion.moved):
+        raise TooLittleMotion(f"{name}: no joint moved by more than {MOVED_RAD} rad")
     return motion
 
 

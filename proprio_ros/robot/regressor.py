@@ -100,3 +100,33 @@ def momentum_and_gravity(
     wrench[:, :3, 0], wrench[:, 3:, 0] = lever @ gravity, gravity
     wrench[:, :3, 1:4] = -_skew(gravity) @ rotation
     return momentum, wrench
+
+
+def carriers(model: ReducedModel, body: int) -> list[int]:
+    """The joints that carry a body: its own, its parent's, and so on to the base."""
+    joints = [body]
+    while model.parents[joints[-1]] >= 0:
+        joints.append(int(model.parents[joints[-1]]))
+    return joints
+
+
+def gravity_torques(model: ReducedModel, position: FloatArray) -> FloatArray:
+    """Torque that holds every joint at rest, per unit of every body's parameters.
+
+    Args:
+        model: The arm, n revolute joints.
+        position: Of them [rad], shape (T, n).
+
+    Returns:
+        Shape (T, n, n, 10): pose, joint, body, parameter [N m per unit].
+    """
+    at_rest = np.zeros_like(position)
+    motion = kinematics(model, position, at_rest)
+    result = np.zeros((*position.shape, position.shape[1], PARAMETERS))
+    for body in range(position.shape[1]):
+        _, wrench = momentum_and_gravity(
+            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
+        )
+        for joint in carriers(model, body):
+            result[:, joint, body] = -(motion.axis[:, joint, None] @ wrench)[:, 0]
+    return result

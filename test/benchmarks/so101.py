@@ -53,11 +53,31 @@ class Arm:
         self.armature = random.uniform(0.02, 0.036, n)
         self.delay_s = random.uniform(0.01, 0.035)
         self.supply_V = random.normal(7.4, 0.2)
+        self.sticks, self.dead_band_rad, self.gain = 0.0, 0.0, GAIN
+        """By how much of itself dry friction is greater at rest, where it holds a joint; of the firmware; duty cycle per rad."""
 
     def moved(
         self, load_kg: float, random: np.random.Generator, rate_hz: float, seconds: float
     ) -> dict[str, np.ndarray]:
-        """Times, goals and positions, shapes (N,), (N, 6), (N, 6)."""
+        """As it goes from pose to pose, see `followed`."""
+        dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
+        goals_at, goals = [0.0], [MIDDLE]
+        while goals_at[-1] < seconds:
+            goals_at.append(goals_at[-1] + random.uniform(0.8, 2.0))
+            goals.append(MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS)))
+        return self.followed(load_kg, random, rate_hz, seconds, dry, goals_at, goals)
+
+    def followed(
+        self,
+        load_kg: float,
+        random: np.random.Generator,
+        rate_hz: float,
+        seconds: float,
+        dry: np.ndarray,
+        goals_at: Sequence[float],
+        goals: Sequence[np.ndarray],
+    ) -> dict[str, np.ndarray]:
+        """Times, goals and positions, shapes (N,), (N, 6), (N, 6), under friction ``dry``."""
         import mujoco
 
         spec = mujoco.MjSpec.from_file(str(share_directory() / "urdf" / "so101.urdf"))
@@ -67,17 +87,17 @@ class Arm:
         if load_kg:
             payload = spec.body("grasp_link").add_body(name="payload")
             payload.explicitinertial, payload.mass, payload.inertia = True, load_kg, [load_kg * 0.03**2 / 6.0] * 3
+        if self.sticks:  # else MuJoCo's dry friction is soft, and a joint creeps until it carries nothing
+            spec.option.tolerance = 1e-14
+            for name in JOINTS:
+                joint = spec.joint(name)
+                joint.solref_friction, joint.solimp_friction = (0.002, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
         model = spec.compile()
         data = mujoco.MjData(model)
         dofs = np.array([model.joint(name).dofadr[0] for name in JOINTS])
         model.dof_armature[dofs], model.dof_damping[dofs] = self.armature, self.viscous
-        dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
-        goals_at, goals = [0.0], [MIDDLE]
-        while goals_at[-1] < seconds:
-            goals_at.append(goals_at[-1] + random.uniform(0.8, 2.0))
-            goals.append(MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS)))
-        data.qpos[dofs] = MIDDLE
-        heard = moved = MIDDLE.copy()
+        data.qpos[dofs] = goals[0]
+        heard = moved = goals[0].copy()
         rows: dict[str, list[Any]] = {"t": [], "goal": [], "position": []}
         every = round(1.0 / (rate_hz * STEP_S))
 
@@ -93,14 +113,18 @@ class Arm:
             heard = goal_at(max(np.floor((t - self.delay_s) * rate_hz + 1e-9) / rate_hz, 0.0))
             moved = moved + np.clip(heard - moved, -5.215 * STEP_S, 5.215 * STEP_S)
             angle, speed = data.qpos[dofs], data.qvel[dofs]
-            duty = np.clip(GAIN * (moved - np.round(angle / COUNT_RAD) * COUNT_RAD), -0.97, 0.97)
+            distance = moved - np.round(angle / COUNT_RAD) * COUNT_RAD
+            if self.dead_band_rad:
+                distance = np.sign(distance) * np.maximum(np.abs(distance) - self.dead_band_rad, 0.0)
+            duty = np.clip(self.gain * distance, -0.97, 0.97)
             current = (self.supply_V * duty - self.torque_constant * speed) / RESISTANCE_OHM
             if step % every == 0:
                 rows["t"].append(t)
                 rows["goal"].append(goal_at(t))
                 rows["position"].append(np.round((angle + random.normal(0.0, 3e-4, 6)) / COUNT_RAD) * COUNT_RAD)
             torque = self.torque_constant * current
-            model.dof_frictionloss[dofs] = dry + self.lost * np.abs(data.qfrc_bias[dofs])
+            friction = dry + self.lost * np.abs(data.qfrc_bias[dofs])
+            model.dof_frictionloss[dofs] = friction * (1.0 + self.sticks * np.exp(-((speed / 0.05) ** 2)))
             data.qfrc_applied[dofs] = torque
             mujoco.mj_step(model, data)
         return {name: np.array(values) for name, values in rows.items()}

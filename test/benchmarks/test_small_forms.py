@@ -14,6 +14,7 @@ from results import REPOSITORY
 
 SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
+    "at_rest": ("--arms", "1", "--first", "2", "--masses", "0.3", "--seconds", "20"),
     "between_recordings": ("--arms=0", "--servos=0", "--pendulums=1", "--first=400", "--jobs=1", "--real"),
     "block_until": ("--robots", "1", "--at-most", "12", "--jobs", "1"),
     "container_until": (

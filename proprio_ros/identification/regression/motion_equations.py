@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS
-from proprio_ros.errors import RecordingError, RobotError
+from proprio_ros.errors import RobotError, TooLittleMotion
 from proprio_ros.identification.regression.rigid_body import pseudo_inertia
 from proprio_ros.identification.regression.weak_form import Windows, across_gaps, evenly, torque_regressor
 from proprio_ros.recordings.motions import Motion
@@ -230,7 +230,7 @@ def equations(
     torque = current * np.array([robot.drive_trains[name].torque_constant.value for name in names])
     rows = arm.rows(windows, times_s, period_s, position, velocity, torque, counts, by_zeros=by_zeros)
     if not len(rows.joint):
-        raise RecordingError(f"{motion.name}: no joint moves for long enough without a pause or a gap")
+        raise TooLittleMotion(f"{motion.name}: no joint moves for long enough without a pause or a gap")
     if centre_m is None:
         return rows
     payload, zero, point = rows.payload.copy(), rows.zero.copy(), point_mass(centre_m)
@@ -356,15 +356,15 @@ class Problem:
         """Which equations are of motions with the payload, shape (E,)."""
         return self.motion < self.loaded
 
-    def stretches_of(self, kept: NDArray[np.bool_], name: str, better_s: float) -> int:
+    def stretches_of(self, kept: NDArray[np.bool_], name: str, better_s: float, least: int = MIN_STRETCHES) -> int:
         """How many stretches some of its equations have.
 
         Raises:
-            RecordingError: Too few; in motion ``name``, of which ``better_s`` would be better.
+            TooLittleMotion: Fewer than ``least``; in motion ``name``, of which ``better_s`` would be better.
         """
         stretches = len(np.unique(self.stretch[kept]))
-        if stretches < MIN_STRETCHES:
-            raise RecordingError(
+        if stretches < least:
+            raise TooLittleMotion(
                 f"{name}: only {STRETCH_S * stretches:.0f} s of motion can be used; record {STRETCH_S * MIN_STRETCHES:.0f} s at "
                 f"least, better {better_s:.0f}, with all joints moving"
             )

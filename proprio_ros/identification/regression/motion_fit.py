@@ -204,20 +204,6 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
     return learnt, _shown(problem, parts, solution, learnt, [motion.name for motion in motions])
 
 
-def refuse_useless(robot: Robot, motion: Motion) -> None:
-    """Refuse a motion that no fit takes by itself, in the words of that fit.
-
-    Raises:
-        RecordingError: It is too short, too slow or of other joints than the robot's calibration.
-        RobotError: Torque constants are no longer those of the calibration.
-    """
-    if robot.motion_calibration is not None:
-        _check_arm(robot, [motion], robot.motion_calibration)
-    joints = motion.joints if robot.motion_calibration is None else robot.motion_calibration.joints
-    problem = Problem.of([equations(robot, motion, joints)], 1)
-    problem.stretches_of(problem.carrying, motion.name, better_s=15.0)
-
-
 def _friction_between(problem: Problem, solution: Solution) -> Between:
     """With what friction and offset differ by: from run to run, and what stretches of a run show of it."""
     count, own = problem.count, len(FRICTION_TERMS) * problem.count
@@ -264,6 +250,7 @@ def fit_payload(
     *,
     empty: Sequence[Motion] = (),
     centre: Centre | None = None,
+    least: int = MIN_STRETCHES,
 ) -> MotionFit:
     """What all ``loaded`` motions hold, by what a calibration knows of the arm.
 
@@ -273,18 +260,19 @@ def fit_payload(
         calibration: Of this arm; a ``torque_scale_std`` of 0 takes the torque constants as they are.
         empty: More motions with an empty hand, fitted together with the others.
         centre: Where that is stated; else the payload lies within a tenth of the arm's reach.
+        least: Stretches that there have to be; with fewer than usual no interval holds.
 
     Raises:
         RecordingError: A motion is of no use, of other joints, or all together are too short.
         RobotError: Torque constants are no longer those of the calibration.
     """
     motions, joints = [*loaded, *empty], calibration.joints
-    _check_arm(robot, motions, calibration)
+    check_arm(robot, motions, calibration)
     arm = Arm.of(robot, joints, dict(motions[0].held))
     parts = [equations(robot, motion, joints, None if centre is None else centre[0]) for motion in motions]
     problem = Problem.of(parts, len(loaded))
     carrying = problem.carrying
-    stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0)
+    stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
     known, terms = calibrated_prior(arm, calibration, len(motions))
     between = between_of(calibration)
     per_kg = payload_stds(arm)
@@ -312,7 +300,6 @@ def fit_payload(
             for kept in (~late, late | ~carrying)
         )
         halves = (first, second)
-    ratio, ratio_std = _torque_ratio(problem, opened)
     followed, rows = np.nonzero(terms)
     return MotionFit(
         joints=arm.model.joint_names,
@@ -332,8 +319,7 @@ def fit_payload(
         arm=solution.values[PARAMETERS:][followed],
         arm_prior=known.values[PARAMETERS:][followed],
         arm_std=np.sqrt(np.diag(solution.prior.covariance))[PARAMETERS:][followed],
-        torque_ratio=ratio,
-        torque_ratio_std=ratio_std,
+        **dict(zip(("torque_ratio", "torque_ratio_std"), _torque_ratio(problem, opened), strict=True)),
         tells=tells,
         shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
     )
@@ -360,7 +346,12 @@ def _misfit(tells: FloatArray, residual: FloatArray, empty_residual: FloatArray)
     return float(np.nansum(tells * np.square(residual / empty_residual)))
 
 
-def _check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> None:
+def check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> None:
+    """That motions are of the joints, and the robot has the torque constants, of a calibration.
+
+    Raises:
+        RecordingError, RobotError: They are of others.
+    """
     for motion in motions:
         if set(motion.joints) != set(calibration.joints):
             raise RecordingError(

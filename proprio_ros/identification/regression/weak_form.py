@@ -27,7 +27,7 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.motions import LONGEST_GAP_S, Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel
-from proprio_ros.robot.regressor import PARAMETERS, kinematics, momentum_and_gravity
+from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_and_gravity
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,6 @@ def torque_regressor(
             rest = (turning[:, joint, None] @ momentum + axis @ wrench)[:, 0]
             result[:, joint, body] = windows.derivative((axis @ momentum)[:, 0], period_s) - windows.mean(rest)
     return result
-
-
-def carriers(model: ReducedModel, body: int) -> list[int]:
-    """The joints that carry a body: its own, its parent's, and so on to the base."""
-    joints = [body]
-    while model.parents[joints[-1]] >= 0:
-        joints.append(int(model.parents[joints[-1]]))
-    return joints
 
 
 def evenly(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
 from proprio_ros.probes import base
@@ -107,6 +107,7 @@ class Payload(
         from proprio_ros.probes.payload.known_joint import identify_known_joint
         from proprio_ros.probes.payload.moving import identify_in_motion
         from proprio_ros.probes.payload.one_joint import identify_one_joint
+        from proprio_ros.probes.payload.standing import identify_standing
 
         motions, baseline = recorded.motions, recorded.baseline_motions
         if facts.paper is not None:
@@ -120,7 +121,13 @@ class Payload(
             return identify_known_joint(robot, motions, robot.joint_calibration, facts.payload)
         if len(motions[0].joints) == 1:
             return identify_one_joint(robot, motions, baseline, facts.payload)
-        return identify_in_motion(robot, motions, baseline, facts.payload, "payload.com" in facts.stated)
+        asked = robot, motions, baseline, facts.payload, "payload.com" in facts.stated
+        try:
+            return identify_in_motion(*asked)
+        except TooLittleMotion:
+            if robot.motion_calibration is None:
+                raise
+            return identify_standing(*asked, robot.motion_calibration)
 
     def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh

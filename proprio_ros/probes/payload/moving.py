@@ -128,7 +128,7 @@ def identify_in_motion(
     calibration = robot.motion_calibration
     if calibration is not None:
         fit = fit_payload(robot, motions, calibration, empty=baseline, centre=centre)
-        of_arm, known = _drift(robot, baseline, calibration), "calibration"
+        of_arm, known = _drifted(robot, baseline, calibration), "calibration"
     elif baseline:
         calibration = fit_empty(robot, baseline)
         fit = fit_payload(robot, motions, calibration, centre=centre)
@@ -205,12 +205,14 @@ def _elsewhere(
     return replace(refusal, reasons=(Reason("misfit", sentence), *refusal.reasons))
 
 
-def _drift(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
-    """What an empty hand that does not weigh nothing says about the calibration."""
-    if not baseline:
-        return
-    fit = fit_payload(robot, baseline, calibration)
-    mass, std = float(fit.values[0]), float(fit.std[0])
+def _drifted(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
+    if baseline:
+        fit = fit_payload(robot, baseline, calibration)
+        yield from drift(float(fit.values[0]), float(fit.std[0]))
+
+
+def drift(mass: float, std: float) -> Iterator[Refusal]:
+    """What an empty hand that weighs so much [kg], and not nothing, says about the calibration."""
     if abs(mass) > DRIFT_SIGMAS * std:
         yield rejected(
             "drift",

@@ -1,0 +1,246 @@
+"""What an arm holds that stands, or that moves for a few seconds only, by what a calibration of motions knows of it.
+
+Where a joint stands, its motor holds what gravity pulls, less what dry friction carries of it: anything from all that friction has
+on one side to all of it on the other. So a stance is an equation for each joint with an error that large:
+
+    torque = bodies, payload + friction (coulomb + load friction |torque|) u,      |u| at most about 1
+
+A joint that has just arrived was braked by its friction, and mostly rests there, with u on the side it came from; a rebound leaves
+it on the other. Of a joint that was never seen moving u is anything. Bodies, gears and torque constants are the calibration's, with
+its covariance, and the mass is the one unknown (generalised least squares). Several poses, and the same pose reached from above and
+from below, make the errors of friction differ, and their mean small.
+
+Where the arm moved for a moment, its sliding friction is known, and the running estimate (`online`) says more than how it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
+from proprio_ros.errors import TooLittleMotion
+from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
+from proprio_ros.identification.regression.motion_fit import CALIBRATION, CONSTANTS, check_arm
+from proprio_ros.identification.regression.motion_prior import LOAD_FRICTION_SPREAD, payload_stds
+from proprio_ros.identification.regression.online import OnlineEstimator
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.records import FloatArray
+from proprio_ros.robot import Robot
+from proprio_ros.robot.regressor import gravity_torques, point_mass
+
+SHORTEST_S, SETTLING_S = 0.6, 0.3
+"""How long all joints stand in a stance, and how much of it they take to come to rest."""
+STILL_RAD, STILL_COUNTS = 2e-3, 2.5
+"""They stand while none leaves a band as wide as the larger of these."""
+SAME_POSE_RAD = 0.05
+"""Stances nearer to each other are one, which somebody touched."""
+ARRIVED, ARRIVED_STD, ANYWHERE_STD = 0.6, 0.6, 0.7
+"""Of the friction that a joint has, how much carries where it arrived, against its way; and where nobody saw it arrive."""
+FRICTION, PLACE, MOVING = "friction of joints that stand", "where the load lies", "a few seconds of motion"
+ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class Stances:
+    """Where an arm stood, S times: positions [rad], currents [A], and the sign of each joint's way there, shape (S, n) each."""
+
+    position: FloatArray
+    current_A: FloatArray
+    way: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, motion: Motion, joints: Sequence[str]) -> Stances:
+        """Those of a recording, of some of its joints."""
+        columns = [motion.joints.index(name) for name in joints]
+        position, current, times_s = motion.position[:, columns], motion.current_A[:, columns], motion.times_s
+        band = np.maximum(
+            STILL_COUNTS * np.array([robot.drive_trains[n].encoder_resolution for n in joints]), STILL_RAD
+        )
+        found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+        width = round(SHORTEST_S / float(np.median(np.diff(times_s)))) + 1
+        if len(times_s) < width:
+            return cls(*np.zeros((3, 0, len(joints))))
+        spans = np.ptp(np.lib.stride_tricks.sliding_window_view(position, width, axis=0), axis=2)
+        quiet, end = np.flatnonzero((spans <= band).all(axis=1)), 0
+        while len(quiet := quiet[quiet >= end]):
+            first = int(quiet[0])
+            rest = position[first:]
+            gone = ((np.maximum.accumulate(rest) - np.minimum.accumulate(rest)) > band).any(axis=1)
+            end = first + (int(np.argmax(gone)) if gone.any() else len(rest))
+            stood = slice(int(np.searchsorted(times_s, times_s[first] + SETTLING_S)), end)
+            at = position[stood].mean(axis=0)
+            away = np.abs(position[:first] - at) > band
+            before = [int(np.flatnonzero(column)[-1]) if column.any() else -1 for column in away.T]
+            way = [float(np.sign(at[n] - position[row, n])) if row >= 0 else 0.0 for n, row in enumerate(before)]
+            if found and np.abs(found[-1][0] - at).max() < SAME_POSE_RAD:
+                way = [now or then for now, then in zip(way, found.pop()[2].tolist(), strict=True)]
+            found.append((at, current[stood].mean(axis=0), np.array(way)))
+        shape = (len(found), len(joints))
+        return cls(*(np.array([row[k] for row in found]).reshape(shape) for k in range(3)))
+
+
+@dataclass(frozen=True)
+class RestFit:
+    """The mass in the hand of an arm that stood, or hardly moved.
+
+    Attributes:
+        parts: What puts how much standard deviation on it [kg], by name.
+        chi2, freedom: What is left over, in its standard deviations, squared and summed, and of how many equations.
+        rms, expected_rms: The same in torque, and what is expected [N m].
+        stances: That it rests on.
+        moved_s: Seconds of motion that it rests on instead; 0: on stances.
+    """
+
+    mass_kg: float
+    std_kg: float
+    stances: int
+    parts: Mapping[str, float]
+    chi2: float = 0.0
+    freedom: int = 0
+    rms: float = float("nan")
+    expected_rms: float = float("nan")
+    moved_s: float = 0.0
+
+
+def fit_at_rest(
+    robot: Robot,
+    motions: Sequence[Motion],
+    calibration: MotionCalibration,
+    centre_m: FloatArray,
+    centre_std_m: FloatArray | None,
+) -> RestFit:
+    """What all motions hold, by their stances, or by the motion of the only one where that says more.
+
+    Args:
+        robot: As its file states it.
+        motions: With the payload, at least one.
+        calibration: Of this arm.
+        centre_m: Of the payload in its frame, shape (3,).
+        centre_std_m: How far it may lie from there; None: nobody said where it is.
+
+    Raises:
+        TooLittleMotion: The arm neither stands nor moves.
+        RecordingError: The calibration is of other joints.
+        RobotError: Torque constants are no longer those of the calibration.
+    """
+    check_arm(robot, motions, calibration)
+    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
+    if centre_std_m is None:
+        centre_std_m = payload_stds(arm)[1:4]
+    found = [Stances.of(robot, motion, calibration.joints) for motion in motions]
+    stood = Stances(*(np.concatenate([getattr(each, name) for each in found]) for name in Stances.__dataclass_fields__))
+    by_stance = _by_stances(arm, calibration, stood, centre_m, centre_std_m) if len(stood.way) else None
+    moving = _in_motion(robot, motions[0], calibration, centre_m, centre_std_m) if len(motions) == 1 else None
+    if by_stance is None and moving is None:
+        raise TooLittleMotion(
+            f"{motions[0].name}: the arm neither stands still for {SHORTEST_S:g} s nor moves for long enough: hold it in several "
+            "poses for 2 s each, or record 15 s of motion"
+        )
+    if by_stance is None or (moving is not None and moving.std_kg < by_stance.std_kg):
+        assert moving is not None
+        return moving
+    return by_stance
+
+
+def _in_motion(
+    robot: Robot, motion: Motion, calibration: MotionCalibration, centre_m: FloatArray, centre_std_m: FloatArray
+) -> RestFit | None:
+    """As the running estimate has it at the end; None where nothing moved, or something was picked up or put down meanwhile."""
+    std_m = float(max(np.max(centre_std_m), 1e-3))
+    running = OnlineEstimator(
+        robot, calibration, centre_m=centre_m.tolist(), centre_std_m=std_m, held=dict(motion.held)
+    )
+    columns = [motion.joints.index(name) for name in calibration.joints]
+    rows = zip(motion.times_s.tolist(), motion.position[:, columns], motion.current_A[:, columns], strict=True)
+    changes = 0
+    for time_s, position, current in rows:
+        if running.add(time_s, position.tolist(), current.tolist()):
+            now = running.estimate()
+            changes += now is not None and now.changed
+    last = running.estimate()
+    if last is None or changes:
+        return None
+    return RestFit(last.mass_kg, last.std_kg, 0, {MOVING: last.std_kg}, moved_s=float(last.motion_s))
+
+
+def _by_stances(
+    arm: Arm, calibration: MotionCalibration, stood: Stances, centre_m: FloatArray, centre_std_m: FloatArray
+) -> RestFit:
+    count = arm.count
+    bodies, gears, shares = np.arange(10 * count), 11 * count + np.arange(count), 12 * count + np.arange(count)
+    coulomb, offset = (ARM_TERMS * count + k * count + np.arange(count) for k in (1, 2))
+    values, scale = calibration.values, calibration.torque_scale
+    by_body = gravity_torques(arm.model, stood.position)
+    by_payload = by_body[:, :, arm.body] @ arm.from_payload
+    per_kg, axes = by_payload @ point_mass(centre_m) / scale, by_payload[..., 1:4] / scale
+    torque = (stood.current_A * calibration.torque_constants).ravel()
+    stances, size = len(stood.way), torque.size
+    joint = np.tile(np.arange(count), stances)
+    row, way, mass = np.arange(size), stood.way.ravel(), 0.0
+    given = 1.0 - values[shares][joint]
+    pull = (by_body.reshape(size, -1) @ values[bodies]).ravel()
+    lever, shift = per_kg.ravel() * given, axes.reshape(size, 3) * given[:, None] * centre_std_m
+    for _ in range(ROUNDS):
+        whole = pull + mass * per_kg.ravel()
+        friction = np.abs(values[coulomb])[joint] + (np.abs(values[gears])[joint] + LOAD_FRICTION_SPREAD) * np.abs(
+            whole
+        )
+        follows = np.zeros((size, len(values)))
+        follows[:, bodies] = by_body.reshape(size, -1) * given[:, None]
+        follows[row, gears[joint]] = ARRIVED * way * np.abs(whole)
+        follows[row, shares[joint]] = -whole
+        follows[row, coulomb[joint]], follows[row, offset[joint]] = ARRIVED * way, 1.0
+        of_friction = friction * np.where(way != 0.0, ARRIVED_STD, ANYWHERE_STD)
+        of_recording = follows[:, calibration.friction] * calibration.friction_spread
+        learnt = follows @ calibration.covariance @ follows.T
+        stretched = follows @ calibration.deviations.T
+        parts = {
+            CALIBRATION: max(learnt, stretched @ stretched.T, key=np.trace) + of_recording @ of_recording.T,
+            FRICTION: np.diag(of_friction**2 + calibration.residual[joint] ** 2),
+            PLACE: mass**2 * shift @ shift.T,
+        }
+        covariance = np.sum(list(parts.values()), axis=0)
+        right = torque - pull * given - values[offset][joint] - ARRIVED * way * friction
+        weighted = np.linalg.solve(covariance, lever)
+        gain = weighted / max(float(lever @ weighted), 1e-12)
+        before, mass = mass, float(gain @ right)
+        if abs(mass - before) < 1e-6:
+            break
+    left = right - mass * lever
+    chi2, freedom = float(left @ np.linalg.solve(covariance, left)), max(size - 1, 1)
+    variances = {name: float(gain @ part @ gain) for name, part in parts.items()}
+    variances[CONSTANTS] = (mass * calibration.torque_scale_std) ** 2
+    wider = max(1.0, chi2 / freedom)
+    std = float(np.sqrt(wider * sum(variances.values())))
+    return RestFit(
+        mass,
+        std,
+        stances,
+        {name: float(np.sqrt(wider * variance)) for name, variance in variances.items()},
+        chi2,
+        freedom,
+        float(np.sqrt(np.mean(left**2))),
+        float(np.sqrt(np.trace(parts[FRICTION]) / size)),
+    )
+
+
+def refuse_useless(robot: Robot, motion: Motion) -> None:
+    """Refuse a motion that no fit takes by itself, in the words of that fit.
+
+    Raises:
+        RecordingError: It is too short, too slow or of other joints than the robot's calibration.
+        RobotError: Torque constants are no longer those of the calibration.
+    """
+    learnt = robot.motion_calibration
+    if learnt is not None:
+        check_arm(robot, [motion], learnt)
+    try:
+        problem = Problem.of([equations(robot, motion, motion.joints if learnt is None else learnt.joints)], 1)
+        problem.stretches_of(problem.carrying, motion.name, better_s=15.0)
+    except TooLittleMotion:
+        if learnt is None:
+            raise
+        fit_at_rest(robot, [motion], learnt, np.zeros(3), None)

@@ -1,0 +1,99 @@
+"""What the hand holds where the arm stands, or moves for a few seconds only, by a calibration of motions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from itertools import chain
+
+import numpy as np
+
+from proprio_ros.calibration_files.motions import MotionCalibration
+from proprio_ros.errors import TooLittleMotion
+from proprio_ros.identification.estimate import Estimate, Fit, Verdict
+from proprio_ros.identification.gates import chi2_limit
+from proprio_ros.identification.judge import Refusal, judge, positive, rejected
+from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
+from proprio_ros.identification.regression.motion_equations import Arm
+from proprio_ros.identification.regression.motion_fit import MotionFit, fit_payload
+from proprio_ros.identification.regression.refusals import WIDEST_SHARE, lighter_than_empty, unlike_urdf
+from proprio_ros.probes.payload.moving import WIDEST_OF_ARM, drift, motion_answer
+from proprio_ros.quantity import Z95, shown
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+MUCH_WORSE = 10.0
+"""Torques of a joint that are explained so much worse than in the empty motions are not those of the arm that was calibrated: right
+ones were up to 6 times worse in a second or two."""
+
+
+def identify_standing(
+    robot: Robot,
+    motions: Sequence[Motion],
+    baseline: Sequence[Motion],
+    facts: PayloadFacts,
+    centre_is_stated: bool,
+    learnt: MotionCalibration,
+) -> Estimate:
+    """Identify the payload of recordings that move too little for `identify_in_motion`, with what was ``learnt`` of the arm.
+
+    Raises:
+        TooLittleMotion: They do not stand, either.
+        RecordingError: A recording is of no use.
+    """
+    centre_m, centre_std_m = np.asarray(facts.com), np.maximum(facts.com_std, 1e-3) if centre_is_stated else None
+    fit = fit_at_rest(robot, motions, learnt, centre_m, centre_std_m)
+    empty = (fit_at_rest(robot, [motion], learnt, centre_m, centre_std_m) for motion in baseline)
+    of_arm = chain.from_iterable(drift(each.mass_kg, each.std_kg) for each in empty)
+    moving = None
+    with suppress(TooLittleMotion):
+        centre = None if centre_std_m is None else (centre_m, centre_std_m)
+        moving = fit_payload(robot, motions, learnt, centre=centre, least=1)
+    arm_kg = Arm.of(robot, learnt.joints, dict(motions[0].held)).kg
+    refusal = judge(
+        chain(of_arm, _refusals(motions[0].name, fit, moving, learnt.arm_over_urdf), _too_wide(fit, arm_kg))
+    )
+    how = (
+        f"{fit.moved_s:.1f} s of motion, each under the friction of the calibration"
+        if fit.moved_s
+        else f"{fit.stances} stances: dry friction of a joint carries any part of what it has, mostly against the way it came"
+    )
+    return motion_answer(
+        robot,
+        motions,
+        refusal,
+        [positive("payload_mass", "kg", fit.mass_kg, fit.std_kg, refusal.withheld)],
+        (
+            f"the arm hardly moved, and the mass rests on {how}",
+            "nothing but the hand touches payload and arm; each servo has the gain that it was calibrated with",
+        ),
+        fit=None if fit.moved_s else Fit(fit.rms, fit.expected_rms, fit.chi2 / fit.freedom, "N m"),
+        budget=list(fit.parts.items()),
+        detail=None,
+        beside=baseline,
+    )
+
+
+def _refusals(name: str, fit: RestFit, moving: MotionFit | None, arm_over_urdf: float) -> Iterator[Refusal]:
+    worse = 0.0 if moving is None else float(np.nanmax(moving.residual / moving.empty_residual))
+    if fit.chi2 > chi2_limit(max(fit.freedom, 1)) or worse > MUCH_WORSE:
+        yield rejected(
+            "misfit",
+            "the model does not explain the recording",
+            f"{name}: no payload explains what the motors do where the arm stands, and before: does it lean on something, does "
+            "somebody hold it, and has each servo the gain that it was calibrated with?",
+        )
+    yield from unlike_urdf(arm_over_urdf)
+    yield from lighter_than_empty(fit.mass_kg, Z95 * fit.std_kg, "are the recordings mixed up?")
+
+
+def _too_wide(fit: RestFit, arm_kg: float) -> Iterator[Refusal]:
+    half = Z95 * fit.std_kg
+    if half > max(WIDEST_SHARE * abs(fit.mass_kg), WIDEST_OF_ARM * arm_kg):
+        sentence = (
+            f"so little motion determines the mass only to +-{shown('kg', half, spec='.0f')}: hold the arm in more poses, each "
+            "reached from above and from below, or let it move for 15 s"
+        )
+        yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))

@@ -1,0 +1,149 @@
+"""What an arm of hobby servos says of its load where it stands: two poses, each held for 3 s, and the way between them.
+
+The arms of `so101.py` (30 Hz, goals and positions alone), whose joints stick here: dry friction is up to half greater at rest and
+holds a joint, gears lose up to 15 % of what they carry, and the firmware has a dead band of 0 to 2 counts that no file states. Two
+empty motions and one with 150 g calibrate; then the arm takes a load, goes to two poses at random, and stands. Asked are a
+recording of each pose, from half a second before the arm arrives, both together; and the whole as one recording. The last
+question has something wrong: servos of twice the gain that was calibrated.
+
+    python test/benchmarks/at_rest.py [--arms 12] [--first 500]
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from results import Results, parser_of
+from so101 import COUNT_RAD, GAIN, JOINTS, MIDDLE, REACH, SETTINGS, Arm, write
+
+from proprio_ros.errors import ProprioError
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
+
+ASKED_KG, KNOWN_KG, HELD_S, ARRIVES_S, RATE_HZ = (0.0, 0.1, 0.3, 0.6, 0.9), 0.15, 3.0, 0.5, 30.0
+STANDS, WHOLE, STIFFER = "two poses", "and the way there", "servos of twice the gain"
+
+
+class Sticky(Arm):
+    """An arm whose joints stick."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        super().__init__(random)
+        self.sticks = random.uniform(0.05, 0.5)
+        self.dead_band_rad = COUNT_RAD * float(random.integers(0, 3))
+
+    def stood(
+        self, load_kg: float, random: np.random.Generator, poses: int = 2
+    ) -> tuple[dict[str, np.ndarray], list[dict[str, np.ndarray]]]:
+        """On the way to poses at random, and in them; the whole, and what was recorded of each pose."""
+        goals_at, goals = [0.0], [MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))]
+        for _ in range(poses):
+            there_s = goals_at[-1] + random.uniform(1.0, 2.0)
+            goals_at += [there_s, there_s + HELD_S]
+            goals += [MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))] * 2
+        dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
+        rows = self.followed(load_kg, random, RATE_HZ, goals_at[-1], dry, goals_at, goals)
+        of_poses = [(rows["t"] >= there_s - ARRIVES_S) & (rows["t"] <= there_s + HELD_S) for there_s in goals_at[1::2]]
+        return rows, [{name: values[of] for name, values in rows.items()} for of in of_poses]
+
+
+def weighed(
+    seed: int, asked_kg: Sequence[float] = ASKED_KG, seconds: float = 60.0
+) -> list[tuple[str, float, Estimate | str]]:
+    """What was asked, truth [kg] and answer, or why there is none, of one arm.
+
+    Raises:
+        ProprioError: It cannot be calibrated.
+    """
+    random = np.random.default_rng(seed)
+    arm, found = Sticky(random), []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        output = folder / "calibrated.yaml"
+        empty = [write(folder / label, arm.moved(0.0, random, RATE_HZ, seconds)) for label in "ab"]
+        known = write(folder / "known", arm.moved(KNOWN_KG, random, RATE_HZ, seconds))
+        learnt = calibrate_from_bags(empty, {known: KNOWN_KG}, Options(robot="so101", settings=SETTINGS), output)
+        if learnt.verdict is not Verdict.ACCEPTED:
+            raise ProprioError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
+
+        def ask(what: str, kg: float, *recorded: dict[str, np.ndarray]) -> None:
+            bags = [write(folder / f"{what} {kg} {number}", rows) for number, rows in enumerate(recorded)]
+            answer: Estimate | str
+            try:
+                answer = replay(bags, Options(calibration=output, settings=SETTINGS))
+            except ProprioError as error:
+                answer = str(error)
+            found.append((what, kg, answer))
+
+        for kg in asked_kg:
+            whole, of_poses = arm.stood(kg, random)
+            ask(STANDS, kg, *of_poses)
+            ask(WHOLE, kg, whole)
+        arm.gain = 2.0 * GAIN
+        ask(STIFFER, asked_kg[-1], *arm.stood(asked_kg[-1], random)[1])
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
+    parser.add_argument("--arms", type=int, default=12)
+    parser.add_argument("--first", type=int, default=500, help="first seed")
+    parser.add_argument("--masses", type=float, nargs="*", default=ASKED_KG, help="[kg]")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each motion that calibrates")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    found: list[tuple[str, float, Estimate | str]] = []
+    for seed in range(options.first, options.first + options.arms):
+        try:
+            found += weighed(seed, options.masses, options.seconds)
+        except ProprioError as error:
+            print(f"arm {seed}: {error}")
+        for what, kg, answer in found[-2 * len(options.masses) - 1 :]:
+            told = (
+                answer
+                if isinstance(answer, str)
+                else f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}"
+            )
+            print(f"arm {seed}, {what}, {1e3 * kg:.0f} g: {told}"[:220])
+    results.table(
+        "rest",
+        {
+            "asked": "{what}",
+            "held": "{held}",
+            "accepted": "{accepted} of {asked}",
+            "too wide": "{wide}",
+            "error rms, worst": "{rms:.0f}, {worst:.0f} g",
+            "median half interval": "{half:.0f} g",
+            "intervals that hold": "{hold} of {given}",
+            "farthest, in sd": "{farthest:.1f}",
+        },
+    )
+    for what in (STANDS, WHOLE, STIFFER):
+        mine = [(kg, answer) for of, kg, answer in found if of == what]
+        groups = [(f"{1e3 * kg:.0f} g" if kg else "nothing", {kg}) for kg in dict.fromkeys(kg for kg, _ in mine)]
+        for held, kgs in (*groups, *([("all", set(options.masses))] if len(groups) > 1 else [])):
+            row(results, what, held, [(kg, answer) for kg, answer in mine if kg in kgs])
+    results.keep()
+
+
+def row(results: Results, what: str, held: str, answers: Sequence[tuple[float, Estimate | str]]) -> None:
+    """Figures of some answers."""
+    given = [(kg, a) for kg, a in answers if not isinstance(a, str) and isinstance(a.values[0].value, float)]
+    numbers: Any = [(a.values[0].value - kg, a.values[0].std, *a.values[0].ci95, kg) for kg, a in given]
+    off, std, low, high, kg = np.array(numbers).T if given else np.full((5, 1), np.nan)
+    results.row(
+        "rest", what=what, held=held, asked=len(answers), given=len(given),
+        accepted=sum(a.verdict is Verdict.ACCEPTED for _, a in given), wide=sum(a.verdict is Verdict.TOO_WIDE for _, a in given),
+        rms=1e3 * np.sqrt(np.mean(off**2)), worst=1e3 * np.abs(off).max(), half=1e3 * np.median(high - off - kg),
+        hold=int(((low <= kg) & (kg <= high)).sum()), farthest=np.abs(off / std).max(),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""An arm that stands, or moves for a few seconds, weighed with a calibration of motions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.errors import TooLittleMotion
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.regression.at_rest import SAME_POSE_RAD, Stances
+from proprio_ros.identification.regression.motion_equations import Arm
+from proprio_ros.inputs.resources import share_directory
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot.regressor import gravity_torques
+
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("so101")
+
+
+@pytest.mark.parametrize("pose", [[0.0] * 5, [0.3, -0.8, 0.9, 0.4, -0.2], [-1.0, 0.5, -0.6, -1.2, 1.5]])
+def test_gravity_is_that_of_mujoco(robot: Robot, pose: list[float]) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjSpec.from_file(str(share_directory() / "urdf" / "so101.urdf")).compile()
+    data = mujoco.MjData(model)
+    places = [int(model.joint(name).qposadr[0]) for name in JOINTS]
+    data.qpos[places] = pose
+    mujoco.mj_forward(model, data)
+    arm = Arm.of(robot, JOINTS, {"gripper": 0.0})
+    order = [JOINTS.index(name) for name in arm.model.joint_names]
+    by_body = gravity_torques(arm.model, np.array([pose])[:, order])[0]
+    found = np.einsum("jbp,bp->j", by_body, np.array(arm.bodies))
+    wanted = data.qfrc_bias[[int(model.joint(name).dofadr[0]) for name in arm.model.joint_names]]
+    assert found == pytest.approx(wanted, abs=1e-6)
+
+
+def recorded(robot: Robot, goals: list[list[float]], rate_hz: float = 30.0) -> Motion:
+    """Each pose for 2 s, and a straight way of 1 s to the next; one count of noise."""
+    random, rows = np.random.default_rng(1), [np.array(goals[0], float)]
+    for goal in goals:
+        start = rows[-1]
+        rows += [start + (np.array(goal) - start) * k / rate_hz for k in range(1, round(rate_hz) + 1)]
+        rows += [np.array(goal, float)] * round(2.0 * rate_hz)
+    position = np.array(rows) + 1e-4 * random.standard_normal((len(rows), len(JOINTS)))
+    times_s = np.arange(len(rows)) / rate_hz
+    return Motion("made", JOINTS, times_s, position, 0.1 * position, {"gripper": 0.0}, "measured current")
+
+
+def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
+    goals = [
+        [0.0] * 5,
+        [0.5, -0.5, 0.2, 0.0, 0.3],
+        [0.1, -0.9, 0.6, 0.0, 0.3],
+        [0.1 + 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3],
+    ]
+    found = Stances.of(robot, recorded(robot, goals), JOINTS)
+    assert found.position == pytest.approx(np.array([goals[0], goals[1], goals[3]]), abs=1e-3)
+    assert found.current_A == pytest.approx(0.1 * found.position)
+    assert found.way.tolist() == [[0, 0, 0, 0, 0], [1, -1, 1, 0, 1], [1, -1, 1, 0, 1]]
+    # one that never rests has none
+    swaying = recorded(robot, [[0.1 * (-1) ** k] * 5 for k in range(4)])
+    ways = np.flatnonzero(np.abs(np.diff(swaying.position[:, 0])) > 2e-3)
+    moving = Motion("m", JOINTS, swaying.times_s[: len(ways)], swaying.position[ways], swaying.current_A[ways], {}, "")
+    assert not len(Stances.of(robot, moving, JOINTS).way)
+
+
+@pytest.mark.long
+def test_two_poses_tell_a_load(tmp_path: Path) -> None:
+    """Of an arm in MuJoCo whose joints stick, by the benchmark that says how often intervals hold."""
+    pytest.importorskip("mujoco")
+    from at_rest import STANDS, WHOLE, Sticky, weighed, write
+
+    answers = weighed(501, (0.3,), seconds=30.0)
+    told = {what: (kg, answer) for what, kg, answer in answers}
+    for what in (STANDS, WHOLE):
+        kg, answer = told[what]
+        assert not isinstance(answer, str) and answer.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), answer
+        low, high = answer.values[0].ci95
+        assert low <= kg <= high and high - low < 0.3
+    assert "each servo has the gain that it was calibrated with" in told[STANDS][1].assumptions[1]  # type: ignore[union-attr]
+
+    from proprio_ros.pipeline.replay import replay
+    from proprio_ros.pipeline.request import Options
+
+    arm = Sticky(np.random.default_rng(1))
+    _, (pose, _) = arm.stood(0.3, np.random.default_rng(2))
+    still = {name: values[20:] for name, values in pose.items()}
+    with pytest.raises(TooLittleMotion, match="no joint moved by more than"):  # and nothing was calibrated
+        replay(write(tmp_path / "still", still), Options(robot="so101"))
