@@ -31,13 +31,13 @@ from proprio_ros.errors import RobotError
 from proprio_ros.identification.regression.motion_equations import HOP_SHARE, Arm, Rows, fill_drives
 from proprio_ros.identification.regression.motion_equations import WINDOW_S as CALIBRATED_S
 from proprio_ros.identification.regression.motion_prior import LEAST_TORQUE_STD, relative_torque_std
-from proprio_ros.identification.regression.weak_form import Windows, carriers
+from proprio_ros.identification.regression.weak_form import Windows
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import LONGEST_GAP_S
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.robot.regressor import PARAMETERS, kinematics, momentum_and_gravity, point_mass
+from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_and_gravity, point_mass
 
 WINDOW_S, WINDOW_SAMPLES = 0.1, 10
 """Windows are so long, and have so many samples at least."""
