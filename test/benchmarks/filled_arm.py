@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -271,7 +271,8 @@ def recorded(folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, 
     runs, bare = {}, filled(Case("nothing", case.container))
     hz = theory_hz(container.radius, max(case.fill, 0.02))
     for n, push in enumerate(PUSHES):
-        shake = (push.shake_A, 0.025 * round(40.0 / hz)) if push.shake_A else (0.0, 1.0)
+        # half a period is whole cycles of the driver: a switch between two would not be as it is recorded
+        shake = (push.shake_A, 0.05 * round(20.0 / hz)) if push.shake_A else (0.0, 1.0)
         for kind, held in (("baseline", bare), ("run", load)):
             still = filled(case, moving=False) if kind == "run" else bare
             runs[f"{kind}_{n}"] = write(f"{kind}_{n}", probe_of(push, hidden, still), held, shake, AFTER_S)
@@ -303,10 +304,16 @@ def _truth(case: Case, rings: dict[str, tuple[float, float]]) -> dict[str, Any]:
     return found
 
 
-def all_recorded(root: Path, first_seed: int, most: int) -> Iterator[dict[str, Any]]:
+def dummies(count: int, seed: int) -> list[Case]:
+    """So many rigid things more, as heavy as a liquid that fills a container to anywhere."""
+    rng = np.random.default_rng([seed, 62])
+    return [Case("rigid", int(rng.integers(3)), round(float(rng.uniform(0.01, 0.06)), 4)) for _ in range(count)]
+
+
+def all_recorded(root: Path, first_seed: int, made: Sequence[Case]) -> Iterator[dict[str, Any]]:
     """Make those that are not there yet; a folder has its name when it is whole."""
     rings: dict[str, tuple[float, float]] = {}
-    for number, case in enumerate(cases()[:most]):
+    for number, case in enumerate(made):
         folder = root / f"{number:02d}_{case.name}"
         if not folder.exists():
             unfinished = folder.with_name(f".{folder.name}")

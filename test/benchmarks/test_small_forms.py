@@ -25,6 +25,7 @@ SMALL: dict[str, tuple[str, ...]] = {
         "--at-most=20",
         "--jobs=1",
     ),
+    "contents": ("--particles", "--at-most", "1"),
     "coverage": ("--robots", "1", "--per-effect", "0", "--jobs", "1"),
     "distorted": ("--only", "every fourth sample"),
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),

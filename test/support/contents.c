@@ -102,13 +102,13 @@ Liquid *liquid_new(int n, const double *x, double radius, double height, int lay
                 for (int e = 0; e < 8; e++) l->full[base + corner(l, e)] += w[e] / (8.0 * fine * fine);
             }
         }
-        if (k > 1 && k <= layers) l->open[2][at] = disc;
+        if (k > 1 && k <= layers && disc > 1e-3) l->open[2][at] = disc;
         for (int a = 0; a < 2 && k <= layers; a++) {
             double f[3];
             place(l, a, i, j, k, f);
             double half = sqrt(fmax(0.0, radius * radius - f[a] * f[a])), side = f[1 - a];
             double inside = fmin(half, side + 0.5 * l->dx) - fmax(-half, side - 0.5 * l->dx);
-            l->open[a][at] = fmax(0.0, inside) / l->dx;
+            l->open[a][at] = inside > 1e-3 * l->dx ? inside / l->dx : 0.0; /* a wall along a face leaves no slit */
         }
     }
     for (int i = 1; i < l->nx - 1; i++) for (int j = 1; j < l->ny - 1; j++) for (int k = 1; k <= layers; k++) for (int a = 0; a < 3; a++) {

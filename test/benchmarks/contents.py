@@ -1,0 +1,220 @@
+"""What is in the container? The probe `contents` asked about recordings of particles, and what these particles are worth.
+
+    python test/benchmarks/contents.py FOLDER --make 61                # make the recordings (half an hour), then judge them
+    python test/benchmarks/contents.py FOLDER --make 61 --rigid 100    # and so many more rigid dummies
+    python test/benchmarks/contents.py FOLDER                          # judge those that are there
+    python test/benchmarks/contents.py --particles                     # frequency and damping at two resolutions, and theory
+
+Each recording is of another random arm, calibrated on its twelve empty-hand runs; the empty container's runs are the baseline
+(``filled_arm.py``). A kind is said where its probability, or that of what moves or does not, is `SAID` or more.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from filled_arm import CONTAINERS, EXCHANGE_S, FILLS_M, VISCOSITIES, all_recorded, cases, dummies
+from results import Results, parser_of
+from support.contents import sloshing, theory_hz
+
+from proprio_ros.errors import ProprioError
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
+
+KINDS = ("nothing", "rigid", "liquid", "granular")
+SAID = 0.95
+FINER = 1.35
+"""So many more cells along each axis for the second resolution."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was said about one recording; `why` where it was refused."""
+
+    truth: dict[str, Any]
+    values: dict[str, dict[str, Any]]
+    verdict: str
+    why: str
+
+    @property
+    def kind(self) -> str:
+        return str(self.truth["kind"])
+
+    def number(self, name: str) -> float | None:
+        value = self.values.get(name, {}).get("value")
+        return float(value) if isinstance(value, (int, float)) else None
+
+    def holds(self, name: str, truth: float) -> bool:
+        low, high = self.values[name]["ci95"]
+        return bool(low <= truth <= high)
+
+    @property
+    def moving(self) -> float | None:
+        """Probability that something moves in it."""
+        parts = [self.number(f"{kind}_inside") for kind in ("liquid", "granular")]
+        return None if None in parts else float(sum(part for part in parts if part is not None))
+
+    @property
+    def said(self) -> str | None:
+        """The kind, where one is said."""
+        return next((kind for kind in KINDS if (self.number(f"{kind}_inside") or 0.0) >= SAID), None)
+
+    @property
+    def said_moving(self) -> bool | None:
+        share = self.moving
+        return None if share is None or SAID > share > 1.0 - SAID else share >= SAID
+
+
+def answers(root: Path, most: int | None) -> Iterator[Answer]:
+    """Every recording of the folder, asked."""
+    for folder in sorted(path.parent for path in root.glob("[!.]*/truth.json"))[:most]:
+        truth = json.loads((folder / "truth.json").read_text())
+        yield answer(folder, truth)
+
+
+def answer(folder: Path, truth: dict[str, Any]) -> Answer:
+    container = truth["container"]
+    settings = {f"contents.{key}": container[key] for key in ("radius", "height", "bottom")}
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "arm.yaml"
+        learnt = calibrate_from_bags(sorted(folder.glob("empty_*")), {}, output=file)
+        if not file.exists():
+            return Answer(truth, {}, learnt.verdict.value, "not calibrated")
+        options = Options(
+            probe="contents", settings=settings, calibration=file, baseline=sorted(folder.glob("baseline_*"))
+        )
+        try:
+            said = replay(sorted(folder.glob("run_*")), options).as_json()
+        except ProprioError as error:
+            return Answer(truth, {}, "error", str(error))
+    why = "" if said["verdict"] == "accepted" else str((said["reason_codes"] or said["reasons"] or [""])[0])
+    return Answer(truth, {value["name"]: value for value in said["estimates"]}, said["verdict"], why)
+
+
+def judged(results: Results, found: Sequence[Answer]) -> None:
+    """The goals' figures, kind by kind and over all."""
+    results.table(
+        "contents",
+        {
+            "in the container": "{kind}",
+            "recordings": "{recordings}",
+            "mass answered": "{answered}",
+            "interval holds": "{hold}",
+            "within 3 g or 3 %": "{near}",
+            "rms error, g": "{rms:.1f}",
+            "median half interval, g": "{half:.1f}",
+            "rigid or moving said": "{said}",
+            "right": "{right}",
+            "kind said": "{kind_said}",
+            "right ": "{kind_right}",
+            "fill asked (h < R)": "{fills}",
+            "answered": "{fill_answered}",
+            "within 10 % of the height": "{fill_near}",
+        },
+    )
+    for kind in (*KINDS, "all"):
+        of_kind = [each for each in found if kind in (each.kind, "all")]
+        if of_kind:
+            results.row("contents", kind=kind, **_figures(of_kind))
+    dummies_ = [each for each in found if each.kind == "rigid"]
+    wrong = sum((each.number("liquid_inside") or 0.0) > SAID for each in dummies_)
+    results.table("dummies", {"rigid dummies": "{rigid}", "called liquid with more than 0.95": "{liquid}"})
+    results.row("dummies", rigid=len(dummies_), liquid=wrong)
+
+
+def _figures(found: Sequence[Answer]) -> dict[str, Any]:
+    errors, halves, hold, near = [], [], 0, 0
+    for each in found:
+        value, truth = each.number("contents_mass"), each.truth["contents"]["mass"]
+        if value is not None and each.values["contents_mass"].get("ci95"):
+            low, high = each.values["contents_mass"]["ci95"]
+            errors.append(1e3 * (value - truth))
+            halves.append(500.0 * (high - low))
+            hold += each.holds("contents_mass", truth)
+            near += abs(value - truth) <= max(0.003, 0.03 * truth)
+    moved = [each for each in found if each.said_moving is not None]
+    said = [each for each in found if each.said is not None]
+    shallow = [
+        each
+        for each in found
+        if each.kind == "liquid" and each.truth["contents"]["fill"] < each.truth["container"]["radius"]
+    ]
+    filled = [each for each in shallow if each.number("fill") is not None]
+    off = [abs((each.number("fill") or 0.0) - each.truth["contents"]["fill"]) for each in filled]
+    heights = [each.truth["container"]["height"] for each in filled]
+    return {
+        "recordings": len(found), "answered": len(errors), "hold": hold, "near": near,
+        "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+        "half": float(np.median(halves)) if halves else None,
+        "said": len(moved),
+        "right": sum(each.said_moving == (each.kind in ("liquid", "granular")) for each in moved),
+        "kind_said": len(said), "kind_right": sum(each.said == each.kind for each in said),
+        "fills": len(shallow), "fill_answered": len(filled),
+        "fill_near": sum(o <= 0.1 * h for o, h in zip(off, heights, strict=True)),
+    }  # fmt: skip
+
+
+def particles(results: Results, most: int | None) -> None:
+    """What the liquid is worth: each container half full, let go with a tilted surface, at two resolutions."""
+    results.table(
+        "particles",
+        {
+            "inner radius, fill, mm": "{radius_mm:g}, {fill_mm:g}",
+            "viscosity, mPa s": "{mPas:g}",
+            "theory, Hz": "{theory:.2f}",
+            "as recorded, Hz": "{hz:.2f}",
+            "finer, Hz": "{finer_hz:.2f}",
+            "apart": "{apart:+.1f} %",
+            "damping ratio": "{damping:.3f}",
+            "finer": "{finer_damping:.3f}",
+        },
+    )
+    picked = [(n, fill, v) for n, fills in enumerate(FILLS_M) for fill in fills[1:2] for v in VISCOSITIES]
+    for number, fill, viscosity in picked[:most]:
+        container = CONTAINERS[number]
+        hz, damping = sloshing(container.cylinder, fill, viscosity, container.layers, EXCHANGE_S)
+        finer = sloshing(container.cylinder, fill, viscosity, round(FINER * container.layers), EXCHANGE_S)
+        results.row(
+            "particles", radius_mm=1e3 * container.radius, fill_mm=1e3 * fill, mPas=1e3 * viscosity,
+            theory=theory_hz(container.radius, fill), hz=hz, finer_hz=finer[0], apart=100.0 * (finer[0] / hz - 1.0),
+            damping=damping, finer_damping=finer[1],
+        )  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, help="with recordings; none: nothing is judged")
+    parser.add_argument("--make", type=int, default=0, help="so many recordings, unless they are there")
+    parser.add_argument("--rigid", type=int, default=0, help="so many rigid dummies more")
+    parser.add_argument("--first", type=int, default=500, help="first seed of what is made")
+    parser.add_argument("--at-most", type=int, help="so many are judged; default: all")
+    parser.add_argument("--particles", action="store_true", help="judge the particles, too")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    if options.folder is not None:
+        made = [*cases()[: options.make], *dummies(options.rigid, options.first)]
+        for truth in all_recorded(options.folder, options.first, made):
+            print(f"made {truth['name']}", flush=True)
+        found = []
+        for each in answers(options.folder, options.at_most):
+            found.append(each)
+            print(each.truth["name"], each.verdict, each.why, each.said, each.moving, flush=True)
+        judged(results, found)
+    if options.particles:
+        particles(results, options.at_most)
+    results.keep()
+
+
+if __name__ == "__main__":
+    main()
