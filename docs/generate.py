@@ -42,6 +42,7 @@ NODES = {
 PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
     "identifier": (
         ("results:Results.__init__", {}),
+        ("carrying:Carrying.__init__", {}),
         ("inputs:Inputs.open", {}),
         ("excitation_client:Excitation.__init__", {}),
     ),
@@ -87,6 +88,12 @@ ABOUT = {
     "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`",
     "/identifier/holding": "whether something is in the hand, told when that changes: at a probability of 0.99, and back at 0.01; "
     "it keeps what was known last, `holding` of `~/estimate` says `unknown` meanwhile",
+    "/identifier/gravity_effort": "with `gravity_effort_rate`, while it is known what the hand holds: efforts that carry arm and "
+    "payload in the pose of this stamp, without friction [N m]",
+    "/identifier/gravity_effort_std": "their standard deviations, with the same stamp and joints [N m]",
+    "/identifier/capability": "whether the arm can carry what it holds, here or to the goal on `~/carry_to`: `can_carry`, the "
+    "`joint` that decides, its `margin` of the limit, and `most`, the heaviest load [kg]",
+    "/identifier/carry_to": "positions of some joints [rad]: can what is held be carried there on the straight way of the joints?",
     "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
     "/identifier/sphere_mass": "kg, to plot",
     "/identifier/youngs_modulus": "Pa, to plot",

@@ -28,6 +28,7 @@ from proprio_ros.live.job import REFRESH, WEIGH, Job, JobError
 from proprio_ros.live.job import ROBOT as ROBOT_JOB
 from proprio_ros.live.session import Session, as_parameters, check_settings, prepare_identification, recover
 from proprio_ros.live.workspace import Workspace
+from proprio_ros.nodes.carrying import Carrying
 from proprio_ros.nodes.excitation_client import CALL_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.jobs import Jobs
@@ -102,6 +103,9 @@ PARAMETERS = (
               "Estimate the mass in the hand all the time, whatever moves the arm, and publish it ten times a second. Off by "
               "default, since it takes a tenth of a processor core and replaces what a service published."),
     Parameter("holding_from", 0.05, "Mass of the lightest object that ~/holding tells from an empty hand [kg].", 0.001, 100.0),
+    Parameter("gravity_effort_rate", 0.0,
+              "How often ~/gravity_effort says which efforts carry arm and payload in the present pose [Hz], and ~/capability what "
+              "the arm can carry, where it is known what the hand holds; 0: not.", 0.0, 200.0),
     Parameter("hand_on", "none",
               "Controller that ~/apply hands an accepted load on to: none, ur, franka or xarm."),
     Parameter("hand_on_service", "", "Service of that controller; empty: the usual one of its driver."),
@@ -146,6 +150,7 @@ class IdentifierNode(ManagedNode):
         self._workspace = workspace = Workspace(data, self.values["robot"], self._inputs.stated_topics())
         self._results = results = Results(self, workspace)
         self._weighing = Weighing(self, workspace, self._inputs, results, lambda: self._busy() or bool(self._missing()))
+        self._carrying = Carrying(self, self._inputs, results)
         self._excitation = Excitation(self, self._on_progress)
         self._jobs = Jobs(self, workspace, self._inputs, self._excitation, results, self._weighing, self._unsaved)
         self._prepared, self._described = False, None
@@ -182,7 +187,9 @@ class IdentifierNode(ManagedNode):
         for settings in (stated, parse_settings(value_of(self, "reference_settings"))):
             check_settings(replace(workspace.options(), settings=settings))
         self._weighing.prepare()
-        self._inputs.open(workspace.configured(stated).drive_trains)
+        robot = workspace.configured(stated)
+        self._inputs.open(robot.drive_trains)
+        self._carrying.use(robot)
         self._prepared = True
         self.say("info", f"ready after {clock.now() - started:.1f} s; calibration: {workspace.calibration or 'none'}")
 

@@ -59,7 +59,7 @@ class Inputs:
         self.arrived: deque[tuple[int, Any]] | None = None
         self.live: LiveEstimate | None = None
         self.driven = self.swings = False
-        self.by_goals = ""
+        self.by_goals, self.newest_state = "", b""
         self._joints: list[bytes] = []
         self._motors = self._temperatures = b""
         self._state_at_s = self._effort_at_s = -1e9
@@ -149,6 +149,7 @@ class Inputs:
             now_ns = self._node.get_clock().now().nanoseconds
             if role == "joint_states":
                 self._state_at_s = clock.now()
+                self.newest_state = data
                 if any(name in data for name in self._joints):  # others on the topic may have another clock
                     self._note_lag(now_ns, messages.first_stamp_ns(data) or now_ns)
             elif role == "applied_effort":

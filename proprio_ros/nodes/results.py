@@ -17,6 +17,7 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.regression.online import OnlineEstimate
 from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
+from proprio_ros.live.carrying import Load
 from proprio_ros.live.holding import Holding
 from proprio_ros.live.job import WEIGH, Job
 from proprio_ros.live.online_estimator import OnlineFeed, online_entries, online_words
@@ -53,6 +54,7 @@ class Results:
         link: That holds what is identified.
         hear: Called with each sentence, and its keys and values.
         load: What stands of the hand.
+        held: The same as a mass with its standard deviation, also by the running estimate.
     """
 
     def __init__(self, node: ManagedNode, workspace: Workspace) -> None:
@@ -65,6 +67,7 @@ class Results:
         self._told: bool | None = None
         self._held = node.create_publisher(Bool, "~/holding", LATCHED)
         self.load: StandingLoad | None = None
+        self.held: Load | None = None
         self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = node.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
@@ -167,6 +170,7 @@ class Results:
         if carried is not None:
             self._publish_load(now_ns, frame, carried)
             self.load = StandingLoad(robot, carried, interval_of(estimate))
+            self.held = Load(carried.mass_kg, value.std, carried.com_m)
         shapes = probe.shapes(robot, facts, estimate) if isinstance(probe, Shown) else None
         if shapes is not None:
             self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
@@ -184,6 +188,7 @@ class Results:
         if load is None:
             return self._withdraw_load()
         self.load = None  # the hand may hold something else since
+        self.held = Load(held, estimate.std_kg, load.com_m)
         self._publish_numbers(probe, {probe.answer[0]: held})
         return self._publish_load(self._now_ns(), self._node.values["frame_prefix"] + link, load)
 
@@ -219,7 +224,7 @@ class Results:
         self._withdraw_load()
 
     def _withdraw_load(self) -> None:
-        self.load = None
+        self.load = self.held = None
         while self._standing:
             _, withdraw = self._standing.popitem()
             withdraw()

@@ -12,14 +12,16 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from support.listening import replayed_alike
 from support.recording_bag import write_recording
 from support.simulated_live import Client, running
 from support.virtual_pick_and_place import HIGHEST, LOWEST
 
-from proprio_ros.nodes.messages import labelled, time_ns
-from proprio_ros.nodes.runtime import LATCHED
+from proprio_ros.nodes.messages import labelled, time_ns, values_of
+from proprio_ros.nodes.runtime import COMMANDS, LATCHED
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.request import Options
 from proprio_ros.records import JointRecord, Recording
@@ -105,6 +107,7 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
                     "report": True,
                     "running": True,
                     "weigh_seconds": 12.0,
+                    "gravity_effort_rate": 20.0,
                 },
             )
 
@@ -132,6 +135,20 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
             ), newest()
             assert client.wait_for(lambda: weighs(0.05), LATEST_S), newest()
             assert holding == [False, True] and newest()["holding"] == "true", newest()
+            efforts: list[JointState] = []
+            capabilities: list[dict[str, str]] = []
+            client.world.user.create_subscription(JointState, "/identifier/gravity_effort", efforts.append, COMMANDS)
+            client.world.user.create_subscription(
+                DiagnosticStatus, "/identifier/capability", lambda said: capabilities.append(values_of(said)), COMMANDS
+            )
+            asks = client.world.user.create_publisher(JointState, "/identifier/carry_to", COMMANDS)
+            assert client.wait_for(lambda: len(efforts) > 3 and bool(capabilities)), client.log("identifier")
+            assert capabilities[-1]["can_carry"] == "true" and list(efforts[-1].name) == list(efforts[0].name)
+            asks.publish(JointState(name=["joint2"], position=[1.4]))
+            assert client.wait_for(lambda: capabilities[-1]["where"] == "to the goal"), capabilities
+            assert float(capabilities[-1]["most"]) > 0.05 and capabilities[-1]["joint"] in JOINTS, capabilities[-1]
+            asks.publish(JointState(name=["elbow"], position=[1.4]))
+            assert client.wait_for(lambda: capabilities[-1]["can_carry"] == "unknown"), capabilities
             client.clock.sleep(max(0.0, 14.0 - (client.clock.now() - picked_s)))
             answer = client.call("/identifier/weigh")
             assert answer.success, answer.message
