@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proprio_ros.calibration_files.motions import ARM_TERMS
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, fill_drives
 from proprio_ros.identification.regression.motion_prior import file_prior
@@ -25,6 +24,8 @@ from proprio_ros.robot.regressor import PARAMETERS, kinematics, momentum_and_gra
 
 CENTRE_STD_M = 0.01
 """Of a load's centre in each direction, where nobody says how well it is known."""
+FRICTION = 3
+"""Viscous, dry, and the offset: the last terms of each joint that a calibration has."""
 WAY_POSES = 15
 """Poses of the way to another one that are looked at."""
 
@@ -81,8 +82,8 @@ class Carrier:
             stated = file_prior(robot, self._arm)
             self._values, covariance, self._scale = stated.values, stated.covariance.copy(), 1.0
             self._friction = np.array([robot.drive_trains[name].coulomb.value for name in self.joints])
-            self._values[ARM_TERMS * count :] = 0.0
-            covariance[ARM_TERMS * count :] = covariance[:, ARM_TERMS * count :] = 0.0
+            own = slice(-FRICTION * count, None)  # nobody knows an offset: none
+            self._values[own] = covariance[own] = covariance[:, own] = 0.0
         else:
             self._values, covariance, self._scale = known.values, known.covariance.copy(), known.torque_scale
             covariance[known.friction, known.friction] += np.diag(known.friction_spread**2)
@@ -115,7 +116,7 @@ class Carrier:
                 columns[joint, body] = -motion.axis[0, joint] @ wrench[0]
         own, none = np.eye(count), np.zeros((count, count))
         bodies = columns.reshape(count, -1)
-        design = np.hstack([bodies, *[none] * (ARM_TERMS - PARAMETERS), none, none, own])
+        design = np.hstack([bodies, *[none] * (len(self._values) // count - PARAMETERS - 1), own])
         hand = columns[:, self._arm.body] @ self._arm.from_payload
         rows = Rows(np.zeros(count), np.arange(count), design, hand, np.zeros(count), np.zeros(count), np.zeros(0))
         along = hand @ point_mass(np.asarray(load.centre_m)) / self._scale
