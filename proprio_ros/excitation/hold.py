@@ -18,6 +18,7 @@ from proprio_ros.robot.loads import Loads
 FILTER_S = 0.01  # time constant of velocities, which are differences of coarse positions
 PERIODS_PER_RAD = 0.1
 """Frequency x period of the joint states at most: more swings, with a sample of delay and another in the filter."""
+PAUSE_S = 0.03  # between joint states: what loses a joint within a second after it is said to come from it
 SLOWEST_HZ = 80.0  # joint states that come less often cannot hold an arm
 FARTHEST_RAD = 0.15  # the spring pulls no more than from here: an arm that was moved by hand comes back slowly
 CORRECTING_SHARE = 0.85
@@ -103,6 +104,7 @@ class Hold:
         self._reactions: dict[str, dict[str, tuple[float, float]]] = {}
         self._moved_s = 0.0  # when a goal last changed
         self.lost = ""
+        self._paused = (0.0, -math.inf)  # the longest pause of late, and when it ended
 
     @property
     def rate_hz(self) -> float:
@@ -129,7 +131,10 @@ class Hold:
         """
         now_s = time_s if heard_s is None else heard_s
         # in a longer one nothing but `steady` is commanded, and after it a firm hold is needed at once
-        pause_s = 0.0 if self._heard_s is None else min(max(now_s - self._heard_s, 0.0), GAP_S)
+        gap_s = 0.0 if self._heard_s is None else max(now_s - self._heard_s, 0.0)
+        if gap_s > PAUSE_S and (gap_s > self._paused[0] or now_s - self._paused[1] > REMEMBERED_S):
+            self._paused = gap_s, now_s
+        pause_s = min(gap_s, GAP_S)
         self._heard_s = now_s
         kept = math.exp(-pause_s / REMEMBERED_S)
         self._pauses_s = kept * self._pauses_s + pause_s
@@ -262,6 +267,8 @@ class Hold:
                 self.lost = f"{name} is {off:.2f} rad from where it should be held"
             elif speed > 1.5 * self.gains.max_velocity_rad_s:
                 self.lost = f"{name} moves at {speed:.1f} rad/s though it should be held"
+            if self.lost and (self._heard_s or 0.0) - self._paused[1] < REMEMBERED_S:
+                self.lost += f", after joint states had paused for {1e3 * self._paused[0]:.0f} ms"
 
     def _update_loads(self) -> None:
         if self._loads_at is None or any(

@@ -195,6 +195,10 @@ class ExcitationNode(ManagedNode):
         if self.active and any(name in self._machine.joints for name in message.name):
             if lost := self._output.hear(message, now, whole=sample is not None):
                 remedy = "check sign and unit of the efforts, what it carries, and who else moves it"
+                if "paused" in lost:
+                    remedy = (
+                        "keep this computer free, or run this node beside controller_manager with real-time priority"
+                    )
                 self.say("error", f"the arm is let go: {lost}; {remedy}")
                 self._abort(f"the arm was let go: {lost}")
 

@@ -255,3 +255,25 @@ def test_a_joint_that_has_settled_stands_still() -> None:
     arm.run(0.3, {"joint2": -0.5, "joint3": 0.5})
     arm.run(1.0)
     assert np.ptp(arm.run(0.8), axis=0).max() < 0.002
+
+
+@pytest.mark.parametrize(("pause_s", "said"), [(0.09, "paused for 90 ms"), (0.002, "")])
+def test_a_joint_that_is_lost_after_a_pause_says_how_long_it_was(pause_s: float, said: str) -> None:
+    hold = Hold(ROBOT, JOINTS)
+    here = dict.fromkeys(JOINTS, 0.0)
+    time_s = rest(hold, here) + pause_s
+    hold.begin()
+    hold.observe(time_s, here)
+    for number in range(1, 6):  # 20 rad/s
+        hold.observe(time_s + 0.002 * number, {**here, "joint2": 0.04 * number})
+    assert not any(hold.efforts({}).values())
+    assert "joint2 moves at" in hold.lost and said in hold.lost and ("paused" in hold.lost) == bool(said)
+    # a second later it is not the pause
+    late = Hold(ROBOT, JOINTS)
+    time_s = rest(late, here) + 0.09
+    late.begin()
+    time_s = rest(late, here, 1.2, time_s)
+    late.observe(time_s + 0.002, {**here, "joint2": 0.2})
+    late.observe(time_s + 0.004, {**here, "joint2": 0.4})
+    late.efforts({})
+    assert "joint2" in late.lost and "paused" not in late.lost
