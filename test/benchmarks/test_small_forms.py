@@ -47,7 +47,7 @@ ELSEWHERE = {
     "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
     "planned", "softness",  # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
-    "foreign_controller",  # minutes a seed: test/world/test_foreign_controller.py asks whether such an arm is held
+    "foreign_controller",  # minutes a seed, and such an arm is not weighed yet
     "foreign_process",  # a process for whoever tries probes by hand
     "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
     "first_time",  # asks an index of packages, for minutes
