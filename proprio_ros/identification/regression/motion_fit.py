@@ -166,7 +166,12 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
     prior = prior_of_file(robot, arm, runs)
     none = np.zeros(len(FRICTION_TERMS) * count)
-    solution = solve(problem, prior, Between.published(none, none), payload_stds(arm))
+    published, per_kg = Between.published(none, none), payload_stds(arm)
+    if runs == 1:
+        solution = solve(problem, prior, published, per_kg)
+    else:
+        solution, _, scatter = solve_following(problem, prior, published, per_kg, None)
+        solution = replace(solution, covariance=solution.covariance + scatter)
     # the mean of the runs' friction
     mean = np.zeros((TERMS * count, len(solution.values)))
     mean[: ARM_TERMS * count, PARAMETERS:shared] = np.eye(ARM_TERMS * count)
@@ -281,7 +286,7 @@ def fit_payload(
     solution, opened, scatter = solve_following(problem, known, between, per_kg, calibration)
     tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
     residual = problem.rms_by_joint(solution.residual, carrying)
-    covariances = _covariances(problem, solution, scatter, terms, calibration)
+    covariances = _covariances(problem, solution, scatter[:PARAMETERS, :PARAMETERS], terms, calibration)
     # what is explained worse than the empty motions is not only noise: the arm is not where it was calibrated
     empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
     covariances[CALIBRATION] *= max(1.0, _misfit(tells, residual, empty_residual))

@@ -117,29 +117,45 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def solve_following(
-    problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration
+    problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration | None
 ) -> tuple[Solution, Solution, FloatArray]:
-    """The estimate that follows what differs as the evidence has it, the open one, and its payload's scatter, shape (10, 10)."""
+    """The estimate that follows what differs as the evidence has it, the open one, and its scatter, shape (U, U).
+
+    Where nothing is ``known``, recordings differ from their mean: torque and zeros of that are the arm's own.
+    """
     opened = solve(problem, prior, between, per_kg, known, considered=())
     first, kinds = problem.own(0).start, np.tile(between.kinds, problem.motions)
     at = first + np.flatnonzero(np.isin(kinds, CONSIDERED))
+    basis: FloatArray = np.eye(len(at))
+    if known is None:
+        basis = np.asarray(np.kron(_contrasts(problem.motions), np.eye(len(at) // problem.motions)), np.float64)
     # what the data say of these terms alone; all else follows them linearly
     precision = np.linalg.inv(opened.covariance[np.ix_(at, at)])
     information = precision - np.diag(1.0 / np.square(np.tile(opened.between.std, problem.motions)[at - first]))
     leads = opened.covariance[:, at] @ precision
     std = np.tile(between.std, problem.motions)[at - first]
     information, side = std[:, None] * information * std, std * (precision @ opened.values[at])
-    mean, wider, terms, weights = by_evidence(kinds[at - first], information, side)
-    apart = (terms - mean) * std @ leads[:PARAMETERS].T
+    of_basis = basis.T @ information @ basis, basis.T @ side
+    mean, wider, terms, weights = by_evidence(kinds[at - first][: basis.shape[1]], *of_basis)
+    mean, terms = basis @ mean, terms @ basis.T
+    apart = (terms - mean) * std @ leads.T
     spreads = {**opened.between.spreads, **{kind: between.spreads[kind] * times for kind, times in wider.items()}}
     differs, wide = replace(opened.between, spreads=spreads), Prior(opened.prior.values, opened.prior.covariance.copy())
-    wide.covariance[at, at] = np.square(np.tile(differs.std, problem.motions)[at - first])
+    spread = np.tile(differs.std, problem.motions)[at - first][:, None] * basis
+    wide.covariance[np.ix_(at, at)] = spread @ spread.T
     _, covariance = posterior(opened.information, opened.information @ wide.values, wide)
     values = opened.values + leads @ (std * mean - opened.values[at])
     left_over = problem.torque - opened.scaled @ values / opened.weight
     deviations = scores(opened.scaled, left_over * opened.weight, problem.stretch) @ covariance
     fields = {"values": values, "covariance": covariance, "prior": wide, "between": differs, "residual": left_over}
     return replace(opened, deviations=deviations, **fields), opened, (apart * weights[:, None]).T @ apart
+
+
+def _contrasts(count: int) -> FloatArray:
+    """What differs between so many, without their mean: orthonormal columns, shape (count, count - 1)."""
+    orthonormal, _ = np.linalg.qr(np.eye(count) - 1.0 / count)
+    result: FloatArray = orthonormal[:, : count - 1]
+    return result
 
 
 def solve(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,19 @@ def test_friction_and_torques_are_those_of_the_arm(robot: Robot) -> None:
     rows = equations(robot, arm.motion(6.0, phase_s=80.0), SIX.joints)
     off = rows.torque - rows.design @ known.values
     assert np.sqrt(np.mean(off**2)) < 0.01 * np.sqrt(np.mean(rows.torque**2))
+
+
+@pytest.mark.parametrize("by", [(0.96, 1.0, 1.04), (1.03, 0.97), (1.02, 0.99, 0.98, 1.01)])
+def test_a_calibration_is_the_mean_of_recordings_whose_torque_differs(robot: Robot, by: tuple[float, ...]) -> None:
+    """Not a compromise between them, which would be an arm that no recording is of."""
+    arm, mass_kg, centre = Ideal(9), 0.5, np.array([0.04, -0.03, 0.02])
+    motions = [arm.motion(12.0, phase_s=20.0 * n) for n in range(len(by))]
+    known = fit_empty(robot, [replace(m, current_A=k * m.current_A) for m, k in zip(motions, by, strict=True)])
+    rows = equations(robot, arm.motion(6.0, phase_s=90.0), SIX.joints)
+    off = rows.torque - rows.design @ known.values
+    assert np.sqrt(np.mean(off**2)) < 0.01 * np.sqrt(np.mean(rows.torque**2))
+    fit = fit_payload(robot, [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)], known)
+    assert abs(fit.values[0] - mass_kg) < min(0.02 * mass_kg, fit.half_width)
 
 
 def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) -> None:
