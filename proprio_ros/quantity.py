@@ -29,10 +29,16 @@ def shown_unit(unit: str) -> tuple[float, str]:
     return _SHOWN.get(unit, (1.0, unit, ""))[:2]
 
 
+def written(value: float, spec: str) -> str:
+    """A number in some format; what is written as zero has no sign."""
+    text = f"{value:{spec}}"
+    return text.replace("-", "") if text.startswith("-") and not text.strip("-0.") else text
+
+
 def shown(unit: str, *values: float, spec: str = "", between: str = " .. ") -> str:
     """Values in an SI unit as a reader wants them, such as ``50.00 g`` or ``48.10 .. 51.90 g``; ``spec`` is the format of each."""
     factor, name, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
-    return f"{between.join(f'{factor * value:{spec or usual}}' for value in values)} {name}".rstrip()
+    return f"{between.join(written(factor * value, spec or usual) for value in values)} {name}".rstrip()
 
 
 def spec_for(unit: str, std: float | None, kept: bool = False) -> str:

@@ -26,7 +26,7 @@ from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.report import series_figure, small_table, words_figure
 from proprio_ros.report.chart import Axis, Panel, Series, chart
-from proprio_ros.report.html import framed, number, table
+from proprio_ros.report.html import framed, number, table, within
 from proprio_ros.schema import header
 from proprio_ros.threads import one_blas_thread
 
@@ -87,7 +87,7 @@ class Drift(Listed[Period]):
         )
         return titles + [
             [period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}"]
-            + [f"{number(v, s)} ± {number(s, s)}" for v, s in zip(*period.term("coulomb"), strict=True)]
+            + [within(v, s) for v, s in zip(*period.term("coulomb"), strict=True)]
             for period in self
         ]
 

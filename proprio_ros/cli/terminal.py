@@ -183,8 +183,8 @@ def _value_text(value: Any, interval_first: bool = False) -> str:
     if value.value is None:
         return f"{value.name}: not determined ({value.reason})"
     if isinstance(value.value, list):
-        numbers = ", ".join("?" if v is None else f"{v:.4f}" for v in value.value)
-        return f"{value.name}: [{numbers}] {value.unit}" + (f" ({value.reason})" if value.reason else "")
+        why = f" ({value.reason})" if value.reason else ""
+        return f"{value.name}: {value.in_words() if value.known else 'not determined'}{why}"
     # masses in g and moduli in kPa, as on the report's page; --json gives them in kg and Pa
     spec = spec_for(value.unit, value.std)
     number = shown(value.unit, value.value, spec=spec)

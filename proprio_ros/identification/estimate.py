@@ -11,6 +11,7 @@ import numpy as np
 
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import Tag, label_of
+from proprio_ros.quantity import shown_unit, spec_for, written
 from proprio_ros.schema import header, reason_codes
 
 
@@ -38,6 +39,38 @@ class Value:
     def label(self) -> str:
         """For people: ``Young's modulus``."""
         return label_of(self.name)
+
+    @property
+    def parts(self) -> list[Value]:
+        """Of a vector or a tensor, each as a value of its own; a number as it is."""
+        if not isinstance(self.value, list):
+            return [self]
+        axes = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(
+            len(self.value), range(len(self.value))
+        )
+        stds = self.std if isinstance(self.std, list) else [None] * len(self.value)
+        ends = self.ci95 if isinstance(self.ci95, list) else [None] * len(self.value)
+        return [
+            Value(f"{self.label}, {axis}", self.unit, value, std, end, "" if value is not None else self.reason)
+            for axis, value, std, end in zip(axes, self.value, stds, ends, strict=True)
+        ]
+
+    @property
+    def known(self) -> bool:
+        """Whether there is any number."""
+        return any(part.value is not None for part in self.parts)
+
+    def in_words(self) -> str:
+        """Numbers with as many digits as they are known to, in the unit that a reader wants; by axis where some are withheld."""
+        factor, unit = shown_unit(self.unit)
+        numbers = {
+            part.name.rpartition(" ")[2]: written(factor * part.value, spec_for(self.unit, part.std))  # type: ignore[arg-type, operator]
+            for part in self.parts
+            if part.value is not None
+        }
+        if len(numbers) == len(self.parts):
+            return f"[{', '.join(numbers.values())}] {unit}"
+        return f"{', '.join(f'{axis} {words}' for axis, words in numbers.items())} {unit}"
 
     def as_json(self) -> dict[str, Any]:
         return picked(self, "name", "value", "std", "ci95", "unit", *(["reason"] if self.reason else []))

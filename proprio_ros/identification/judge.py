@@ -242,10 +242,10 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
 def guessed(guesses: Sequence[Guess], value: float) -> Reason:
     """What an answer that is ``value`` owes to facts that nobody stated."""
     off = float(np.sqrt(sum(guess.std**2 for guess in guesses)))
-    listed = ", ".join(f"{guess.key} ({guess.taken}, counted as +- {guess.spread})" for guess in guesses)
-    share = f" ({100.0 * off / value:.0f} % standard deviation)" if value > 0.0 else ""
-    cure = f"state what is true of your object with --set {guesses[0].key}=.."
-    return Reason("guessed_facts", f"guessed, since not stated: {listed}; the interval carries that{share}: {cure}")
+    listed = ", ".join(f"{guess.key} ({guess.taken}, +- {guess.spread})" for guess in guesses)
+    share = f" (std {100.0 * off / value:.0f} %)" if value > 0.0 else ""
+    cure = f"state it with --set {guesses[0].key}=.."
+    return Reason("guessed_facts", f"guessed, not stated: {listed}; the interval carries that{share}: {cure}")
 
 
 def positive(

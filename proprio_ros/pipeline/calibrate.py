@@ -253,6 +253,8 @@ def _implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: bool) ->
         inertia = f"{shown('kg m^2', row.value, spec='.3g')}, which is known as {row.prior:.3g} +- {row.prior_std:.2g}"
         return f"the rotor of {row.scope} has {inertia}", *known
     more = f"{100.0 * abs(value - 1.0):.0f} % {'stronger' if value >= 1.0 else 'weaker'} than stated"
+    if abs(value - 1.0) < 0.005:
+        more = "as strong as stated"
     return f"all motors are {more}, which is known to {100.0 * std:.0f} %", *known
 
 

@@ -13,7 +13,7 @@ from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import html, pictures
 from proprio_ros.report.figures import svg
-from proprio_ros.report.html import bulleted, framed, listed, number, plotted, provenance, table, titled, write_document
+from proprio_ros.report.html import bulleted, framed, listed, plotted, provenance, table, titled, within, write_document
 from proprio_ros.report.motion_sections import torques
 
 _WORDS = {
@@ -153,9 +153,7 @@ def _unknowns(estimate: CalibrationEstimate) -> list[str]:
     rows = []
     for row in estimate.unknowns:
         left = f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-"
-        prior, now = (
-            f"{number(value, std)} ± {std:.2g}" for value, std in ((row.prior, row.prior_std), (row.value, row.std))
-        )
+        prior, now = within(row.prior, row.prior_std), within(row.value, row.std)
         rows.append([row.label, prior, now, left, row.unit.replace("^2", "²")])
     header = ["unknown", "robot file", "now", "left of its uncertainty", "unit"]
     return ["<h2>Every shared unknown</h2>", table(header, rows, numbers=(1, 2, 3), labels=1)]

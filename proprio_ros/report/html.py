@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.inputs.resources import WRITTEN_BY, check_page, write_in_one_step
-from proprio_ros.quantity import spec_for
+from proprio_ros.quantity import Z95, spec_for, written
 from proprio_ros.version import __version__
 
 SCRIPT = Path(__file__).with_name("chart.js").read_text(encoding="utf-8")
@@ -165,4 +166,11 @@ def number(value: Any, std: Any = None) -> str:
     if isinstance(value, list):
         stds = std if isinstance(std, list) else [std] * len(value)
         return "[" + ", ".join(number(v, s) for v, s in zip(value, stds, strict=True)) + "]"
-    return f"{value:{spec_for('', std, kept=True)}}"
+    if isinstance(std, float) and 100.0 <= Z95 * std < math.inf:
+        value = round(value, 1 - math.floor(math.log10(Z95 * std)))
+    return written(value, spec_for("", std, kept=True))
+
+
+def within(value: float, std: float) -> str:
+    """A number and its standard deviation, to the same digit."""
+    return f"{number(value, std)} ± {number(std, std)}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.records import TORQUE_OFF
 from proprio_ros.report import html, pictures
-from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, write_document
+from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, within, write_document
 from proprio_ros.report.motion_sections import HINT, arm_and_payload, torques, what_told
 
 _WORDS = {
@@ -125,7 +124,9 @@ def _headline(estimate: Estimate) -> list[str]:
     title = f"{estimate.probe} in the hand of {estimate.robot}, {runs}"
     parts = titled(title, estimate.verdict.value, _verdict_in_words(estimate.verdict))
     for place, value in enumerate(estimate.values):
-        if place == 0 or _known(value):
+        if value.known and len(value.parts) == 6:
+            continue  # an inertia has its lines below
+        if place == 0 or value.known:
             beside = " beside" * (place > 0)
             parts.append(f'<p class="value{beside}">{escape(_in_words(value, estimate.interval_first))}</p>')
         parts.append(f"<p class=interval>{escape(_interval_in_words(value, estimate.interval_first))}</p>")
@@ -137,22 +138,12 @@ def _verdict_in_words(verdict: Verdict) -> str:
     return _WORDS.get(verdict, verdict.value.replace("_", " "))
 
 
-def _known(value: Value) -> bool:
-    """Whether there is any number."""
-    return any(each is not None for each in value.value) if isinstance(value.value, list) else value.value is not None
-
-
 def _in_words(value: Value, interval_first: bool = False) -> str:
     """The number with its unit, as a headline, or the interval."""
     if value.value is None:
         return "no value"
     if isinstance(value.value, list):
-        factor, unit = shown_unit(value.unit)
-        components = _components(value)
-        numbers = ", ".join(
-            "?" if c.value is None else f"{factor * c.value:{spec_for(c.unit, c.std)}}" for c in components
-        )
-        return f"[{numbers}] {unit.replace('^2', '²')}"
+        return value.in_words().replace("^2", "²")
     std = value.std if isinstance(value.std, float) else None
     spec = spec_for(value.unit, std)
     if interval_first and isinstance(value.ci95, list):
@@ -162,9 +153,11 @@ def _in_words(value: Value, interval_first: bool = False) -> str:
 
 def _interval_in_words(value: Value, interval_first: bool = False) -> str:
     """Its name and interval, or why there is none; the number where the interval leads."""
-    if isinstance(value.value, list) and _known(value):
-        known = [c for c in _components(value) if c.ci95 is not None]
-        intervals = "; ".join(shown(c.unit, *c.ci95, spec=spec_for(c.unit, c.std), between=" to ") for c in known)
+    if isinstance(value.value, list) and value.known:
+        known = [part for part in value.parts if part.ci95 is not None]
+        digits = (spec_for(part.unit, part.std) for part in known)  # type: ignore[arg-type]
+        ends = zip(known, digits, strict=True)
+        intervals = "; ".join(shown(part.unit, *part.ci95, spec=spec, between=" to ") for part, spec in ends)
         why = f" ({value.reason})" if value.reason else ""
         return f"{value.label}, 95 % intervals {intervals}".replace("^2", "²") + why if known else f"{value.label}{why}"
     if isinstance(value.ci95, list) and isinstance(value.value, float) and isinstance(value.std, float):
@@ -176,19 +169,6 @@ def _interval_in_words(value: Value, interval_first: bool = False) -> str:
             return words
         return f"{words}, standard deviation {shown(value.unit, value.std, spec=spec)}"
     return f"{value.label}: {value.reason}" if value.reason else value.label
-
-
-def _components(value: Value) -> list[Any]:
-    """Of a vector or a tensor, each as a value of its own; a number as it is."""
-    if not isinstance(value.value, list):
-        return [value]
-    names = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(len(value.value), range(len(value.value)))
-    stds = value.std if isinstance(value.std, list) else [None] * len(value.value)
-    ends = value.ci95 if isinstance(value.ci95, list) else [None] * len(value.value)
-    return [
-        Value(f"{value.label}, {name}", value.unit, v, s, e, "" if v is not None else value.reason)
-        for name, v, s, e in zip(names, value.value, stds, ends, strict=True)
-    ]
 
 
 def _convergence(estimate: Estimate) -> list[str]:
@@ -210,12 +190,16 @@ def _convergence(estimate: Estimate) -> list[str]:
     end = f"least error ({unit})" if scheduled else f"end ({unit})"
     stops = [f"where the schedule stops ({unit})"] * scheduled
     header = [*["fit"] * refined, f"start ({unit})", *stops, end, "cost"]
+    # one digit more than the answer has, to see how well they agree
+    std = estimate.values[0].std
+    digits = spec_for(estimate.values[0].unit, 0.1 * std if isinstance(std, float) else None)
     rows = []
     for stage, paths in (("robot as stated", solver.paths), ("all open", solver.refined)):
         for path in paths:
             start = f"{factor * path.start:{'.0f' if factor * path.start >= 100.0 else '.3g'}}"
             stops = [f"{factor * (path.scheduled or 0.0):.1f}"] * scheduled
-            rows.append([*[stage] * refined, start, *stops, f"{factor * path.end:.3f}", f"{path.cost:.3g}"])
+            end = f"{factor * path.end:{digits}}"
+            rows.append([*[stage] * refined, start, *stops, end, f"{path.cost:.3g}"])
     return [
         "<h2>Convergence of every start</h2>",
         f"<p class=small>{escape(about)}</p>",
@@ -227,10 +211,10 @@ def _convergence(estimate: Estimate) -> list[str]:
 def _values(estimate: Estimate) -> list[str]:
     parts = ["<h2>Values and intervals</h2>"]
     rows = []
-    for each in (part for value in estimate.values for part in (_components(value) if _known(value) else [value])):
-        none = not _known(each)
+    for each in (part for value in estimate.values for part in (value.parts if value.known else [value])):
         interval = "-" if each.ci95 is None else " to ".join(number(end, each.std) for end in each.ci95)
-        numbers = ["-"] * 3 if none else [number(each.value, each.std), number(each.std, each.std), interval]
+        numbers = [number(each.value, each.std), number(each.std, each.std), interval]
+        numbers = numbers if each.known else ["-"] * 3
         rows.append([each.label, *numbers, each.unit.replace("^2", "²"), each.reason])
     header = ["estimate", "value", "std", "95 % interval", "unit", *[""] * any(row[-1] for row in rows)]
     parts.append(table(header, [row[: len(header)] for row in rows], numbers=(1, 2, 3), labels=1))
@@ -238,12 +222,10 @@ def _values(estimate: Estimate) -> list[str]:
         parts.append("<h3>Every unknown: what the robot file says, and what the recording adds</h3>")
         rows = []
         for row in estimate.unknowns:
-            known = f"{number(row.prior, row.prior_std)} ± {row.prior_std:.2g}"
-            prior = "none" if row.prior_std == float("inf") else known
-            pull = "-" if row.pull is None else f"{row.pull:+.1f}"
-            fitted = f"{number(row.value, row.std)} ± {row.std:.2g}"
+            prior = "none" if row.prior_std == float("inf") else within(row.prior, row.prior_std)
+            pull = "-" if row.pull is None else f"{round(row.pull, 1) + 0.0:+.1f}"  # zero has no sign of its own
             unit = row.unit.replace("^2", "²")
-            rows.append([row.label, _ROLES.get(row.role, row.role), prior, fitted, pull, unit])
+            rows.append([row.label, _ROLES.get(row.role, row.role), prior, within(row.value, row.std), pull, unit])
         header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
         parts.append(table(header, rows, numbers=(2, 3, 4), labels=1))
     if (fit := estimate.fit) is not None:

@@ -186,10 +186,12 @@ def scan_figure(estimate: Estimate) -> str:
 
 
 def budget_figure(estimate: Estimate) -> str:
-    """Where the uncertainty of the answer comes from, as bars."""
+    """Where the uncertainty of the answer comes from, as bars; what adds nothing is left out."""
     unit = estimate.values[0].unit
-    sources = [(source_label(source), std) for source, std in estimate.budget[:SHOWN_SOURCES]]
-    if rest := estimate.budget[SHOWN_SOURCES:]:
+    most = max((std for _, std in estimate.budget), default=0.0)
+    budget = [(source, std) for source, std in estimate.budget if std > 1e-3 * most]
+    sources = [(source_label(source), std) for source, std in budget[:SHOWN_SOURCES]]
+    if rest := budget[SHOWN_SOURCES:]:
         sources.append((f"{len(rest)} others", float(np.sqrt(sum(std**2 for _, std in rest)))))
     whole = sum(std**2 for _, std in sources) or 1.0
     return bars([

@@ -268,19 +268,18 @@ def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) 
             without[f"motor.{NOMINAL}"].append(name)
         slides = name in model.independent_joints and model.joint(name).kind == "prismatic"
         if slides and isinstance(joint, Mapping) and "transmission_m_per_rad" not in joint:
-            without["transmission_m_per_rad (how far the joint slides per rad of the motor)"].append(name)
+            without["transmission_m_per_rad (slide per rad of the motor)"].append(name)
     missing += [f"{key} of {_few(joints)}" for key, joints in without.items()]
     if missing and is_description(str(source)):
         raise FormError(
-            f"states no {'; '.join(missing)}: --set robot.joints.JOINT.{next(iter(without))}=VALUE, or write a file "
-            "with `proprio robot new`, or --effort-unit N.m where torque was recorded"
+            f"states no {'; '.join(missing)}: --set robot.joints.JOINT.KEY=VALUE, or `proprio robot new`, or "
+            "--effort-unit N.m where torque was recorded"
         )
     if missing:
-        torque = (
-            "; where torque was recorded, `proprio robot new --effort-unit N.m` writes a file that needs none of it"
-        )
+        torque = "; or `proprio robot new --effort-unit N.m`, where torque was recorded"
         raise FormError(
-            f"missing: {'; '.join(missing)}; state each{torque if any(key.startswith('transmission') for key in without) else ''}"
+            f"missing: {'; '.join(missing)}; state each{', or leave out joints that nobody drives' if without else ''}"
+            f"{torque if any(key.startswith('transmission') for key in without) else ''}"
         )
 
 

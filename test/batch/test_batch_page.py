@@ -41,7 +41,7 @@ def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
             "joints": ["joint1", "joint2", "joint3"], "probe": "payload", "quantity": "payload_mass", "unit": "kg",
             "value": mass, "std": std, "low": mass - 1.96 * std, "high": mass + 1.96 * std, "verdict": "accepted",
             "robot": "arm", "calibration": "arm.yaml",
-            "reasons": ["guessed, since not stated: payload.com ([0, 0, 0] mm): state it with --set payload.com=.."],
+            "reasons": ["guessed, not stated: payload.com ([0, 0, 0] mm): state it with --set payload.com=.."],
             "reason_codes": ["guessed_facts"],
         }  # fmt: skip
         if kind < 0.002:
@@ -229,8 +229,7 @@ return { failed, far, detail, shown: names().map((each) => each.textContent), va
         in seen["detail"]
     )
     assert (
-        "guessed, since not stated: payload.com" in seen["detail"]
-        and "0 to 12 s; joint1, joint2, joint3" in seen["detail"]
+        "guessed, not stated: payload.com" in seen["detail"] and "0 to 12 s; joint1, joint2, joint3" in seen["detail"]
     )
     highest = max((row for row in rows_like(COUNT) if seen["figure"].startswith(row["source"].split("/")[-1])
                    and row["verdict"] == "accepted"), key=lambda row: row["value"])  # fmt: skip

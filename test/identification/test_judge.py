@@ -195,11 +195,9 @@ def test_a_quantity_ends_where_it_must_or_is_withheld() -> None:
 
 def test_guesses_are_named_with_what_they_cost_together() -> None:
     sentence = guessed([Guess("a.size", "30 mm", "3 mm", 0.003), Guess("b.place", "here", "5 mm", 0.004)], 0.05)
-    assert "a.size (30 mm, counted as +- 3 mm), b.place (here, counted as +- 5 mm)" in sentence
-    assert (
-        "(10 % standard deviation)" in sentence and "--set a.size=.." in sentence and sentence.code == "guessed_facts"
-    )
-    assert "standard deviation" not in guessed([Guess("a.size", "30 mm", "3 mm", 0.003)], 0.0)
+    assert "a.size (30 mm, +- 3 mm), b.place (here, +- 5 mm)" in sentence
+    assert "(std 10 %)" in sentence and "--set a.size=.." in sentence and sentence.code == "guessed_facts"
+    assert "std" not in guessed([Guess("a.size", "30 mm", "3 mm", 0.003)], 0.0)
 
 
 # --- a busy computer --------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from support.fleet import write_bag
 from support.pages import curves, read
 
 from proprio_ros import calibrate, weigh
+from proprio_ros.cli.terminal import estimate_as_text
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.identification.recorded import held_views
 from proprio_ros.pipeline.api import Weighing
@@ -93,7 +95,9 @@ def test_the_page_has_everything(estimate: Estimate, tmp_path: Path) -> None:
     ):
         assert heading in text
     assert [reader.classes.count(kind) for kind in ("chart", "plot", "arm", "strip")] == [6, 12, 4, 6]
-    assert "?, ?" not in text and "kg m^2" not in text
+    headlines = re.findall(r"<p class=\"value[^>]*>([^<]*)<", (tmp_path / "page.html").read_text())
+    assert len(headlines) == 2 and headlines[1].endswith(" mm"), "mass and centre; the inertia is in the table"
+    assert "?" not in text and "kg m^2" not in text
     inertia = estimate.value("payload_inertia")
     for name, value in zip(("xx", "xy", "xz", "yy", "yz", "zz"), inertia.value, strict=True):
         assert (f"inertia, {name}" in text) or value is None
@@ -106,6 +110,15 @@ def test_what_is_withheld_is_said_in_words(estimate: Estimate, tmp_path: Path) -
     write_report(replace(estimate, values=(*estimate.values[:2], withheld)), tmp_path / "page.html")
     _, text = read(tmp_path / "page.html")
     assert "?" not in text and "payload inertia: too little is held to say how it is spread" in text
+
+
+def test_a_terminal_has_the_digits_of_the_page(estimate: Estimate) -> None:
+    centre = estimate.value("payload_com")
+    some = replace(estimate.value("payload_inertia"), value=[0.25, None, None, 0.5, None, None], std=[0.01] * 6)
+    assert re.fullmatch(r"\[(-?\d+\.\d(, )?){3}\] mm", centre.in_words())
+    assert some.in_words() == "xx 0.250, yy 0.500 kg m^2"
+    for value, words in ((centre, centre.in_words()), (some, some.in_words())):
+        assert f"{value.name}: {words}" in estimate_as_text(replace(estimate, values=(*estimate.values[:1], value)))
 
 
 def test_the_page_of_a_calibration_shows_what_the_arm_explains(

@@ -24,9 +24,10 @@ from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.softness.detail import SqueezeCurve
 from proprio_ros.probes.softness.figures import squeeze_figure
+from proprio_ros.quantity import shown
 from proprio_ros.report import card
 from proprio_ros.report.calibration_figures import held_out_figure
-from proprio_ros.report.html import SCRIPT, document
+from proprio_ros.report.html import SCRIPT, document, within
 from proprio_ros.report.pictures import paired
 
 
@@ -83,7 +84,7 @@ def test_words_of_strangers_stay_words(estimate: Estimate, tmp_path: Path) -> No
     write_report(named, tmp_path / "page.html", command=hostile, sources=[hostile])
     _, text = read(tmp_path / "page.html")
     assert hostile in text
-    assert "[10.0, ?, -2.0] mm" in text
+    assert "x 10.0, z -2.0 mm" in text and "?" not in text
 
 
 def test_a_page_that_cannot_be_written(estimate: Estimate, tmp_path: Path) -> None:
@@ -169,6 +170,12 @@ def test_no_fixed_ink(bags: Path, estimate: Estimate, tmp_path: Path) -> None:
     assert figures and not re.search(r"#[0-9a-f]{3,6}|black|white", figures)
     block = squeeze_figure([SqueezeCurve("a", 0.03, np.arange(3.0), np.arange(3.0) / 30.0, np.arange(3.0), ())])
     assert "var(--ink)" in block and not re.search(r"#1b2430|#000000|#8a94a3|#e4e8ee", block)
+
+
+def test_numbers_have_the_digits_that_they_are_known_to() -> None:
+    assert within(204674.0, 11223.0) == "205000 ± 11000", "tenths of a percent of a modulus are noise"
+    assert (within(-1e-5, 0.001), within(0.00089, 5.9e-5)) == ("0.0000 ± 0.0010", "0.00089 ± 0.00006")
+    assert (shown("kg", -1e-6), shown("kg", -0.02)) == ("0.00 g", "-20.00 g")
 
 
 def test_dollar_signs_are_no_mathematics() -> None:

@@ -67,7 +67,7 @@ def test_until_then_all_that_is_missing_is_named(tmp_path: Path, capsys: pytest.
     assert said.startswith(
         "proprio: new.yaml: missing: motor.nominal_torque_constant_N_m_per_A of a, finger; transmission_m"
     )
-    assert "_per_rad (how far the joint slides per rad of the motor) of finger; state each" in said
+    assert "_per_rad (slide per rad of the motor) of finger; state each" in said
 
 
 def test_an_older_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -198,7 +198,9 @@ def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_u
             output = folder / f"new{len(flags)}.yaml"
             assert main(["robot", "new", source, "--output", str(output), *flags]) == 0
             if not flags and urdf == gripper:
-                with pytest.raises(RobotError, match="where torque was recorded, `proprio robot new --eff"):
+                with pytest.raises(
+                    RobotError, match=r"or `proprio robot new --effort-unit N\.m`, where torque was recorded"
+                ):
                     load_robot(output)
                 continue
             assert ("# STATE THIS" in output.read_text()) is not bool(flags)

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from support.small_urdf import INERTIAL, THREE, chain, joint, link
 
-from proprio_ros.errors import RobotError
+from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.inputs.resources import resource_names
 from proprio_ros.robot import load_robot, with_recorded_torque
+from proprio_ros.robot.drives import Goal
 from proprio_ros.robot.robot_file import bare_settings
 
 MINIMAL = """\
@@ -210,7 +211,8 @@ def test_all_that_is_missing_is_said_at_once(folder: Path) -> None:
     with pytest.raises(RobotError) as caught:
         load_robot(folder / "arm.yaml")
     assert str(caught.value) == (
-        "arm.yaml: missing: payload_frame; motor.nominal_torque_constant_N_m_per_A of a, b; state each"
+        "arm.yaml: missing: payload_frame; motor.nominal_torque_constant_N_m_per_A of a, b; state each, or leave out "
+        "joints that nobody drives"
     )
     names = [f"joint_with_a_long_name_{n}" for n in range(9)]
     links = "".join(link(name) for name in ("base", *(f"l{n}" for n in range(9))))
@@ -419,3 +421,11 @@ def test_joint_names_with_dots_can_be_overridden(folder: Path) -> None:
     (folder / "arm.yaml").write_text(MINIMAL.replace("  a:", "  left.a:"))
     robot = load_robot(folder / "arm.yaml").with_overrides({"joints.left.a.drive_train.load_friction": 0.02})
     assert robot.drive_trains["left.a"].load_friction.value == 0.02
+
+
+def test_goals_of_another_clock_are_refused() -> None:
+    """One that was stamped decades away asked for terabytes."""
+    goal = Goal(np.array([0.0, 1.0]), np.zeros(2))
+    assert goal.at(np.array([0.5, 2.0]), 1.0).shape == (2,)
+    with pytest.raises(RecordingError, match="stamp both by one clock"):
+        goal.at(np.array([0.5, 2.0**31]), 1.0)
