@@ -17,7 +17,13 @@ from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload, learn_arm, share_of
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
-from proprio_ros.identification.regression.refusals import deciding, far_from_prior, unexplained_torque, unlike_urdf
+from proprio_ros.identification.regression.refusals import (
+    centre_elsewhere,
+    deciding,
+    far_from_prior,
+    unexplained_torque,
+    unlike_urdf,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
@@ -128,6 +134,10 @@ def _scaled(
     fits = [(fit_payload(robot, [motion], open_scale, centre=centre), motion, kg) for motion, kg in references]
     # the best one first: one that is too coarse beside others says nothing, and does no harm
     for fit, motion, mass_kg in sorted(fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]):
+        if centre is not None:
+            free = fit_payload(robot, [motion], open_scale)
+            for refusal in centre_elsewhere(motion.name, centre, fit, free):
+                return calibration, refusal
         read, std = float(fit.values[0]), float(fit.std[0])
         coarse = read <= 0.0 or fit.half_width > LIGHT_REFERENCE * mass_kg
         if coarse and (ratios or said_coarse):

@@ -8,8 +8,9 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import UNITS, Key
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.regression.motion_fit import CONSTANTS, Centre, MotionFit
 from proprio_ros.kinds import label_of
-from proprio_ros.quantity import shown
+from proprio_ros.quantity import Z95, shown, written
 from proprio_ros.records import FloatArray
 
 UNEXPLAINED_SHARE = 0.5
@@ -18,8 +19,10 @@ URDF_RATIO = 1.35
 """URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
 WIDEST_SHARE = 0.5
 """No mass is stated whose half width is more than this share of it."""
-
-
+APART_SIGMAS = 4.0
+"""What differs by more standard deviations is not the same."""
+LEAST_SIGMAS = 5.0
+"""A mass that is not known so many times better than it is large is no divisor."""
 DECIDES = 0.05
 """A joint that tells less than this share of what is known of a mass does not decide whether that is believed."""
 
@@ -38,11 +41,15 @@ def passed_over(joints: Sequence[str], tells: FloatArray, share: FloatArray) -> 
         share: Of the torque, that is left over by joint; NaN where one did not move.
     """
     return tuple(
-        f"{100.0 * share[n]:.0f} % of the torque of {joint} is not explained; it tells {100.0 * tells[n]:.1f} % of the mass, and "
+        f"{_percent(share[n])} of the torque of {joint} is not explained; it tells {100.0 * tells[n]:.1f} % of the mass, and "
         "counts for as little"
         for n, joint in enumerate(joints)
         if share[n] > UNEXPLAINED_SHARE and tells[n] < DECIDES
     )
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %" if share < 10.0 else "over 1000 %"
 
 
 def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: str = "") -> Iterator[Refusal]:
@@ -59,7 +66,7 @@ def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: 
         yield rejected(
             "misfit",
             "the model does not explain the recording",
-            f"{name}{100.0 * share[worst]:.0f} % of the torque of {joints[worst]} is not explained by {by}: check the effort's "
+            f"{name}{_percent(share[worst])} of the torque of {joints[worst]} is not explained by {by}: check the effort's "
             "unit and sign, and that nothing touched the arm",
         )
 
@@ -99,6 +106,39 @@ def far_from_prior(
             f"{f'{std[worst]:.2g} {UNITS[key[0]]}'.removesuffix(' 1')}): check the URDF, the torque constants and the effort's "
             "unit",
         )
+
+
+def centre_elsewhere(name: str, stated: Centre, fit: MotionFit, free: MotionFit) -> Iterator[Refusal]:
+    """Where the motion says that the payload's centre is not where it was stated, and its mass another one for it.
+
+    Args:
+        name: Of the recording.
+        stated: The centre [m], and how well it is known.
+        fit: With that centre.
+        free: With a centre that is looked for.
+    """
+    mass, at = float(free.values[0]), np.asarray(stated[0])
+    std = np.sqrt(
+        max(float(free.std[0]) ** 2 - free.parts[CONSTANTS] ** 2, 0.0)
+    )  # both err alike as torque constants do
+    if mass < LEAST_SIGMAS * free.std[0] or abs(fit.values[0] - mass) < free.quantile * std:
+        return
+    moments = np.hstack([-at[:, None], np.eye(3)])  # about the stated centre they are nothing
+    off = moments @ free.values[:4]
+    covariance = moments @ free.covariance[:4, :4] @ moments.T + np.diag(np.square(mass * np.asarray(stated[1])))
+    if Z95 * np.sqrt(off @ np.linalg.solve(covariance, off)) > APART_SIGMAS * free.quantile:
+        yield elsewhere(name, at, free.values[1:4] / mass)
+
+
+def elsewhere(name: str, stated: FloatArray, found: FloatArray) -> Refusal:
+    """The refusal of a stated centre where another one explains the motion."""
+    said, seen = (", ".join(written(value, spec) for value in at) for at, spec in ((stated, ".3g"), (found, ".3f")))
+    return rejected(
+        "misfit",
+        "the payload is not where it is stated to be",
+        f"{name}: payload.com is stated as [{said}] m, and the motion is explained with [{seen}] m: is it right, in the axes of "
+        "payload.frame? Left out, it is found",
+    )
 
 
 def lighter_than_empty(mass_kg: float, half_kg: float, advice: str) -> Iterator[Refusal]:

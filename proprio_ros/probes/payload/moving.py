@@ -20,12 +20,16 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import STRETCH_S
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
-from proprio_ros.identification.regression.motion_fit import MotionFit, fit_empty, fit_payload
+from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
 from proprio_ros.identification.regression.refusals import (
+    APART_SIGMAS,
     DECIDES,
+    LEAST_SIGMAS,
     WIDEST_SHARE,
+    centre_elsewhere,
     deciding,
+    elsewhere,
     far_from_prior,
     lighter_than_empty,
     passed_over,
@@ -43,12 +47,8 @@ MISFIT_RATIO = 3.0
 RATIO_SHARE, RATIO_STD = 0.08, 0.01
 """A joint whose torque is by more than this share larger or smaller than the empty arm's was recorded in another unit or with
 another torque constant, where the recording knows that: recordings of one machine differ by some 3 %."""
-APART_SIGMAS = 4.0
-"""Two halves of a recording that differ by more did not carry the same, and torques were not recorded alike."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
-LEAST_SIGMAS = 5.0
-"""A mass that is not known so many times better than it is large is no divisor."""
 SEEN_SHARE = 0.5
 """Of the spread of any load's parameters: what is known no better is not seen."""
 WIDEST_OF_ARM = 0.04
@@ -153,8 +153,9 @@ def identify_in_motion(
             )
     if named is refusal:
         named = with_cause(refusal, robot, (*motions, *baseline))
-    if centre is not None and named is refusal and refusal.verdict is Verdict.REJECTED:
-        named = _elsewhere(refusal, motions, fit_payload(robot, motions, calibration, empty=beside), facts, known)
+    if centre is not None and named is refusal:
+        free = fit_payload(robot, motions, calibration, empty=beside)
+        named = _elsewhere(refusal, motions, centre, fit, free, known)
     refusal = named
     mass, std = float(fit.values[0]), float(fit.std[0])
     values = [positive("payload_mass", "kg", mass, std, refusal.withheld, quantile=fit.quantile)]
@@ -191,18 +192,16 @@ def _apart(refusal: Refusal, motions: Sequence[Motion], alone: Sequence[MotionFi
 
 
 def _elsewhere(
-    refusal: Refusal, motions: Sequence[Motion], free: MotionFit, facts: PayloadFacts, known: str
+    refusal: Refusal, motions: Sequence[Motion], stated: Centre, fit: MotionFit, free: MotionFit, known: str
 ) -> Refusal:
     """The refusal, with what a fit that looks for the payload's centre says of the one that was stated, where that explains all."""
     place = _place(free)[0].value
-    if judge(_refusals(motions, free, known)) is not ACCEPTED or not isinstance(place, list) or None in place:
+    if not isinstance(place, list) or None in place or judge(_refusals(motions, free, known)) is not ACCEPTED:
         return refusal
-    stated, found = (", ".join(f"{value:.3g}" for value in at) for at in (facts.com, np.asarray(place)))
-    sentence = (
-        f"{motions[0].name}: payload.com is stated as [{stated}] m, and the motion is explained with [{found}] m: is it right, in "
-        "the axes of payload.frame? Left out, it is found"
-    )
-    return replace(refusal, reasons=(Reason("misfit", sentence), *refusal.reasons))
+    name, found = motions[0].name, elsewhere(motions[0].name, stated[0], np.asarray(place))
+    if refusal.verdict is not Verdict.REJECTED:
+        found = next(centre_elsewhere(name, stated, fit, free), refusal)
+    return found if found is refusal else replace(found, reasons=(*found.reasons, *refusal.reasons))
 
 
 def _drifted(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
