@@ -6,6 +6,7 @@ object that shows itself in a notebook.
 
 from __future__ import annotations
 
+import inspect
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from proprio_ros.calibration_files.pushes import Calibration
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.inputs.forms import Form, FormError, Number, Part, Perhaps, Truth, Whole, mapping, shortly, under
@@ -472,8 +473,12 @@ def _stated(value: Any) -> dict[str, Any]:
 
 
 def _called(value: Any) -> Any:
-    if not callable(value):
-        raise FormError(f"expected a function of a sentence, got {shortly(value)}")
+    try:
+        inspect.signature(value).bind("a sentence")
+    except TypeError as error:
+        raise FormError(f"expected a function of a sentence, got {shortly(value)}") from error
+    except ValueError:  # one in C does not say what it takes
+        pass
     return value
 
 
@@ -502,9 +507,18 @@ def read_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
     for section, values in facts.items():
         if section not in known and not isinstance(values, Mapping):
             by_section = "facts come by section, such as payload={'size': 0.03}"
-            raise TypeError(f"{section}={values!r} is no argument; {by_section}")
-    stated = {name: read(name, _plain(value), _ARGUMENTS[name]) for name, value in given.items() if name != "facts"}
-    return {**stated, "facts": {section: read(section, values, _FACTS) for section, values in facts.items()}}
+            raise TypeError(f"{section}= is no argument; {by_section}")
+    stated = {name: _argument(name, value, _ARGUMENTS[name]) for name, value in given.items() if name != "facts"}
+    return {**stated, "facts": {section: _argument(section, values, _FACTS) for section, values in facts.items()}}
+
+
+def _argument(name: str, value: Any, form: Form) -> Any:
+    try:
+        return read(name, _plain(value), form)
+    except ProprioError:
+        raise
+    except Exception as error:  # of a value's own methods: a path or a list that is none, or holds itself
+        raise ConfigurationError(f"{name}: cannot be read ({type(error).__name__}: {error})") from error
 
 
 def options_of(given: Mapping[str, Any]) -> Options:

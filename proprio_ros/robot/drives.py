@@ -19,10 +19,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from proprio_ros.errors import RecordingError
 from proprio_ros.inputs.forms import Form, Number
 from proprio_ros.robot.geometry import FloatArray
 
 STEP_S = 0.002  # a goal that is limited in speed is followed in such steps, as firmware does every few milliseconds
+LONGEST_S = 1e5  # of a recording, in which goals are followed
 MEASURED, COMPUTED = "duty cycle and supply voltage", "goal, position and supply voltage by the servo's law"
 
 
@@ -38,6 +40,9 @@ class Goal:
         if not np.isfinite(fastest_rad_s):
             return self.position[self._rows(times_s)]
         first = min(float(times_s[0]), float(self.times_s[0]))
+        if times_s[-1] - first > LONGEST_S:
+            apart = f"goals and joint states are stamped {times_s[-1] - first:.3g} s apart"
+            raise RecordingError(f"{apart}: stamp both by one clock, that of the computer that records them")
         steps_s = np.arange(first, float(times_s[-1]) + STEP_S, STEP_S)
         limited = self.position[self._rows(steps_s)].copy()
         for row in range(1, len(limited)):

@@ -121,8 +121,25 @@ def test_facts_by_section_or_by_dotted_key(result: Weighing) -> None:
         weigh(BAG, payload={"colour": "red"})
 
 
+class NoPath:
+    """What says of itself that it is a path."""
+
+    def __fspath__(self) -> int:
+        return 3
+
+
+class NoArray:
+    """What cannot become a list."""
+
+    def tolist(self) -> list[float]:
+        raise RuntimeError("no list")
+
+
+HOLDS_ITSELF: list[Any] = []
+HOLDS_ITSELF.append(HOLDS_ITSELF)
 RIGHT = {weigh: (BAG,), calibrate: (EMPTY[0],), plan: (0.05,), check: (BAG,), drift: (BAG,)}
 WRONG = [b"x", 1j, object(), [None], [[]], [{}], {5: 6}, {None: None}, np.zeros((2, 2)), [b"x"], ["a", 5], {BAG: "x"}]
+WRONG += [NoPath(), NoArray(), HOLDS_ITSELF]
 WORDS = [5, 10**400, float("nan"), True, [], ["a"], {}, {"payload.size": 1}, int, iter(["a"])]
 NO_NUMBERS = ["no such", "", None, float("nan"), [0.1, True]]
 TEXTS = ("calibration", "robot", "driver", "output", "state_topic", "command_topic", "effort_unit")
@@ -135,7 +152,7 @@ ALSO_WRONG: dict[str, list[Any]] = {
     "count": [*NO_NUMBERS, [], -1, 0, 1.5],
     "seconds": [*NO_NUMBERS, [], -1.0],
     "force": [None, 0, 1, "no", [], {}],
-    "progress": [None, 5, "print", []],
+    "progress": [None, 5, "print", [], lambda: None, NoPath],
     "payload": [None, 5, "x", []],
 }
 
