@@ -16,7 +16,7 @@ Where the arm moved for a moment, its sliding friction is known, and the running
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,9 +36,11 @@ SHORTEST_S, SETTLING_S = 0.6, 0.3
 STILL_RAD, STILL_COUNTS = 2e-3, 2.5
 """They stand while none leaves a band as wide as the larger of these."""
 SAME_POSE_RAD = 0.05
-"""Stances nearer to each other are one, which somebody touched."""
+"""Stances nearer to each other, which no joint reached from the other side, are one, which somebody touched."""
 ARRIVED, ARRIVED_STD, ANYWHERE_STD = 0.6, 0.6, 0.7
 """Of the friction that a joint has, how much carries where it arrived, against its way; and where nobody saw it arrive."""
+ALIKE = 0.5
+"""Part of that variance which a joint has in common in all poses that it reached from one side: many of them are no cure."""
 FRICTION, PLACE, MOVING = "friction of joints that stand", "where the load lies", "a few seconds of motion"
 ROUNDS = 20
 
@@ -75,8 +77,8 @@ class Stances:
             away = np.abs(position[:first] - at) > band
             before = [int(np.flatnonzero(column)[-1]) if column.any() else -1 for column in away.T]
             way = [float(np.sign(at[n] - position[row, n])) if row >= 0 else 0.0 for n, row in enumerate(before)]
-            if found and np.abs(found[-1][0] - at).max() < SAME_POSE_RAD:
-                way = [now or then for now, then in zip(way, found.pop()[2].tolist(), strict=True)]
+            if found and np.abs(found[-1][0] - at).max() < SAME_POSE_RAD and way == found[-1][2].tolist():
+                found.pop()
             found.append((at, current[stood].mean(axis=0), np.array(way)))
         shape = (len(found), len(joints))
         return cls(*(np.array([row[k] for row in found]).reshape(shape) for k in range(3)))
@@ -92,6 +94,7 @@ class RestFit:
         rms, expected_rms: The same in torque, and what is expected [N m].
         stances: That it rests on.
         moved_s: Seconds of motion that it rests on instead; 0: on stances.
+        beside: What the other of the two says, with its standard deviation [kg].
     """
 
     mass_kg: float
@@ -103,6 +106,7 @@ class RestFit:
     rms: float = float("nan")
     expected_rms: float = float("nan")
     moved_s: float = 0.0
+    beside: tuple[float, float] | None = None
 
 
 def fit_at_rest(
@@ -139,10 +143,10 @@ def fit_at_rest(
             f"{motions[0].name}: the arm neither stands still for {SHORTEST_S:g} s nor moves for long enough: hold it in several "
             "poses for 2 s each, or record 15 s of motion"
         )
-    if by_stance is None or (moving is not None and moving.std_kg < by_stance.std_kg):
-        assert moving is not None
-        return moving
-    return by_stance
+    if by_stance is None or moving is None:
+        return by_stance or moving  # type: ignore[return-value]
+    coarser, finer = sorted((by_stance, moving), key=lambda fit: -fit.std_kg)
+    return replace(finer, beside=(coarser.mass_kg, coarser.std_kg))
 
 
 def _in_motion(
@@ -180,6 +184,7 @@ def _by_stances(
     stances, size = len(stood.way), torque.size
     joint = np.tile(np.arange(count), stances)
     row, way, mass = np.arange(size), stood.way.ravel(), 0.0
+    alike = (joint[:, None] == joint) & (way[:, None] == way)
     given = 1.0 - values[shares][joint]
     pull = (by_body.reshape(size, -1) @ values[bodies]).ravel()
     lever, shift = per_kg.ravel() * given, axes.reshape(size, 3) * given[:, None] * centre_std_m
@@ -199,7 +204,8 @@ def _by_stances(
         stretched = follows @ calibration.deviations.T
         parts = {
             CALIBRATION: max(learnt, stretched @ stretched.T, key=np.trace) + of_recording @ of_recording.T,
-            FRICTION: np.diag(of_friction**2 + calibration.residual[joint] ** 2),
+            FRICTION: np.where(alike, ALIKE * np.outer(of_friction, of_friction), 0.0)
+            + np.diag((1.0 - ALIKE) * of_friction**2 + calibration.residual[joint] ** 2),
             PLACE: mass**2 * shift @ shift.T,
         }
         covariance = np.sum(list(parts.values()), axis=0)

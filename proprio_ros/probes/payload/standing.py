@@ -18,7 +18,7 @@ from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import MotionFit, fit_payload
 from proprio_ros.identification.regression.refusals import WIDEST_SHARE, lighter_than_empty, unlike_urdf
-from proprio_ros.probes.payload.moving import WIDEST_OF_ARM, drift, motion_answer
+from proprio_ros.probes.payload.moving import APART_SIGMAS, WIDEST_OF_ARM, drift, motion_answer
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -78,7 +78,9 @@ def identify_standing(
 
 def _refusals(name: str, fit: RestFit, moving: MotionFit | None, arm_over_urdf: float) -> Iterator[Refusal]:
     worse = 0.0 if moving is None else float(np.nanmax(moving.residual / moving.empty_residual))
-    if fit.chi2 > chi2_limit(max(fit.freedom, 1)) or worse > MUCH_WORSE:
+    other, other_std = fit.beside or (fit.mass_kg, 0.0)
+    apart = abs(other - fit.mass_kg) > APART_SIGMAS * np.hypot(other_std, fit.std_kg)
+    if fit.chi2 > chi2_limit(max(fit.freedom, 1)) or worse > MUCH_WORSE or apart:
         yield rejected(
             "misfit",
             "the model does not explain the recording",

@@ -63,6 +63,9 @@ def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
     assert found.position == pytest.approx(np.array([goals[0], goals[1], goals[3]]), abs=1e-3)
     assert found.current_A == pytest.approx(0.1 * found.position)
     assert found.way.tolist() == [[0, 0, 0, 0, 0], [1, -1, 1, 0, 1], [1, -1, 1, 0, 1]]
+    # the same pose from the other side is another stance
+    step = [goals[0], goals[2], [at + 0.02 for at in goals[2]], goals[2]]
+    assert Stances.of(robot, recorded(robot, step), JOINTS).way[:, 1].tolist() == [0, -1, 1, -1]
     # one that never rests has none
     swaying = recorded(robot, [[0.1 * (-1) ** k] * 5 for k in range(4)])
     ways = np.flatnonzero(np.abs(np.diff(swaying.position[:, 0])) > 2e-3)
