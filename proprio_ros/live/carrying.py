@@ -15,12 +15,11 @@ import numpy as np
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, fill_drives
 from proprio_ros.identification.regression.motion_prior import file_prior
-from proprio_ros.identification.regression.weak_form import carriers
 from proprio_ros.quantity import Z95
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.robot.regressor import PARAMETERS, kinematics, momentum_and_gravity, point_mass
+from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_and_gravity, point_mass
 
 CENTRE_STD_M = 0.01
 """Of a load's centre in each direction, where nobody says how well it is known."""

@@ -60,9 +60,13 @@ def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
         [0.1 + 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3],
     ]
     found = Stances.of(robot, recorded(robot, goals), JOINTS)
-    assert found.position == pytest.approx(np.array([goals[0], goals[1], goals[3]]), abs=1e-3)
+    assert found.position == pytest.approx(np.array(goals), abs=1e-3)
     assert found.current_A == pytest.approx(0.1 * found.position)
-    assert found.way.tolist() == [[0, 0, 0, 0, 0], [1, -1, 1, 0, 1], [1, -1, 1, 0, 1]]
+    assert found.way.tolist() == [[0, 0, 0, 0, 0], [1, -1, 1, 0, 1], [-1, -1, 1, 0, 1], [1, -1, 1, 0, 1]]
+    further = [*goals[:3], [0.1 - 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3]]  # a touch, the way it came
+    assert Stances.of(robot, recorded(robot, further), JOINTS).position == pytest.approx(
+        np.array([*further[:2], further[3]]), abs=1e-3
+    )
     # the same pose from the other side is another stance
     step = [goals[0], goals[2], [at + 0.02 for at in goals[2]], goals[2]]
     assert Stances.of(robot, recorded(robot, step), JOINTS).way[:, 1].tolist() == [0, -1, 1, -1]
