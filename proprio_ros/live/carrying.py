@@ -19,7 +19,7 @@ from proprio_ros.quantity import Z95
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_and_gravity, point_mass
+from proprio_ros.robot.regressor import PARAMETERS, gravity_torques, point_mass
 
 CENTRE_STD_M = 0.01
 """Of a load's centre in each direction, where nobody says how well it is known."""
@@ -105,14 +105,7 @@ class Carrier:
         if lacking := [name for name in self.joints if name not in pose]:
             raise RobotError(f"the pose lacks {', '.join(lacking)}; state all joints")
         count = len(self.joints)
-        at = np.array([[pose[name] for name in self.joints]])
-        motion, columns = kinematics(self._arm.model, at, np.zeros((1, count))), np.zeros((count, count, PARAMETERS))
-        for body in range(count):
-            _, wrench = momentum_and_gravity(
-                motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], self._arm.model.gravity
-            )
-            for joint in carriers(self._arm.model, body):
-                columns[joint, body] = -motion.axis[0, joint] @ wrench[0]
+        columns = gravity_torques(self._arm.model, np.array([[pose[name] for name in self.joints]]))[0]
         own, none = np.eye(count), np.zeros((count, count))
         bodies = columns.reshape(count, -1)
         design = np.hstack([bodies, *[none] * (len(self._values) // count - PARAMETERS - 1), own])

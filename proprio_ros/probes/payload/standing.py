@@ -17,8 +17,8 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import MotionFit, fit_payload
-from proprio_ros.identification.regression.refusals import WIDEST_SHARE, lighter_than_empty, unlike_urdf
-from proprio_ros.probes.payload.moving import APART_SIGMAS, WIDEST_OF_ARM, drift, motion_answer
+from proprio_ros.identification.regression.refusals import APART_SIGMAS, WIDEST_SHARE, lighter_than_empty, unlike_urdf
+from proprio_ros.probes.payload.moving import WIDEST_OF_ARM, drift, motion_answer
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
