@@ -93,13 +93,9 @@ REMEDIES = {
 
 
 class Reason(str):
-    """A sentence, and why it was said.
+    """A sentence, and why it was said."""
 
-    Attributes:
-        code: One of `CODES`.
-    """
-
-    code: str
+    code: str  # one of `CODES`
 
     def __new__(cls, code: str, sentence: str) -> Reason:
         reason = super().__new__(cls, sentence)

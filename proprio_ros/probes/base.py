@@ -37,40 +37,27 @@ Facts = TypeVar("Facts")
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was read.
+    """What was read."""
 
-    Attributes:
-        runs, baseline: Of the object, and made with them without it.
-        sources: Where each run comes from.
-        text: The text recording among them.
-        motions, baseline_motions: Recordings in which several joints were driven at once; then there are no runs.
-    """
-
+    # runs, baseline: of the object, and made with them without it
     runs: Sequence[Run]
     baseline: Sequence[Run] = ()
-    sources: Sequence[Path] = ()
-    text: TextRecording | None = None
+    sources: Sequence[Path] = ()  # where each run comes from
+    text: TextRecording | None = None  # the text recording among them
+    # motions, baseline_motions: recordings in which several joints were driven at once; then there are no runs
     motions: Sequence[Motion] = ()
     baseline_motions: Sequence[Motion] = ()
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """Runs that are made once, without what is to be identified.
+    """Runs that are made once, without what is to be identified."""
 
-    Attributes:
-        noun: What they weigh, such as ``empty container``.
-        hand: What the user is asked for before them, as a sentence.
-        question: What to ask where they do not weigh what they should.
-        missing: What a user does who has none and needs one.
-        probe: What they are identified as.
-    """
-
-    noun: str
-    hand: str
-    question: str
-    missing: str
-    probe: str = "payload"
+    noun: str  # what they weigh, such as ``empty container``
+    hand: str  # what the user is asked for before them, as a sentence
+    question: str  # what to ask where they do not weigh what they should
+    missing: str  # what a user does who has none and needs one
+    probe: str = "payload"  # what they are identified as
 
 
 @dataclass(frozen=True)
@@ -86,50 +73,36 @@ class Limit:
 
 @dataclass(frozen=True)
 class Example:
-    """What ``proprio demo`` and the launch file show of a probe on a virtual robot.
+    """What ``proprio demo`` and the launch file show of a probe on a virtual robot."""
 
-    Attributes:
-        flag, metavar, help: Of the option that states the truth, without its dashes.
-        truth, lowest, highest: Where it is not given, and its range, in the unit of the probe's answer.
-        units: What to say about a number outside it.
-        held: What the virtual hand holds, with ``{truth}`` in it, as `virtual_object` is typed.
-        now, was, takes: The sentence when it is in the hand; what the truth is called at the end; how long it takes.
-        sequences: The identifier's parameters for a short demo.
-        reference: Whether a weight helps the short calibration.
-        stated: Settings that say what the virtual object is, as a user says it of his.
-    """
-
+    # flag, metavar, help: of the option that states the truth, without its dashes
     flag: str
     metavar: str
     help: str
+    # truth, lowest, highest: where it is not given, and its range, in the unit of the probe's answer
     truth: float
     lowest: float
     highest: float
-    units: str
-    held: str
+    units: str  # what to say about a number outside it
+    held: str  # what the virtual hand holds, with ``{truth}`` in it, as `virtual_object` is typed
+    # now, was, takes: the sentence when it is in the hand; what the truth is called at the end; how long it takes
     now: str
     was: str
     takes: str
-    sequences: Mapping[str, str] = field(default_factory=dict)
-    reference: bool = False
-    stated: tuple[str, ...] = ()
+    sequences: Mapping[str, str] = field(default_factory=dict)  # the identifier's parameters for a short demo
+    reference: bool = False  # whether a weight helps the short calibration
+    stated: tuple[str, ...] = ()  # settings that say what the virtual object is, as a user says it of his
 
 
 @dataclass(frozen=True)
 class Carried:
-    """A rigid load, as others want to hear of it.
-
-    Attributes:
-        com_m: Centre of mass in the payload frame, shape (3,).
-        inertia_kg_m2: About it, shape (3, 3).
-        com_guessed: Whether nobody stated the centre and nothing showed it.
-        inertia_is: Where it comes from: ``identified``, ``stated``, or ``assumed`` where nobody said it and no motion showed it.
-    """
+    """A rigid load, as others want to hear of it."""
 
     mass_kg: float
-    com_m: Sequence[float]
-    inertia_kg_m2: np.ndarray
-    com_guessed: bool = False
+    com_m: Sequence[float]  # centre of mass in the payload frame, shape (3,)
+    inertia_kg_m2: np.ndarray  # about it, shape (3, 3)
+    com_guessed: bool = False  # whether nobody stated the centre and nothing showed it
+    # where it comes from: ``identified``, ``stated``, or ``assumed`` where nobody said it and no motion showed it
     inertia_is: str = "stated"
 
 
@@ -152,31 +125,19 @@ class Shapes:
 
 
 class Probe(ABC, Generic[Facts]):
-    """One thing that can be identified.
+    """One thing that can be identified."""
 
-    Attributes:
-        name: On the command line, in file and service names.
-        subject: What the answer is about, in a sentence.
-        answer: Name and unit of its first value.
-        numbers: Topics of the identifier that are plain numbers, and the value that is published on each.
-        keys: What the settings about its object begin with.
-        unknowns: Kinds of unknowns that it brings, by name.
-        virtual_object: What a virtual hand holds for it; None: nothing.
-        hand: What the user is asked for before the runs, as a sentence; empty: nothing.
-        default_sequence: The runs that are made where none is named.
-        example: What the demo shows; None: no demo.
-    """
-
-    name: ClassVar[str]
-    subject: ClassVar[str]
-    answer: ClassVar[tuple[str, str]]
+    name: ClassVar[str]  # on the command line, in file and service names
+    subject: ClassVar[str]  # what the answer is about, in a sentence
+    answer: ClassVar[tuple[str, str]]  # name and unit of its first value
+    # topics of the identifier that are plain numbers, and the value that is published on each
     numbers: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    keys: ClassVar[tuple[str, ...]]
-    unknowns: ClassVar[Mapping[str, Kind]] = MappingProxyType({})
-    virtual_object: ClassVar[type[HandObject] | None] = None
-    hand: ClassVar[str] = ""
-    default_sequence: ClassVar[str]
-    example: ClassVar[Example | None] = None
+    keys: ClassVar[tuple[str, ...]]  # what the settings about its object begin with
+    unknowns: ClassVar[Mapping[str, Kind]] = MappingProxyType({})  # kinds of unknowns that it brings, by name
+    virtual_object: ClassVar[type[HandObject] | None] = None  # what a virtual hand holds for it; None: nothing
+    hand: ClassVar[str] = ""  # what the user is asked for before the runs, as a sentence; empty: nothing
+    default_sequence: ClassVar[str]  # the runs that are made where none is named
+    example: ClassVar[Example | None] = None  # what the demo shows; None: no demo
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Whoever imports anything of a probe can name its unknowns."""
@@ -260,11 +221,7 @@ class Guards(Probe[Facts]):
     limits: ClassVar[tuple[Limit, ...]] = ()
 
     def check_live(self, facts: Facts) -> None:
-        """Whether the nodes can do what the facts ask for.
-
-        Raises:
-            ConfigurationError: They cannot; with what to do instead.
-        """
+        """Whether the nodes can do what the facts ask for. Raises `ConfigurationError`: They cannot; with what to do instead."""
 
     def check(self, robot: Robot, facts: Facts, sequence: ExcitationSequence, limits: Mapping[str, float]) -> None:
         """Whether a sequence may be made with this object; ``limits`` by name.

@@ -82,11 +82,7 @@ def lame_of_small_strain(law: str, mu: float, lam: float) -> tuple[float, float]
 
 
 def check_material(law: str, mu: float, lam: float) -> None:
-    """Refuse what no solid is made of.
-
-    Raises:
-        SimulationError: Shear or bulk modulus at small strain not above zero.
-    """
+    """Refuse what no solid is made of. Raises `SimulationError`: Shear or bulk modulus at small strain not above zero."""
     shear, lame_lambda = small_strain_lame(law, mu, lam)
     if not (np.isfinite([mu, lam]).all() and shear > 0.0 and 3.0 * lame_lambda + 2.0 * shear > 0.0):
         raise SimulationError(

@@ -35,11 +35,7 @@ _SIZES = (1, 8, 16)  # more directions than the last go in several launches: see
 
 @dataclass(frozen=True)
 class Enclosure:
-    """The inside of a container and the sphere's size.
-
-    Raises:
-        SimulationError: Unknown shape, or a sphere that does not fit.
-    """
+    """The inside of a container and the sphere's size. Raises `SimulationError`: Unknown shape, or a sphere that does not fit."""
 
     shape: str  # ``"box"``, ``"cylinder"`` (axis along z) or ``"sphere"``
     # [m] box: [x, y, z]; cylinder: [diameter, diameter, length]; sphere: three times its diameter; shape (3,)

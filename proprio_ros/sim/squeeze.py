@@ -36,11 +36,7 @@ _SIZES = (1, 4, 8, 12, 18)
 
 @dataclass(frozen=True)
 class SqueezeRun:
-    """One closing of the gripper on the block.
-
-    Raises:
-        SimulationError: A length or area that is not above 0, or no travel.
-    """
+    """One closing of the gripper on the block. Raises `SimulationError`: A length or area that is not above 0, or no travel."""
 
     joint: JointRun  # what drives the joint and when it is looked at
     length: float  # of the block along the squeeze [m]

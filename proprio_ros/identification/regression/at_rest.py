@@ -86,27 +86,20 @@ class Stances:
 
 @dataclass(frozen=True)
 class RestFit:
-    """The mass in the hand of an arm that stood, or hardly moved.
-
-    Attributes:
-        parts: What puts how much standard deviation on it [kg], by name.
-        chi2, freedom: What is left over, in its standard deviations, squared and summed, and of how many equations.
-        rms, expected_rms: The same in torque, and what is expected [N m].
-        stances: That it rests on.
-        moved_s: Seconds of motion that it rests on instead; 0: on stances.
-        beside: What the other of the two says, with its standard deviation [kg].
-    """
+    """The mass in the hand of an arm that stood, or hardly moved."""
 
     mass_kg: float
     std_kg: float
-    stances: int
-    parts: Mapping[str, float]
+    stances: int  # that it rests on
+    parts: Mapping[str, float]  # what puts how much standard deviation on it [kg], by name
+    # chi2, freedom: what is left over, in its standard deviations, squared and summed, and of how many equations
     chi2: float = 0.0
     freedom: int = 0
+    # rms, expected_rms: the same in torque, and what is expected [N m]
     rms: float = float("nan")
     expected_rms: float = float("nan")
-    moved_s: float = 0.0
-    beside: tuple[float, float] | None = None
+    moved_s: float = 0.0  # seconds of motion that it rests on instead; 0: on stances
+    beside: tuple[float, float] | None = None  # what the other of the two says, with its standard deviation [kg]
 
 
 def fit_at_rest(

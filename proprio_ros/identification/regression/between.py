@@ -75,18 +75,12 @@ class Between:
 
     A recording's own terms are viscous friction, Coulomb friction, offset, share of the torque and zero of each joint, and a share
     of the torque in common: 5 n + 1.
-
-    Attributes:
-        spreads: By kind, in the units of `PUBLISHED`.
-        recordings: On how many recordings' word each rests.
-        friction: What a spread of 1 is: of viscous friction, Coulomb friction and the offset, shape (3 n,).
-        drift: What these change by within a recording, shape (3 n,).
     """
 
-    spreads: Mapping[str, float]
-    recordings: Mapping[str, float]
-    friction: FloatArray
-    drift: FloatArray
+    spreads: Mapping[str, float]  # by kind, in the units of `PUBLISHED`
+    recordings: Mapping[str, float]  # on how many recordings' word each rests
+    friction: FloatArray  # what a spread of 1 is: of viscous friction, Coulomb friction and the offset, shape (3 n,)
+    drift: FloatArray  # what these change by within a recording, shape (3 n,)
 
     @classmethod
     def published(cls, friction: FloatArray, drift: FloatArray) -> Between:

@@ -38,27 +38,16 @@ RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the ne
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm whose other joints are locked, and the frame in which a payload counts.
+    """An arm whose other joints are locked, and the frame in which a payload counts."""
 
-    Attributes:
-        model: Its n joints.
-        body: Number of the body that carries the payload.
-        from_payload: That body's parameters per unit of the payload's in the payload's frame, shape (10, 10).
-        reach_m: From the base to the hand along the links.
-    """
-
-    model: ReducedModel
-    body: int
-    from_payload: FloatArray
-    reach_m: float
+    model: ReducedModel  # its n joints
+    body: int  # number of the body that carries the payload
+    from_payload: FloatArray  # that body's parameters per unit of the payload's in the payload's frame, shape (10, 10)
+    reach_m: float  # from the base to the hand along the links
 
     @classmethod
     def of(cls, robot: Robot, joints: Sequence[str], locked: dict[str, float]) -> Arm:
-        """The arm with the positions of the other joints [rad or m].
-
-        Raises:
-            RobotError: No joint moves the hand.
-        """
+        """The arm with the positions of the other joints [rad or m]. Raises `RobotError`: No joint moves the hand."""
         model = robot.model.lock(list(joints), locked, robot.gravity)
         body, body_from_payload = model.frames[robot.payload_frame]
         if body < 0:
@@ -170,26 +159,18 @@ def sizes(mass_kg: float, length_m: float) -> list[float]:
 
 @dataclass(frozen=True)
 class Rows:
-    """Linear equations of one motion: E rows, of a window and a joint each.
+    """Linear equations of one motion: E rows, of a window and a joint each."""
 
-    Attributes:
-        start_s: When the window begins, shape (E,).
-        joint: Number of the joint, shape (E,).
-        design: Mean torque per unit of the arm's terms in the order of `term_keys`; load friction and shares of the torque are
-            zero, since they go with the solution; shape (E, 20 n).
-        payload: Per unit of the payload's parameters, in its frame, shape (E, 10).
-        direction: Mean of the joint's direction of motion, -1 to 1, shape (E,).
-        torque: Mean motor torque [N m], shape (E,).
-        zero: By how much the columns of the payload's parameters and the bodies' change per radian of each joint's zero, shape
-            (E, n, 10 + 10 n); of no joint where nobody asked.
-    """
-
-    start_s: FloatArray
-    joint: NDArray[np.int64]
+    start_s: FloatArray  # when the window begins, shape (E,)
+    joint: NDArray[np.int64]  # number of the joint, shape (E,)
+    # mean torque per unit of the arm's terms in the order of `term_keys`; load friction and shares of the torque are
+    # zero, since they go with the solution; shape (E, 20 n)
     design: FloatArray
-    payload: FloatArray
-    direction: FloatArray
-    torque: FloatArray
+    payload: FloatArray  # per unit of the payload's parameters, in its frame, shape (E, 10)
+    direction: FloatArray  # mean of the joint's direction of motion, -1 to 1, shape (E,)
+    torque: FloatArray  # mean motor torque [N m], shape (E,)
+    # by how much the columns of the payload's parameters and the bodies' change per radian of each joint's zero, shape
+    # (E, n, 10 + 10 n); of no joint where nobody asked
     zero: FloatArray
 
     @classmethod
@@ -267,29 +248,20 @@ def fill_drives(
 
 @dataclass(frozen=True)
 class Problem:
-    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and each motion's own, 5 n + 1 (see `Between`).
+    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and each motion's own, 5 n + 1 (see `Between`)."""
 
-    Attributes:
-        matrix: Shape (E, U); columns of gears, torque constants, scales and zeros are filled while it is solved.
-        torque, joint, direction: Of each equation, see `Rows`.
-        stretch: Of each, labelled apart from motion to motion, shape (E,).
-        motion: Number of its motion, shape (E,).
-        by_mass: Mean torque per kilogram at the payload's place, held or not, shape (E,).
-        zero: See `Rows`, with nothing of the payload where none is held.
-        loaded: So many motions, the first ones, hold the payload.
-        count: Of joints, n.
-    """
-
+    # shape (E, U); columns of gears, torque constants, scales and zeros are filled while it is solved
     matrix: FloatArray
+    # torque, joint, direction: of each equation, see `Rows`
     torque: FloatArray
     joint: NDArray[np.int64]
-    stretch: NDArray[np.int64]
+    stretch: NDArray[np.int64]  # of each, labelled apart from motion to motion, shape (E,)
     direction: FloatArray
-    motion: NDArray[np.int64]
-    by_mass: FloatArray
-    zero: FloatArray
-    loaded: int
-    count: int
+    motion: NDArray[np.int64]  # number of its motion, shape (E,)
+    by_mass: FloatArray  # mean torque per kilogram at the payload's place, held or not, shape (E,)
+    zero: FloatArray  # see `Rows`, with nothing of the payload where none is held
+    loaded: int  # so many motions, the first ones, hold the payload
+    count: int  # of joints, n
 
     @classmethod
     def of(cls, parts: Sequence[Rows], loaded: int) -> Problem:

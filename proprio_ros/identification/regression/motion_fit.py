@@ -63,50 +63,35 @@ STRETCHES, UNDETERMINED, CALIBRATION, CONSTANTS = (
 
 @dataclass(frozen=True)
 class MotionFit:
-    """What the hand holds, and what that rests on.
+    """What the hand holds, and what that rests on."""
 
-    Attributes:
-        joints: That moved or could, in the order of the arrays by joint.
-        values: The payload's parameters, shape (10,).
-        covariance: From stretches, priors, calibration and torque constants together, shape (10, 10).
-        parts: What puts how much standard deviation on the mass [kg], by name.
-        stretches: Of the motions with the payload.
-        residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m], shape (n,).
-        driven: rms of the mean torque itself [N m], shape (n,).
-        quantile: Half width of a 95 % interval in standard deviations: Student's, by the number of stretches.
-        halves: Mass and its standard deviation from the first and from the second half [kg]; None where they are too short.
-        arm_kg: Mass of all that moves of the arm.
-        arm_over_urdf: By how much the torques of the arm's own bodies are those that its URDF says.
-        payload_prior: Standard deviations of the payload's ten parameters under their prior, shape (10,).
-        keys: Of the arm's terms, length P.
-        arm, arm_prior, arm_std: Their values, and the prior's with its standard deviations, shape (P,).
-        torque_ratio, torque_ratio_std: Torques of the motions with the payload over what arm and payload need by the empty
-            motions, shape (n,): 1 unless units or torque constants differ.
-        tells: How much of what is known of the mass each joint tells, shape (n,), sum 1.
-        shown: Torque over time, for a picture.
-    """
-
-    joints: tuple[str, ...]
-    values: FloatArray
-    covariance: FloatArray
-    parts: Mapping[str, float]
-    stretches: int
+    joints: tuple[str, ...]  # that moved or could, in the order of the arrays by joint
+    values: FloatArray  # the payload's parameters, shape (10,)
+    covariance: FloatArray  # from stretches, priors, calibration and torque constants together, shape (10, 10)
+    parts: Mapping[str, float]  # what puts how much standard deviation on the mass [kg], by name
+    stretches: int  # of the motions with the payload
+    # residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m],
+    # shape (n,)
     residual: FloatArray
     empty_residual: FloatArray
-    driven: FloatArray
-    quantile: float
+    driven: FloatArray  # rms of the mean torque itself [N m], shape (n,)
+    quantile: float  # half width of a 95 % interval in standard deviations: Student's, by the number of stretches
+    # mass and its standard deviation from the first and from the second half [kg]; None where they are too short
     halves: tuple[tuple[float, float], tuple[float, float]] | None
-    arm_kg: float
-    arm_over_urdf: float
-    payload_prior: FloatArray
-    keys: tuple[Key, ...]
+    arm_kg: float  # mass of all that moves of the arm
+    arm_over_urdf: float  # by how much the torques of the arm's own bodies are those that its URDF says
+    payload_prior: FloatArray  # standard deviations of the payload's ten parameters under their prior, shape (10,)
+    keys: tuple[Key, ...]  # of the arm's terms, length P
+    # arm, arm_prior, arm_std: their values, and the prior's with its standard deviations, shape (P,)
     arm: FloatArray
     arm_prior: FloatArray
     arm_std: FloatArray
+    # torque_ratio, torque_ratio_std: torques of the motions with the payload over what arm and payload need by the
+    # empty motions, shape (n,): 1 unless units or torque constants differ
     torque_ratio: FloatArray
     torque_ratio_std: FloatArray
-    tells: FloatArray
-    shown: tuple[JointFit, ...]
+    tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
+    shown: tuple[JointFit, ...]  # torque over time, for a picture
 
     @property
     def misfit(self) -> float:

@@ -46,37 +46,26 @@ UPRIGHT_SHARE = 0.2
 
 @dataclass(frozen=True)
 class OneJointFit:
-    """What the motions of one joint say.
+    """What the motions of one joint say."""
 
-    Attributes:
-        joint: Its name.
-        values: Length of the equivalent pendulum [m], inertia [kg m^2], first moment along both directions of `Hinge` [kg m], (4,).
-        covariance: Of these, but for the torque's scale, shape (4, 4).
-        stretches: Number of stretches.
-        quantile: Half width of a 95 % interval in standard deviations.
-        residual: rms of the windows' mean torque that is left over [N m].
-        driven: rms of the mean torque [N m].
-        load: rms of the part that inertia and gravity take of it [N m].
-        free_share: Of the acceleration's variance, that gravity and friction explain without any torque of the motor.
-        free_m: Length of the pendulum whose free response that would be [m].
-        viscous, coulomb: Means over the motions [N m s/rad], [N m].
-        one_sign: Whether no sample of the torque has another sign than the others.
-        windows, left_over: Of each motion, and the torque that is left over in all of them [N m], shape (W,).
-    """
-
-    joint: str
+    joint: str  # its name
+    # length of the equivalent pendulum [m], inertia [kg m^2], first moment along both directions of `Hinge` [kg m],
+    # (4,)
     values: FloatArray
-    covariance: FloatArray
-    stretches: int
-    quantile: float
-    residual: float
-    driven: float
-    load: float
+    covariance: FloatArray  # of these, but for the torque's scale, shape (4, 4)
+    stretches: int  # number of stretches
+    quantile: float  # half width of a 95 % interval in standard deviations
+    residual: float  # rms of the windows' mean torque that is left over [N m]
+    driven: float  # rms of the mean torque [N m]
+    load: float  # rms of the part that inertia and gravity take of it [N m]
+    # of the acceleration's variance, that gravity and friction explain without any torque of the motor
     free_share: float
-    free_m: float
+    free_m: float  # length of the pendulum whose free response that would be [m]
+    # viscous, coulomb: means over the motions [N m s/rad], [N m]
     viscous: float
     coulomb: float
-    one_sign: bool
+    one_sign: bool  # whether no sample of the torque has another sign than the others
+    # windows, left_over: of each motion, and the torque that is left over in all of them [N m], shape (W,)
     windows: Sequence[Table]
     left_over: FloatArray
 
@@ -88,19 +77,12 @@ class OneJointFit:
 
 @dataclass(frozen=True)
 class Hinge:
-    """A joint that moves alone, in the frame of its body at position zero.
+    """A joint that moves alone, in the frame of its body at position zero."""
 
-    Attributes:
-        model: The robot with its other joints locked.
-        axis: Unit vector, shape (3,).
-        gravity: [m/s^2], shape (3,).
-        directions: Two unit vectors across the axis, and each other, shape (2, 3).
-    """
-
-    model: ReducedModel
-    axis: FloatArray
-    gravity: FloatArray
-    directions: FloatArray
+    model: ReducedModel  # the robot with its other joints locked
+    axis: FloatArray  # unit vector, shape (3,)
+    gravity: FloatArray  # [m/s^2], shape (3,)
+    directions: FloatArray  # two unit vectors across the axis, and each other, shape (2, 3)
 
     @classmethod
     def of(cls, robot: Robot, joint: str, motion: Motion) -> Hinge:
@@ -116,17 +98,11 @@ class Hinge:
 
 @dataclass(frozen=True)
 class Carried:
-    """What hangs on a joint by robot file and facts, as the columns of a `Table` take it: inertia [kg m^2], first moments [kg m].
+    """What hangs on a joint by robot file and facts, as a `Table` takes it, by column: inertia [kg m^2], first moments [kg m]."""
 
-    Attributes:
-        arm: Of the URDF's bodies, shape (3,).
-        per_kg: Of the payload, shape (3,).
-        centre_std_m: How well the payload's place across the axis is known.
-    """
-
-    arm: FloatArray
-    per_kg: FloatArray
-    centre_std_m: float
+    arm: FloatArray  # of the URDF's bodies, shape (3,)
+    per_kg: FloatArray  # of the payload, shape (3,)
+    centre_std_m: float  # how well the payload's place across the axis is known
 
 
 def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) -> Carried:
@@ -205,19 +181,13 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
 
 @dataclass(frozen=True)
 class Table:
-    """Windows of one motion.
+    """Windows of one motion."""
 
-    Attributes:
-        columns: Mean torque per unit of inertia, two first moments, viscous and Coulomb friction, offset, shape (W, 6).
-        torque: Mean torque of the motor [N m], shape (W,).
-        stretch: Number of the stretch, shape (W,).
-        middle_s: Of each window [s], shape (W,).
-    """
-
+    # mean torque per unit of inertia, two first moments, viscous and Coulomb friction, offset, shape (W, 6)
     columns: FloatArray
-    torque: FloatArray
-    stretch: NDArray[np.int64]
-    middle_s: FloatArray
+    torque: FloatArray  # mean torque of the motor [N m], shape (W,)
+    stretch: NDArray[np.int64]  # number of the stretch, shape (W,)
+    middle_s: FloatArray  # of each window [s], shape (W,)
 
 
 def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:

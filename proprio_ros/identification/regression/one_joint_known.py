@@ -64,35 +64,22 @@ STRETCHES, CALIBRATION, RUNS, ARM, PLACE, OUTSIDE = (
 
 @dataclass(frozen=True)
 class KnownJointFit:
-    """A mass, and what it errs by.
+    """A mass, and what it errs by."""
 
-    Attributes:
-        mass, std: [kg].
-        quantile: Half width of a 95 % interval in standard deviations.
-        parts: What puts how much standard deviation on it [kg], by name.
-        stretches: Of the recordings.
-        residual: rms of the windows' mean torque that is left over [N m]; driven: of the torque itself.
-        at_the_end: Whether the mass stands at the end of what was looked for.
-        shown: Torque over time, for a picture.
-    """
-
+    # mass, std: [kg]
     mass: float
     std: float
-    quantile: float
-    parts: tuple[tuple[str, float], ...]
-    stretches: int
-    residual: float
+    quantile: float  # half width of a 95 % interval in standard deviations
+    parts: tuple[tuple[str, float], ...]  # what puts how much standard deviation on it [kg], by name
+    stretches: int  # of the recordings
+    residual: float  # rms of the windows' mean torque that is left over [N m]; driven: of the torque itself
     driven: float
-    at_the_end: bool
-    shown: tuple[JointFit, ...]
+    at_the_end: bool  # whether the mass stands at the end of what was looked for
+    shown: tuple[JointFit, ...]  # torque over time, for a picture
 
 
 def tables_of(robot: Robot, motion: Motion, joint: str) -> tuple[Table, ...]:
-    """What one motion says, once for each length of the windows.
-
-    Raises:
-        RecordingError: It does not move for long enough.
-    """
+    """What one motion says, once for each length of the windows. Raises `RecordingError`: It does not move for long enough."""
     hinge = Hinge.of(robot, joint, motion)
     return tuple(table_of(robot, motion, joint, hinge, window_s, CREEP_RAD_S) for window_s in WINDOWS_S)
 

@@ -89,26 +89,17 @@ CENTRE_STD_M = 0.01
 
 @dataclass(frozen=True)
 class OnlineEstimate:
-    """What the hand holds now.
+    """What the hand holds now."""
 
-    Attributes:
-        time_s: End of the newest window that was looked at, on the clock of the samples.
-        mass_kg, std_kg: Of what is held; below zero where the hand seems lighter than empty.
-        ci95_kg: 95 % interval.
-        motion_s: Seconds of motion since the last change that it rests on, `MEMORY_S` at most.
-        changed: Whether something was picked up or put down just now.
-        since_s: When it last was, or when the first sample came.
-        resting_since_s: When the arm came to rest; None while it moves.
-    """
-
-    time_s: float
+    time_s: float  # end of the newest window that was looked at, on the clock of the samples
+    # mass_kg, std_kg: of what is held; below zero where the hand seems lighter than empty
     mass_kg: float
     std_kg: float
-    ci95_kg: tuple[float, float]
-    motion_s: float
-    changed: bool
-    since_s: float
-    resting_since_s: float | None
+    ci95_kg: tuple[float, float]  # 95 % interval
+    motion_s: float  # seconds of motion since the last change that it rests on, `MEMORY_S` at most
+    changed: bool  # whether something was picked up or put down just now
+    since_s: float  # when it last was, or when the first sample came
+    resting_since_s: float | None  # when the arm came to rest; None while it moves
 
     @property
     def known(self) -> bool:

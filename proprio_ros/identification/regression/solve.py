@@ -62,32 +62,20 @@ def posterior(information: FloatArray, side: FloatArray, prior: Prior) -> tuple[
 
 @dataclass(frozen=True)
 class Solution:
-    """Of a `Problem` under a prior.
+    """Of a `Problem` under a prior."""
 
-    Attributes:
-        values: Shape (U,).
-        covariance: Of data and prior, with correlated residuals counted, shape (U, U).
-        information: What the data alone say, shape (U, U).
-        deviations: By stretch, see `MotionCalibration`, shape (stretches, U).
-        residual: Of each equation [N m], shape (E,).
-        rms, correlation: By joint, shape (n,); 0 and 1 where it did not move.
-        prior: As it was in the end.
-        between: By what recordings differ, with what these show.
-        scaled: The equations times their weights, shape (E, U).
-        weight: Shape (E,).
-    """
-
-    values: FloatArray
-    covariance: FloatArray
-    information: FloatArray
-    deviations: FloatArray
-    residual: FloatArray
+    values: FloatArray  # shape (U,)
+    covariance: FloatArray  # of data and prior, with correlated residuals counted, shape (U, U)
+    information: FloatArray  # what the data alone say, shape (U, U)
+    deviations: FloatArray  # by stretch, see `MotionCalibration`, shape (stretches, U)
+    residual: FloatArray  # of each equation [N m], shape (E,)
+    # rms, correlation: by joint, shape (n,); 0 and 1 where it did not move
     rms: FloatArray
     correlation: FloatArray
-    prior: Prior
-    between: Between
-    scaled: FloatArray
-    weight: FloatArray
+    prior: Prior  # as it was in the end
+    between: Between  # by what recordings differ, with what these show
+    scaled: FloatArray  # the equations times their weights, shape (E, U)
+    weight: FloatArray  # shape (E,)
 
     @property
     def payload_prior(self) -> FloatArray:

@@ -19,21 +19,18 @@ BINS, LEAST_BIN_S = 60, 0.5
 
 @dataclass(frozen=True)
 class Explained:
-    """Windows of several motions and joints, E of both together.
+    """Windows of several motions and joints, E of both together."""
 
-    Attributes:
-        middle_s: Time of each window's middle in its motion [s], shape (E,).
-        motion, joint: Numbers of both, shape (E,).
-        measured, left_over, payload: Mean torque, what nothing explains of it, and what the payload makes of it [N m], shape (E,).
-        by_mass: Torque per kilogram at the payload's place, over the standard deviation of what is left over of that joint, (E,).
-    """
-
-    middle_s: FloatArray
+    middle_s: FloatArray  # time of each window's middle in its motion [s], shape (E,)
+    # motion, joint: numbers of both, shape (E,)
     motion: NDArray[np.int64]
     joint: NDArray[np.int64]
+    # measured, left_over, payload: mean torque, what nothing explains of it, and what the payload makes of it [N m],
+    # shape (E,)
     measured: FloatArray
     left_over: FloatArray
     payload: FloatArray
+    # torque per kilogram at the payload's place, over the standard deviation of what is left over of that joint, (E,)
     by_mass: FloatArray
 
     def joint_fits(

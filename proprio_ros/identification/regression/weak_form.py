@@ -32,17 +32,11 @@ from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, moment
 
 @dataclass(frozen=True)
 class Windows:
-    """Test functions over windows of equally spaced samples: ``(1 - x^2)^3``, zero with two derivatives at both ends.
+    """Test functions over windows of equally spaced samples: ``(1 - x^2)^3``, zero with two derivatives at both ends."""
 
-    Attributes:
-        starts: First sample of each window, shape (W,).
-        weight: Its values times the sampling period, normalised to a mean over time, shape (K,).
-        slope: Those of its time derivative, shape (K,).
-    """
-
-    starts: NDArray[np.int64]
-    weight: FloatArray
-    slope: FloatArray
+    starts: NDArray[np.int64]  # first sample of each window, shape (W,)
+    weight: FloatArray  # its values times the sampling period, normalised to a mean over time, shape (K,)
+    slope: FloatArray  # those of its time derivative, shape (K,)
 
     @classmethod
     def over(cls, samples: int, width: int, hop: int) -> Windows:

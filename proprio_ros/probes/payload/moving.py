@@ -57,17 +57,11 @@ WIDEST_OF_ARM = 0.04
 
 @dataclass(frozen=True)
 class MotionDetail:
-    """What only an answer from a motion has.
+    """What only an answer from a motion has."""
 
-    Attributes:
-        stretches: With the payload, that the interval was made from.
-        unseen: Of the ten inertial parameters, those that this motion does not determine.
-        stretch_s: Their length [s].
-    """
-
-    stretches: int
-    unseen: tuple[str, ...]
-    stretch_s: float = STRETCH_S
+    stretches: int  # with the payload, that the interval was made from
+    unseen: tuple[str, ...]  # of the ten inertial parameters, those that this motion does not determine
+    stretch_s: float = STRETCH_S  # their length [s]
 
     def as_json(self) -> dict[str, object]:
         return {"motion": {"stretches": self.stretches, "stretch_s": self.stretch_s, "undetermined": list(self.unseen)}}

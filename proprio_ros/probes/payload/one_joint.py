@@ -55,30 +55,21 @@ EMF_SHARE = 0.3
 
 @dataclass(frozen=True)
 class Weighed:
-    """The payload as the fit and the robot file have it.
+    """The payload as the fit and the robot file have it."""
 
-    Attributes:
-        mass, std: [kg].
-        parts: What puts how much standard deviation on the mass, in words and [kg].
-        torque_std: Of the torque's scale, relative.
-        expected_m: Length of the equivalent pendulum that arm and payload make by the robot file, and its standard deviation [m].
-        awry: Angle between where gravity's moment points and where the file says [rad], and its standard deviation.
-        arm_kg_m: First moment of the arm [kg m].
-        lever_m: From the joint's axis to the payload [m].
-        arm_over_urdf: First moment of the empty arm over that of its URDF; None without a motion of it.
-        per_kg: See `Carried`, shape (3,).
-    """
-
+    # mass, std: [kg]
     mass: float
     std: float
-    parts: tuple[tuple[str, float], ...]
-    torque_std: float
+    parts: tuple[tuple[str, float], ...]  # what puts how much standard deviation on the mass, in words and [kg]
+    torque_std: float  # of the torque's scale, relative
+    # length of the equivalent pendulum that arm and payload make by the robot file, and its standard deviation [m]
     expected_m: tuple[float, float]
+    # angle between where gravity's moment points and where the file says [rad], and its standard deviation
     awry: tuple[float, float]
-    arm_kg_m: float
-    lever_m: float
-    arm_over_urdf: float | None
-    per_kg: np.ndarray
+    arm_kg_m: float  # first moment of the arm [kg m]
+    lever_m: float  # from the joint's axis to the payload [m]
+    arm_over_urdf: float | None  # first moment of the empty arm over that of its URDF; None without a motion of it
+    per_kg: np.ndarray  # see `Carried`, shape (3,)
 
 
 def torque_std(robot: Robot, joint: str) -> float:

@@ -37,21 +37,15 @@ from proprio_ros.sim.payload import PayloadFacts
 
 @dataclass(frozen=True)
 class PaperOptions:
-    """The paper's setting.
+    """The paper's setting."""
 
-    Attributes:
-        substeps: Euler steps per 1/60 s frame, 4 to 64 in the paper.
-        iterations, extended_iterations: Lengths of the cosine schedule, and of one that is allowed to converge.
-        learning_rate: Adam's, at the start [kg per iteration].
-        starts_kg: First guesses.
-        loss_time_s, loss_sample: Simulated instant that is compared, and index of the sample; default the last's.
-    """
-
-    substeps: int = 16
+    substeps: int = 16  # Euler steps per 1/60 s frame, 4 to 64 in the paper
+    # iterations, extended_iterations: lengths of the cosine schedule, and of one that is allowed to converge
     iterations: int = 50
     extended_iterations: int = 400
-    learning_rate: float = 0.01
-    starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)
+    learning_rate: float = 0.01  # Adam's, at the start [kg per iteration]
+    starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)  # first guesses
+    # loss_time_s, loss_sample: simulated instant that is compared, and index of the sample; default the last's
     loss_time_s: float | None = None
     loss_sample: int | None = None
 
