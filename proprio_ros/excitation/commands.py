@@ -12,31 +12,20 @@ SPAN_S = 0.02
 
 @dataclass(frozen=True)
 class JointSample:
-    """One reading of all driven joints.
+    """One reading of all driven joints."""
 
-    Attributes:
-        time_s: When it was taken, on the clock of `ExcitationMachine.tick` [s].
-        position: By joint [rad or m].
-        velocity: By joint [rad/s or m/s].
-    """
-
-    time_s: float
-    position: Mapping[str, float]
-    velocity: Mapping[str, float]
+    time_s: float  # when it was taken, on the clock of `ExcitationMachine.tick` [s]
+    position: Mapping[str, float]  # by joint [rad or m]
+    velocity: Mapping[str, float]  # by joint [rad/s or m/s]
 
 
 @dataclass(frozen=True)
 class Command:
-    """What the servos are to do; no joint is in two of these.
+    """What the servos are to do; no joint is in two of these."""
 
-    Attributes:
-        position: Goals of joints that are held or moved [rad or m].
-        current_A: Currents of joints that are pushed [A].
-        stepped: Goals of joints that are pushed by a step of it [rad or m].
-    """
-
-    position: dict[str, float] = field(default_factory=dict)
-    current_A: dict[str, float] = field(default_factory=dict)
+    position: dict[str, float] = field(default_factory=dict)  # goals of joints that are held or moved [rad or m]
+    current_A: dict[str, float] = field(default_factory=dict)  # currents of joints that are pushed [A]
+    # goals of joints that are pushed by a step of it [rad or m]
     stepped: dict[str, float] = field(default_factory=dict)
 
 

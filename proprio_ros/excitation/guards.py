@@ -25,27 +25,21 @@ STEP_RAD = 0.02  # between two places of the way that are looked at
 
 @dataclass(frozen=True)
 class Guards:
-    """When to stop. Angles and speeds count at the motor's shaft.
+    """When to stop. Angles and speeds count at the motor's shaft."""
 
-    Attributes:
-        limit_margin_rad: Room left before a joint's limit during a run.
-        max_velocity_rad_s: No joint may be faster.
-        stale_after_s: Neither samples nor ticks may be further apart while a current is on; such a run is repeated.
-        patience_s: The same while all joints are held, which the servos do without us; never less than ``stale_after_s``.
-        follow_error_rad, follow_time_s: A joint may be off its goal by so much, for so long, while no current is on.
-        lookahead_s: A run ends when its joint would reach a limit or the table within this time at its present speed.
-        held_joint_error_rad: A joint that is held during a run may be off its goal by so much.
-        max_jump_rad: A position may change by so much from one sample to the next, or as far as the largest velocity takes it.
-    """
-
-    limit_margin_rad: float = 0.05
-    max_velocity_rad_s: float = 6.0
+    limit_margin_rad: float = 0.05  # room left before a joint's limit during a run
+    max_velocity_rad_s: float = 6.0  # no joint may be faster
+    # neither samples nor ticks may be further apart while a current is on; such a run is repeated
     stale_after_s: float = 0.1
+    # the same while all joints are held, which the servos do without us; never less than ``stale_after_s``
     patience_s: float = 1.0
+    # follow_error_rad, follow_time_s: a joint may be off its goal by so much, for so long, while no current is on
     follow_error_rad: float = 0.15
     follow_time_s: float = 0.5
+    # a run ends when its joint would reach a limit or the table within this time at its present speed
     lookahead_s: float = 0.08
-    held_joint_error_rad: float = 0.12
+    held_joint_error_rad: float = 0.12  # a joint that is held during a run may be off its goal by so much
+    # a position may change by so much from one sample to the next, or as far as the largest velocity takes it
     max_jump_rad: float = 0.3
 
 
@@ -94,17 +88,11 @@ def check_step(
 
 @dataclass(frozen=True)
 class FreeResponse:
-    """A joint as a pendulum: gravity's moment on it is ``moment_N_m sin(rest - position)``.
+    """A joint as a pendulum: gravity's moment on it is ``moment_N_m sin(rest - position)``."""
 
-    Attributes:
-        moment_N_m: Largest gravity moment, at the joint.
-        rest: Where the joint would hang, within half a turn of where it was asked for [rad].
-        inertia_kg_m2: About the joint, of what moves with it, without the rotor.
-    """
-
-    moment_N_m: float
-    rest: float
-    inertia_kg_m2: float
+    moment_N_m: float  # largest gravity moment, at the joint
+    rest: float  # where the joint would hang, within half a turn of where it was asked for [rad]
+    inertia_kg_m2: float  # about the joint, of what moves with it, without the rotor
 
     def moment_at(self, position: float) -> float:
         """Gravity's moment on the joint [N m]."""

@@ -47,21 +47,13 @@ LONGEST_WAIT_S = 0.02
 
 @dataclass(frozen=True)
 class HoldGains:
-    """How stiff a joint is held.
+    """How stiff a joint is held."""
 
-    Attributes:
-        frequency_rad_s: Of joint and spring; lower where joint states come slowly.
-        damping: Of that oscillator; 1 is critical.
-        sum_s: Time in which the slow sum gives as much as the spring.
-        jump_rad: A position that changes by more from sample to sample is an encoder that slipped.
-        max_velocity_rad_s: A held joint that is faster is not held any more.
-    """
-
-    frequency_rad_s: float = 20.0
-    damping: float = 1.0
-    sum_s: float = 0.4
-    jump_rad: float = 0.3
-    max_velocity_rad_s: float = 6.0
+    frequency_rad_s: float = 20.0  # of joint and spring; lower where joint states come slowly
+    damping: float = 1.0  # of that oscillator; 1 is critical
+    sum_s: float = 0.4  # time in which the slow sum gives as much as the spring
+    jump_rad: float = 0.3  # a position that changes by more from sample to sample is an encoder that slipped
+    max_velocity_rad_s: float = 6.0  # a held joint that is faster is not held any more
 
 
 class Hold:

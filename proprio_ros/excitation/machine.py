@@ -76,27 +76,19 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What became of one push.
+    """What became of one push."""
 
-    Attributes:
-        run_number, attempt: From 1; further attempts are repetitions with another current.
-        joint: The joint pushed.
-        current_A: Its current; of a square wave the mean.
-        travel: Largest distance from where it was when the current came on, either way [rad or m].
-        duration_s: For how long the current was on.
-        ended_by: "time" or "travel" when all was well; else the guard: "limit", "velocity", "clearance", "held joint",
-            "stale", "clock", "jump", "sample", or "abort". Of a free response: what ended it; that it was caught comes after.
-        used: Whether the run is good: it ended well and moved far enough.
-    """
-
+    # run_number, attempt: from 1; further attempts are repetitions with another current
     run_number: int
     attempt: int
-    joint: str
-    current_A: float
-    travel: float
-    duration_s: float
+    joint: str  # the joint pushed
+    current_A: float  # its current; of a square wave the mean
+    travel: float  # largest distance from where it was when the current came on, either way [rad or m]
+    duration_s: float  # for how long the current was on
+    # "time" or "travel" when all was well; else the guard: "limit", "velocity", "clearance", "held joint", "stale",
+    # "clock", "jump", "sample", or "abort". Of a free response: what ended it; that it was caught comes after
     ended_by: str
-    used: bool
+    used: bool  # whether the run is good: it ended well and moved far enough
 
 
 class ExcitationMachine:

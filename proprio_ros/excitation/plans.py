@@ -40,36 +40,29 @@ LARGEST_STEP_RAD = 1.0  # of a goal, at the shaft: such a number was meant in de
 
 @dataclass(frozen=True)
 class ExcitationRun:
-    """One excitation: a push of one joint, or its free response.
+    """One excitation: a push of one joint, or its free response."""
 
-    Attributes:
-        joint: The joint that the current drives; all others hold their positions.
-        current_A: Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X. 0 without `shake_A` and `goal_step`: the joint
-            swings freely.
-        duration_s: The current is on for at most so long.
-        start: Positions of joints before the run [rad or m]; joints not named stay where they are.
-        max_travel: The current ends early when the joint has moved so far either way, and the run is good [rad or m].
-        min_travel: A run that moves less is repeated from its start with another current [rad or m].
-        raise_by: Factor on the current of each repetition. Below 1 the current is eased instead: for a run in which
-            gravity pulls and the current only supports.
-        max_current_A: Largest magnitude that raising may reach; None: the current is not raised. Easing needs none.
-        shake_A: The current is a square wave about `current_A`: this is added to it in the first half of each period and
-            taken from it in the second. It stays as it is when `current_A` is raised or eased. 0: a constant current.
-        shake_period_s: Of that wave.
-        goal_step: Instead of a current, for servos that take goals alone: the goal stands so far from where the joint is held
-            [rad or m]. It is never raised.
-    """
-
-    joint: str
+    joint: str  # the joint that the current drives; all others hold their positions
+    # Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X. 0 without `shake_A` and `goal_step`: the joint
+    # swings freely
     current_A: float
-    duration_s: float
+    duration_s: float  # the current is on for at most so long
+    # positions of joints before the run [rad or m]; joints not named stay where they are
     start: Mapping[str, float] = field(default_factory=dict)
+    # the current ends early when the joint has moved so far either way, and the run is good [rad or m]
     max_travel: float = 1.0
-    min_travel: float = 0.0
+    min_travel: float = 0.0  # a run that moves less is repeated from its start with another current [rad or m]
+    # factor on the current of each repetition. Below 1 the current is eased instead: for a run in which gravity pulls
+    # and the current only supports
     raise_by: float = 1.25
+    # largest magnitude that raising may reach; None: the current is not raised. Easing needs none
     max_current_A: float | None = None
+    # the current is a square wave about `current_A`: this is added to it in the first half of each period and taken
+    # from it in the second. It stays as it is when `current_A` is raised or eased. 0: a constant current
     shake_A: float = 0.0
-    shake_period_s: float = 0.2
+    shake_period_s: float = 0.2  # of that wave
+    # instead of a current, for servos that take goals alone: the goal stands so far from where the joint is held [rad
+    # or m]. It is never raised
     goal_step: float = 0.0
 
     @property
@@ -95,48 +88,30 @@ class ExcitationRun:
 
 @dataclass(frozen=True)
 class Until:
-    """When a sequence whose further pushes are chosen by what came out so far has an end.
+    """When a sequence whose further pushes are chosen by what came out so far has an end."""
 
-    Attributes:
-        half_interval: Of what is identified: half of its 95 % interval is to be so small [unit].
-        unit: Of that, as `UNTIL_UNITS` has it: "kg" for a mass, "1" for a share of a block's modulus.
-        at_most_s: From the beginning; no push is begun that would not be over by then.
-    """
-
-    half_interval: float
-    unit: str
-    at_most_s: float = 60.0
+    half_interval: float  # of what is identified: half of its 95 % interval is to be so small [unit]
+    unit: str  # of that, as `UNTIL_UNITS` has it: "kg" for a mass, "1" for a share of a block's modulus
+    at_most_s: float = 60.0  # from the beginning; no push is begun that would not be over by then
 
 
 @dataclass(frozen=True)
 class ExcitationSequence:
-    """Runs in the order in which they are made.
+    """Runs in the order in which they are made."""
 
-    Attributes:
-        name: Of the file, without its suffix.
-        hand: What should be in the hand, one of `HANDS`.
-        runs: At least one; with `until` there may be none: then the first is chosen, too.
-        until: Further pushes are chosen until this is reached; None: there are none.
-        approach_velocity: Peak speed on the way to a start pose, at the motor's shaft [rad/s].
-        settle_s: Rest before each run; the identification uses up to 1 s of it.
-        brake_s: The joint is held so long after its run before it goes anywhere.
-        home: Where to go at the end [rad or m]; empty: stay.
-        from_here: Joints that go back, before each run and at the end, to where they stood when the sequence began: the fingers
-            beside a block that was put between them.
-        min_clearance_m: Nothing that can be lowered comes closer to the base's plane than this.
-    """
-
-    name: str
-    hand: str
-    runs: tuple[ExcitationRun, ...]
-    until: Until | None = None
+    name: str  # of the file, without its suffix
+    hand: str  # what should be in the hand, one of `HANDS`
+    runs: tuple[ExcitationRun, ...]  # at least one; with `until` there may be none: then the first is chosen, too
+    until: Until | None = None  # further pushes are chosen until this is reached; None: there are none
     description: str = ""
-    approach_velocity: float = 0.8
-    settle_s: float = 1.2
-    brake_s: float = 0.4
-    home: Mapping[str, float] = field(default_factory=dict)
+    approach_velocity: float = 0.8  # peak speed on the way to a start pose, at the motor's shaft [rad/s]
+    settle_s: float = 1.2  # rest before each run; the identification uses up to 1 s of it
+    brake_s: float = 0.4  # the joint is held so long after its run before it goes anywhere
+    home: Mapping[str, float] = field(default_factory=dict)  # where to go at the end [rad or m]; empty: stay
+    # joints that go back, before each run and at the end, to where they stood when the sequence began: the fingers
+    # beside a block that was put between them
     from_here: tuple[str, ...] = ()
-    min_clearance_m: float = 0.03
+    min_clearance_m: float = 0.03  # nothing that can be lowered comes closer to the base's plane than this
 
     def begun_at(self, pose: Mapping[str, float]) -> ExcitationSequence:
         """The sequence with numbers for the joints of `from_here`, begun at a pose of all joints [rad or m]."""

@@ -24,15 +24,10 @@ PATH_SLACK_M = 1e-3  # a way up from a low pose may dip by so much: encoders are
 
 @dataclass(frozen=True)
 class Way:
-    """Minimum-jerk motions from pose to pose, with a stop at each.
+    """Minimum-jerk motions from pose to pose, with a stop at each."""
 
-    Attributes:
-        poses: The first is where it begins.
-        durations_s: Of the motions between them, one less.
-    """
-
-    poses: tuple[dict[str, float], ...] = ({},)
-    durations_s: tuple[float, ...] = ()
+    poses: tuple[dict[str, float], ...] = ({},)  # the first is where it begins
+    durations_s: tuple[float, ...] = ()  # of the motions between them, one less
 
     @property
     def duration_s(self) -> float:

@@ -21,12 +21,9 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.regressor import PARAMETERS, gravity_torques, point_mass
 
-CENTRE_STD_M = 0.01
-"""Of a load's centre in each direction, where nobody says how well it is known."""
-FRICTION = 3
-"""Viscous, dry, and the offset: the last terms of each joint that a calibration has."""
-WAY_POSES = 15
-"""Poses of the way to another one that are looked at."""
+CENTRE_STD_M = 0.01  # of a load's centre in each direction, where nobody says how well it is known
+FRICTION = 3  # viscous, dry, and the offset: the last terms of each joint that a calibration has
+WAY_POSES = 15  # poses of the way to another one that are looked at
 
 
 @dataclass(frozen=True)
@@ -40,17 +37,12 @@ class Load:
 
 @dataclass(frozen=True)
 class Capability:
-    """Whether the joints can hold a load and move it slowly.
+    """Whether the joints can hold a load and move it slowly."""
 
-    Attributes:
-        joint: That has the least left.
-        margin: What it has left over of its limit, relative to it, after gravity, dry friction and 1.96 standard deviations.
-        most_kg: The heaviest load with which every joint has something left; 0: not even the arm alone.
-    """
-
-    joint: str
+    joint: str  # that has the least left
+    # what it has left over of its limit, relative to it, after gravity, dry friction and 1.96 standard deviations
     margin: float
-    most_kg: float
+    most_kg: float  # the heaviest load with which every joint has something left; 0: not even the arm alone
 
     @property
     def can(self) -> bool:

@@ -240,11 +240,7 @@ def live_request(options: Options) -> Request:
 
 
 def baseline_runs(request: Request) -> list[Run]:
-    """The runs of the baseline, as the identification of the object will read them.
-
-    Raises:
-        RecordingError: One cannot be read.
-    """
+    """The runs of the baseline, as the identification of the object will read them. Raises `RecordingError`: One cannot be read."""
     return [run for path in paths_of(request.options.baseline) for run in bag_runs(Path(path), request)]
 
 

@@ -133,11 +133,7 @@ class Workspace:
         return None
 
     def keep_baseline(self, probe: Probe[Any], bag: Path) -> None:
-        """Take a new one from now on.
-
-        Raises:
-            ConfigurationError: The link to it cannot be written.
-        """
+        """Take a new one from now on. Raises `ConfigurationError`: The link to it cannot be written."""
         _point(self.newest_baseline(probe), bag)
 
     def about_baseline(self, bag: Path) -> str:

@@ -16,8 +16,7 @@ from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
 from proprio_ros.robot import Robot
 
-EVERY = 10
-"""`~/capability` comes with each so many of `~/gravity_effort`."""
+EVERY = 10  # `~/capability` comes with each so many of `~/gravity_effort`
 
 
 class Carrying:

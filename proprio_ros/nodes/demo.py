@@ -39,24 +39,16 @@ _interrupted = threading.Event()
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What the demo showed.
+    """What the demo showed."""
 
-    Attributes:
-        accepted: Whether the robot and the object were identified.
-        sentence: The service's own words.
-        value, truth: The probe's answer, in its SI unit, None where not determined; and what it should have been.
-        ci95: Its interval, as published.
-        report: The HTML page.
-        elapsed_s: From start to result.
-    """
-
-    accepted: bool
-    sentence: str
+    accepted: bool  # whether the robot and the object were identified
+    sentence: str  # the service's own words
+    # value, truth: the probe's answer, in its SI unit, None where not determined; and what it should have been
     value: float | None
-    ci95: str
+    ci95: str  # its interval, as published
     truth: float
-    report: Path | None
-    elapsed_s: float
+    report: Path | None  # the HTML page
+    elapsed_s: float  # from start to result
 
 
 def demo(

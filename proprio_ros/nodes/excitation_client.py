@@ -59,11 +59,7 @@ class Excitation:
             self._lease.publish(Bool(data=True))
 
     def missing(self) -> str:
-        """Why no sequence can be made yet, or an empty string.
-
-        Raises:
-            JobError: Waiting does not help.
-        """
+        """Why no sequence can be made yet, or an empty string. Raises `JobError`: Waiting does not help."""
         if not self.run.service_is_ready() or not self.set_probe.service_is_ready():
             return f"there is no {self.name} node; start it"
         if self.values.get("driver"):

@@ -159,11 +159,7 @@ class WeighAction:
         return GoalResponse.ACCEPT
 
     def _asked(self, request: Any) -> tuple[Probe[Any], Job]:
-        """What a goal asks for.
-
-        Raises:
-            ConfigurationError: There is no such weighing.
-        """
+        """What a goal asks for. Raises `ConfigurationError`: There is no such weighing."""
         target = request.target or probe_at_work().name
         weighing = {each.name: each for each in all_probes() if each.answer[1] == "kg"} | {WEIGH: probe_at_work()}
         if (probe := weighing.get(target)) is None:

@@ -16,25 +16,17 @@ from proprio_ros.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a node.
-
-    Attributes:
-        default: Its value where nobody states one; gives the type, too. A list is one of strings.
-        description: For `ros2 param describe`, with the unit.
-        lowest, highest: Range of a number, ends included.
-        dynamic: Whether it may be changed while the node runs.
-        loose: A text that may look like a number: ``-p object:=0.05`` comes as one.
-        choices: All values that there are, beside the default; empty: any.
-    """
+    """One parameter of a node."""
 
     name: str
-    default: Any
-    description: str
+    default: Any  # its value where nobody states one; gives the type, too. A list is one of strings
+    description: str  # for `ros2 param describe`, with the unit
+    # lowest, highest: range of a number, ends included
     lowest: float | None = None
     highest: float | None = None
-    dynamic: bool = False
-    loose: bool = False
-    choices: tuple[str, ...] = ()
+    dynamic: bool = False  # whether it may be changed while the node runs
+    loose: bool = False  # a text that may look like a number: ``-p object:=0.05`` comes as one
+    choices: tuple[str, ...] = ()  # all values that there are, beside the default; empty: any
 
     def check(self, value: Any) -> None:
         """Raises: ConfigurationError: The value is none of the choices."""

@@ -19,11 +19,7 @@ NOT_KNOWN = "it is not known whether it took it: look at the controller before t
 
 
 def stated_tool(text: str) -> list[float]:
-    """Four numbers between blanks or commas; none in an empty text.
-
-    Raises:
-        ConfigurationError: A word is no number.
-    """
+    """Four numbers between blanks or commas; none in an empty text. Raises `ConfigurationError`: A word is no number."""
     try:
         return [float(word) for word in text.replace(",", " ").strip(" []").split()]
     except ValueError as error:

@@ -86,11 +86,7 @@ class PtyPort:
 
     @property
     def path(self) -> Path:
-        """What a client opens: the link if there is one.
-
-        Raises:
-            ConfigurationError: It is unplugged and has no link.
-        """
+        """What a client opens: the link if there is one. Raises `ConfigurationError`: It is unplugged and has no link."""
         if self._link is not None:
             return self._link
         if self._slave_path is None:
@@ -106,11 +102,7 @@ class PtyPort:
         self._in_thread(self._open)
 
     def close(self) -> None:
-        """Stop the thread and remove the link.
-
-        Raises:
-            Exception: What stopped the thread before, from the world or the bus.
-        """
+        """Stop the thread and remove the link. Raises `Exception`: What stopped the thread before, from the world or the bus."""
         if self._thread.is_alive():
             self._in_thread(self._stop)
             self._thread.join()
