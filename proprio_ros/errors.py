@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-LONGEST_SENTENCE = 238
-"""Characters of a message; with the command's name before it, it stays below 250."""
+LONGEST_SENTENCE = 290
+"""Characters of a message; with the command's name before it, it stays below 300."""
 
 
 def printable(text: str) -> str:

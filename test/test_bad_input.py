@@ -77,7 +77,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     printed = capsys.readouterr()
     assert code == 2 and printed.out == ""
     (line,) = printed.err.splitlines()
-    assert line.startswith("proprio: ") and len(line) <= 250 and line.isprintable()
+    assert line.startswith("proprio: ") and len(line) <= 300 and line.isprintable()
     return line
 
 

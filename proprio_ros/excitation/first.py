@@ -13,14 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.excitation.plans import (
-    LEAST_CURRENT_A,
-    START_MARGIN_RAD,
-    ExcitationRun,
-    ExcitationSequence,
-    largest_current_A,
-    margin,
-)
+from proprio_ros.excitation import plans
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
 from proprio_ros.robot.loads import Loads
@@ -41,7 +34,7 @@ STEP_RAD = 0.18  # of a goal
 WORDS = {"empty": "with nothing in the hand", "payload": "with the object", "reference": "with the reference object"}
 
 
-def first_sequence(robot: Robot, hand: str) -> ExcitationSequence:
+def first_sequence(robot: Robot, hand: str) -> plans.ExcitationSequence:
     """Pushes of an arm with what `WORDS` says in its hand; the same whenever they are asked for.
 
     Raises:
@@ -67,13 +60,13 @@ def first_sequence(robot: Robot, hand: str) -> ExcitationSequence:
 
     def shows(name: str) -> float:
         """How much of a weight in the hand: against what rubs, which grows with what the joint can lift."""
-        return max((abs(lever) for lever, _ in found[name]), default=0.0) / largest_current_A(robot, name)
+        return max((abs(lever) for lever, _ in found[name]), default=0.0) / plans.largest_current_A(robot, name)
 
     best = sorted((name for name in found if found[name]), key=shows, reverse=True)[:JOINTS]
     if not best:
         words = "no joint that a motor turns feels a weight in the hand where there is room for a push: state sequences"
         raise ConfigurationError(f"{robot.name}: {words}, and payload_frame")
-    runs: list[ExcitationRun] = []
+    runs: list[plans.ExcitationRun] = []
     for name in best:
         poses = sorted(found[name], key=lambda each: -abs(each[0]) + 0.02 * _far(each[1], best))
         longest = poses[0][1]
@@ -83,11 +76,11 @@ def first_sequence(robot: Robot, hand: str) -> ExcitationSequence:
             start = {joint: pose[joint] for joint in limits}
             up = math.copysign(1.0, lever_m(robot, name, pose)) * (1.0 if lifts else -1.0)
             if steps:
-                step = up * margin(robot, name, STEP_RAD)
-                runs.append(ExcitationRun(name, 0.0, DURATION_S, start, goal_step=step))
+                step = up * plans.margin(robot, name, STEP_RAD)
+                runs.append(plans.ExcitationRun(name, 0.0, DURATION_S, start, goal_step=step))
             else:
                 runs.append(_push(robot, name, start, up, lifts, loads, pose))
-    return ExcitationSequence(
+    return plans.ExcitationSequence(
         f"first_{hand}", hand, tuple(runs), description=f"lifts and lowers {' and '.join(best)} {WORDS[hand]}",
         min_clearance_m=CLEARANCE_M,
     )  # fmt: skip
@@ -95,21 +88,21 @@ def first_sequence(robot: Robot, hand: str) -> ExcitationSequence:
 
 def _push(
     robot: Robot, name: str, start: Mapping[str, float], up: float, lifts: bool, loads: Loads, pose: Mapping[str, float]
-) -> ExcitationRun:
+) -> plans.ExcitationRun:
     load, drive = loads.at(pose), robot.drive_trains[name]
     per_A = drive.nominal_effort_per_current
     rotor = (drive.armature.value or drive.armature.std) / drive.transmission**2
     weight_A, slow_A = load.gravity[name] / per_A, ACCELERATION_RAD_S2 * (load.inertia[name] + rotor) / abs(per_A)
-    most_A = largest_current_A(robot, name)
+    most_A = plans.largest_current_A(robot, name)
     limits = {"min_travel": LEAST_TRAVEL_RAD, "max_travel": TRAVEL_RAD}
     if not lifts and abs(weight_A) > 4.0 * slow_A:
-        return ExcitationRun(name, SUPPORT * weight_A, DURATION_S, start, raise_by=0.7, **limits)
+        return plans.ExcitationRun(name, SUPPORT * weight_A, DURATION_S, start, raise_by=0.7, **limits)
     current_A = weight_A + up * math.copysign(slow_A, per_A)
-    if abs(current_A) < LEAST_CURRENT_A:
-        current_A = up * math.copysign(LEAST_CURRENT_A, per_A)
+    if abs(current_A) < plans.LEAST_CURRENT_A:
+        current_A = up * math.copysign(plans.LEAST_CURRENT_A, per_A)
     raised = min(max(1.0 + slow_A / abs(current_A), 1.15), 1.6)
     bounded = math.copysign(min(abs(current_A), 0.9 * most_A), current_A)
-    return ExcitationRun(name, bounded, DURATION_S, start, raise_by=raised, max_current_A=0.9 * most_A, **limits)
+    return plans.ExcitationRun(name, bounded, DURATION_S, start, raise_by=raised, max_current_A=0.9 * most_A, **limits)
 
 
 def lever_m(robot: Robot, joint: str, pose: Mapping[str, float]) -> float:
@@ -125,7 +118,7 @@ def _by_goals(robot: Robot) -> bool:
 
 
 def _limits(robot: Robot, name: str) -> tuple[float, float]:
-    joint, spare = robot.model.joint(name), margin(robot, name, START_MARGIN_RAD)
+    joint, spare = robot.model.joint(name), plans.margin(robot, name, plans.START_MARGIN_RAD)
     low, high = max(joint.lower + spare, -WIDEST_RAD), min(joint.upper - spare, WIDEST_RAD)
     return (low, high) if low < high else (0.5 * (low + high),) * 2
 

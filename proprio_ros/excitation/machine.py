@@ -20,6 +20,7 @@ from enum import Enum
 import numpy as np
 
 from proprio_ros.errors import ExcitationError
+from proprio_ros.excitation import plans
 from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.guards import (
     FreeResponse,
@@ -29,14 +30,6 @@ from proprio_ros.excitation.guards import (
     check_step,
     free_swing,
     unfit,
-)
-from proprio_ros.excitation.plans import (
-    LEAST_CURRENT_A,
-    ExcitationRun,
-    ExcitationSequence,
-    check_sequence,
-    margin,
-    push_unit,
 )
 from proprio_ros.excitation.ways import Way, Ways
 from proprio_ros.robot import Robot
@@ -115,7 +108,7 @@ class ExcitationMachine:
         self.joints = self.ways.joints
         self._per_rad = self.ways.per_rad
         self.phase = Phase.IDLE
-        self.sequence: ExcitationSequence | None = None
+        self.sequence: plans.ExcitationSequence | None = None
         self.command = Command()
         self.outcomes: list[RunOutcome] = []
         self.attempt = 1
@@ -155,7 +148,7 @@ class ExcitationMachine:
 
     # ------------------------------------------------------------------------------------------------------- interface
 
-    def start(self, sequence: ExcitationSequence, sample: JointSample) -> None:
+    def start(self, sequence: plans.ExcitationSequence, sample: JointSample) -> None:
         """Begin a sequence at the pose of a sample; the first command holds that pose.
 
         Raises:
@@ -166,7 +159,7 @@ class ExcitationMachine:
         if self.sequence is not None and self.busy:
             where = f"{self.sequence.name} is under way (run {self.run_number} of {self.runs})"
             raise ExcitationError(f"{where}: wait for its end, or abort it")
-        check_sequence(sequence, self.robot)
+        plans.check_sequence(sequence, self.robot)
         if not sequence.runs:
             words = "its pushes are chosen while it goes on, by the identifier: call its service, not this one"
             raise ExcitationError(f"{sequence.name}: {words}")
@@ -174,7 +167,7 @@ class ExcitationMachine:
         pose = self.ways.pose(sample)
         if sequence.from_here:
             sequence = sequence.begun_at(pose)
-            check_sequence(sequence, self.robot)
+            plans.check_sequence(sequence, self.robot)
         ways: list[Way] = []
         expected_s: list[tuple[float, ...]] = []
         before = pose
@@ -357,7 +350,7 @@ class ExcitationMachine:
     # --------------------------------------------------------------------------------------------------- what comes next
 
     @property
-    def _run(self) -> ExcitationRun:
+    def _run(self) -> plans.ExcitationRun:
         assert self.sequence is not None
         return self.sequence.runs[self._run_index]
 
@@ -372,7 +365,7 @@ class ExcitationMachine:
         if phase is Phase.SETTLE:
             self._recent.clear()
         run = f"run {self.run_number} of {self.runs}" + f", attempt {self.attempt}" * (self.attempt > 1)
-        unit = push_unit(self.robot, self._run.joint)
+        unit = plans.push_unit(self.robot, self._run.joint)
         shake = f" +-{abs(self._run.shake_A):.3g}" * (self._run.shake_A != 0.0)
         pushed = "swings freely" if self._run.free else f"is pushed with {self._current_A:+.3g}{shake} {unit}"
         if self._run.goal_step:
@@ -451,7 +444,7 @@ class ExcitationMachine:
 
     def _catch(self, ended_by: str) -> None:
         """A swing is over."""
-        far = self._travel >= max(self._run.min_travel, margin(self.robot, self._run.joint, LEAST_SWING_RAD))
+        far = self._travel >= max(self._run.min_travel, plans.margin(self.robot, self._run.joint, LEAST_SWING_RAD))
         self._note_outcome(ended_by, used=ended_by in ("time", "travel") and far)
         self._enter(Phase.CATCH)
 
@@ -506,7 +499,9 @@ class ExcitationMachine:
         drive = self.robot.drive_trains[joint]
         weight_N_m = swing.moment_at(self._sample.position[joint]) * drive.transmission  # at the shaft
         if self.phase is Phase.PROBE:
-            return 0.0 if elapsed_s + 0.5 * self._tick_s >= LET_GO_S else -math.copysign(LEAST_CURRENT_A, weight_N_m)
+            return (
+                0.0 if elapsed_s + 0.5 * self._tick_s >= LET_GO_S else -math.copysign(plans.LEAST_CURRENT_A, weight_N_m)
+            )
         inertia = swing.inertia_kg_m2 * drive.transmission**2 + drive.armature.value
         braking_N_m = inertia / CATCH_TIME_S * self._sample.velocity[joint] / drive.transmission
         limit_A = self.robot.motors[joint].current_limit_A

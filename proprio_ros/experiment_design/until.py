@@ -11,16 +11,9 @@ from dataclasses import replace
 
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
+from proprio_ros.experiment_design import sequential
 from proprio_ros.experiment_design.candidates import Push
 from proprio_ros.experiment_design.choosing import Chooser, Found, Whole, alone, passes, time_of
-from proprio_ros.experiment_design.sequential import (
-    MAX_TRAVEL,
-    SHAKE_PERIOD_S,
-    UNKNOWN_KG,
-    WORTH,
-    Catalogue,
-    Known,
-)
 from proprio_ros.quantity import Z95, Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -38,8 +31,8 @@ empty hand better than by a reference: by 24 pushes of either, the half interval
 class CatalogueChooser(Chooser):
     """One whose pushes come from a catalogue of what can be done with a rigid load."""
 
-    catalogue: Catalogue
-    _unknown_kg = UNKNOWN_KG  # what the hand may hold while no run says it
+    catalogue: sequential.Catalogue
+    _unknown_kg = sequential.UNKNOWN_KG  # what the hand may hold while no run says it
 
     def run_of(self, push: Push) -> ExcitationRun:
         return run_of(push, self.robot)
@@ -60,7 +53,7 @@ class UntilSure(CatalogueChooser):
         self, robot: Robot, facts: PayloadFacts, sequence: ExcitationSequence, whole: Whole | None = None
     ) -> None:
         super().__init__(robot, sequence, Sought("mass", "kg"), whole)
-        self.catalogue = Catalogue(robot, facts)
+        self.catalogue = sequential.Catalogue(robot, facts)
         self.known = self.catalogue.nothing_known()
         self._found = Found(self.known.mass, self.known.std)
 
@@ -86,12 +79,12 @@ def run_of(push: Push, robot: Robot) -> ExcitationRun:
         push.current_A,
         push.duration_s,
         start,
-        max_travel=MAX_TRAVEL,
+        max_travel=sequential.MAX_TRAVEL,
         min_travel=MOVES if steady else 0.0,
         raise_by=EASE_BY if eased else RAISE_BY,
         max_current_A=min(limit, abs(push.current_A) * RAISE_BY**2) if steady and not eased else None,
         shake_A=push.shake_A,
-        shake_period_s=SHAKE_PERIOD_S,
+        shake_period_s=sequential.SHAKE_PERIOD_S,
     )
 
 
@@ -105,7 +98,7 @@ def chosen_known(
     empty (a reference of 0 kg), by `WEIGHED_PUSHES` pushes of their own; ways, rest and brake are the sequence's.
     """
     weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
-    catalogue = Catalogue(robot)
+    catalogue = sequential.Catalogue(robot)
     known, _ = _predicted_weighing(catalogue, weighed_kg, sequence)
     return _chosen(catalogue, known, half_interval, at_most_s, sequence, reference_kg)
 
@@ -121,20 +114,20 @@ def chosen_refresh(
         The pushes, none where a tenth at most is missing; half the 95 % interval of a predicted weighing of `WEIGHED_KG` when the
         calibration was made, and by now [kg].
     """
-    catalogue = Catalogue(fresh)
+    catalogue = sequential.Catalogue(fresh)
     then, pushes = _predicted_weighing(catalogue, WEIGHED_KG, sequence)
     # of the same weighing: where it is pushed does not depend on how well the robot is known
-    catalogue = Catalogue(aged)
+    catalogue = sequential.Catalogue(aged)
     known = replace(catalogue.nothing_known(), mass=WEIGHED_KG)
     for push in pushes:
         known = catalogue.predicted(known, push)
     half, now = Z95 * then.std, Z95 * known.std
-    return _chosen(catalogue, known, (1.0 + WORTH) * half, at_most_s, sequence, 0.0), half, now
+    return _chosen(catalogue, known, (1.0 + sequential.WORTH) * half, at_most_s, sequence, 0.0), half, now
 
 
 def _predicted_weighing(
-    catalogue: Catalogue, weighed_kg: float, sequence: ExcitationSequence
-) -> tuple[Known, list[Push]]:
+    catalogue: sequential.Catalogue, weighed_kg: float, sequence: ExcitationSequence
+) -> tuple[sequential.Known, list[Push]]:
     """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
     robot = catalogue.robot
     known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
@@ -145,8 +138,8 @@ def _predicted_weighing(
 
 
 def _chosen(
-    catalogue: Catalogue,
-    known: Known,
+    catalogue: sequential.Catalogue,
+    known: sequential.Known,
     half_interval: float,
     at_most_s: float,
     sequence: ExcitationSequence,

@@ -14,7 +14,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.pushes import RANGES, Calibration
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification import solvers
+from proprio_ros.identification import robot_calibration, solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
 from proprio_ros.identification.estimate import Fit, Verdict
 from proprio_ros.identification.fit import FitResult
@@ -23,15 +23,6 @@ from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_calibration import (
-    LoadedRun,
-    empty_hand,
-    entry_of,
-    not_empty,
-    nothing_usable,
-    shared_rows,
-    usable_runs,
-)
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, scaled_inverse
 from proprio_ros.robot import Robot
@@ -46,7 +37,7 @@ ITERATIONS = 40
 
 
 def refresh(
-    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
+    robot: Robot, runs: Sequence[robot_calibration.LoadedRun], progress: Callable[[str], None] = lambda _: None
 ) -> CalibrationEstimate:
     """Bring a robot's calibration, aged to when the runs were made, up to date; most of the runs are with an empty hand.
 
@@ -66,13 +57,13 @@ def refresh(
             return ""
         return f"{run.run.joint} was not driven when the robot was calibrated"
 
-    usable = usable_runs(robot, runs, found, refused)
+    usable = robot_calibration.usable_runs(robot, runs, found, refused)
     for run in usable:
-        if entry_of(run) in old.runs:
+        if robot_calibration.entry_of(run) in old.runs:
             twice = "is one of the runs that the calibration was made of: it would count twice"
             raise ConfigurationError(f"{run.run.name} {twice}")
     if not usable:
-        return nothing_usable(robot, "a calibrated", len(runs), found)
+        return robot_calibration.nothing_usable(robot, "a calibrated", len(runs), found)
     progress(f"fitting {len(usable)} runs")
     problem = Problem(robot, usable, PayloadFacts(), robot_unknowns(robot, usable, Role.FREE))
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
@@ -81,11 +72,11 @@ def refresh(
     values, chi2 = ended.values, ended.reduced_chi2
     # as in a weighing: runs that are not quite explained count for less
     posterior = Posterior(problem, values, 1.0 if ended.explains else max(1.0, chi2))
-    rows = shared_rows(problem, values, posterior.covariance)
+    rows = robot_calibration.shared_rows(problem, values, posterior.covariance)
     pulls = [(row.label, abs(row.value - row.prior), row.prior_std) for row in rows]
     moved = [f"{label} ({off / std:.1f})" for label, off, std in pulls if off > TOO_FAR * std]
-    hand = empty_hand(problem, values, posterior)
-    reasons = not_empty(hand, NOT_EMPTY)
+    hand = robot_calibration.empty_hand(problem, values, posterior)
+    reasons = robot_calibration.not_empty(hand, NOT_EMPTY)
     if chi2 > MISFIT_LIMIT or moved:
         what = f"{', '.join(moved[:3])} standard deviations off" if moved else f"reduced chi-square {chi2:.1f}"
         said = f"the calibration no longer fits, not even with the drift that the robot file states ({what})"
@@ -121,5 +112,5 @@ def _updated(old: Calibration, problem: Problem, values: np.ndarray, posterior: 
     forms = [RANGES[key if isinstance(key, str) else key[0]] for key in old.keys]
     new = np.clip(new, [form.lowest for form in forms], [form.highest for form in forms])
     covariance = old.covariance - LEARNT * (follows @ (prior - after) @ follows.T)
-    runs = (*old.runs, *map(entry_of, problem.runs))
+    runs = (*old.runs, *map(robot_calibration.entry_of, problem.runs))
     return replace(old, values=new, covariance=0.5 * (covariance + covariance.T), runs=runs)

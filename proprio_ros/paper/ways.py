@@ -16,13 +16,7 @@ from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper.softbody import SOFT_INDEX, SoftBody, SoftRun
 from proprio_ros.paper.softbody_kernels import SOFT_PARAMETERS
-from proprio_ros.probes.container.problem import (
-    ContainerFacts,
-    ContainerProblem,
-    container_unknowns,
-    sphere_run,
-    start_prior,
-)
+from proprio_ros.probes.container import problem
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -107,7 +101,7 @@ class SphereLastFrame:
     Of one lift, with the shell's mass stated; with ``all_samples`` of all of them instead of the last frame.
     """
 
-    def __init__(self, robot: Robot, run: Run, facts: ContainerFacts, all_samples: bool = False) -> None:
+    def __init__(self, robot: Robot, run: Run, facts: problem.ContainerFacts, all_samples: bool = False) -> None:
         facts = replace(facts, law="paper")
         prepared = prepare_run(robot, replace(run, held_position={}), None, facts.shell)
         kept = slice(0 if all_samples else prepared.used - 1, prepared.used)
@@ -115,12 +109,12 @@ class SphereLastFrame:
         compared = replace(prepared.run, times_s=run.times_s[kept], position=run.position[kept])
         at_end: PreparedRun = replace(prepared, run=compared, used=self.samples, sigma=np.ones(self.samples))
         nothing = JointRun(prepared.times_s, run.input_times_s, run.input_current_A)
-        prior = start_prior(sphere_run(robot, prepared, facts, nothing), facts, prepared.rest.value)
+        prior = problem.start_prior(problem.sphere_run(robot, prepared, facts, nothing), facts, prepared.rest.value)
         unknowns = [
             u if u.kind == "sphere_mass" else replace(u, role=Role.FROZEN)
-            for u in container_unknowns(robot, [at_end], [True], facts, [prior], Role.FROZEN)
+            for u in problem.container_unknowns(robot, [at_end], [True], facts, [prior], Role.FROZEN)
         ]
-        self.problem = ContainerProblem(robot, [at_end], facts, [True], unknowns, "semi_implicit")
+        self.problem = problem.ContainerProblem(robot, [at_end], facts, [True], unknowns, "semi_implicit")
 
     def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) [rad^2] and gradient (S, 1) at masses (S, 1)."""
@@ -129,7 +123,7 @@ class SphereLastFrame:
         return 2.0 * cost, 2.0 * gradient / self.problem.coordinates.slope(internal)
 
 
-def paper_sphere(robot: Robot, run: Run, facts: ContainerFacts) -> Answer:
+def paper_sphere(robot: Robot, run: Run, facts: problem.ContainerFacts) -> Answer:
     """The paper's way for the sphere's mass, from five starts."""
     make = partial(SphereLastFrame, robot, run, facts)
     return _descended(make, SPHERE_STARTS_KG, SPHERE_RATE, SPHERE_ITERATIONS, LIGHTEST_SPHERE_KG)

@@ -19,19 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from proprio_ros import records
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
 from proprio_ros.recordings.effort import Effort
-from proprio_ros.records import (
-    IMPLAUSIBLE_POSITION,
-    MIN_SAMPLES,
-    BoolArray,
-    DriveSignals,
-    FloatArray,
-    Recording,
-    Span,
-    TimeArray,
-)
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
@@ -166,7 +157,7 @@ def _readable(what: object) -> Iterator[None]:
 
 
 @lru_cache(maxsize=4)
-def _groups(file: Path, _changed_ns: int) -> tuple[Any, FloatArray, FloatArray]:
+def _groups(file: Path, _changed_ns: int) -> tuple[Any, records.FloatArray, records.FloatArray]:
     """The open file, and lowest and highest episode of each of its row groups."""
     opened = arrow().parquet.ParquetFile(file)
     leaf = next(n for n in range(opened.metadata.num_columns) if opened.schema.column(n).path == "episode_index")
@@ -178,7 +169,9 @@ def _groups(file: Path, _changed_ns: int) -> tuple[Any, FloatArray, FloatArray]:
     return opened, low, high
 
 
-def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span | None = None) -> dict[str, FloatArray]:
+def read_columns(
+    data: DataSet, index: int, columns: Sequence[str], span: records.Span | None = None
+) -> dict[str, records.FloatArray]:
     """Columns of one episode by name: numbers, shape (T,) or (T, K); one that the data set lacks is left out.
 
     To read a part, `CLOCK` must be among the columns.
@@ -211,18 +204,18 @@ def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span |
     return found
 
 
-def _of_episode(table: Any, index: int, columns: Sequence[str]) -> tuple[dict[str, FloatArray], int]:
+def _of_episode(table: Any, index: int, columns: Sequence[str]) -> tuple[dict[str, records.FloatArray], int]:
     """Columns of the rows that belong to an episode, and how many these are."""
     table = table.filter(arrow().compute.equal(table["episode_index"], index))
     return {column: _numbers(table[column], len(table)) for column in columns}, len(table)
 
 
 def _columns_within(
-    groups: Sequence[int], columns: Sequence[str], data: DataSet, index: int, span: Span
-) -> tuple[dict[str, FloatArray], int]:
+    groups: Sequence[int], columns: Sequence[str], data: DataSet, index: int, span: records.Span
+) -> tuple[dict[str, records.FloatArray], int]:
     """Columns of a part of an episode, read some frames at a time; and how many frames the whole episode has."""
-    parts: dict[str, list[FloatArray]] = {column: [] for column in columns}
-    first: dict[str, FloatArray] = {}
+    parts: dict[str, list[records.FloatArray]] = {column: [] for column in columns}
+    first: dict[str, records.FloatArray] = {}
     count = 0
     # an episode is one row group: without a buffer all of its columns would be read first
     opened = arrow().parquet.ParquetFile(data.folder / data.episodes[index].file, buffer_size=BUFFER)
@@ -240,7 +233,7 @@ def _columns_within(
     return {column: np.concatenate(found) if found else np.empty(0) for column, found in parts.items()}, count
 
 
-def parts_of_episode(folder: str | Path, index: int, most: int) -> list[Span]:
+def parts_of_episode(folder: str | Path, index: int, most: int) -> list[records.Span]:
     """Parts of an episode with about as many frames each, of which none has more than ``most``; they leave no gap."""
     data = open_data_set(folder)
     count = -(-data.episodes[index].length // most) if index in data.episodes else 1
@@ -251,7 +244,7 @@ def parts_of_episode(folder: str | Path, index: int, most: int) -> list[Span]:
     return list(zip(begins, [*begins[1:], int(times_ns.max()) + 1], strict=True))
 
 
-def _numbers(column: Any, count: int) -> FloatArray:
+def _numbers(column: Any, count: int) -> records.FloatArray:
     """A column of numbers or of vectors that are all alike."""
     whole = column.combine_chunks() if hasattr(column, "combine_chunks") else column
     if not count:
@@ -275,8 +268,8 @@ def read_episode(
     effort_unit: str | None,
     nominal_torque_constants: Mapping[str, float],
     limits: Mapping[str, tuple[float, float]],
-    span: Span | None = None,
-) -> Recording:
+    span: records.Span | None = None,
+) -> records.Recording:
     """One episode as a recording; times count from its first frame, or that of the part that is read.
 
     Args:
@@ -307,7 +300,7 @@ def read_episode(
         measured = _effort(data, columns.effort, read[columns.effort], tuple(position), called)
     goals = _by_name(data, columns.goal, read[columns.goal], called) if columns.goal in read else {}
 
-    def in_si(by_name: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    def in_si(by_name: Mapping[str, records.FloatArray]) -> dict[str, records.FloatArray]:
         """The same in rad or m, under the robot's names."""
         scale = np.pi / 180.0 if columns.position_unit == "deg" else 1.0
         found = {}
@@ -332,20 +325,20 @@ def read_episode(
     signals = None
     if sent:
         rows = np.column_stack(list(sent.values()))[whole]
-        signals = DriveSignals(times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0))
-    return Recording(called, record, means.measured(record), notes, (), signals)
+        signals = records.DriveSignals(times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0))
+    return records.Recording(called, record, means.measured(record), notes, (), signals)
 
 
 def _usable(
-    times_ns: TimeArray, position: FloatArray, columns: Columns, called: str
-) -> tuple[BoolArray, tuple[str, ...]]:
+    times_ns: records.TimeArray, position: records.FloatArray, columns: Columns, called: str
+) -> tuple[records.BoolArray, tuple[str, ...]]:
     """Which frames have a position and a time of their own, shape (T,), and a note where some have not; refuses too few."""
-    whole: BoolArray = np.isfinite(position).all(axis=1) & (np.diff(times_ns, prepend=times_ns[:1] - 1) > 0)
+    whole: records.BoolArray = np.isfinite(position).all(axis=1) & (np.diff(times_ns, prepend=times_ns[:1] - 1) > 0)
     count, left_out = int(whole.sum()), int((~whole).sum())
-    if count < MIN_SAMPLES:
-        raise RecordingError(f"{called}: only {count} frames are usable, at least {MIN_SAMPLES} are needed")
+    if count < records.MIN_SAMPLES:
+        raise RecordingError(f"{called}: only {count} frames are usable, at least {records.MIN_SAMPLES} are needed")
     furthest = np.abs(position[whole]).max()
-    if furthest > IMPLAUSIBLE_POSITION:
+    if furthest > records.IMPLAUSIBLE_POSITION:
         raise RecordingError(
             f"{called}: {columns.position} reaches {furthest:.4g}, which is no angle in rad nor a length in m: "
             "is the unit that of --driver (position_unit)?"
@@ -354,7 +347,7 @@ def _usable(
     return whole, (note,) if left_out else ()
 
 
-def _ending(by_name: Mapping[str, FloatArray], *endings: str) -> dict[str, FloatArray]:
+def _ending(by_name: Mapping[str, records.FloatArray], *endings: str) -> dict[str, records.FloatArray]:
     """The entries whose names have one of these endings, by joint."""
     return {_SUFFIX.sub("", name): column for name, column in by_name.items() if _suffix(name) in endings}
 
@@ -364,7 +357,7 @@ def _suffix(name: str) -> str:
     return "" if found is None else found[1]
 
 
-def _by_name(data: DataSet, column: str, values: FloatArray, called: str) -> dict[str, FloatArray]:
+def _by_name(data: DataSet, column: str, values: records.FloatArray, called: str) -> dict[str, records.FloatArray]:
     """The entries of a vector column by their names."""
     names = data.names(column)
     table = values.reshape(len(values), -1)
@@ -376,8 +369,8 @@ def _by_name(data: DataSet, column: str, values: FloatArray, called: str) -> dic
 
 
 def _effort(
-    data: DataSet, column: str, values: FloatArray, joints: tuple[str, ...], called: str
-) -> dict[str, FloatArray]:
+    data: DataSet, column: str, values: records.FloatArray, joints: tuple[str, ...], called: str
+) -> dict[str, records.FloatArray]:
     """Measured effort by joint, in the data set's names."""
     if not data.names(column) and values.reshape(len(values), -1).shape[1] == len(joints):
         return dict(zip(joints, values.T, strict=True))
@@ -385,8 +378,8 @@ def _effort(
 
 
 def _times(
-    data: DataSet, read: Mapping[str, FloatArray], first_s: FloatArray | None = None, before: int = 0
-) -> TimeArray:
+    data: DataSet, read: Mapping[str, records.FloatArray], first_s: records.FloatArray | None = None, before: int = 0
+) -> records.TimeArray:
     """Of frames, since the first [ns]; where that is not among them, by its timestamp or how many frames are before them."""
     if "timestamp" in read:
         first_s = read["timestamp"][:1] if first_s is None else first_s

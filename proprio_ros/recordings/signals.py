@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from proprio_ros import records
 from proprio_ros.errors import RecordingError, printable
 from proprio_ros.recordings.columns import JointColumns, array_columns, joint_state_columns
 from proprio_ros.recordings.contradictions import refuse_pace
@@ -33,20 +34,6 @@ from proprio_ros.recordings.topics import (
     Topic,
     listed,
 )
-from proprio_ros.records import (
-    IMPLAUSIBLE_POSITION,
-    LOST_AFTER_PERIODS,
-    MIN_SAMPLES,
-    ZERO_CURRENT_A,
-    BoolArray,
-    DriveSignals,
-    FloatArray,
-    InputRecord,
-    JointRecord,
-    Recording,
-    Span,
-    TimeArray,
-)
 
 REGISTER, LARGEST_COUNT = 65536, 4096
 """Values of a register of 16 bits, and what no motor's current, duty or load in counts exceeds."""
@@ -59,7 +46,7 @@ FOREIGN_CLOCK_NS = 500_000_000
 
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 5.0  # joint states that come faster or slower have stamps in another unit
 
-_NO_TIMES: TimeArray = np.empty(0, dtype=np.int64)
+_NO_TIMES: records.TimeArray = np.empty(0, dtype=np.int64)
 
 
 class _Asked(NamedTuple):
@@ -81,8 +68,8 @@ def read_recording(
     current_per_count_A: float = CURRENT_PER_COUNT_A,
     states_only: bool = False,
     conventions: Conventions = OUR_DRIVER,
-    span: Span | None = None,
-) -> Recording:
+    span: records.Span | None = None,
+) -> records.Recording:
     """Read joint states and input currents from a ROS 2 bag.
 
     The input comes from the topics that the driver's conventions name (ours: /applied_effort, else /current_command), else from
@@ -133,7 +120,7 @@ def read_recording(
     needed = not states_only and not (torque_off and effort_unit is None)
     if inputs is None and needed and record.reported_effort is not None:
         inputs = _measured(path, state, record, asked)
-    return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off, commanded=beside)
+    return records.Recording(path.resolve().name, record, inputs, tuple(notes), torque_off, commanded=beside)
 
 
 def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) -> None:
@@ -150,11 +137,11 @@ def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) ->
 
 
 def _joint_record(
-    path: Path, topic: Topic, columns: JointColumns, inputs: InputRecord | None, asked: _Asked, notes: list[str]
-) -> JointRecord:
+    path: Path, topic: Topic, columns: JointColumns, inputs: records.InputRecord | None, asked: _Asked, notes: list[str]
+) -> records.JointRecord:
     driven: list[str] = []
     if inputs is not None:
-        used = np.any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
+        used = np.any(np.abs(inputs.current_A) > records.ZERO_CURRENT_A, axis=0)
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
     expected = [*asked.joint_order, *driven]
     times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
@@ -185,24 +172,24 @@ def _torque_off(bag: Bag, state: Topic, columns: JointColumns, notes: list[str])
     return tuple((off_ns, on_ns) for (off_ns, on), (on_ns, _) in pairwise(changes) if not on)
 
 
-def _of(mask: BoolArray) -> str:
+def _of(mask: records.BoolArray) -> str:
     return f"{int(mask.sum())} of {mask.size}"
 
 
-def _note(notes: list[str], topic: Topic, mask: BoolArray, what: str) -> None:
+def _note(notes: list[str], topic: Topic, mask: records.BoolArray, what: str) -> None:
     """Say how many of a topic's rows were repaired or left out, where there are any."""
     if mask.any():
         notes.append(f"{topic.name}: {_of(mask)} {what}.")
 
 
-def _times(columns: JointColumns, topic: Topic, notes: list[str]) -> TimeArray:
+def _times(columns: JointColumns, topic: Topic, notes: list[str]) -> records.TimeArray:
     """Header stamps; where there are none, the recorder's time on the same clock."""
     missing = columns.stamp_ns == 0
     _note(notes, topic, missing, "messages have no header stamp; their time of recording was used")
     return np.where(missing, columns.bag_ns + columns.clock_ns(), columns.stamp_ns)
 
 
-def _sorted(times: TimeArray, topic: Topic, notes: list[str]) -> TimeArray:
+def _sorted(times: records.TimeArray, topic: Topic, notes: list[str]) -> records.TimeArray:
     """Order of the rows in time."""
     late = np.diff(times, prepend=times[:1]) < 0
     _note(notes, topic, late, "stamps go back in time; the messages were sorted")
@@ -211,7 +198,7 @@ def _sorted(times: TimeArray, topic: Topic, notes: list[str]) -> TimeArray:
 
 def _state_rows(
     path: Path, topic: Topic, columns: JointColumns, driven: Sequence[str], expected: Sequence[str], notes: list[str]
-) -> tuple[TimeArray, tuple[str, ...], dict[str, FloatArray]]:
+) -> tuple[records.TimeArray, tuple[str, ...], dict[str, records.FloatArray]]:
     """One row per usable message in the order of time, one column per joint that has a position.
 
     Joints may be spread over several messages (arm and gripper from two publishers). The rows are then the messages
@@ -253,32 +240,32 @@ def _state_rows(
     repeated = np.diff(times[rows], prepend=times[rows][:1] - 1) == 0
     _note(notes, topic, repeated, "stamps are repeated; the first message of each was kept")
     rows[rows] = ~repeated
-    if int(rows.sum()) < MIN_SAMPLES:
+    if int(rows.sum()) < records.MIN_SAMPLES:
         raise RecordingError(
-            f"{path}: only {_of(rows)} messages of {topic.name} are usable, at least {MIN_SAMPLES} are needed"
+            f"{path}: only {_of(rows)} messages of {topic.name} are usable, at least {records.MIN_SAMPLES} are needed"
             f" ({' '.join(notes) or 'the recording is too short'})"
         )
     gaps = np.diff(times[rows])
-    if lost := int(np.sum(gaps > LOST_AFTER_PERIODS * np.median(gaps))):
+    if lost := int(np.sum(gaps > records.LOST_AFTER_PERIODS * np.median(gaps))):
         notes.append(
-            f"{topic.name}: messages were lost: {lost} gaps of more than {LOST_AFTER_PERIODS:g} periods"
+            f"{topic.name}: messages were lost: {lost} gaps of more than {records.LOST_AFTER_PERIODS:g} periods"
             f" ({np.median(gaps) / 1e6:.1f} ms), the longest {gaps.max() / 1e6:.0f} ms."
         )
     return times[rows], names, {quantity: table[rows] for quantity, table in values.items()}
 
 
-def _garbage(values: Mapping[str, FloatArray], joints: BoolArray) -> BoolArray:
+def _garbage(values: Mapping[str, records.FloatArray], joints: records.BoolArray) -> records.BoolArray:
     """Messages with numbers from unwritten memory in one of the joints' columns, shape (T,); where many are, the unit is wrong."""
     bad = np.zeros(len(values["position"]), dtype=bool)
-    for quantity, limit in (("position", IMPLAUSIBLE_POSITION), ("velocity", 1e6), ("effort", 1e9)):
+    for quantity, limit in (("position", records.IMPLAUSIBLE_POSITION), ("velocity", 1e6), ("effort", 1e9)):
         bad |= (np.abs(values[quantity][:, joints]) > limit).any(axis=1)
     return bad if bad.mean() < GARBAGE_SHARE else np.zeros_like(bad)
 
 
-def _check_positions(path: Path, names: Sequence[str], position: FloatArray, expected: Sequence[str]) -> None:
+def _check_positions(path: Path, names: Sequence[str], position: records.FloatArray, expected: Sequence[str]) -> None:
     for name, values in zip(names, position.T, strict=True):
         # joints that are not the robot's may be wheels, which do turn that far
-        if name in expected and np.abs(values).max() > IMPLAUSIBLE_POSITION:
+        if name in expected and np.abs(values).max() > records.IMPLAUSIBLE_POSITION:
             worst = values[np.argmax(np.abs(values))]
             raise RecordingError(
                 f"{path}: {name} stands at {worst:.6g}, which is no angle in rad nor a length in m; the publisher seems"
@@ -288,7 +275,7 @@ def _check_positions(path: Path, names: Sequence[str], position: FloatArray, exp
 
 def _commands(
     bag: Bag, topic: Topic, means: InputTopic, states: JointColumns, asked: _Asked, notes: list[str]
-) -> InputRecord:
+) -> records.InputRecord:
     """Input from a command topic, on the clock of the joint states."""
     if topic.msgtype == JOINT_STATE:
         columns = joint_state_columns(bag, topic, ["effort"], asked.conventions)
@@ -321,10 +308,10 @@ def _commands(
     times, current = times[order], held(current[order])
     latest = np.diff(times, append=times[-1] + 1) > 0
     _note(notes, topic, ~latest, "stamps are repeated; the last message of each was kept")
-    return InputRecord(times[latest], columns.names, current[latest], printable(topic.name), means.unit)
+    return records.InputRecord(times[latest], columns.names, current[latest], printable(topic.name), means.unit)
 
 
-def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> FloatArray:
+def _signed(names: Sequence[str], effort: records.FloatArray, notes: list[str]) -> records.FloatArray:
     """The same with negative counts of a 16-bit register that were read as unsigned, and lie far above all others."""
     negative = (effort >= REGISTER - LARGEST_COUNT) & (effort < REGISTER)
     with np.errstate(invalid="ignore"):
@@ -341,7 +328,7 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
     return np.where(negative & columns, effort - REGISTER, effort)
 
 
-def _measured(path: Path, topic: Topic, record: JointRecord, asked: _Asked) -> InputRecord:
+def _measured(path: Path, topic: Topic, record: records.JointRecord, asked: _Asked) -> records.InputRecord:
     """Input from what the motors reported."""
     inputs = asked.effort.measured(record)
     if asked.effort.unit is None:
@@ -359,8 +346,11 @@ def _measured(path: Path, topic: Topic, record: JointRecord, asked: _Asked) -> I
 
 
 def read_drive_signals(
-    path: str | Path, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER, span: Span | None = None
-) -> DriveSignals:
+    path: str | Path,
+    state_topic: str | None = None,
+    conventions: Conventions = OUR_DRIVER,
+    span: records.Span | None = None,
+) -> records.DriveSignals:
     """Read goals (positions of /joint_command, named as joint states are) and supply voltage (/battery_state), as far as there.
 
     The arguments are those of `read_recording`.
@@ -380,7 +370,7 @@ def read_drive_signals(
 
         goal, battery = found(JOINT_COMMAND, JOINT_STATE), found(BATTERY_STATE, BATTERY)
         if goal is None and battery is None:
-            return DriveSignals(_NO_TIMES, (), np.empty((0, 0)), _NO_TIMES, np.empty(0))
+            return records.DriveSignals(_NO_TIMES, (), np.empty((0, 0)), _NO_TIMES, np.empty(0))
         ahead_ns = joint_state_columns(bag, state, ["position"], conventions).clock_ns()
         goal_ns, names, goals = _NO_TIMES, tuple[str, ...](), np.empty((0, 0))
         if goal is not None:
@@ -396,17 +386,19 @@ def read_drive_signals(
         ]
     volts.sort(key=lambda sample: sample[0])
     voltage_ns = np.array([time_ns for time_ns, _ in volts], dtype=np.int64)
-    return DriveSignals(goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64))
+    return records.DriveSignals(
+        goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64)
+    )
 
 
-def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
+def without_jumps(recording: records.Recording, joints: Sequence[str]) -> records.Recording:
     """Leave out, with a note, joint states in which one of the robot's joints jumps away and back, as damaged numbers would.
 
     That is all that can be seen of damage in a file without checksums (sqlite3): smaller errors, and those at the ends, cannot.
     """
     record = recording.joints
     position = record.position[:, np.isin(record.names, joints)]
-    if len(position) <= MIN_SAMPLES:
+    if len(position) <= records.MIN_SAMPLES:
         return recording
     intervals = 1e-9 * np.diff(record.times_ns)
     # two messages may be stamped at nearly the same time

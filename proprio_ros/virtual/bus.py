@@ -14,16 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.virtual.protocol import (
-    BROADCAST_ID,
-    Code,
-    CrcError,
-    Error,
-    Instruction,
-    Parser,
-    encode_fast_status,
-    encode_status,
-)
+from proprio_ros.virtual import protocol
 from proprio_ros.virtual.servo import VirtualServo
 
 _BITS_PER_BYTE = 10  # start, eight, stop
@@ -95,7 +86,7 @@ class VirtualBus:
         self.faults = faults if faults is not None else Faults()
         self.wire_time = wire_time
         self.port_baud: int | None = None
-        self._parser = Parser()
+        self._parser = protocol.Parser()
         self._received_s = 0.0
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
@@ -133,34 +124,34 @@ class VirtualBus:
         return right_baud and servo.id not in self.faults.hang and servo.awake(now_s)
 
     def _handle(
-        self, packet: Instruction | CrcError, listeners: dict[int, VirtualServo], now_s: float
+        self, packet: protocol.Instruction | protocol.CrcError, listeners: dict[int, VirtualServo], now_s: float
     ) -> Iterator[_Part]:
         """Do what a packet says; the answers in the order of the wire."""
-        if isinstance(packet, CrcError):
+        if isinstance(packet, protocol.CrcError):
             if packet.id in listeners:
-                yield from _answer(listeners[packet.id], Error.CRC, level=2)
+                yield from _answer(listeners[packet.id], protocol.Error.CRC, level=2)
             return
-        if packet.code == Code.STATUS:
+        if packet.code == protocol.Code.STATUS:
             return
         for servo in listeners.values():
             servo.heard(now_s)
-        if packet.id != BROADCAST_ID:
+        if packet.id != protocol.BROADCAST_ID:
             if packet.id in listeners:
                 yield from _addressed(packet, listeners[packet.id], now_s)
             return
-        if packet.code == Code.PING:
+        if packet.code == protocol.Code.PING:
             for _, servo in sorted(listeners.items()):
                 yield from _ping(servo)
-        elif packet.code == Code.SYNC_READ:
+        elif packet.code == protocol.Code.SYNC_READ:
             address, length, ids = _sync_read(packet.params)
             yield from _chain(ids, address, length, listeners)
-        elif packet.code == Code.FAST_SYNC_READ:
+        elif packet.code == protocol.Code.FAST_SYNC_READ:
             yield from _fast_sync_read(packet.params, listeners)
-        elif packet.code == Code.SYNC_WRITE:
+        elif packet.code == protocol.Code.SYNC_WRITE:
             for servo_id, address, data in _sync_write(packet.params):
                 if servo_id in listeners:
                     listeners[servo_id].write(address, data, now_s)
-        elif packet.code in (Code.WRITE, Code.REBOOT):
+        elif packet.code in (protocol.Code.WRITE, protocol.Code.REBOOT):
             # all obey, nobody answers
             for servo in listeners.values():
                 list(_addressed(packet, servo, now_s))
@@ -169,33 +160,33 @@ class VirtualBus:
 def _answer(servo: VirtualServo, error: int, data: bytes = b"", *, level: int) -> Iterator[_Part]:
     """Status packet, if the servo's Status Return Level is at least this."""
     if servo["status_return_level"] >= level:
-        yield _Part((servo,), encode_status(servo.id, servo.status_error(error), data))
+        yield _Part((servo,), protocol.encode_status(servo.id, servo.status_error(error), data))
 
 
 def _ping(servo: VirtualServo) -> Iterator[_Part]:
-    return _answer(servo, Error.NONE, servo.read(0, 2)[1] + bytes([servo["firmware_version"]]), level=0)
+    return _answer(servo, protocol.Error.NONE, servo.read(0, 2)[1] + bytes([servo["firmware_version"]]), level=0)
 
 
-def _addressed(packet: Instruction, servo: VirtualServo, now_s: float) -> Iterator[_Part]:
+def _addressed(packet: protocol.Instruction, servo: VirtualServo, now_s: float) -> Iterator[_Part]:
     """A packet for one servo."""
     params = packet.params
-    if packet.code == Code.PING:
+    if packet.code == protocol.Code.PING:
         yield from _ping(servo)
-    elif packet.code == Code.READ:
+    elif packet.code == protocol.Code.READ:
         whole = len(params) == 4
-        error, data = servo.read(_word(params, 0), _word(params, 2)) if whole else (Error.DATA_LENGTH, b"")
+        error, data = servo.read(_word(params, 0), _word(params, 2)) if whole else (protocol.Error.DATA_LENGTH, b"")
         yield from _answer(servo, error, data, level=1)
-    elif packet.code == Code.WRITE:
+    elif packet.code == protocol.Code.WRITE:
         # the level that was valid before the write decides; assumed
         level, servo_id = servo["status_return_level"], servo.id
-        error = servo.write(_word(params, 0), params[2:], now_s) if len(params) > 2 else Error.DATA_LENGTH
+        error = servo.write(_word(params, 0), params[2:], now_s) if len(params) > 2 else protocol.Error.DATA_LENGTH
         if level >= 2:
-            yield _Part((servo,), encode_status(servo_id, servo.status_error(error)))
-    elif packet.code == Code.REBOOT:
-        yield from _answer(servo, Error.NONE, level=2)
+            yield _Part((servo,), protocol.encode_status(servo_id, servo.status_error(error)))
+    elif packet.code == protocol.Code.REBOOT:
+        yield from _answer(servo, protocol.Error.NONE, level=2)
         servo.reboot(now_s)
     else:
-        yield from _answer(servo, Error.INSTRUCTION, level=2)
+        yield from _answer(servo, protocol.Error.INSTRUCTION, level=2)
 
 
 def _chain(ids: bytes, address: int, length: int, listeners: dict[int, VirtualServo]) -> Iterator[_Part]:
@@ -224,7 +215,7 @@ def _fast_sync_read(params: bytes, listeners: dict[int, VirtualServo]) -> Iterat
         speakers.append(servo)
         parts.append((servo.status_error(error), servo_id, data))
     if parts:
-        yield _Part(tuple(speakers), encode_fast_status(parts, len(ids)))
+        yield _Part(tuple(speakers), protocol.encode_fast_status(parts, len(ids)))
 
 
 def _word(data: bytes, index: int) -> int:

@@ -159,7 +159,7 @@ def test_a_wide_interval_is_given_and_not_accepted(
     capsys: pytest.CaptureFixture[str], ur10e: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in a weighing with one joint: `too_wide` means the same."""
-    monkeypatch.setattr(moving, "WIDEST_SHARE", 1e-3)
+    monkeypatch.setattr(moving.refusals, "WIDEST_SHARE", 1e-3)
     monkeypatch.setattr(moving, "WIDEST_OF_ARM", 0.0)
     code, answer = replayed(capsys, ur10e, "ur10e_loaded_14", "--baseline", str(REAL / "ur10e_empty_14"))
     assert code == 3 and answer["verdict"] == "too_wide" and answer["reason_codes"] == ["too_wide"]

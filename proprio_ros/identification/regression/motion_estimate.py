@@ -13,17 +13,11 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate,
 from proprio_ros.identification.estimate import UnknownRow
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload, learn_arm, share_of
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
-from proprio_ros.identification.regression.refusals import (
-    centre_elsewhere,
-    deciding,
-    far_from_prior,
-    unexplained_torque,
-    unlike_urdf,
-)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
@@ -110,9 +104,9 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
         for motion in motions
     ]
     driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
-    share = deciding(calibration.tells, share_of(calibration.residual, driven))
-    yield from unexplained_torque(calibration.joints, share, "the arm and its friction")
-    yield from unlike_urdf(calibration.arm_over_urdf)
+    share = refusals.deciding(calibration.tells, share_of(calibration.residual, driven))
+    yield from refusals.unexplained_torque(calibration.joints, share, "the arm and its friction")
+    yield from refusals.unlike_urdf(calibration.arm_over_urdf)
     prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
     # the prior has what a joint's torque repeats to; what its file leaves open is more, most of it in common with the others
     open_yet = [
@@ -120,7 +114,7 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
         for kind, joint in calibration.keys
     ]
     std = np.hypot(np.sqrt(np.diag(prior.covariance)), open_yet)
-    yield from far_from_prior(calibration.keys, calibration.values, prior.values, std, "robot file")
+    yield from refusals.far_from_prior(calibration.keys, calibration.values, prior.values, std, "robot file")
 
 
 def _scaled(
@@ -136,7 +130,7 @@ def _scaled(
     for fit, motion, mass_kg in sorted(fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]):
         if centre is not None:
             free = fit_payload(robot, [motion], open_scale)
-            for refusal in centre_elsewhere(motion.name, centre, fit, free):
+            for refusal in refusals.centre_elsewhere(motion.name, centre, fit, free):
                 return calibration, refusal
         read, std = float(fit.values[0]), float(fit.std[0])
         coarse = read <= 0.0 or fit.half_width > LIGHT_REFERENCE * mass_kg

@@ -21,6 +21,7 @@ import numpy as np
 from proprio_ros.calibration_files.motions import ARM_TERMS, BODY_TERMS, FRICTION_TERMS, TERMS, Key, MotionCalibration
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
+from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.between import DIFFERS, WORDS, Between, effective_freedom
 from proprio_ros.identification.regression.motion_equations import (
     MIN_STRETCHES,
@@ -29,16 +30,6 @@ from proprio_ros.identification.regression.motion_equations import (
     Problem,
     Rows,
     equations,
-)
-from proprio_ros.identification.regression.motion_prior import (
-    LEAST_TORQUE_STD,
-    LOAD_FRICTION_SPREAD,
-    URDF_SHARE,
-    between_of,
-    calibrated_prior,
-    payload_stds,
-    prior_of_file,
-    relative_torque_std,
 )
 from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
 from proprio_ros.identification.regression.traces import Explained
@@ -149,9 +140,9 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
     parts = [equations(robot, motion, joints) for motion in motions]
     problem = Problem.of(parts, 0)
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
-    prior = prior_of_file(robot, arm, runs)
+    prior = motion_prior.prior_of_file(robot, arm, runs)
     none = np.zeros(len(FRICTION_TERMS) * count)
-    published, per_kg = Between.published(none, none), payload_stds(arm)
+    published, per_kg = Between.published(none, none), motion_prior.payload_stds(arm)
     if runs == 1:
         solution = solve(problem, prior, published, per_kg)
     else:
@@ -167,11 +158,13 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
     bodies = slice(PARAMETERS, PARAMETERS * (1 + count))
     fitted, by_urdf = (problem.matrix[:, bodies] @ each[bodies] for each in (solution.values, prior.values))
     over_urdf = float(fitted @ by_urdf / (by_urdf @ by_urdf))
-    scale_std = max(relative_torque_std(robot, name) for name in names)
+    scale_std = max(motion_prior.relative_torque_std(robot, name) for name in names)
     # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
-    limit = URDF_SHARE
+    limit = motion_prior.URDF_SHARE
     if robot.arm_scale.std > 0.0:
-        limit = min(2.0 * float(np.hypot(robot.arm_scale.std, scale_std)), max(URDF_SHARE, 2.0 * scale_std))
+        limit = min(
+            2.0 * float(np.hypot(robot.arm_scale.std, scale_std)), max(motion_prior.URDF_SHARE, 2.0 * scale_std)
+        )
     if abs(over_urdf - 1.0) > limit:
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
     learnt = MotionCalibration(
@@ -263,9 +256,9 @@ def fit_payload(
     problem = Problem.of(parts, len(loaded))
     carrying = problem.carrying
     stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
-    known, terms = calibrated_prior(arm, calibration, len(motions))
-    between = between_of(calibration)
-    per_kg = payload_stds(arm)
+    known, terms = motion_prior.calibrated_prior(arm, calibration, len(motions))
+    between = motion_prior.between_of(calibration)
+    per_kg = motion_prior.payload_stds(arm)
     if centre is not None:
         per_kg[1:4] = np.maximum(centre[1], 1e-3)
     solution, opened, scatter = solve_following(problem, known, between, per_kg, calibration)
@@ -375,12 +368,12 @@ def _covariances(
     follows = by_prior[:, PARAMETERS:] @ terms
     count = len(calibration.joints)
     opened = by_prior[:, :PARAMETERS] * solution.payload_prior
-    geared = by_prior[:, PARAMETERS + 11 * count : PARAMETERS + 12 * count] * LOAD_FRICTION_SPREAD
+    geared = by_prior[:, PARAMETERS + 11 * count : PARAMETERS + 12 * count] * motion_prior.LOAD_FRICTION_SPREAD
     between, own = solution.between, slice(problem.own(0).start, None)
     words, of_own = np.tile([WORDS[kind] for kind in between.kinds], problem.motions), by_prior[:, own]
     followed = of_own * np.tile(between.std, problem.motions)
     # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
-    by_share = follows @ calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
+    by_share = follows @ calibration.covariance[:, 12 * count : 13 * count] / motion_prior.LEAST_TORQUE_STD
     apart = by_share @ by_share.T
     by_calibration = larger(
         follows @ calibration.deviations.T @ calibration.deviations @ follows.T,

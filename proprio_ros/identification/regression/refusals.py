@@ -109,18 +109,10 @@ def far_from_prior(
 
 
 def centre_elsewhere(name: str, stated: Centre, fit: MotionFit, free: MotionFit) -> Iterator[Refusal]:
-    """Where the motion says that the payload's centre is not where it was stated, and its mass another one for it.
-
-    Args:
-        name: Of the recording.
-        stated: The centre [m], and how well it is known.
-        fit: With that centre.
-        free: With a centre that is looked for.
-    """
+    """Where ``fit`` has the payload at a stated centre, ``free`` finds another, and the mass is another one for it."""
     mass, at = float(free.values[0]), np.asarray(stated[0])
-    std = np.sqrt(
-        max(float(free.std[0]) ** 2 - free.parts[CONSTANTS] ** 2, 0.0)
-    )  # both err alike as torque constants do
+    # both err alike as torque constants do
+    std = np.sqrt(max(float(free.std[0]) ** 2 - free.parts[CONSTANTS] ** 2, 0.0))
     if mass < LEAST_SIGMAS * free.std[0] or abs(fit.values[0] - mass) < free.quantile * std:
         return
     moments = np.hstack([-at[:, None], np.eye(3)])  # about the stated centre they are nothing

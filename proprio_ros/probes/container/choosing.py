@@ -15,14 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from proprio_ros.excitation.plans import LEAST_SHAKES, ExcitationSequence
-from proprio_ros.experiment_design.candidates import (
-    Push,
-    TimeOf,
-    best_first,
-    candidate_joints,
-    expected_coulomb,
-    still_run,
-)
+from proprio_ros.experiment_design import candidates
 from proprio_ros.experiment_design.choosing import Found, passes, time_of
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.experiment_design.sequential import (
@@ -85,7 +78,7 @@ class SphereUntilSure(CatalogueChooser):
         self._turning: dict[tuple[str, tuple[tuple[str, float], ...]], SphereRun] = {}
         # where it comes to rest, whatever is stated about where it was in the sample recordings
         self._resting = replace(facts, start=None, settled=True)
-        joints = candidate_joints(robot)
+        joints = candidates.candidate_joints(robot)
         search = SphereSearch(robot, facts, options)
         for prepared in [prepare_run(robot, run, None, facts.shell) for run in baseline]:
             if not unusable(prepared):
@@ -96,7 +89,8 @@ class SphereUntilSure(CatalogueChooser):
         self._search = replace(search, facts=facts)
         rest = bent_pose(robot)
         still = tuple(
-            prepare_run(robot, still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell) for joint in joints
+            prepare_run(robot, candidates.still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell)
+            for joint in joints
         )
         every = self._problem(still)
         self._shared = SharedUnknowns(every)
@@ -104,7 +98,7 @@ class SphereUntilSure(CatalogueChooser):
             at = self._shared.at[mass]
             self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
         self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
-        self._values |= {("coulomb", joint): expected_coulomb(every, joint) for joint in joints}
+        self._values |= {("coulomb", joint): candidates.expected_coulomb(every, joint) for joint in joints}
         self._covariance = np.linalg.inv(self._shared.prior)
         if weighed is not None:
             self._believe(weighed)
@@ -159,7 +153,7 @@ class SphereUntilSure(CatalogueChooser):
         self._values |= {key: float(fit.values[index[key]]) for key in self._shared.keys if key in index}
         self._covariance = self._shared.covariance_after(fit)
 
-    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[candidates.Push]:
         beside = time_of(self.robot, self._sequence, pose)
         shell = self._values["payload_mass"]
         low, high = (shell + mass for mass in self._unknown_kg)
@@ -168,8 +162,8 @@ class SphereUntilSure(CatalogueChooser):
         towards = as_rigid @ self._covariance[:, at], float(self._covariance[at, at])
         covariance = as_rigid @ self._covariance @ as_rigid.T
         rigid = Known(shell + sphere, self._found.std, covariance, self._found.runs, towards=towards)
-        chosen: list[Push] = []
-        blocked: list[Push] = []
+        chosen: list[candidates.Push] = []
+        blocked: list[candidates.Push] = []
         ways: dict[tuple[object, ...], bool] = {}
         for push in self.catalogue.rank(rigid, beside, target_std, (low, high), durations_s=DURATIONS_S[-1:]):
             if not self._rolls(push):
@@ -180,9 +174,11 @@ class SphereUntilSure(CatalogueChooser):
             (chosen if ways[begins] else blocked).append(push)
             if len(chosen) == SIMULATED:
                 break
-        return best_first(self.promised(chosen, sphere, beside), target_std) if chosen else blocked
+        return candidates.best_first(self.promised(chosen, sphere, beside), target_std) if chosen else blocked
 
-    def promised(self, pushes: Sequence[Push], sphere_kg: float, time_beside: TimeOf) -> list[Push]:
+    def promised(
+        self, pushes: Sequence[candidates.Push], sphere_kg: float, time_beside: candidates.TimeOf
+    ) -> list[candidates.Push]:
         """What pushes of the catalogue would tell of a sphere, each with every duration in which joint and sphere move far enough.
 
         ``time_beside`` is how long a push takes beside itself, as in `Catalogue.rank`.
@@ -192,7 +188,7 @@ class SphereUntilSure(CatalogueChooser):
         at = self._shared.at["sphere_mass"]
         now = self._covariance[at, at]
         beside = time_beside([push.start for push in pushes])
-        found: list[Push] = []
+        found: list[candidates.Push] = []
         for n, push in enumerate(pushes):
             counted, told = counts[n].tolist()
             if told < MIN_USED:
@@ -212,7 +208,7 @@ class SphereUntilSure(CatalogueChooser):
                 found.append(replace(push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel))
         return found
 
-    def _simulated(self, pushes: Sequence[Push], sphere_kg: float) -> tuple[np.ndarray, ...]:
+    def _simulated(self, pushes: Sequence[candidates.Push], sphere_kg: float) -> tuple[np.ndarray, ...]:
         """Pushes over the longest duration, all in one launch.
 
         Returns:
@@ -266,7 +262,7 @@ class SphereUntilSure(CatalogueChooser):
             return False
         return any(self._apart(run, position, position + travel) for travel in (-MAX_TRAVEL, MAX_TRAVEL))
 
-    def _rolls(self, push: Push) -> bool:
+    def _rolls(self, push: candidates.Push) -> bool:
         """Whether a push turns the container so far that the sphere leaves the end in which it rests."""
         still = self.catalogue.still(push)
         return self._apart(self._geometry(still), still.rest.value, still.rest.value + push.travel)

@@ -7,16 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.virtual.objects import (
-    LONGEST_M,
-    HandObject,
-    Payload,
-    SixOfInertia,
-    Vector,
-    check_lengths,
-    check_mass,
-    set_inertia,
-)
+from proprio_ros.virtual import objects
 
 if TYPE_CHECKING:
     from proprio_ros.records import FloatArray
@@ -29,7 +20,7 @@ LEVEL = 0.02  # a floor that is tilted less than this holds the sphere in its mi
 
 
 @dataclass(frozen=True)
-class Container(HandObject):
+class Container(objects.HandObject):
     """A closed box of six thin walls, rigid in the hand, with a sphere that is free inside.
 
     Raises:
@@ -48,19 +39,19 @@ class Container(HandObject):
     }
 
     mass_kg: float = 0.03  # of the walls, spread evenly over them
-    inner_size_m: Vector = (0.06, 0.04, 0.04)  # along the axes of the payload frame, shape (3,)
-    centre_m: Vector = (0.035, 0.0, 0.0)  # of the box in the payload frame, shape (3,)
+    inner_size_m: objects.Vector = (0.06, 0.04, 0.04)  # along the axes of the payload frame, shape (3,)
+    centre_m: objects.Vector = (0.035, 0.0, 0.0)  # of the box in the payload frame, shape (3,)
     # sphere_mass_kg, sphere_radius_m: of the sphere, a solid ball
     sphere_mass_kg: float = 0.012
     sphere_radius_m: float = 0.01
     friction: float = 0.4  # sliding friction between sphere and walls; rolling costs nothing
 
     def __post_init__(self) -> None:
-        check_mass("mass", self.mass_kg)
-        check_mass("sphere", self.sphere_mass_kg)
-        check_lengths("inner", self.inner_size_m, 0.001)
-        check_lengths("centre", self.centre_m, -LONGEST_M)
-        check_lengths("radius", (self.sphere_radius_m,), 0.001)
+        objects.check_mass("mass", self.mass_kg)
+        objects.check_mass("sphere", self.sphere_mass_kg)
+        objects.check_lengths("inner", self.inner_size_m, 0.001)
+        objects.check_lengths("centre", self.centre_m, -objects.LONGEST_M)
+        objects.check_lengths("radius", (self.sphere_radius_m,), 0.001)
         if 2.0 * self.sphere_radius_m >= min(self.inner_size_m):
             raise ConfigurationError(
                 f"radius={self.sphere_radius_m:g}: the sphere does not fit into inner={list(self.inner_size_m)}; "
@@ -70,7 +61,7 @@ class Container(HandObject):
             raise ConfigurationError(f"friction={self.friction:g}: give a coefficient of friction, e.g. 0.4")
 
     @property
-    def inertia(self) -> SixOfInertia:
+    def inertia(self) -> objects.SixOfInertia:
         """Of the walls about the box's centre: xx, yy, zz, xy, xz, yz [kg m^2]."""
         side = self.inner_size_m
         areas = (side[1] * side[2], side[0] * side[2], side[0] * side[1])  # of the walls across x, y and z
@@ -82,15 +73,15 @@ class Container(HandObject):
         return (y + z, x + z, x + y, 0.0, 0.0, 0.0)
 
     @property
-    def emptied(self) -> Payload:
+    def emptied(self) -> objects.Payload:
         """The container with its sphere taken out."""
-        return Payload(self.mass_kg, self.centre_m, inertia_kg_m2=self.inertia)
+        return objects.Payload(self.mass_kg, self.centre_m, inertia_kg_m2=self.inertia)
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> None:
         import numpy as np
 
         box = hand.add_body(name=CONTAINER, pos=self.centre_m)
-        set_inertia(box, self.mass_kg, (0.0, 0.0, 0.0), self.inertia)
+        objects.set_inertia(box, self.mass_kg, (0.0, 0.0, 0.0), self.inertia)
         half = 0.5 * np.array(self.inner_size_m)
         touching = {"condim": 3, "friction": (self.friction, 0.0, 0.0), "solref": CONTACT_SOLREF, "mass": 0.0}
         for axis in range(3):
@@ -104,7 +95,7 @@ class Container(HandObject):
         ball = spec.worldbody.add_body(name=SPHERE)
         ball.add_freejoint(name=SPHERE)
         inertia = 0.4 * self.sphere_mass_kg * self.sphere_radius_m**2
-        set_inertia(ball, self.sphere_mass_kg, (0.0, 0.0, 0.0), (inertia, inertia, inertia, 0.0, 0.0, 0.0))
+        objects.set_inertia(ball, self.sphere_mass_kg, (0.0, 0.0, 0.0), (inertia, inertia, inertia, 0.0, 0.0, 0.0))
         kind, radius = mujoco.mjtGeom.mjGEOM_SPHERE, (self.sphere_radius_m, 0.0, 0.0)
         ball.add_geom(type=kind, size=radius, contype=0, conaffinity=1, **touching)
 

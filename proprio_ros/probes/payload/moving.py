@@ -17,25 +17,12 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate, Fit, JointFit, Value, Verdict
 from proprio_ros.identification.judge import ACCEPTED, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import STRETCH_S
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
-from proprio_ros.identification.regression.refusals import (
-    APART_SIGMAS,
-    DECIDES,
-    LEAST_SIGMAS,
-    WIDEST_SHARE,
-    centre_elsewhere,
-    deciding,
-    elsewhere,
-    far_from_prior,
-    lighter_than_empty,
-    passed_over,
-    unexplained_torque,
-    unlike_urdf,
-)
 from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.motions import Motion
@@ -165,7 +152,7 @@ def identify_in_motion(
         budget=list(fit.parts.items()),
         detail=MotionDetail(fit.stretches, fit.unseen()),
         beside=baseline,
-        notes=passed_over(fit.joints, fit.tells, fit.unexplained),
+        notes=refusals.passed_over(fit.joints, fit.tells, fit.unexplained),
         shown=fit.shown,
     )
 
@@ -192,9 +179,9 @@ def _elsewhere(
     place = _place(free)[0].value
     if not isinstance(place, list) or None in place or judge(_refusals(motions, free, known)) is not ACCEPTED:
         return refusal
-    name, found = motions[0].name, elsewhere(motions[0].name, stated[0], np.asarray(place))
+    name, found = motions[0].name, refusals.elsewhere(motions[0].name, stated[0], np.asarray(place))
     if refusal.verdict is not Verdict.REJECTED:
-        found = next(centre_elsewhere(name, stated, fit, free), refusal)
+        found = next(refusals.centre_elsewhere(name, stated, fit, free), refusal)
     return found if found is refusal else replace(found, reasons=(*found.reasons, *refusal.reasons))
 
 
@@ -218,10 +205,10 @@ def drift(mass: float, std: float) -> Iterator[Refusal]:
 def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
     name = motions[0].name
     off = np.abs(fit.torque_ratio - 1.0)
-    decides = off > np.where(fit.tells < DECIDES, np.inf, RATIO_SHARE)
+    decides = off > np.where(fit.tells < refusals.DECIDES, np.inf, RATIO_SHARE)
     far = np.where(decides, off / np.hypot(fit.torque_ratio_std, RATIO_STD), 0.0)
     worst = int(np.argmax(far))
-    if far[worst] > APART_SIGMAS:
+    if far[worst] > refusals.APART_SIGMAS:
         yield rejected(
             "other_torque",
             "torques are not those of the empty arm",
@@ -230,15 +217,15 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
         )
     if fit.halves is not None:
         (early, early_std), (late, late_std) = fit.halves
-        if abs(early - late) > APART_SIGMAS * np.hypot(early_std, late_std):
+        if abs(early - late) > refusals.APART_SIGMAS * np.hypot(early_std, late_std):
             yield rejected(
                 "changed_midway",
                 "the two halves of the recording say different masses",
                 f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
                 "was something picked up or put down meanwhile? Record the motions with and without it apart",
             )
-    unexplained = deciding(fit.tells, fit.unexplained)
-    yield from unexplained_torque(fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: ")
+    unexplained = refusals.deciding(fit.tells, fit.unexplained)
+    yield from refusals.unexplained_torque(fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: ")
     ratio = fit.residual / fit.empty_residual
     worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))  # never of one that does not decide
     if unexplained[worst] > 0.1 and ratio[worst] > MISFIT_RATIO:
@@ -248,15 +235,15 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
             f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
             "the payload held firmly, and did nothing touch the arm?",
         )
-    yield from unlike_urdf(fit.arm_over_urdf)
-    yield from far_from_prior(fit.keys, fit.arm, fit.arm_prior, fit.arm_std, known)
-    yield from lighter_than_empty(float(fit.values[0]), fit.half_width, "are the recordings mixed up?")
+    yield from refusals.unlike_urdf(fit.arm_over_urdf)
+    yield from refusals.far_from_prior(fit.keys, fit.arm, fit.arm_prior, fit.arm_std, known)
+    yield from refusals.lighter_than_empty(float(fit.values[0]), fit.half_width, "are the recordings mixed up?")
 
 
 def _too_wide(fit: MotionFit) -> Iterator[Refusal]:
     """Why an answer that nothing else speaks against is not accepted."""
     half = fit.half_width
-    if half > max(WIDEST_SHARE * abs(float(fit.values[0])), WIDEST_OF_ARM * fit.arm_kg):
+    if half > max(refusals.WIDEST_SHARE * abs(float(fit.values[0])), WIDEST_OF_ARM * fit.arm_kg):
         sentence = (
             f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: move faster and through more attitudes of "
             f"the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and record the empty hand in the same motion"
@@ -288,7 +275,7 @@ def _rms(values: np.ndarray) -> float:
 def _place(fit: MotionFit) -> tuple[Value, Value]:
     """Centre of mass, and inertia about it, in the payload's frame, where the mass is known well enough to divide by."""
     mass, std = float(fit.values[0]), fit.std
-    if abs(mass) < LEAST_SIGMAS * std[0] or mass <= 0.0:
+    if abs(mass) < refusals.LEAST_SIGMAS * std[0] or mass <= 0.0:
         nothing = "too little is held to say "
         return (
             Value("payload_com", "m", [None] * 3, [None] * 3, [None] * 3, nothing + "where"),
@@ -310,7 +297,7 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     # a moment of inertia is told as a mass is, to half of itself, and a product only means something beside its moments
     seen = stds < SEEN_SHARE * fit.payload_prior[4:]
     moments = [0, 3, 5]
-    seen[moments] &= fit.quantile * stds[moments] < WIDEST_SHARE * value[moments]
+    seen[moments] &= fit.quantile * stds[moments] < refusals.WIDEST_SHARE * value[moments]
     for product, (one, other) in {1: (0, 3), 2: (0, 5), 4: (3, 5)}.items():
         seen[product] &= seen[one] or seen[other]
     names = [name for name, told in zip(("xx", "xy", "xz", "yy", "yz", "zz"), seen, strict=True) if not told]
