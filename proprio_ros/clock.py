@@ -97,16 +97,11 @@ def thread(target: Callable[..., None], name: str, args: tuple[Any, ...] = ()) -
 
 @dataclass
 class Pacer:
-    """Cycles at a fixed rate, against absolute deadlines, so that lateness does not add up.
+    """Cycles at a fixed rate, against absolute deadlines, so that lateness does not add up."""
 
-    Attributes:
-        period_s: Of a cycle.
-        lateness_s: How late each cycle began, the newest `keep`.
-    """
-
-    period_s: float
+    period_s: float  # of a cycle
     keep: int = 10_000
-    lateness_s: list[float] = field(default_factory=list)
+    lateness_s: list[float] = field(default_factory=list)  # how late each cycle began, the newest `keep`
     _next_s: float = field(default=float("nan"))
 
     def wait(self) -> float:

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-LONGEST_SENTENCE = 290
-"""Characters of a message; with the command's name before it, it stays below 300."""
+LONGEST_SENTENCE = 290  # Characters of a message; with the command's name before it, it stays below 300.
 
 
 def printable(text: str) -> str:

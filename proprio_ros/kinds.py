@@ -12,10 +12,8 @@ from typing import NamedTuple
 
 from proprio_ros.errors import ConfigurationError
 
-Scope = str | int | None
-"""A joint, a link, the number of a run, or nothing."""
-Key = str | tuple[str, str | int]
-"""A kind that has no scope, or a kind and its scope."""
+Scope = str | int | None  # A joint, a link, the number of a run, or nothing.
+Key = str | tuple[str, str | int]  # A kind that has no scope, or a kind and its scope.
 
 
 class Kind(NamedTuple):
@@ -78,8 +76,7 @@ KINDS: dict[str, Kind] = {
 def add_kinds(kinds: Mapping[str, Kind]) -> None:
     """Let unknowns of these kinds be named; once more the same changes nothing.
 
-    Raises:
-        ConfigurationError: One of that name means something else.
+    Raises `ConfigurationError`: One of that name means something else.
     """
     for name, kind in kinds.items():
         if KINDS.setdefault(name, kind) != kind:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from proprio_ros.errors import RobotError
 
-Z95 = 1.959963984540054
-"""Half width of a 95 % interval in standard deviations (normal)."""
+Z95 = 1.959963984540054  # Half width of a 95 % interval in standard deviations (normal).
 _SHOWN = {
     "kg": (1e3, "g", ".2f"),
     "Pa": (1e-3, "kPa", ".2f"),
@@ -80,8 +79,7 @@ class Sought:
 class Quantity:
     """A number and its standard deviation; 0 means known exactly.
 
-    Raises:
-        RobotError: A number is not finite, or the standard deviation is negative.
+    Raises `RobotError`: A number is not finite, or the standard deviation is negative.
     """
 
     value: float

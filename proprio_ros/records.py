@@ -27,18 +27,15 @@ MEASURED_EFFORT = "measured effort"
 """`InputRecord.source` when no command was recorded and the input is the current that the motors reported."""
 STALL_CURRENT = "stall current"
 """How `InputRecord.source` begins where a voltage drives the motors and the input was made of it."""
-ZERO_CURRENT_A = 1e-6
-"""A commanded current up to this is a command of zero [A]."""
+ZERO_CURRENT_A = 1e-6  # A commanded current up to this is a command of zero [A].
 TORQUE_OFF = "torque off"
 """`Run.source` of a free response: the current is zero because torque was off, whatever else was recorded."""
 LOST_AFTER_PERIODS = 2.5
 """A gap longer than this many median periods means that messages were lost, not that one came late."""
-MIN_SAMPLES = 5
-"""Joint states that a recording has at least."""
+MIN_SAMPLES = 5  # Joint states that a recording has at least.
 IMPLAUSIBLE_POSITION = 50.0
 """No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
-LONGEST_NAME = 255
-"""Characters of a joint's name."""
+LONGEST_NAME = 255  # Characters of a joint's name.
 INSTANT_S = 1e-6
 """Two stamps closer than this are the same instant: cycles are milliseconds apart, and stamps carry rounding [s]."""
 
@@ -100,25 +97,19 @@ def _show(record: Recording | Run) -> None:
 
 @dataclass(frozen=True)
 class JointRecord:
-    """Joint states over time.
+    """Joint states over time."""
 
-    Attributes:
-        times_ns: Sampling instants [ns], strictly increasing, shape (T,).
-        names: Joint names, one per column, unique.
-        position: Joint positions [rad or m], finite, shape (T, J).
-        velocity: Joint velocities [rad/s or m/s], shape (T, J); NaN where a message gave none; None if none did.
-        effort: Joint efforts [N m or N], shape (T, J); NaN where a message gave none; None if unknown.
-        current: Measured motor currents [A], shape (T, J); NaN where unknown; None if unknown everywhere.
-        reported_effort: The effort field as it was recorded, in whatever unit its driver used, shape (T, J); NaN where a
-            message gave none; None if none did. Good for "did the motor do as commanded", never for a torque.
-    """
-
-    times_ns: TimeArray
-    names: tuple[str, ...]
-    position: FloatArray
+    times_ns: TimeArray  # sampling instants [ns], strictly increasing, shape (T,)
+    names: tuple[str, ...]  # joint names, one per column, unique
+    position: FloatArray  # joint positions [rad or m], finite, shape (T, J)
+    # joint velocities [rad/s or m/s], shape (T, J); NaN where a message gave none; None if none did
     velocity: FloatArray | None = None
+    # joint efforts [N m or N], shape (T, J); NaN where a message gave none; None if unknown
     effort: FloatArray | None = None
+    # measured motor currents [A], shape (T, J); NaN where unknown; None if unknown everywhere
     current: FloatArray | None = None
+    # the effort field as it was recorded, in whatever unit its driver used, shape (T, J); NaN where a message gave
+    # none; None if none did. Good for "did the motor do as commanded", never for a torque.
     reported_effort: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -137,20 +128,13 @@ class JointRecord:
 
 @dataclass(frozen=True)
 class InputRecord:
-    """Motor currents that drove the joints; each row holds until the next.
+    """Motor currents that drove the joints; each row holds until the next."""
 
-    Attributes:
-        times_ns: When each row begins to hold [ns], strictly increasing, shape (C,).
-        names: Joint names, one per column, unique.
-        current_A: Motor current [A], finite, shape (C, J).
-        source: Where it comes from: the topic's name, or `MEASURED_EFFORT`.
-        unit: What the source gives its numbers in, as for ``--effort-unit``; nominal torque constants made currents of torques.
-    """
-
-    times_ns: TimeArray
-    names: tuple[str, ...]
-    current_A: FloatArray
-    source: str
+    times_ns: TimeArray  # when each row begins to hold [ns], strictly increasing, shape (C,)
+    names: tuple[str, ...]  # joint names, one per column, unique
+    current_A: FloatArray  # motor current [A], finite, shape (C, J)
+    source: str  # where it comes from: the topic's name, or `MEASURED_EFFORT`
+    # what the source gives its numbers in, as for ``--effort-unit``; nominal torque constants made currents of torques
     unit: str = "A"
 
     def __post_init__(self) -> None:
@@ -176,18 +160,12 @@ class InputRecord:
 
 @dataclass(frozen=True)
 class DriveSignals:
-    """What a bag holds of what drives servos that know no current, on the clock of the joint states.
+    """What a bag holds of what drives servos that know no current, on the clock of the joint states."""
 
-    Attributes:
-        goal_ns: When each row of goals was sent [ns], shape (G,); empty where none was recorded.
-        names: Of the joints, one per column.
-        goals: [rad], NaN where a message gave none, shape (G, J).
-        voltage_ns, voltage_V: Of the supply, shape (B,); empty where it was not recorded.
-    """
-
-    goal_ns: TimeArray
-    names: tuple[str, ...]
-    goals: FloatArray
+    goal_ns: TimeArray  # when each row of goals was sent [ns], shape (G,); empty where none was recorded
+    names: tuple[str, ...]  # of the joints, one per column
+    goals: FloatArray  # [rad], NaN where a message gave none, shape (G, J)
+    # voltage_ns, voltage_V: of the supply, shape (B,); empty where it was not recorded
     voltage_ns: TimeArray
     voltage_V: FloatArray
 
@@ -202,24 +180,16 @@ class DriveSignals:
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording: what the joints did, what drove them, and what had to be repaired.
+    """One recording: what the joints did, what drove them, and what had to be repaired."""
 
-    Attributes:
-        name: Name of the bag, for messages and reports.
-        joints: Joint states.
-        inputs: Input currents; None when the recording has nothing about them.
-        notes: Every repair made while reading, one sentence each.
-        torque_off_ns: From when to when torque was off [ns], one pair per stretch, on the clock of the joint states.
-        signals: What stall currents are made of, where voltages drive motors; else None.
-        commanded: Commands of this package's own topics, where measured efforts are the input; to compare the two, else None.
-    """
-
-    name: str
-    joints: JointRecord
-    inputs: InputRecord | None
-    notes: tuple[str, ...] = ()
+    name: str  # name of the bag, for messages and reports
+    joints: JointRecord  # joint states
+    inputs: InputRecord | None  # input currents; None when the recording has nothing about them
+    notes: tuple[str, ...] = ()  # every repair made while reading, one sentence each
+    # from when to when torque was off [ns], one pair per stretch, on the clock of the joint states
     torque_off_ns: tuple[tuple[int, int], ...] = ()
-    signals: DriveSignals | None = None
+    signals: DriveSignals | None = None  # what stall currents are made of, where voltages drive motors; else None
+    # commands of this package's own topics, where measured efforts are the input; to compare the two, else None
     commanded: InputRecord | None = None
 
     def __post_init__(self) -> None:
@@ -228,15 +198,10 @@ class Recording:
 
 @dataclass(frozen=True)
 class PointTrack:
-    """Where something was seen over time, as by a camera.
+    """Where something was seen over time, as by a camera."""
 
-    Attributes:
-        stamp_ns: When, on the clock of the joint states [ns], strictly increasing, shape (N,).
-        position: Where [m], shape (N, 3).
-    """
-
-    stamp_ns: TimeArray
-    position: FloatArray
+    stamp_ns: TimeArray  # when, on the clock of the joint states [ns], strictly increasing, shape (N,)
+    position: FloatArray  # where [m], shape (N, 3)
 
     def __post_init__(self) -> None:
         times = _keep(self, "stamp_ns", "stamps of points", (-1,), np.int64)
@@ -264,47 +229,32 @@ class Run:
 
     Or one free response: torque went off, and gravity moves the joint from where and however fast it was. Its times count from
     the first sample used, its current is zero, and nothing is said of what was before.
-
-    Attributes:
-        name: Name of the recording, with the run's number behind it when there are several.
-        joint: The driven joint.
-        onset_ns: Instant of the command's onset [ns].
-        times_s: Sampling instants, 0 <= t <= duration_s [s], strictly increasing, shape (K,).
-        position: Positions of the driven joint [rad or m], shape (K,).
-        before_times_s: Instants of the samples at rest before the onset, t < 0 [s], strictly increasing, shape (P,).
-        before_position: Positions of the driven joint at those instants [rad or m], shape (P,).
-        held: Mean position of every other joint from the first sample before the onset to the end [rad or m].
-        held_span: Largest minus smallest position of the same [rad or m].
-        input_times_s: When each current begins to hold [s], strictly increasing, starting at 0, shape (S,).
-        input_current_A: Current of the driven joint [A], neighbours differ, shape (S,).
-        duration_s: End of the non-zero current [s].
-        source: Where the input comes from, as in `InputRecord.source`.
-        notes: What a reader of the result should know about this run, one sentence each.
-        reported_effort: The driven joint's effort field at ``times_s``, in its driver's unit, shape (K,); None if not
-            recorded.
-        held_position: Positions of the other joints at ``before_times_s`` and then ``times_s`` [rad or m], shape (P + K,)
-            each; those that were not recorded are missing.
-        after_times_s: Instants of the samples after the end, t > duration_s [s], strictly increasing, shape (A,).
-        after_position: Positions of the driven joint at those instants [rad or m], shape (A,). No fit follows them.
     """
 
-    name: str
-    joint: str
-    onset_ns: int
-    times_s: FloatArray
-    position: FloatArray
+    name: str  # name of the recording, with the run's number behind it when there are several
+    joint: str  # the driven joint
+    onset_ns: int  # instant of the command's onset [ns]
+    times_s: FloatArray  # sampling instants, 0 <= t <= duration_s [s], strictly increasing, shape (K,)
+    position: FloatArray  # positions of the driven joint [rad or m], shape (K,)
+    # instants of the samples at rest before the onset, t < 0 [s], strictly increasing, shape (P,)
     before_times_s: FloatArray
-    before_position: FloatArray
+    before_position: FloatArray  # positions of the driven joint at those instants [rad or m], shape (P,)
+    # mean position of every other joint from the first sample before the onset to the end [rad or m]
     held: dict[str, float]
-    held_span: dict[str, float]
-    input_times_s: FloatArray
-    input_current_A: FloatArray
-    duration_s: float
-    source: str
-    notes: tuple[str, ...] = ()
+    held_span: dict[str, float]  # largest minus smallest position of the same [rad or m]
+    input_times_s: FloatArray  # when each current begins to hold [s], strictly increasing, starting at 0, shape (S,)
+    input_current_A: FloatArray  # current of the driven joint [A], neighbours differ, shape (S,)
+    duration_s: float  # end of the non-zero current [s]
+    source: str  # where the input comes from, as in `InputRecord.source`
+    notes: tuple[str, ...] = ()  # what a reader of the result should know about this run, one sentence each
+    # the driven joint's effort field at ``times_s``, in its driver's unit, shape (K,); None if not recorded
     reported_effort: FloatArray | None = None
+    # positions of the other joints at ``before_times_s`` and then ``times_s`` [rad or m], shape (P + K,) each; those
+    # that were not recorded are missing
     held_position: Mapping[str, FloatArray] = field(default_factory=dict)
+    # instants of the samples after the end, t > duration_s [s], strictly increasing, shape (A,)
     after_times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    # positions of the driven joint at those instants [rad or m], shape (A,). No fit follows them.
     after_position: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property

@@ -53,8 +53,7 @@ def chunks_of(episodes: Sequence[Episode], size: int) -> Iterator[list[Episode]]
 class Store:
     """The rows of one job in a folder, which is made where it is not.
 
-    Raises:
-        ConfigurationError: The folder cannot be made, holds the rows of another job, or another process writes to it.
+    Raises `ConfigurationError`: The folder cannot be made, holds the rows of another job, or another process writes to it.
     """
 
     def __init__(self, folder: Path, job: Job) -> None:

@@ -66,8 +66,7 @@ class BusServo:
 def servos_of(robot: Robot) -> tuple[BusServo, ...]:
     """The servos that a robot file names, in its order.
 
-    Raises:
-        RobotError: A motor has no id or an unknown model, or two share an id.
+    Raises `RobotError`: A motor has no id or an unknown model, or two share an id.
     """
     servos = []
     for joint, motor in robot.motors.items():
@@ -171,8 +170,7 @@ class DynamixelBus:
     def open(self) -> None:
         """Open the port alone for this process.
 
-        Raises:
-            PortLostError: It is not there, not permitted, or in use; the message says which.
+        Raises `PortLostError`: It is not there, not permitted, or in use; the message says which.
         """
         self.close()
         port = Port(self.port_name, self._reply_timeout_s, self._connect)
@@ -336,8 +334,7 @@ class DynamixelBus:
     def reboot(self, servo_id: int, ready_s: float = 2.0) -> None:
         """Reboot a servo, which clears its hardware error, and wait until it answers.
 
-        Raises:
-            BusError: It does not come back, or its error is still there.
+        Raises `BusError`: It does not come back, or its error is still there.
         """
 
         def exchange(port: Any) -> tuple[None, int, int]:

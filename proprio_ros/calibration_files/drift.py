@@ -33,14 +33,11 @@ WORTH_SAYING = 0.03  # friction known worse by this part of itself is said
 
 @dataclass(frozen=True)
 class Drift:
-    """Standard deviations of what changes after a calibration, relative.
+    """Standard deviations of what changes after a calibration, relative."""
 
-    Attributes:
-        friction_per_sqrt_h, torque_constant_per_sqrt_h: After an hour; after n hours sqrt(n) times as much.
-        friction_per_K, torque_constant_per_K: Beside that, by each degree between the motor's temperature then and now.
-    """
-
+    # friction_per_sqrt_h, torque_constant_per_sqrt_h: after an hour; after n hours sqrt(n) times as much
     friction_per_sqrt_h: float = 0.01
+    # friction_per_K, torque_constant_per_K: beside that, by each degree between the motor's temperature then and now
     friction_per_K: float = 0.01
     torque_constant_per_sqrt_h: float = 0.0005
     torque_constant_per_K: float = 0.001

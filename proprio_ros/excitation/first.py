@@ -37,8 +37,7 @@ WORDS = {"empty": "with nothing in the hand", "payload": "with the object", "ref
 def first_sequence(robot: Robot, hand: str) -> plans.ExcitationSequence:
     """Pushes of an arm with what `WORDS` says in its hand; the same whenever they are asked for.
 
-    Raises:
-        ConfigurationError: No driven joint that turns feels a weight in the hand where there is room for a push.
+    Raises `ConfigurationError`: No driven joint that turns feels a weight in the hand where there is room for a push.
     """
     loads, steps = Loads(robot), _by_goals(robot)
     limits, random, rest = (

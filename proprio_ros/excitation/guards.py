@@ -112,8 +112,7 @@ class FreeResponse:
 def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeResponse:
     """The pendulum that a joint is, with an empty hand, where all independent joints are at a pose [rad or m].
 
-    Raises:
-        ExcitationError: The joint slides, drives another one too, or gravity does not move it.
+    Raises `ExcitationError`: The joint slides, drives another one too, or gravity does not move it.
     """
     if robot.model.joint(joint).kind == "prismatic":
         raise ExcitationError(f"{joint} slides: only a joint that turns swings freely; give it a current")

@@ -393,8 +393,7 @@ _POSES = ("start", "home")
 def _values(section: Any, kind: type, where: str, own: Sequence[str] = ()) -> dict[str, Any]:
     """A section's entries for a data class, less its name: texts, poses, and numbers; those of its ``own`` as they are.
 
-    Raises:
-        ConfigurationError: An entry is unknown, missing though it has no default, or none of these.
+    Raises `ConfigurationError`: An entry is unknown, missing though it has no default, or none of these.
     """
     entries = [entry for entry in fields(kind) if entry.name != "name"]
     choices = ", ".join(entry.name for entry in entries)

@@ -87,8 +87,7 @@ class Ways:
     ) -> Way:
         """The straight way of all driven joints [rad or m], or one over a higher pose when that comes too low.
 
-        Raises:
-            ExcitationError: Neither keeps the sequence's clearance; ``where`` says what is there.
+        Raises `ExcitationError`: Neither keeps the sequence's clearance; ``where`` says what is there.
         """
         for via in itertools.chain([()], ((pose,) for pose in self._high_poses(before, after))):
             poses = (dict(before), *via, dict(after))

@@ -203,8 +203,7 @@ def adam(problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate:
 def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed: int = 1) -> Solution:
     """CMA-ES (Hansen's ``cma``), one search per start, each generation in one launch.
 
-    Raises:
-        ConfigurationError: The library is not installed.
+    Raises `ConfigurationError`: The library is not installed.
     """
     try:
         import cma as library

@@ -62,8 +62,7 @@ def path_problem(path: str | Path) -> str:
 def text_of(path: Path, error: type[ProprioError], longest: int = LONGEST_TEXT) -> str:
     """The text of a regular file of at most so many bytes, without a byte order mark.
 
-    Raises:
-        ProprioError: Of the kind given: it cannot be read, is no text, or is too long.
+    Raises `ProprioError`: Of the kind given: it cannot be read, is no text, or is too long.
     """
     if problem := path_problem(path):
         raise error(f"{path}: {problem}")
@@ -111,8 +110,7 @@ def _check_depth(content: Any) -> None:
 def yaml_of(text: str) -> Any:
     """What a YAML text says (plain types only); the caller may change it.
 
-    Raises:
-        ValueError: It is none, is nested too deep, or stands for more than it should.
+    Raises `ValueError`: It is none, is nested too deep, or stands for more than it should.
     """
     return deepcopy(_parsed(text))
 
@@ -179,8 +177,7 @@ def _parsed(text: str) -> Any:
 def yaml_file(path: Path, kind: type[ProprioError], called: str = "") -> Any:
     """What a YAML file says (plain types only); messages call it by its path, or otherwise.
 
-    Raises:
-        ProprioError: Of that kind: it is not readable, or no YAML that `yaml_of` takes.
+    Raises `ProprioError`: Of that kind: it is not readable, or no YAML that `yaml_of` takes.
     """
     text = text_of(path, kind)
     try:

@@ -54,8 +54,7 @@ def _candidates() -> Iterator[Path]:
 def share_directory() -> Path:
     """Folder that holds ``config/``, ``urdf/`` and ``bags/``.
 
-    Raises:
-        ConfigurationError: The package was installed without its data files.
+    Raises `ConfigurationError`: The package was installed without its data files.
     """
     for candidate in _candidates():
         if (candidate / _MARKER).is_file():
@@ -76,8 +75,7 @@ def resource_names(kind: str) -> tuple[str, ...]:
 def resource(kind: str, name: str) -> Path:
     """Path of a resource by its name, with or without the suffix of its kind.
 
-    Raises:
-        ConfigurationError: There is none of that name.
+    Raises `ConfigurationError`: There is none of that name.
     """
     folder, suffix = KINDS[kind]
     path = share_directory() / folder / (name.removesuffix(suffix) + suffix)
@@ -147,8 +145,7 @@ def check_new(path: Path, suffixes: Sequence[str], force: bool) -> None:
 def check_page(path: Path, option: str, force: bool = False) -> None:
     """Refuse to replace what is no page of this package: a robot file, a calibration, whatever is somebody's.
 
-    Raises:
-        ConfigurationError: Such a file is there, and ``force`` does not say that it may go.
+    Raises `ConfigurationError`: Such a file is there, and ``force`` does not say that it may go.
     """
     try:
         if force or not path.is_file() or path.stat().st_size == 0:

@@ -91,8 +91,7 @@ class Carrier:
     def efforts(self, pose: Mapping[str, float], load: Load) -> tuple[FloatArray, FloatArray]:
         """Torque of each joint that carries arm and load at a pose [rad], and its standard deviation [N m], shape (n,) each.
 
-        Raises:
-            RobotError: The pose lacks a joint.
+        Raises `RobotError`: The pose lacks a joint.
         """
         if lacking := [name for name in self.joints if name not in pose]:
             raise RobotError(f"the pose lacks {', '.join(lacking)}; state all joints")

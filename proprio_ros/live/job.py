@@ -47,8 +47,7 @@ class Job:
     def plan(self, default: str, robot: Robot) -> ExcitationSequence:
         """The sequence that it makes: the one that was asked for, else a parameter's, and until it is as sure as was asked for.
 
-        Raises:
-            ConfigurationError: It cannot be made with this robot.
+        Raises `ConfigurationError`: It cannot be made with this robot.
         """
         plan = load_sequence(self.sequence or default, robot)
         if self.until is not None:

@@ -77,8 +77,7 @@ def together(load: Carried, tool: Sequence[float]) -> Carried:
 def check_tool(controller: str, tool: Sequence[float]) -> tuple[float, ...]:
     """The tool that the controller is to know beside the load, as it is stated: nothing, or mass [kg] and centre of mass [m].
 
-    Raises:
-        ConfigurationError: It is missing where the controller wants it, or is no mass and centre.
+    Raises `ConfigurationError`: It is missing where the controller wants it, or is no mass and centre.
     """
     if not len(tool):
         if CONTROLLERS[controller].with_tool:

@@ -64,8 +64,7 @@ class Session:
     def open(self) -> None:
         """Make the folder and begin to write; without it the messages are in memory until `save`.
 
-        Raises:
-            RecordingError: It cannot be written.
+        Raises `RecordingError`: It cannot be written.
         """
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -196,8 +195,7 @@ def _elsewhere() -> list[Path]:
 def prepare_identification(options: Options) -> None:
     """Compile and load all kernels that weighings and calibrations of a robot may need, so that no excitation waits for one.
 
-    Raises:
-        ConfigurationError, RobotError: The robot cannot be read, or compiled kernels cannot be kept.
+    Raises `ConfigurationError`, `RobotError`: The robot cannot be read, or compiled kernels cannot be kept.
     """
     compile_kernels(rises=robot_of(options).friction_rises)
 
@@ -211,8 +209,7 @@ def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, An
 def check_settings(options: Options) -> None:
     """Look at settings that may be about the objects of several probes.
 
-    Raises:
-        ConfigurationError, RobotError: In one line, what is wrong with them, or that the nodes cannot do it.
+    Raises `ConfigurationError`, `RobotError`: In one line, what is wrong with them, or that the nodes cannot do it.
     """
 
     def take(settings: Settings) -> None:
@@ -307,8 +304,7 @@ def as_parameters(sentence: str) -> str:
 def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
     """Write `estimate.json` beside a bag: the result, and the command that gives it again.
 
-    Raises:
-        ConfigurationError: It cannot be written.
+    Raises `ConfigurationError`: It cannot be written.
     """
     content = {**estimate.as_json(), "command": command}
     write_in_one_step(bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result")

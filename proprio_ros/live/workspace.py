@@ -119,8 +119,7 @@ class Workspace:
     def find_baseline(self, probe: Probe[Any], stated: str) -> Path | None:
         """The recording without what is to be identified: a stated bag; empty: the newest, if there is one; ``none``: none.
 
-        Raises:
-            ConfigurationError: One was named that is not there.
+        Raises `ConfigurationError`: One was named that is not there.
         """
         if stated == "none":
             return None

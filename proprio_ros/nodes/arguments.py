@@ -16,8 +16,7 @@ from proprio_ros.recordings.description import robot_named
 def check_arguments(robot: str = "", params_file: str = "", held: str = "") -> None:
     """Refuse in one line what the nodes would refuse one after the other, or would start without; empty: not stated.
 
-    Raises:
-        ProprioError: Robot, parameter file, or what the virtual hand is to hold is not there, or not understood.
+    Raises `ProprioError`: Robot, parameter file, or what the virtual hand is to hold is not there, or not understood.
     """
     if params_file:
         _check_parameters(Path(params_file))

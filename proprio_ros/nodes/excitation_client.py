@@ -71,8 +71,7 @@ class Excitation:
     def make(self, job: Job, sequence: str, begun: Callable[[], None] = lambda: None) -> None:
         """Ask for a sequence and wait until it has ended well; ``begun`` is called when it is under way.
 
-        Raises:
-            JobError: It was refused, aborted, cancelled, or the node fell silent.
+        Raises `JobError`: It was refused, aborted, cancelled, or the node fell silent.
         """
         named = RosParameter("probe", RosParameter.Type.STRING, sequence).to_parameter_msg()
         results = self._call(self.set_probe, SetParameters.Request(parameters=[named])).results

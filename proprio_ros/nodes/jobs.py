@@ -426,8 +426,7 @@ class Jobs:
     def _check_input(self, folder: Path, request: Request) -> None:
         """Whether what comes in can be read, before anything moves.
 
-        Raises:
-            RecordingError: It cannot, or the folder cannot be written.
+        Raises `RecordingError`: It cannot, or the folder cannot be written.
         """
         heard: list[RawMessage] = []
         self._inputs.heard = heard

@@ -32,8 +32,7 @@ LET_GO_S = 0.3  # for so long zeros are said when joints are lost; then whoever 
 def controller_of(node: ManagedNode, robot: Robot, topic: str) -> EffortController | GoalController:
     """As the node's parameters state it; the log says what that means for whoever stands beside the arm.
 
-    Raises:
-        ConfigurationError: They do not fit the robot.
+    Raises `ConfigurationError`: They do not fit the robot.
     """
     values = node.values
     joints, jump_rad = values["controller_joints"], values["max_jump"]

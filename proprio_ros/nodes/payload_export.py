@@ -29,8 +29,7 @@ def stated_tool(text: str) -> list[float]:
 class HandingOn:
     """Calls the service of the controller that the parameter `hand_on` names, with the load that stands in the results.
 
-    Raises:
-        ConfigurationError: The controller is unknown, its messages are not there, or the tool is not stated.
+    Raises `ConfigurationError`: The controller is unknown, its messages are not there, or the tool is not stated.
     """
 
     def __init__(self, node: ManagedNode, results: Results) -> None:

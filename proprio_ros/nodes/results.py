@@ -33,16 +33,11 @@ from proprio_ros.robot.kinematics import hand_path, zero_pose
 
 
 class StandingLoad(NamedTuple):
-    """What an accepted answer says the hand holds, until something newer is known.
+    """What an accepted answer says the hand holds, until something newer is known."""
 
-    Attributes:
-        robot: In whose payload frame it is.
-        words: Its mass with the interval.
-    """
-
-    robot: Robot
+    robot: Robot  # in whose payload frame it is
     carried: Carried
-    words: str
+    words: str  # its mass with the interval
 
 
 class Results:

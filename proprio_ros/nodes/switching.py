@@ -103,8 +103,7 @@ class Switching:
 def switching_of(node: ManagedNode, topic: str) -> Switching | None:
     """As the node's parameters state it; None where nobody is to switch, or the messages for it are not there.
 
-    Raises:
-        ConfigurationError: Nobody says which controller takes the commands on this topic.
+    Raises `ConfigurationError`: Nobody says which controller takes the commands on this topic.
     """
     values = node.values
     if not values["controller_manager"]:

@@ -55,8 +55,7 @@ class Weighing:
     def prepare(self) -> None:
         """Keep what weighing needs, and have the running estimate ready where it is asked for.
 
-        Raises:
-            ConfigurationError, RobotError: What is stated does not fit, or the calibration is of another arm.
+        Raises `ConfigurationError`, `RobotError`: What is stated does not fit, or the calibration is of another arm.
         """
         self._inputs.kept = self._make_feed = None
         asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))

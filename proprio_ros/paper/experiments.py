@@ -106,8 +106,7 @@ def _from(way: str, ends: Iterable[tuple[float, float]], calibrated: bool, truth
 def published(folder: Path) -> Rows:
     """The paper's own recording, in its way with the schedule as its setting states it, and in ours.
 
-    Raises:
-        ProprioError: It is no such recording.
+    Raises `ProprioError`: It is no such recording.
     """
     theirs = replay([folder], Options(profile="paper"))
     ways = [(path.start, path.scheduled, path.end) for path in theirs.solver.paths] if theirs.solver is not None else []

@@ -81,8 +81,7 @@ def tasks_of(names: Sequence[str], seeds: int) -> list[Task]:
 def compute(task: Task) -> tuple[Task, Rows]:
     """One experiment with one seed, and what it cost of a processor [s]; where it cannot be made, why.
 
-    Raises:
-        ConfigurationError: It needs a package that is not installed.
+    Raises `ConfigurationError`: It needs a package that is not installed.
     """
     name, seed = task
     began = time.process_time()

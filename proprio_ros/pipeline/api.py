@@ -72,17 +72,11 @@ class _Answered:
 
 @dataclass(frozen=True, repr=False)
 class Weighing(_Answered):
-    """What the hand holds.
+    """What the hand holds."""
 
-    Attributes:
-        estimate: Everything that was found out: fits of the runs, unknowns, solver.
-        bags: What it was found out from.
-        call: The call that gives it again.
-    """
-
-    estimate: Estimate
-    bags: tuple[str, ...]
-    call: str
+    estimate: Estimate  # everything that was found out: fits of the runs, unknowns, solver
+    bags: tuple[str, ...]  # what it was found out from
+    call: str  # the call that gives it again
 
     @property
     def values(self) -> dict[str, Value]:
@@ -108,8 +102,7 @@ class Weighing(_Answered):
     def mass(self) -> float | None:
         """Mass of the payload, or of the sphere in the container [kg]; None when it cannot be determined.
 
-        Raises:
-            AttributeError: The probe does not weigh.
+        Raises `AttributeError`: The probe does not weigh.
         """
         if self.unit != "kg":
             there = f"ask for value(name) with one of: {', '.join(self.values)}"
@@ -171,16 +164,11 @@ class CalibrationResult(_Answered, os.PathLike[str]):
     """What is known about the robot now; give it to ``weigh(..., calibration=result)``.
 
     It stands for a calibration file: the one that was asked for, or else one that is deleted with this object.
-
-    Attributes:
-        estimate: Everything that was found out: fits of the runs, unknowns, advice for further runs.
-        path: The calibration file; None when the calibration was not accepted.
-        call: The call that gives it again.
     """
 
-    estimate: CalibrationEstimate
-    path: Path | None
-    call: str
+    estimate: CalibrationEstimate  # everything that was found out: fits of the runs, unknowns, advice for further runs
+    path: Path | None  # the calibration file; None when the calibration was not accepted
+    call: str  # the call that gives it again
     _folder: Any = field(default=None, compare=False)
 
     @property

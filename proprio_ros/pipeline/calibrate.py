@@ -281,8 +281,7 @@ def plan_excitations(
 ) -> tuple[Robot, list[ExcitationPlan]]:
     """The robot, and the weighings that would determine most about objects of these masses, as a search so long finds them.
 
-    Raises:
-        ConfigurationError, RobotError: With one line that says what is wrong and what to do.
+    Raises `ConfigurationError`, `RobotError`: With one line that says what is wrong and what to do.
     """
     request = read_request(options or Options(), _reference)
     for name in request.locked:

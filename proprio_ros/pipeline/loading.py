@@ -31,8 +31,7 @@ _Found = TypeVar("_Found", Motion, Sequence[Run])
 class Recordings:
     """All that was given, each recording once: a run that counts twice would narrow the interval without a reason.
 
-    Raises:
-        ConfigurationError: Two of the paths lead to the same place.
+    Raises `ConfigurationError`: Two of the paths lead to the same place.
     """
 
     def __init__(self, paths: Sequence[str | Path]) -> None:
@@ -49,8 +48,7 @@ class Recordings:
     def checked(self, path: str | Path, found: _Found) -> _Found:
         """The runs or the motion of one path.
 
-        Raises:
-            ConfigurationError: Another path held one of them: the same samples at the same times, and the same current.
+        Raises `ConfigurationError`: Another path held one of them: the same samples at the same times, and the same current.
         """
         if isinstance(found, Motion):
             self._check(path, " ".join(found.joints), found.times_s, found.position, found.current_A)
@@ -80,8 +78,7 @@ def bag_runs(path: Path, request: Request) -> tuple[Run, ...]:
 def bag_motion(path: Path, request: Request) -> Motion:
     """One bag as a motion of all joints that have a motor and turn, named after it.
 
-    Raises:
-        RecordingError: It cannot be read, or nothing moves in it.
+    Raises `RecordingError`: It cannot be read, or nothing moves in it.
     """
     return _motion(bag_recording(path, request), request)
 
@@ -89,8 +86,7 @@ def bag_motion(path: Path, request: Request) -> Motion:
 def bag_runs_or_motion(path: Path, request: Request) -> tuple[Run, ...] | Motion:
     """The runs of one bag, or its motion where several joints were driven at once, or one under a controller.
 
-    Raises:
-        RecordingError: It cannot be read, or holds neither.
+    Raises `RecordingError`: It cannot be read, or holds neither.
     """
     recording = bag_recording(path, request)
     found = runs_or_motion(recording, request)
@@ -151,11 +147,7 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
 
 
 def bag_recording(path: Path, request: Request) -> Recording:
-    """What one bag, or one episode of a data set, holds for a robot, named after it.
-
-    Raises:
-        RecordingError: It cannot be read.
-    """
+    """What one bag, or one episode of a data set, holds for a robot, named after it. Raises `RecordingError`: It cannot be read."""
     robot, options, unit, episode = request.robot, request.options, request.unit, episode_of(path)
     if request.driver is not None and request.driver.refused:
         raise RecordingError(f"{path}: {request.driver.refused}")
@@ -251,8 +243,7 @@ def plausible_units(
 def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str, ...]:
     """A note where a bag is of the motors that were calibrated, but these have other firmware now.
 
-    Raises:
-        RecordingError: It is of another arm, as far as both say whose it is, or cannot be read.
+    Raises `RecordingError`: It is of another arm, as far as both say whose it is, or cannot be read.
     """
     if robot.calibration is None or not robot.calibration.motors:
         return ()

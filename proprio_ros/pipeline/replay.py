@@ -120,8 +120,7 @@ def _refuse_unsuited(request: Request, runs: Sequence[Run], motions: Sequence[Mo
 def identify(request: Request, robot: Robot, read: Recorded, paths: Sequence[str | Path]) -> Estimate:
     """Identify what the probe names from robot and recordings as `read_for` gave them; ``paths`` say where they come from.
 
-    Raises:
-        RecordingError: A recording is of no use.
+    Raises `RecordingError`: A recording is of no use.
     """
     probe = request.probe
     of = probe.identify_motions if read.motions and isinstance(probe, TakesMotions) else probe.identify
@@ -186,8 +185,7 @@ def _guessed_frame(robot: Robot, settings: Mapping[str, Any]) -> tuple[str, ...]
 def compile_for(options: Options) -> None:
     """Compile ahead what an identification with these options needs on this computer; again it costs nothing.
 
-    Raises:
-        ConfigurationError, RobotError: A setting is wrong, or compiled kernels cannot be kept.
+    Raises `ConfigurationError`, `RobotError`: A setting is wrong, or compiled kernels cannot be kept.
     """
     request = request_of(options)
     request.probe.compile(request.robot, request.facts)

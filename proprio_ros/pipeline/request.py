@@ -33,29 +33,24 @@ TEXT_ROBOT = "open_manipulator_x_as_published"
 
 @dataclass(frozen=True)
 class Options:
-    """What the user states; see ``proprio replay --help``.
-
-    Attributes:
-        settings: Dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values.
-        calibration: What ``proprio calibrate`` wrote.
-        baseline: Recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
-            empty container.
-        driver: Profile of the driver that published; topics and unit that are stated beside it win.
-        span: The part of each recording that is read; of a baseline all is.
-    """
+    """What the user states; see ``proprio replay --help``."""
 
     probe: str = "payload"
     robot: str | None = None
+    # dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values
     settings: Mapping[str, Any] = field(default_factory=dict)
     solver: str = "lm"
     profile: str = "default"
-    calibration: str | Path | None = None
+    calibration: str | Path | None = None  # what ``proprio calibrate`` wrote
+    # recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
+    # empty container
     baseline: Sequence[str | Path] = ()
     state_topic: str | None = None
     command_topic: str | None = None
     effort_unit: str | None = None
+    # profile of the driver that published; topics and unit that are stated beside it win
     driver: str | Path | None = None
-    span: Span | None = None
+    span: Span | None = None  # the part of each recording that is read; of a baseline all is
 
     def for_recordings(self, paths: Sequence[str | Path]) -> Options:
         """The same with the robot of the paper's public example, where all are texts and none is stated."""
@@ -67,24 +62,18 @@ class Options:
 class Request:
     """What is asked, as it was read; many recordings can share it.
 
-    Attributes:
-        robot: With its calibration, as the settings have it.
-        options: What the user stated; the topics, unit and span of them hold for each recording.
-        facts: What is stated about the object; the probe knows their form.
-        locked: Positions that are stated of joints that were not recorded [rad or m].
-        overrides: Dotted settings of the robot file that are in force.
-        driver: Profile of the driver that published; read here, where only the options name it.
-
     Raises:
         ConfigurationError: There is no such driver, or it is wrong.
     """
 
-    robot: Robot
+    robot: Robot  # with its calibration, as the settings have it
+    # what the user stated; the topics, unit and span of them hold for each recording
     options: Options = field(default_factory=Options)
-    facts: Any = None
+    facts: Any = None  # what is stated about the object; the probe knows their form
+    # positions that are stated of joints that were not recorded [rad or m]
     locked: Mapping[str, float] = field(default_factory=dict)
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-    driver: Driver | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict)  # dotted settings of the robot file that are in force
+    driver: Driver | None = None  # profile of the driver that published; read here, where only the options name it
 
     def __post_init__(self) -> None:
         if self.driver is None and self.options.driver is not None:
@@ -120,8 +109,7 @@ def request_of(options: Options) -> Request:
 def read_request(options: Options, facts: Callable[[Settings], Any] = lambda settings: None) -> Request:
     """Read what is asked; ``facts`` takes what is stated about the object from the settings, and what it leaves is refused.
 
-    Raises:
-        ConfigurationError, RobotError: In one line, what is wrong with it.
+    Raises `ConfigurationError`, `RobotError`: In one line, what is wrong with it.
     """
     driver = usable_driver(options.driver)
     settings = Settings(options.settings)
@@ -135,8 +123,7 @@ def read_request(options: Options, facts: Callable[[Settings], Any] = lambda set
 def facts_of(facts: Callable[[Settings], Any], settings: Mapping[str, Any]) -> Any:
     """What is stated about an object, where no robot is asked for.
 
-    Raises:
-        ConfigurationError: A setting is unknown, or of the wrong form.
+    Raises `ConfigurationError`: A setting is unknown, or of the wrong form.
     """
     given = Settings(settings)
     stated = facts(given)
@@ -161,8 +148,7 @@ def probe_asked_for(options: Options) -> Probe[Any]:
 def usable_driver(name: str | Path | None) -> Driver | None:
     """The profile of a driver, where one is stated.
 
-    Raises:
-        ConfigurationError: There is none of that name, it is wrong, or nothing can be weighed with what it publishes.
+    Raises `ConfigurationError`: There is none of that name, it is wrong, or nothing can be weighed with what it publishes.
     """
     driver = None if name is None else load_driver(name)
     if driver is not None and driver.refused:
@@ -173,8 +159,7 @@ def usable_driver(name: str | Path | None) -> Driver | None:
 def robot_of(options: Options) -> Robot:
     """The robot alone, with its calibration, as the settings about it have it; what else they say is not looked at.
 
-    Raises:
-        ConfigurationError, RobotError: A setting does not fit it, it cannot be read, or the calibration is of another robot.
+    Raises `ConfigurationError`, `RobotError`: A setting does not fit it, it cannot be read, or the calibration is of another robot.
     """
     settings = Settings(options.settings)
     driver = None if options.driver is None else load_driver(options.driver)

@@ -25,8 +25,7 @@ VARIABLE = "PROPRIO_PROBES"
 def registry() -> dict[str, str]:
     """Module and class of each probe, by name, those of the environment last.
 
-    Raises:
-        ConfigurationError: The environment variable is not of its form.
+    Raises `ConfigurationError`: The environment variable is not of its form.
     """
     found = dict(PROBES)
     for line in filter(None, os.environ.get(VARIABLE, "").split(",")):
@@ -49,11 +48,7 @@ def _load(place: str) -> Probe[Any]:
 
 
 def probe_named(name: str) -> Probe[Any]:
-    """A probe by its name.
-
-    Raises:
-        ConfigurationError: There is none of that name.
-    """
+    """A probe by its name. Raises `ConfigurationError`: There is none of that name."""
     places = registry()
     if name not in places:
         raise ConfigurationError(f"probe {name!r} is not available; choose one of: {', '.join(places)}")
@@ -83,7 +78,6 @@ def virtual_objects() -> list[type[HandObject]]:
 def virtual_object(text: str) -> HandObject | None:
     """What a user types for an object in a virtual hand; None is an empty hand.
 
-    Raises:
-        ConfigurationError: No probe's object has that form.
+    Raises `ConfigurationError`: No probe's object has that form.
     """
     return parse_object(text, virtual_objects())

@@ -148,8 +148,7 @@ class Probe(ABC, Generic[Facts]):
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> Facts:
         """What the user says about the object and the search, over the defaults of the probe's file; read once per job.
 
-        Raises:
-            ConfigurationError: A value of the wrong form or unit.
+        Raises `ConfigurationError`: A value of the wrong form or unit.
         """
 
     def compile(self, robot: Robot, facts: Facts) -> None:
@@ -162,8 +161,7 @@ class Probe(ABC, Generic[Facts]):
     def identify(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
         """Identify the object from runs.
 
-        Raises:
-            ConfigurationError, RecordingError: The runs cannot be related to the robot or the object at all.
+        Raises `ConfigurationError`, `RecordingError`: The runs cannot be related to the robot or the object at all.
         """
 
     def sections(self, estimate: Estimate) -> list[str]:
@@ -226,8 +224,7 @@ class Guards(Probe[Facts]):
     def check(self, robot: Robot, facts: Facts, sequence: ExcitationSequence, limits: Mapping[str, float]) -> None:
         """Whether a sequence may be made with this object; ``limits`` by name.
 
-        Raises:
-            ConfigurationError: Its runs say nothing about the object, or could break it.
+        Raises `ConfigurationError`: Its runs say nothing about the object, or could break it.
         """
 
 
@@ -240,8 +237,7 @@ class ChoosesNext(Probe[Facts]):
     ) -> Chooser:
         """Who chooses the pushes of a sequence that has `until`, with what is in the hand; the baseline is without it.
 
-        Raises:
-            ConfigurationError: Nobody can, for this sequence.
+        Raises `ConfigurationError`: Nobody can, for this sequence.
         """
 
 
@@ -260,8 +256,7 @@ class Carries(Probe[Facts]):
     def reference(self, settings: Settings) -> PayloadFacts:
         """Shape and place of a reference, as far as they are stated.
 
-        Raises:
-            ConfigurationError: A value of the wrong form or unit.
+        Raises `ConfigurationError`: A value of the wrong form or unit.
         """
 
     @abstractmethod
@@ -280,8 +275,7 @@ class HasTable(Probe[Facts]):
     def rebuild_table(self, facts: Facts) -> tuple[dict[str, Any], str]:
         """Compute the table of an object anew, whatever the cache has: what it is as JSON, and for the terminal.
 
-        Raises:
-            ConfigurationError, SimulationError: In one line, what is wrong with the object.
+        Raises `ConfigurationError`, `SimulationError`: In one line, what is wrong with the object.
         """
 
 
@@ -292,8 +286,7 @@ class Online(Carries[Facts]):
     def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> OnlineEstimator:
         """An estimate that goes along with the arm's work; held: positions [rad or m] of joints without a calibration of motions.
 
-        Raises:
-            RobotError: The calibration is of another arm.
+        Raises `RobotError`: The calibration is of another arm.
         """
 
 
@@ -312,11 +305,7 @@ class Shown(Probe[Facts]):
 def chooser_of(
     probe: Probe[Any], robot: Robot, facts: Any, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
 ) -> Chooser:
-    """As `ChoosesNext.chooser`, for any probe.
-
-    Raises:
-        ConfigurationError: Nobody can choose, for this probe or this sequence.
-    """
+    """As `ChoosesNext.chooser`, for any probe. Raises `ConfigurationError`: Nobody can choose, for this probe or this sequence."""
     if not isinstance(probe, ChoosesNext):
         raise ConfigurationError(
             f"{sequence.name}: its pushes are to be chosen one by one (until), which the probe {probe.name} cannot; take "

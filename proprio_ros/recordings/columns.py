@@ -38,8 +38,7 @@ def joint_state_columns(
 ) -> JointColumns:
     """Columns of a JointState topic; the first of the quantities (fields of the message) must be there in every message.
 
-    Raises:
-        RecordingError: Names and values do not fit each other, or two joints would have one name.
+    Raises `RecordingError`: Names and values do not fit each other, or two joints would have one name.
     """
     rows = bag.rows(topic)
     named = [conventions.renamed(part.message.name) for part in rows]

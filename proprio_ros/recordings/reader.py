@@ -42,8 +42,7 @@ _TOGETHER = 8192  # messages that are decoded at once
 def open_bag(path: str | Path) -> Iterator[Bag]:
     """Open a bag: a folder (with or without metadata.yaml), or one .mcap or .db3 file.
 
-    Raises:
-        RecordingError: It is none, or breaks then or while it is read, whatever rosbags raises over it.
+    Raises `RecordingError`: It is none, or breaks then or while it is read, whatever rosbags raises over it.
     """
     path = Path(path)
     files = _files(path)

@@ -33,8 +33,7 @@ def refuse_unit(robot: Robot, effort_unit: str | None) -> None:
 def with_stall_currents(recording: Recording, robot: Robot) -> Recording:
     """The recording with stall currents as the measured currents of all motors that a voltage drives, unless torque is off.
 
-    Raises:
-        RecordingError: The effort, the goal or the voltage that a drive needs was not recorded.
+    Raises `RecordingError`: The effort, the goal or the voltage that a drive needs was not recorded.
     """
     joints = [name for name in voltage_driven(robot) if name in recording.joints.names]
     if not joints or recording.torque_off_ns or recording.signals is None:

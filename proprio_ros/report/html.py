@@ -59,8 +59,7 @@ def write_document(
 ) -> None:
     """Write a page; an older page of that name is replaced in one step, another file only with ``force``.
 
-    Raises:
-        ConfigurationError: Another file is there, or it cannot be written; the option is what named it.
+    Raises `ConfigurationError`: Another file is there, or it cannot be written; the option is what named it.
     """
     check_page(path, option, force)
     write_in_one_step(path, document(title, parts, own), option)

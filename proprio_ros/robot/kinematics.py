@@ -36,8 +36,7 @@ class _Step:
 def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
     """Height above the base's plane, against gravity, of the lowest link that can be lowered, or of the hand [m].
 
-    Raises:
-        RobotError: The position of an independent joint that matters is missing.
+    Raises `RobotError`: The position of an independent joint that matters is missing.
     """
     return _lowest(*_way_to_lowerable(robot), pose)
 
@@ -63,8 +62,7 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
 def side_plane(robot: Robot, joint: str, pose: Mapping[str, float]) -> np.ndarray:
     """Unit vectors to the right and up of `side_view` in the frame of the root link, shape (2, 3).
 
-    Raises:
-        RobotError: A position is missing.
+    Raises `RobotError`: A position is missing.
     """
     at = functools.partial(robot.model.frame_transform, positions=pose)
     up = -robot.gravity / np.linalg.norm(robot.gravity)
@@ -91,8 +89,7 @@ def links_in(robot: Robot, plane: np.ndarray, poses: Sequence[Mapping[str, float
 def hand_path(robot: Robot, joint: str, start: Mapping[str, float], travel: float, points: int = 20) -> np.ndarray:
     """Where the hand is while one joint moves by a signed travel [rad or m]: [m], in the frame of the root link, shape (points, 3).
 
-    Raises:
-        RobotError: A position is missing.
+    Raises `RobotError`: A position is missing.
     """
     places = np.linspace(start[joint], start[joint] + travel, points).tolist()
     at = [robot.model.frame_transform(robot.payload_frame, {**start, joint: place}) for place in places]

@@ -127,8 +127,7 @@ class Robot:
     def with_calibration(self, calibration: Calibration) -> Robot:
         """The same robot with the numbers of its calibration, and their correlations.
 
-        Raises:
-            RobotError: The calibration is of a joint that the robot does not drive.
+        Raises `RobotError`: The calibration is of a joint that the robot does not drive.
         """
         foreign = [joint for joint in calibration.joints if joint not in self.drive_trains]
         if foreign:

@@ -53,8 +53,7 @@ class RobotModel:
     def from_urdf(cls, path: str | Path) -> RobotModel:
         """Read a URDF file; meshes, visuals, transmissions and simulator blocks are ignored.
 
-        Raises:
-            RobotError: The file is missing or no XML, or it describes no physical tree of links.
+        Raises `RobotError`: The file is missing or no XML, or it describes no physical tree of links.
         """
         path = Path(path)
         try:
@@ -115,8 +114,7 @@ class RobotModel:
     def frame_transform(self, frame: str, positions: Mapping[str, float]) -> FloatArray:
         """Where a link is, by positions of the independent joints between it and the base [rad or m]: base_T_frame, shape (4, 4).
 
-        Raises:
-            RobotError: The link is unknown, or a position is missing or not finite.
+        Raises `RobotError`: The link is unknown, or a position is missing or not finite.
         """
         if frame != self.root and frame not in self._joints_by_child:
             links = ", ".join(link.name for link in self.links)

@@ -91,8 +91,7 @@ class UrdfReader:
     def read(self) -> tuple[str, tuple[Link, ...], tuple[Joint, ...], str]:
         """Name of the robot, its links and joints, parents before children, and the name of the root link.
 
-        Raises:
-            RobotError: The document describes no physical tree of links.
+        Raises `RobotError`: The document describes no physical tree of links.
         """
         for tag in ("link", "joint"):
             if (count := len(self._robot.findall(tag))) > MOST_LINKS:

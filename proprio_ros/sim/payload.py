@@ -40,8 +40,7 @@ class PayloadShape:
     def of(cls, shape: str, size: float | Sequence[float] | None) -> PayloadShape:
         """Uniform solid of one of ``SHAPES`` and the given outer size [m]; a cylinder's axis is along z, a point has no size.
 
-        Raises:
-            ConfigurationError: Unknown shape, or a size that does not fit it.
+        Raises `ConfigurationError`: Unknown shape, or a size that does not fit it.
         """
         if shape not in SHAPES:
             raise ConfigurationError(f"payload.shape={shape!r} is unknown: choose one of {', '.join(SHAPES)}")
@@ -94,8 +93,7 @@ class PayloadShape:
     def from_inertia_per_mass(cls, values: Sequence[float]) -> PayloadShape:
         """From [ixx, iyy, izz, ixy, ixz, iyz] / m about the centre of mass [m^2], measured or drawn.
 
-        Raises:
-            ConfigurationError: Wrong length, or no physical body.
+        Raises `ConfigurationError`: Wrong length, or no physical body.
         """
         numbers = np.asarray(values, dtype=np.float64).ravel()
         if numbers.shape != (6,) or not np.all(np.isfinite(numbers)):

@@ -165,8 +165,7 @@ class QuasiStatic:
     def curve(self, squeeze: Sequence[float] | np.ndarray, mu: float, lam: float) -> SqueezeCurve:
         """Equilibria at squeezes (K,) [m] for Lamé parameters [Pa], reached from rest one after the other.
 
-        Raises:
-            SimulationError: No such solid, a squeeze of the whole length, or no equilibrium found.
+        Raises `SimulationError`: No such solid, a squeeze of the whole length, or no equilibrium found.
         """
         check_material(self.elastic.law, mu, lam)
         squeeze = np.asarray(squeeze, dtype=np.float64)

@@ -54,8 +54,7 @@ def _unwritable(error: OSError) -> str:
 def load(kernels: Sequence[Any], device: Any) -> None:
     """Compile and load kernels, each in a module of its own, and say how far that is for those not kept from before.
 
-    Raises:
-        ConfigurationError: A compiled kernel cannot be kept.
+    Raises `ConfigurationError`: A compiled kernel cannot be kept.
     """
     check()
     missing = [kernel.module for kernel in kernels if not _is_kept(kernel.module, device)]
@@ -74,8 +73,7 @@ def load(kernels: Sequence[Any], device: Any) -> None:
 def launch(kernel: Any, *, device: Any, **given: Any) -> Any:
     """``wp.launch``, which first says so where the kernel has to be compiled.
 
-    Raises:
-        ConfigurationError: A compiled kernel cannot be kept.
+    Raises `ConfigurationError`: A compiled kernel cannot be kept.
     """
     global _alone
     if not _is_kept(kernel.module, device):

@@ -170,8 +170,7 @@ class VirtualArm:
     def set_position(self, position: Mapping[str, float]) -> None:
         """Put joints elsewhere [rad or m], and everything at rest; joints that are not named stay where they are.
 
-        Raises:
-            ConfigurationError: A joint is unknown, or its position lies outside its limits.
+        Raises `ConfigurationError`: A joint is unknown, or its position lies outside its limits.
         """
         for name, value in position.items():
             if name not in self._place_of:
@@ -192,8 +191,7 @@ class VirtualArm:
     def hold(self, held: HandObject | None) -> None:
         """Put an object into the hand, or take it out; the arm goes on as it moves.
 
-        Raises:
-            ConfigurationError: The robot cannot hold it, or no body has the object's inertia. The arm is as before.
+        Raises `ConfigurationError`: The robot cannot hold it, or no body has the object's inertia. The arm is as before.
         """
         if held is not None:
             held.check(self)

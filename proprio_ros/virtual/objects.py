@@ -100,8 +100,7 @@ class Payload(HandObject):
 def parse_object(text: str, kinds: Iterable[type[HandObject]]) -> HandObject | None:
     """What a user types for an object: ``0.05``, the mass of a payload, or the `form` of a kind; None is an empty hand.
 
-    Raises:
-        ConfigurationError: It is none of their forms.
+    Raises `ConfigurationError`: It is none of their forms.
     """
     there = {Payload.kind: Payload} | {kind.kind: kind for kind in kinds}
     words = text.strip()

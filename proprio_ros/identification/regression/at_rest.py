@@ -33,8 +33,7 @@ from proprio_ros.robot.regressor import gravity_torques, point_mass
 
 SHORTEST_S, SETTLING_S = 0.6, 0.3
 """How long all joints stand in a stance, and how much of it they take to come to rest."""
-STILL_RAD, STILL_COUNTS = 2e-3, 2.5
-"""They stand while none leaves a band as wide as the larger of these."""
+STILL_RAD, STILL_COUNTS = 2e-3, 2.5  # They stand while none leaves a band as wide as the larger of these.
 SAME_POSE_RAD = 0.05
 """Stances nearer to each other, which no joint reached from the other side, are one, which somebody touched."""
 ARRIVED, ARRIVED_STD, ANYWHERE_STD = 0.6, 0.6, 0.7

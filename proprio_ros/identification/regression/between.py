@@ -31,8 +31,7 @@ PUBLISHED: Mapping[str, float] = {
     "zero": 0.003,
 }
 """Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad]."""
-PSEUDO_RECORDINGS = 4.0
-"""So many recordings the published word counts as."""
+PSEUDO_RECORDINGS = 4.0  # So many recordings the published word counts as.
 CONSIDERED = ("common_scale", "own_scale", "zero")
 """Kinds that the fit of empty recordings does not follow, since whatever the model lacks looks like them; a weighing does as far as
 the evidence says, and they count in what it errs by (as consider parameters do: Schmidt 1966, Advances in Control Systems 3)."""
@@ -42,8 +41,7 @@ FOLLOWED_TOGETHER = (("common_scale",), ("own_scale", "zero"))
 """Kinds whose spread the evidence decides, some together."""
 FACTORS = (0.01, 0.4, 0.8, 1.3, 2.0, 3.2, 5.0)
 """Of these spreads, over those that were stated; torques that differ by more are refused as those of another unit."""
-AGREE = 0.5
-"""How likely it is that torque and zeros of two recordings are alike, before they are looked at."""
+AGREE = 0.5  # How likely it is that torque and zeros of two recordings are alike, before they are looked at.
 DIFFERS = "torque and zeros that differ between recordings"
 WORDS: Mapping[str, str] = {
     "friction": "friction that differs between recordings",
@@ -52,8 +50,7 @@ WORDS: Mapping[str, str] = {
 }
 SPREAD_SCALE = 0.05
 """Of the prior of how far masses differ from recording to recording, relative: those of real XL330 and STS3215 do by 2 to 9 %."""
-SPREADS = np.geomspace(1e-4, 1.0, 200)
-"""At which the posterior of that is taken."""
+SPREADS = np.geomspace(1e-4, 1.0, 200)  # At which the posterior of that is taken.
 
 
 def spread_of_runs(stated: float, found: FloatArray, learnt: FloatArray, pseudo_runs: float) -> float:

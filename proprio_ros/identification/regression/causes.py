@@ -30,22 +30,17 @@ BETTER, CLEARER = 3.0, 1.15
 """And so many times less than as it is, and this much less than what any other mistake leaves."""
 UNEXPLAINED, CERTAIN = 0.15, 8.0
 """What an arm that differs from its URDF leaves is less; a mistake that leaves so many times less is named whatever that is."""
-RATE_HZ, LONGEST_S = 100.0, 60.0
-"""So many samples are enough to tell mistakes apart: some twenty fits are made."""
-HEAVY_COSTS = 0.3
-"""Share of the torque that a payload as heavy as the arm must explain."""
-LEAST = 0.03
-"""And what is explained to this share is explained."""
-WEAK = 0.1
-"""A joint counts as if gravity and inertia took at least this share of the largest torque on any."""
+RATE_HZ, LONGEST_S = 100.0, 60.0  # So many samples are enough to tell mistakes apart: some twenty fits are made.
+HEAVY_COSTS = 0.3  # Share of the torque that a payload as heavy as the arm must explain.
+LEAST = 0.03  # And what is explained to this share is explained.
+WEAK = 0.1  # A joint counts as if gravity and inertia took at least this share of the largest torque on any.
 LEAST_TILT_RAD, GRAVITY_ROUNDS = 0.2, 4
 DEGREES = 10.0
 """Angles that stay below are none in degrees: as such they hardly move, and offsets and a payload would explain any torque."""
 GRAVITY_M_S2 = 9.81
 
 
-_Tried = tuple[float, str]
-"""Share of the torque that is not explained without a mistake, and the words for that."""
+_Tried = tuple[float, str]  # Share of the torque that is not explained without a mistake, and the words for that.
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ SLOW_RAD_S = 0.02
 STRETCH_S = 2.5
 """Neighbouring windows share an error; stretches so long do not: longer than what friction and controllers keep in memory."""
 MIN_STRETCHES = 4
-ZERO_STEP_RAD = 1e-3
-"""Of a difference quotient: a torque is nearly linear over it, and its digits are not lost."""
+ZERO_STEP_RAD = 1e-3  # Of a difference quotient: a torque is nearly linear over it, and its digits are not lost.
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 
 
@@ -331,8 +330,7 @@ class Problem:
     def stretches_of(self, kept: NDArray[np.bool_], name: str, better_s: float, least: int = MIN_STRETCHES) -> int:
         """How many stretches some of its equations have.
 
-        Raises:
-            TooLittleMotion: Fewer than ``least``; in motion ``name``, of which ``better_s`` would be better.
+        Raises `TooLittleMotion`: Fewer than ``least``; in motion ``name``, of which ``better_s`` would be better.
         """
         stretches = len(np.unique(self.stretch[kept]))
         if stretches < least:

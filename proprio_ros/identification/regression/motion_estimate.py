@@ -23,15 +23,13 @@ from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
 
-SHOWN_SHARE = 0.1
-"""The headline is for an object of this share of the arm's mass."""
+SHOWN_SHARE = 0.1  # The headline is for an object of this share of the arm's mass.
 LIGHT_REFERENCE = 0.45
 """A reference that is read with a greater relative half interval leaves torque constants as they are stated."""
 OWN_SHARE = 1.0 / 3.0
 """A joint's torque may be off from the others' by this share of what its file leaves open: motors of one maker are off together."""
 
-Reference = tuple[Motion, float]
-"""A motion with a weighed object in the hand, and its mass [kg]."""
+Reference = tuple[Motion, float]  # A motion with a weighed object in the hand, and its mass [kg].
 
 
 def calibrate_motions(

@@ -39,8 +39,7 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import PARAMETERS
 
 SPREAD_ITERATIONS = 10
-LEAST_TOLD = 0.2
-"""A recording tells a joint's share of the torque where it makes its variance this much smaller."""
+LEAST_TOLD = 0.2  # A recording tells a joint's share of the torque where it makes its variance this much smaller.
 Centre = tuple[FloatArray, FloatArray]
 """A payload's centre of mass in its frame, and the standard deviation of each coordinate [m], each of shape (3,)."""
 STRETCHES, UNDETERMINED, CALIBRATION, CONSTANTS = (
@@ -332,8 +331,7 @@ def _misfit(tells: FloatArray, residual: FloatArray, empty_residual: FloatArray)
 def check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> None:
     """That motions are of the joints, and the robot has the torque constants, of a calibration.
 
-    Raises:
-        RecordingError, RobotError: They are of others.
+    Raises `RecordingError`, `RobotError`: They are of others.
     """
     for motion in motions:
         if set(motion.joints) != set(calibration.joints):
@@ -348,8 +346,7 @@ def check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibr
 def check_torque_constant(robot: Robot, joint: str, constant: float, what: str) -> None:
     """That a robot file still has the torque constant [N m/A] that ``what`` calibrated with.
 
-    Raises:
-        RobotError: It has another one.
+    Raises `RobotError`: It has another one.
     """
     now = robot.drive_trains[joint].torque_constant.value
     if abs(now / constant - 1.0) > 1e-6:

@@ -12,8 +12,7 @@ from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import PARAMETERS
 
-LEAST_TORQUE_STD = 0.01
-"""Relative; magnets lose 0.1 % of their torque per kelvin, and motors that lift warm by ten."""
+LEAST_TORQUE_STD = 0.01  # Relative; magnets lose 0.1 % of their torque per kelvin, and motors that lift warm by ten.
 VOLTAGE_TORQUE_STD = 0.2
 """Relative, where a voltage drives the motor: its torque is a maker's constant over a winding that warms up, times a gain."""
 URDF_SHARE = 0.15
@@ -21,12 +20,10 @@ URDF_SHARE = 0.15
 were seen to be off by 8 to 16 %."""
 LEAST_LOAD_FRICTION_STD = 0.05
 """Gears lose part of the torque that they transmit; a file that does not say how much has not measured it."""
-LOAD_FRICTION_SPREAD = 0.02
-"""The share that gears lose is not quite the same under another load."""
+LOAD_FRICTION_SPREAD = 0.02  # The share that gears lose is not quite the same under another load.
 LINK_SHARE = 0.2
 """How far a body's mass may lie off its URDF, relative; first moments and inertia accordingly over the body's size."""
-ARM_SHARE = 0.01
-"""And in parts of the whole arm's: cables and screws are in no model."""
+ARM_SHARE = 0.01  # And in parts of the whole arm's: cables and screws are in no model.
 HELD_WITHIN = 0.1
 """What a hand holds lies within this share of the arm's reach, unless its place is stated: one standard deviation."""
 

@@ -18,8 +18,7 @@ from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-WIDEST_SPREAD = 0.25
-"""Recordings whose masses differ by more, relative, say nothing about another."""
+WIDEST_SPREAD = 0.25  # Recordings whose masses differ by more, relative, say nothing about another.
 DELAY_SIGMAS, DELAY_STEPS = 2.0, 17
 LATEST_S = 0.2
 

@@ -30,18 +30,14 @@ from proprio_ros.sim.payload import PayloadFacts
 
 WINDOWS_S = (0.25, 0.5)
 HOP_SHARE = 0.125
-BANDWIDTH_HZ = 12.0
-"""Positions and torques are smoothed alike to this; a pendulum on a table swings at 1 Hz."""
-STRETCH_S = 1.0
-"""Stretches that are left out together."""
+BANDWIDTH_HZ = 12.0  # Positions and torques are smoothed alike to this; a pendulum on a table swings at 1 Hz.
+STRETCH_S = 1.0  # Stretches that are left out together.
 MIN_STRETCHES = 4
-LOAD_FRICTION_STD = 0.05
-"""Gears lose part of the torque that they transmit."""
+LOAD_FRICTION_STD = 0.05  # Gears lose part of the torque that they transmit.
 LEAST_LENGTH_STD = 0.005
 """Relative; a delay of a few milliseconds between torque and position, which nothing here looks for, is worth this much."""
 ITERATIONS = 8
-UPRIGHT_SHARE = 0.2
-"""An axis along which this little of gravity turns anything is upright."""
+UPRIGHT_SHARE = 0.2  # An axis along which this little of gravity turns anything is upright.
 
 
 @dataclass(frozen=True)
@@ -207,8 +203,7 @@ def table_of(
 ) -> Table:
     """What one motion says in windows of ``window_s``; where the joint is slower than ``slow_rad_s`` it does not count.
 
-    Raises:
-        RecordingError: It does not move for long enough.
+    Raises `RecordingError`: It does not move for long enough.
     """
     times_s, positions, currents = evenly(motion, [joint], BANDWIDTH_HZ, currents_too=True)
     period_s = float(np.median(np.diff(motion.times_s)))

@@ -42,14 +42,11 @@ from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-CREEP_RAD_S = 0.1
-"""A joint that is slower for most of a window creeps, and its friction is not that of one that moves."""
-LOAD_FRICTION_STD = 0.5
-"""Of the shares of load friction, for the heaviest load: gears that lose more do not turn back."""
+CREEP_RAD_S = 0.1  # A joint that is slower for most of a window creeps, and its friction is not that of one that moves.
+LOAD_FRICTION_STD = 0.5  # Of the shares of load friction, for the heaviest load: gears that lose more do not turn back.
 OUTSIDE_SHARE = 0.1
 """What a mass errs, relative, for each factor of e that it lies outside of the loads that were known."""
-HEAVIEST = 4.0
-"""Times the heaviest known load: nothing beyond is looked for."""
+HEAVIEST = 4.0  # Times the heaviest known load: nothing beyond is looked for.
 GRID = 33
 ITERATIONS = 4
 STRETCHES, CALIBRATION, RUNS, ARM, PLACE, OUTSIDE = (

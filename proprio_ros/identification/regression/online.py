@@ -39,52 +39,37 @@ from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_and_gravity, point_mass
 
-WINDOW_S, WINDOW_SAMPLES = 0.1, 10
-"""Windows are so long, and have so many samples at least."""
+WINDOW_S, WINDOW_SAMPLES = 0.1, 10  # Windows are so long, and have so many samples at least.
 SMOOTHED_S, SMOOTHED_SAMPLES = 0.02, 3
 """Positions are those of a parabola through so much before and after, and so many samples at least."""
-COUNTS = 2.5
-"""An encoder that flickers by a count or two is at rest."""
-THINNED_S = 0.005
-"""Samples that are closer say nothing more, once they are smoothed."""
-LEARNT_S = 0.3
-"""In so long the period of the joint states shows."""
-LEAST_TAU_S = 0.3
-"""What no model has (friction that goes with place and direction) stays alike for at least so long."""
+COUNTS = 2.5  # An encoder that flickers by a count or two is at rest.
+THINNED_S = 0.005  # Samples that are closer say nothing more, once they are smoothed.
+LEARNT_S = 0.3  # In so long the period of the joint states shows.
+LEAST_TAU_S = 0.3  # What no model has (friction that goes with place and direction) stays alike for at least so long.
 NOISE_FACTOR = 2.0
 """A fit leaves less over in the motions that it was made from than in others; with this, 95 % intervals held on arms in MuJoCo."""
-LEAST_NOISE = 0.05
-"""A window is at least so noisy, in parts of what the calibration leaves over."""
-TURNING = 0.3
-"""Where a joint turns round, so much of its Coulomb friction is open."""
+LEAST_NOISE = 0.05  # A window is at least so noisy, in parts of what the calibration leaves over.
+TURNING = 0.3  # Where a joint turns round, so much of its Coulomb friction is open.
 MEMORY_S = 12.0
 """Seconds of motion that count: friction in the gears of a session is not that of another, and takes that long to show."""
 STEP_SIGMAS, STAY_SIGMAS = 6.0, 4.0
 """A step of the mass this far from zero is a change, and stays one while it is this far."""
 LEAST_SHARE = 0.1
 """And so large in parts of what was held: what the load's place and gears do to its weight is no change."""
-LATEST_STEP_S = 1.0
-"""How long ago, in seconds of motion, a change is looked for."""
-FRESH_S = 0.6
-"""After so much motion a change stands, and where exactly it was."""
+LATEST_STEP_S = 1.0  # How long ago, in seconds of motion, a change is looked for.
+FRESH_S = 0.6  # After so much motion a change stands, and where exactly it was.
 ONSET_SHARE = 0.05
 """An instant is found to a quarter of a window: of the first window after it so much may lie before it."""
-NOISE_WINDOWS, FEWEST_WINDOWS = 100, 20
-"""A window's noise is learnt from so many."""
-MISFIT_S = 1.0
-"""Innovations that are larger than they should be widen the interval for about so long."""
-LONG_PAUSE_S = 2.0
-"""After so long without a sample windows begin where samples come again."""
+NOISE_WINDOWS, FEWEST_WINDOWS = 100, 20  # A window's noise is learnt from so many.
+MISFIT_S = 1.0  # Innovations that are larger than they should be widen the interval for about so long.
+LONG_PAUSE_S = 2.0  # After so long without a sample windows begin where samples come again.
 FROZEN, FROZEN_S, FROZEN_RAD_S = 4, 0.05, 0.1
 """Joint states that say the same so often, of an arm that was so fast for so long before, come from a publisher that stalls."""
-TOLD_S = 1.0
-"""`changed` is told for so long."""
-RESTING_S = 0.5
-"""An arm that has not moved for so long is at rest."""
+TOLD_S = 1.0  # `changed` is told for so long.
+RESTING_S = 0.5  # An arm that has not moved for so long is at rest.
 WIDEST_SHARE, WIDEST_KG = 0.5, 0.01
 """No half width that is more than this share of the mass, and than this, is an answer."""
-CENTRE_STD_M = 0.01
-"""How far from the stated place in the hand the load's centre may be where nothing is said of it."""
+CENTRE_STD_M = 0.01  # How far from the stated place in the hand the load's centre may be where nothing is said of it.
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,9 @@ UNEXPLAINED_SHARE = 0.5
 """A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
 URDF_RATIO = 1.35
 """URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
-WIDEST_SHARE = 0.5
-"""No mass is stated whose half width is more than this share of it."""
-APART_SIGMAS = 4.0
-"""What differs by more standard deviations is not the same."""
-LEAST_SIGMAS = 5.0
-"""A mass that is not known so many times better than it is large is no divisor."""
+WIDEST_SHARE = 0.5  # No mass is stated whose half width is more than this share of it.
+APART_SIGMAS = 4.0  # What differs by more standard deviations is not the same.
+LEAST_SIGMAS = 5.0  # A mass that is not known so many times better than it is large is no divisor.
 DECIDES = 0.05
 """A joint that tells less than this share of what is known of a mass does not decide whether that is believed."""
 

@@ -18,19 +18,13 @@ from proprio_ros.identification.regression.motion_equations import Problem, fill
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
 
-ITERATIONS = 6
-"""Of weights and load friction; the mass of a UR10e changes by less than 1 g in the last."""
-WAVES = 4
-"""Sine and cosine of a joint's angle, and of twice the angle."""
-PLACE_SHARE = 0.15
-"""Standard deviation of each of them in Coulomb friction, relative to it."""
+ITERATIONS = 6  # Of weights and load friction; the mass of a UR10e changes by less than 1 g in the last.
+WAVES = 4  # Sine and cosine of a joint's angle, and of twice the angle.
+PLACE_SHARE = 0.15  # Standard deviation of each of them in Coulomb friction, relative to it.
 
-FEWEST_FREE = 0.2
-"""Of a joint's independent windows at least so many count as not used up by unknowns."""
-FIXED = 1e-6
-"""Of its spread is what a term that is not followed may move by."""
-SPREAD_SIGMAS = 3.0
-"""Inertia that ends so many standard deviations of its prior from nothing is as open as that."""
+FEWEST_FREE = 0.2  # Of a joint's independent windows at least so many count as not used up by unknowns.
+FIXED = 1e-6  # Of its spread is what a term that is not followed may move by.
+SPREAD_SIGMAS = 3.0  # Inertia that ends so many standard deviations of its prior from nothing is as open as that.
 
 
 @dataclass(frozen=True)

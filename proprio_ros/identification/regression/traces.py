@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.records import FloatArray
 
-MOST_POINTS = 240
-"""Of a curve: a picture of it is no finer."""
-BINS, LEAST_BIN_S = 60, 0.5
-"""A recording is told in so many parts at most, none shorter than a window."""
+MOST_POINTS = 240  # Of a curve: a picture of it is no finer.
+BINS, LEAST_BIN_S = 60, 0.5  # A recording is told in so many parts at most, none shorter than a window.
 
 
 @dataclass(frozen=True)

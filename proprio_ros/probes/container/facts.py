@@ -65,8 +65,7 @@ FORMS: dict[str, Form] = {
 def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContainerFacts:
     """Size and place of the container and the sphere, the user's words before those sections of the probe's file.
 
-    Raises:
-        ConfigurationError: A value of the wrong form or unit, or a sphere that does not fit.
+    Raises `ConfigurationError`: A value of the wrong form or unit, or a sphere that does not fit.
     """
 
     def take(key: str) -> Any:

@@ -23,8 +23,7 @@ LEVEL = 0.02  # a floor that is tilted less than this holds the sphere in its mi
 class Container(objects.HandObject):
     """A closed box of six thin walls, rigid in the hand, with a sphere that is free inside.
 
-    Raises:
-        ConfigurationError: A number is no mass or length, or the sphere does not fit.
+    Raises `ConfigurationError`: A number is no mass or length, or the sphere does not fit.
     """
 
     kind = "container"

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from proprio_ros.robot import Robot
     from proprio_ros.sim.payload import PayloadFacts
 
-LIVE_STARTS_KG = (0.01, 0.1)
-"""A live estimate need not find its way from two orders of magnitude."""
+LIVE_STARTS_KG = (0.01, 0.1)  # A live estimate need not find its way from two orders of magnitude.
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,7 @@ _SIZE = Number(unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are i
 def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFacts:
     """Shape and place of the payload, the user's words before the probe file's.
 
-    Raises:
-        ConfigurationError: A value of the wrong form, or a size that cannot be in metres.
+    Raises `ConfigurationError`: A value of the wrong form, or a size that cannot be in metres.
     """
 
     def take(key: str, default: Any) -> Any:

@@ -50,12 +50,9 @@ COM = tuple(f"payload_com_{axis}" for axis in "xyz")
 ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 """Masses that differ by less, or by this share, do not contradict each other: what a model misses of torque and friction goes with
 the mass, by 1 to 2 % in each run. Half of the difference then counts as uncertainty."""
-GUESSED_PLACE_M = 5e-3
-"""How far off the centre of mass may be, per axis, where nobody stated it: standard deviation."""
-DECIDES = 0.1
-"""A guess that is worth less than this share of the standard deviation is not worth a sentence."""
-DRIFT_SIGMAS = 3.0
-"""How far from nothing an empty hand may weigh before the calibration is called out of date."""
+GUESSED_PLACE_M = 5e-3  # How far off the centre of mass may be, per axis, where nobody stated it: standard deviation.
+DECIDES = 0.1  # A guess that is worth less than this share of the standard deviation is not worth a sentence.
+DRIFT_SIGMAS = 3.0  # How far from nothing an empty hand may weigh before the calibration is called out of date.
 
 CAUSE_RATIO, BETTER = 10.0, 3.0
 """A mistake is named where undoing it makes the reduced chi-square so many times smaller; and so many times, where only then it is
@@ -65,12 +62,10 @@ AS_WELL, MEASURED = 4.0, 0.02
 relative, has been measured."""
 
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
-ANY_ZERO_RAD = 0.3
-"""How far a horn may be put on elsewhere than it was: standard deviation."""
+ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
 COVERED = 2.0
 """A swing may hold so many times less than the lightest load of its calibration; it does not tell whose rotor and arm it is of."""
-SWING_ROUNDS = 4
-"""How often the error of a simulated swing is looked at again."""
+SWING_ROUNDS = 4  # How often the error of a simulated swing is looked at again.
 
 
 @dataclass(frozen=True)

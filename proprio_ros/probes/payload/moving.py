@@ -34,10 +34,8 @@ MISFIT_RATIO = 3.0
 RATIO_SHARE, RATIO_STD = 0.08, 0.01
 """A joint whose torque is by more than this share larger or smaller than the empty arm's was recorded in another unit or with
 another torque constant, where the recording knows that: recordings of one machine differ by some 3 %."""
-DRIFT_SIGMAS = 3.0
-"""How far from nothing an empty hand may weigh before the calibration is called out of date."""
-SEEN_SHARE = 0.5
-"""Of the spread of any load's parameters: what is known no better is not seen."""
+DRIFT_SIGMAS = 3.0  # How far from nothing an empty hand may weigh before the calibration is called out of date.
+SEEN_SHARE = 0.5  # Of the spread of any load's parameters: what is known no better is not seen.
 WIDEST_OF_ARM = 0.04
 """A mass whose half width is more than `WIDEST_SHARE` of it and this share of the arm's own mass is ``too_wide``."""
 

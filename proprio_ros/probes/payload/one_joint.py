@@ -32,25 +32,18 @@ from proprio_ros.sim.payload import PayloadFacts
 
 UNSTATED_TORQUE_STD = 0.2
 """A torque constant without a standard deviation is a maker's number; a motor board's own torque was seen to be off by 17 %."""
-KNOWN_TORQUE_STD = 0.03
-"""No mass is stated where the torque's scale is known worse than this, relative."""
+KNOWN_TORQUE_STD = 0.03  # No mass is stated where the torque's scale is known worse than this, relative.
 FREE_SHARE = 0.6
 """A joint whose acceleration gravity explains so far, as that of a pendulum about as long as the lever, needs no motor to move."""
-MAGNITUDE_SHARE = 0.1
-"""An effort of one sign that is explained no better than to this share is taken for a magnitude."""
-LOAD_SHARE = 1.0
-"""The load must take as much of the torque as all the rest does, rms over rms."""
+MAGNITUDE_SHARE = 0.1  # An effort of one sign that is explained no better than to this share is taken for a magnitude.
+LOAD_SHARE = 1.0  # The load must take as much of the torque as all the rest does, rms over rms.
 LEAST_LENGTH_SHARE = 0.2
 """No pendulum is this short, in parts of its lever: it would have its mass there and no inertia."""
-LONGEST_SHARE = 0.25
-"""No length of the equivalent pendulum is given whose half width is more than this share of it."""
-AWRY_RAD = 0.15
-"""The load hangs where the URDF says, but for this."""
-LEAST_FRICTION_SHARE = 0.02
-"""Friction is stated no better than to this share of the torque."""
+LONGEST_SHARE = 0.25  # No length of the equivalent pendulum is given whose half width is more than this share of it.
+AWRY_RAD = 0.15  # The load hangs where the URDF says, but for this.
+LEAST_FRICTION_SHARE = 0.02  # Friction is stated no better than to this share of the torque.
 
-EMF_SHARE = 0.3
-"""Back EMF is a maker's number, over a winding that warms up."""
+EMF_SHARE = 0.3  # Back EMF is a maker's number, over a winding that warms up.
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,7 @@ RAISE_BY = 1.4
 class SqueezesUntilSure(Chooser):
     """One block whose squeezes are chosen one by one; the runs of the sequence say which joint squeezes, and how far at most.
 
-    Raises:
-        ConfigurationError: The sequence has no `until`, or no run of its own.
+    Raises `ConfigurationError`: The sequence has no `until`, or no run of its own.
     """
 
     no_push = "no current moves the fingers far enough inside their limits: is the block between them, and are they free to move?"

@@ -42,8 +42,7 @@ _SIZE = Number(unit="m", lowest=0.0, highest=0.5, open=True, hint="these are len
 def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     """Size of the soft block and how it is held, the user's words before the section ``block`` of the probe file.
 
-    Raises:
-        ConfigurationError: A value of the wrong form or unit.
+    Raises `ConfigurationError`: A value of the wrong form or unit.
     """
 
     def take(name: str) -> Any:

@@ -116,8 +116,7 @@ def find_softness(
 ) -> Estimate:
     """Identify the elastic moduli of the block that all ``runs`` squeeze; the baseline is closings of the empty gripper.
 
-    Raises:
-        RecordingError: A run cannot be related to the robot at all, or does not squeeze.
+    Raises `RecordingError`: A run cannot be related to the robot at all, or does not squeeze.
     """
     options = options or SqueezeOptions()
     found = Findings()

@@ -62,8 +62,7 @@ class BlockFacts:
     def table(self, rebuild: bool = False) -> Response:
         """What finite elements say about this block: from the cache, unless it is to be rebuilt, or built and put there.
 
-        Raises:
-            SimulationError: A block of such a shape cannot be squeezed as far as the table goes.
+        Raises `SimulationError`: A block of such a shape cannot be squeezed as far as the table goes.
         """
         if self.mesh is not None:
             return response_of_mesh(self.mesh, self.law, self.contact, rebuild)
