@@ -99,6 +99,22 @@ def joints_of(runs: Sequence[PreparedRun]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(run.run.joint for run in runs))
 
 
+def turning_with(robot: Robot, run: PreparedRun) -> list[tuple[str, float]]:
+    """Held joints whose zero turns the hand as the driven joint's does, and by which share."""
+    positions = {**run.run.held, run.run.joint: float(run.position[0])}
+
+    def axis(name: str) -> np.ndarray:
+        joint = robot.model.joint(name)
+        return robot.model.frame_transform(joint.child, positions)[:3, :3] @ joint.axis
+
+    if robot.model.joint(run.run.joint).kind == "prismatic":
+        return []
+    driven = axis(run.run.joint)
+    turning = [name for name in run.coefficients.pose if robot.model.joint(name).kind != "prismatic"]
+    shares = [(name, float(axis(name) @ driven)) for name in turning]
+    return [(name, share) for name, share in shares if abs(share) > 1e-3]
+
+
 def at_the_shaft(robot: Robot, run: Run) -> Run:
     """The same run as the motor's shaft sees it [rad]: what a slide's positions are divided by its transmission."""
     drive = robot.drive_trains.get(run.joint)

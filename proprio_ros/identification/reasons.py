@@ -43,6 +43,7 @@ CODES = {
     "torque_scale_open": "the scale of the motor's torque is not known well enough to state a mass",
     "within_friction": "the motor's torque lies within friction and says little about the load",
     "changed_midway": "the two halves of a recording say different values",
+    "kind_open": "the recording does not tell what is in the container",
     "other": "a reason without a code of its own",
 }
 """Every code and what it means. A code keeps its meaning; the words of a sentence may change."""
@@ -87,6 +88,7 @@ REMEDIES = {
     "torque_scale_open": "calibrate with a reference weight, or state a measured torque constant with its std",
     "within_friction": "move faster and further, so that the motor has to accelerate the load",
     "changed_midway": "record the motions with and without the object apart, or take a part with --span FROM:TO",
+    "kind_open": "shake the container harder, about as fast as a liquid in it would slosh, and calibrate the robot",
     "other": "read the sentence: it says what to do",
 }
 """What to do about each code, for whoever has never met it; the sentence of a reason says it for that recording."""

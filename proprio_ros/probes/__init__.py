@@ -15,6 +15,7 @@ PROBES = {
     "payload": "proprio_ros.probes.payload:Payload",
     "container": "proprio_ros.probes.container:Container",
     "softness": "proprio_ros.probes.softness:Softness",
+    "contents": "proprio_ros.probes.contents:Contents",
 }
 """Module and class of each probe, by name."""
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from proprio_ros.identification.coefficients import axis_and_gravity, reduced_model
-from proprio_ros.identification.prepared_runs import PreparedRun
+from proprio_ros.identification.prepared_runs import PreparedRun, turning_with
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
@@ -232,7 +232,7 @@ class ContainerProblem(Problem):
         self.container = facts
         self.rolling = np.asarray(rolling, dtype=bool)
         self._rolling_runs = tuple(runs)
-        self._turns = [_turning_with(robot, run) for run in runs]
+        self._turns = [turning_with(robot, run) for run in runs]
         super().__init__(robot, runs, facts.shell, unknowns, integrator, step_s)
         self._affine &= facts.law != "paper"  # its constants go with one over the mass
         self._seen: list[_Seen] = []
@@ -389,19 +389,3 @@ class ContainerProblem(Problem):
         x, by_parameter = self.simulator.special.path(np.arange(len(rows)), p[0, rows], every)
         dx = np.einsum("rtkp,rpf->rtkf", by_parameter, dp[0, rows])
         return [(x[n, : self.runs[row].used], dx[n, : self.runs[row].used]) for n, row in enumerate(rows)]
-
-
-def _turning_with(robot: Robot, run: PreparedRun) -> list[tuple[str, float]]:
-    """Held joints whose zero turns the container as the driven joint's does, and by which share."""
-    positions = {**run.run.held, run.run.joint: float(run.position[0])}
-
-    def axis(name: str) -> np.ndarray:
-        joint = robot.model.joint(name)
-        return robot.model.frame_transform(joint.child, positions)[:3, :3] @ joint.axis
-
-    if robot.model.joint(run.run.joint).kind == "prismatic":
-        return []
-    driven = axis(run.run.joint)
-    turning = [name for name in run.coefficients.pose if robot.model.joint(name).kind != "prismatic"]
-    shares = [(name, float(axis(name) @ driven)) for name in turning]
-    return [(name, share) for name, share in shares if abs(share) > 1e-3]

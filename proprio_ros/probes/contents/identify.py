@@ -1,0 +1,278 @@
+"""From runs with a filled container to what is inside: every model is fitted, and their evidence compared.
+
+The evidence of a model is Laplace's: its fit's probability times the share of the prior that the recording leaves (MacKay 2003,
+Information Theory, Inference and Learning Algorithms, chapter 28). Where even the best model leaves more than the encoder explains,
+residuals count for less, in all models alike. Masses are averaged over what is probable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.identification import solvers
+from proprio_ros.identification.conclude import Conclusion, stated_in
+from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
+from proprio_ros.identification.fit import FitResult, SearchOptions, summary
+from proprio_ros.identification.gates import Findings, admitted
+from proprio_ros.identification.judge import Refusal, Useful, positive
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.contents.detail import ContentsDetail, MovedPart
+from proprio_ros.probes.contents.models import (
+    COMPLEX_STEP,
+    KINDS_INSIDE,
+    LEVEL,
+    ContentsFacts,
+    ContentsProblem,
+    container_seen,
+    damping_ratio,
+    slosh_of,
+)
+from proprio_ros.quantity import Z95
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+
+SURE = 0.95
+"""Probability from which on a kind is said."""
+ALIKE_RUNS = 2.0
+"""Residuals that the robot's model leaves go together within a run: models differ by so many times less than their chi-square."""
+STARTS_KG = (0.03, 0.1, 0.3)
+LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
+CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
+"""Dynamic viscosity below which a liquid is of a class [Pa s]."""
+FILL_SHARE = 0.1  # of the container's height: how well a fill has to be known
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """A model as it was fitted."""
+
+    model: str
+    nominal: FitResult
+    opened: FitResult
+
+    def evidence(self, inflation: float) -> float:
+        """Logarithm of the evidence, but for what all models share; residuals' variances are ``inflation`` times as large."""
+        problem = self.opened.problem
+        posterior = Posterior(problem, self.opened.values, inflation)
+        off = self.opened.values[problem.free] - problem.coordinates.prior_mean
+        precision = problem.coordinates.prior_precision
+        fit = float(posterior.residual @ posterior.residual) + float(off @ precision @ off)
+        kept = [np.linalg.slogdet(matrix)[1] for matrix in (precision, posterior.covariance)]
+        return 0.5 * (float(sum(kept)) - fit)
+
+
+def fitted(
+    robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str
+) -> Modelled:
+    """A model fitted with the robot as it is stated, and from its best end with all that is open."""
+    fits: list[FitResult] = []
+    for role in (Role.FROZEN, Role.FREE):
+        problem = ContentsProblem(robot, runs, facts, filled, model, role)
+        starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
+        if problem.inside:
+            starts[:, problem.index["contents_mass"]] = STARTS_KG
+        if fits:
+            starts = np.tile(fits[0].values_of(problem.unknowns), (1, 1))
+        internal = problem.coordinates.internal(starts[:, problem.free])
+        windows = None if fits else problem.simulator.windows
+        solution = solvers.levenberg_marquardt(problem, internal, windows, iterations=30, tolerance=1e-3)
+        fits.append(FitResult.of(problem, solution))
+    return Modelled(model, *fits)
+
+
+def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, baseline: Sequence[Run] = ()) -> Estimate:
+    """Identify what is in the container in all ``runs``; the baseline is runs with it empty.
+
+    Raises:
+        ConfigurationError: Neither a baseline nor the container's mass.
+        RecordingError: A run cannot be related to the robot, or does not move the container across its axis.
+    """
+    if not baseline and not np.isfinite(facts.mass_std):
+        raise ConfigurationError(
+            "the empty container is not known: give its recording (--baseline), or its mass (--set contents.mass=KG)"
+        )
+    found, used, filled = Findings(), [], []
+    for run, has in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
+        prepared = prepare_run(robot, run, None, facts.shell)
+        if abs(container_seen(robot, prepared, facts)[0]) > LEVEL:
+            said = f"{run.name}: {run.joint} turns the container about its own axis, so that nothing in it has to move"
+            raise RecordingError(f"{said}; drive a joint whose axis is level, or state contents.rpy")
+        if admitted(robot, prepared, found):
+            used.append(prepared)
+            filled.append(has)
+    if not any(filled):
+        return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
+    models = [fitted(robot, used, facts, filled, model) for model in KINDS_INSIDE]
+    best = min(model.opened.reduced_chi2 for model in models)
+    logs = np.array([model.evidence(ALIKE_RUNS * max(1.0, best)) for model in models])
+    weight = np.exp(logs - logs.max())
+    return ContentsFound.of(models, weight / weight.sum(), facts, found, len(runs)).estimate()
+
+
+@dataclass(eq=False)
+class ContentsFound(Conclusion):
+    """What the models together say: values are those of the most probable one that has contents."""
+
+    models: list[Modelled]
+    probabilities: np.ndarray
+    facts: ContentsFacts
+
+    probe, name = "contents", "contents_mass"
+    check = "check contents.radius, contents.bottom and the robot file's inertias"
+
+    @classmethod
+    def of(
+        cls, models: list[Modelled], probabilities: np.ndarray, facts: ContentsFacts, found: Findings, count: int
+    ) -> ContentsFound:
+        """From every model and its probability."""
+        best = models[1 + int(np.argmax(probabilities[1:]))]
+        return cls(best.nominal, best.opened, found, count, models, probabilities, facts)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        assert isinstance(self.opened.problem, ContentsProblem)
+        self.problem = self.opened.problem
+
+    @property
+    def likely(self) -> str:
+        """The most probable kind."""
+        return KINDS_INSIDE[int(np.argmax(self.probabilities))]
+
+    def kind(self) -> str:
+        """What is inside, where that is sure; empty where it is not."""
+        return self.likely if float(self.probabilities.max()) >= SURE else ""
+
+    def widen(self) -> None:
+        # by how far apart the models' masses are, as probable as they are
+        masses = [0.0, *(model.opened.value_of(self.name) for model in self.models[1:])]
+        off = np.array(masses) - self.assessed.value
+        self.count(float(np.sqrt(self.probabilities @ off**2)), "models of the contents")
+
+    def comparable(self) -> bool:
+        return False  # the models are compared, not the runs
+
+    def refusals(self) -> Iterator[Refusal]:
+        yield from self.misfit()
+        yield from self.lighter("the container", "was the baseline empty, and held in the same place?")
+
+    def useful(self) -> Useful:
+        return Useful(0.5, 0.02)
+
+    def remarks(self) -> Iterator[str]:
+        if not self.kind():
+            order = np.argsort(-self.probabilities)
+            each = ", ".join(f"{KINDS_INSIDE[n]} {100.0 * self.probabilities[n]:.0f} %" for n in order)
+            cure = "shake it harder, or with the container further from the joint"
+            yield Reason("kind_open", f"the recording does not tell what is inside ({each}): {cure}")
+        if self.kind() == "liquid" and (words := self.viscosity_class):
+            yield f"the liquid is {words}"
+
+    @property
+    def log_damping(self) -> tuple[float, float] | None:
+        """Logarithm of the damping ratio and its standard deviation, where the recording says it."""
+        row = self.problem.index.get("slosh_damping_log")
+        if row is None:
+            return None
+        std = float(np.sqrt(self.assessed.covariance[row, row]))
+        return None if std > LEARNT * self.problem.unknowns[row].std else (float(self.fit.values[row]), std)
+
+    @property
+    def viscosity_class(self) -> str:
+        """In words, where its whole interval is in one class."""
+        if (known := self.log_damping) is None:
+            return ""
+        ends = [self.viscosity(known[0] + side * Z95 * known[1]) for side in (-1.0, 1.0)]
+        words = [next(said for limit, said in CLASSES if end < limit) for end in ends]
+        return words[0] if words[0] == words[1] else ""
+
+    def viscosity(self, log_damping: float) -> float:
+        """Dynamic viscosity [Pa s] that gives this damping, by Mikishev and Dorozhkin."""
+        fill = float(self.of_liquid[0][0])
+        per_root = damping_ratio(self.facts.radius, fill, 1.0)
+        return float((np.exp(log_damping) / per_root) ** 2 * self.facts.density)
+
+    @cached_property
+    def of_liquid(self) -> tuple[np.ndarray, np.ndarray]:
+        """Fill [m], slosh frequency [Hz] and damping ratio of the liquid, and their standard deviations; shape (3,)."""
+        names = [unknown.kind for unknown in self.problem.inside]
+        rows = [self.problem.index[name] for name in names]
+        at = {name: np.array([self.fit.values[row]]) for name, row in zip(names, rows, strict=True)}
+        slopes = np.zeros((3, len(rows)))
+        for n, name in enumerate(names):
+            changed = {**at, name: at[name] + 1j * COMPLEX_STEP}
+            slopes[:, n] = slosh_of(self.facts, changed)[0].imag / COMPLEX_STEP
+        own = self.assessed.covariance[np.ix_(rows, rows)]
+        return slosh_of(self.facts, at)[0], np.sqrt(np.einsum("in,nm,im->i", slopes, own, slopes))
+
+    def values(self, withheld: str) -> tuple[Value, ...]:
+        mass, shell = (self.problem.index[name] for name in (self.name, "payload_mass"))
+        covariance = self.assessed.covariance
+        together = float(np.sqrt(np.sum(covariance[np.ix_((mass, shell), (mass, shell))])))
+        total = float(self.fit.values[mass] + self.fit.values[shell])
+        values = [
+            positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld),
+            positive("total_mass", "kg", total, together, withheld),
+        ]
+        for kind, probability in zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True):
+            values.append(Value(f"{kind}_inside", "1", None if withheld else probability, reason=withheld))
+        return (*values, *self.liquid_values(withheld))
+
+    def liquid_values(self, withheld: str) -> Iterator[Value]:
+        """What is said of a liquid; with the reason where it is not."""
+        withheld = withheld or ("" if self.kind() == "liquid" else "the recording does not say that it is a liquid")
+        names, units = ("fill", "slosh_frequency", "slosh_damping"), ("m", "Hz", "1")
+        if withheld:
+            yield from (Value(*of, None, reason=withheld) for of in zip(names, units, strict=True))
+            yield Value("viscosity", "Pa s", None, reason=withheld)
+            return
+        (fill, turn, _), (fill_std, turn_std, _) = self.of_liquid
+        wide = "it is not known to a tenth of the container's height"
+        known = Z95 * fill_std <= FILL_SHARE * self.facts.height
+        yield positive("fill", "m", float(fill), float(fill_std), "" if known else wide, self.facts.height)
+        yield positive("slosh_frequency", "Hz", float(turn), float(turn_std))
+        if (damping := self.log_damping) is None:
+            says = "the recording says too little of how fast the sloshing dies"
+            yield Value("slosh_damping", "1", None, reason=says)
+            yield Value("viscosity", "Pa s", None, reason=says)
+            return
+        log, std = damping
+        ends = [log + side * Z95 * std for side in (-1.0, 1.0)]
+        yield Value("slosh_damping", "1", float(np.exp(log)), float(np.exp(log)) * std, np.exp(ends).tolist())
+        value, limits = self.viscosity(log), [self.viscosity(end) for end in ends]
+        yield Value("viscosity", "Pa s", value, 2.0 * std * value, limits)
+
+    def detail(self, withheld: str) -> ContentsDetail:
+        shares = dict(zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True))
+        kind = "" if withheld else self.kind()
+        if withheld or self.likely not in ("liquid", "granular"):
+            return ContentsDetail(kind, shares, ())
+        runs = [run for run, has in zip(self.runs, self.problem.filled, strict=True) if has]
+        paths = zip(runs, self.problem.path(self.fit.values), strict=True)
+        moved = tuple(MovedPart(run.run.name, run.times_s, x) for run, x in paths)
+        return ContentsDetail(kind, shares, moved)
+
+    def solver(self) -> SolverSummary:
+        used = self.nominal.solution.iterations + self.fit.solution.iterations
+        return summary(
+            self.nominal, self.name, STARTS_KG, max(2e-3, self.assessed.std), used, SearchOptions(), final=self.fit
+        )
+
+    def assumptions(self) -> tuple[str, ...]:
+        facts = self.facts
+        place = ", ".join(f"{1e3 * each:g}" for each in facts.bottom)
+        return (
+            f"an upright cylinder of {2e3 * facts.radius:g} mm inside, {1e3 * facts.height:g} mm high, the middle of its bottom at "
+            f"[{place}] mm in {self.robot.payload_frame}, held upright and at rest when the current came on",
+            f"a liquid weighs {facts.density:g} +- {facts.density_std:g} kg/m^3: its fill is its mass over that density, as far as its "
+            "frequency does not say it",
+            "one of four: nothing, one rigid thing, a liquid (first sloshing mode), grains; each as likely as another beforehand",
+            stated_in(self.robot),
+        )

@@ -1,0 +1,115 @@
+"""What is inside a container: models of the contents, their derivatives, and answers on recordings of MuJoCo's arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.probes import probe_named, virtual_object
+from proprio_ros.probes.contents import models
+from proprio_ros.probes.contents.identify import KINDS_INSIDE, find_contents
+from proprio_ros.probes.contents.models import ContentsFacts, Slosh, damping_ratio, inside_terms, inside_unknowns
+
+FACTS = ContentsFacts(0.035, 0.1, np.array([0.015, 0.0, -0.04]))
+
+
+def test_the_first_mode_is_that_of_the_books() -> None:
+    slosh = Slosh.of(0.035, np.array(0.06))
+    water = 1000.0 * np.pi * 0.035**2 * 0.06
+    assert np.sqrt(slosh.stiffness) / (2.0 * np.pi) == pytest.approx(3.6, abs=0.02)
+    assert 1e3 * water == pytest.approx(231.0, abs=0.5) and 1e3 * water * slosh.share == pytest.approx(61.0, abs=1.0)
+    for fill in (
+        0.02,
+        0.06,
+        0.1,
+    ):  # Abramson: R / (2.2 h) tanh(1.84 h / R); all of a shallow liquid's motion is at its bottom
+        assert Slosh.of(0.035, np.array(fill)).share == pytest.approx(
+            0.035 / 2.2 / fill * np.tanh(1.84 * fill / 0.035), rel=0.01
+        )
+    assert Slosh.of(0.035, np.array(1e-4)).height == pytest.approx(0.0, abs=1e-5)
+    # Mikishev and Dorozhkin, deep water: 0.79 over the root of R^1.5 g^0.5 / nu
+    assert damping_ratio(0.035, 0.2, 1e-6) == pytest.approx(0.79 * np.sqrt(1e-6 / np.sqrt(0.035**3 * 9.81)), rel=1e-3)
+
+
+@pytest.mark.parametrize("model", KINDS_INSIDE[1:])
+def test_slopes_of_the_models_are_differences(model: str) -> None:
+    unknowns = inside_unknowns(model, FACTS)
+    for kg in (0.02, 0.1, 0.3):
+        at = {u.kind: np.array([kg if u.kind == "contents_mass" else u.value]) for u in unknowns}
+        for unknown in unknowns:
+            step = 1e-6 * max(abs(float(at[unknown.kind][0])), 0.01)
+
+            def shifted(
+                by: complex, name: str = unknown.kind, at: dict[str, np.ndarray] = at
+            ) -> tuple[np.ndarray, ...]:
+                return inside_terms(model, FACTS, {**at, name: at[name] + by})
+
+            for exact, up, down in zip(shifted(1e-30j), shifted(step), shifted(-step), strict=True):
+                slope = (up - down) / (2.0 * step)
+                np.testing.assert_allclose(
+                    exact.imag / 1e-30, slope, rtol=1e-5, atol=1e-7 * max(1.0, np.abs(slope).max())
+                )
+
+
+def test_all_of_a_liquid_weighs_where_it_is() -> None:
+    """Rigid and moving part together: its mass, with its centre at half of its height."""
+    unknowns = {
+        u.kind: np.array([0.2 if u.kind == "contents_mass" else u.value]) for u in inside_unknowns("liquid", FACTS)
+    }
+    ten, moving = inside_terms("liquid", FACTS, unknowns)
+    fill = 0.2 / (1000.0 * np.pi * 0.035**2)
+    assert ten[0, 0] + moving[0, 0] == pytest.approx(0.2)
+    height = ten[0, 3] + moving[0, 0] * (FACTS.bottom[2] + moving[0, 1])
+    assert height == pytest.approx(0.2 * (FACTS.bottom[2] + 0.5 * fill), rel=2e-3)
+
+
+def test_a_virtual_hand_can_hold_it() -> None:
+    held = virtual_object("filled:0.05,liquid=0.2")
+    assert held is not None and held.emptied is not None
+    with pytest.raises(ConfigurationError, match="the cylinder is full with 385 g"):
+        virtual_object("filled:0.05,liquid=0.5")
+
+
+def test_its_settings_are_read() -> None:
+    from proprio_ros.inputs.settings import Settings
+
+    facts = probe_named("contents").facts(Settings({"contents.radius": 0.04, "contents.mass": 0.06}))
+    assert facts.radius == 0.04 and facts.mass == 0.06 and not probe_named("contents").needs_baseline(facts)
+    with pytest.raises(ConfigurationError, match=r"35 mm is 0\.035"):
+        probe_named("contents").facts(Settings({"contents.radius": 35.0}))
+
+
+@pytest.mark.long
+def test_the_virtual_arm_s_liquid_is_weighed_and_an_empty_one_is_empty() -> None:
+    """MuJoCo's spring and slides, of which this law is no copy; the demo's own object, so no truth of real liquids."""
+    pytest.importorskip("mujoco")
+    from support.hand import ROBOT, Hand
+    from support.squeezing import made, played
+
+    _, first, _ = played("empty_hand_container", Hand(1, None))
+    calibration = calibrate(ROBOT, [LoadedRun(run) for run in first]).calibration
+    assert calibration is not None
+    robot, sequence = ROBOT.with_calibration(calibration), load_sequence("contents", ROBOT)
+    filled = virtual_object("filled:0.05,liquid=0.15")
+    assert filled is not None
+    runs, empty = (made(sequence, Hand(1, held))[1] for held in (filled, filled.emptied))
+    found = find_contents(robot, runs, FACTS, empty)
+    assert found.verdict.value == "accepted", found.reasons
+    mass, rigid = found.value("contents_mass"), found.value("rigid_inside").value
+    assert mass.ci95[0] < 0.15 < mass.ci95[1] and 1.96 * mass.std < 0.02
+    assert isinstance(rigid, float) and rigid < 0.9
+    without = find_contents(robot, empty, FACTS, empty)
+    assert without.value("nothing_inside").value > 0.95 and without.value("contents_mass").value < 0.003
+    lying = replace(FACTS, rotation=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+    with pytest.raises(RecordingError, match="about its own axis"):
+        find_contents(robot, runs, lying, empty)
+    with pytest.raises(ConfigurationError, match="the empty container is not known"):
+        find_contents(robot, runs, FACTS)
+    assert tuple(found.detail.probabilities) == models.KINDS_INSIDE
+    page = "".join(probe_named("contents").sections(found))
+    assert "What is inside" in page
