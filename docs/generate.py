@@ -96,6 +96,8 @@ ABOUT = {
     "/identifier/carry_to": "positions of some joints [rad]: can what is held be carried there on the straight way of the joints?",
     "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
     "/identifier/sphere_mass": "kg, to plot",
+    "/identifier/fill": "m, how high a liquid stands, to plot",
+    "/identifier/liquid_inside": "probability of a liquid, to plot",
     "/identifier/youngs_modulus": "Pa, to plot",
     "/identifier/lame_mu": "Pa, to plot",
     "/identifier/lame_lambda": "Pa, to plot",
@@ -105,6 +107,7 @@ ABOUT = {
     "/identifier/next_push": "what is known after a push, in words, and the way of the hand in the push that comes next, in RViz",
     "/identifier/refresh_robot": "empty hand: some chosen pushes that bring its calibration up to date; now and then",
     "/identifier/record_container_baseline": "make the container's sequence with the empty container, and keep the recording",
+    "/identifier/record_contents_baseline": "make the sequence of the contents with the empty container, and keep the recording",
     "/identifier/weigh": "what the hand held in the last `weigh_seconds` of whatever motion",
     "/identifier/apply": "export the accepted load to the arm's own controller (`hand_on`)",
     "/identifier/cancel": "end the job; what was recorded is kept",
@@ -426,6 +429,7 @@ def settings() -> str:
     from proprio_ros.inputs.settings import SEARCH, probe_file
     from proprio_ros.kinds import KINDS
     from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
+    from proprio_ros.probes.contents.facts import FORMS as OF_CONTENTS
     from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
     from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
     from proprio_ros.recordings import reader, text
@@ -441,7 +445,8 @@ def settings() -> str:
         "wider than any arm on a table needs; what lies outside is refused in one sentence. Defaults are those of "
         "the files in `config/probes`.",
     ]
-    for probe, forms in (("payload", OF_PAYLOAD), ("container", OF_CONTAINER), ("softness", OF_BLOCK)):
+    of_probes = {"payload": OF_PAYLOAD, "container": OF_CONTAINER, "softness": OF_BLOCK, "contents": OF_CONTENTS}
+    for probe, forms in of_probes.items():
         content = probe_file(probe)
         rows = []
         for key, form in (forms | SEARCH).items():

@@ -118,7 +118,7 @@ def test_the_design_page_has_the_rooms_and_the_classes_of_probes() -> None:
     rooms = {path.parent.name for path in package.glob("*/__init__.py")} | {"launch"}
     assert (
         set(re.findall(r"(?<=[\s])(\w+)/(?=\s)", tree))
-        - {"proprio_ros", "regression", "payload", "container", "softness"}
+        - {"proprio_ros", "regression", "payload", "container", "softness", "contents"}
         == rooms
     )
     base = ast.parse((package / "probes" / "base.py").read_text(encoding="utf-8"))

@@ -2,21 +2,20 @@
 
     python test/benchmarks/contents_bound.py --json docs/results/contents_bound.json
 
-The contents are a liquid in an upright cylinder, the arm an OpenMANIPULATOR-X as this package's calibration of its sample bags knows
-it, or one with a UR5e's links and gears whose friction is known to 2 % and torque to 0.5 %. All that is open of the arm moves, too.
-Beside the standard deviations of fill (from the motion alone, without its density), slosh frequency and damping stands how many nats
-the best rigid thing falls short of the liquid where there is no noise: 3 are odds of 20 to 1.
+The contents are a liquid in an upright cylinder, the arm an OpenMANIPULATOR-X as its calibration on the sample bags knows it,
+or one with a UR5e's links and gears whose friction is known to 2 % and torque to 0.5 %. All that is open of the arm moves, too.
+Beside the standard deviations of fill (from the motion alone, without its density), slosh frequency and damping stands how many
+nats the best rigid thing falls short of the liquid where there is no noise: 3 are odds of 20 to 1.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from results import Results, parser_of
 
 from proprio_ros.identification import solvers
 from proprio_ros.identification.posterior import Posterior
@@ -33,7 +32,14 @@ from proprio_ros.robot import Robot, load_robot
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 RADII_M, MASSES_KG = (0.02, 0.035, 0.05), (0.05, 0.15, 0.5)
 WATER = 1e-6  # kinematic viscosity [m^2/s]
-SETS = ("pushes", "pushes and shake")
+SETS = ("pushes", "and shaken")
+COLUMNS = {
+    "arm": "{arm}", "runs": "{runs}", "radius": "{radius_mm:g} mm", "water": "{g:g} g", "fill": "{fill_mm:.0f} mm",
+    "sloshes at": "{hz:.1f} Hz",
+    "mass": "± {mass_std_g:.1f} g", "fill, from motion alone": "± {fill_std_mm:.0f} mm", "frequency": "± {hz_std:.2f} Hz",
+    "damping, within a factor": "{damping}", "liquid over rigid": "{nats:.1f} nats",
+}  # fmt: skip
+"""Standard deviations; a damping that is known no better than to a factor of 20 is not known."""
 
 
 @dataclass(frozen=True)
@@ -182,10 +188,11 @@ def bound(arm: Arm, pushes: Sequence[Push], radius: float, kg: float) -> dict[st
     start[rigid.index["contents_mass"]] = kg
     ends = solvers.levenberg_marquardt(rigid, rigid.coordinates.internal(start[None, rigid.free]), None, iterations=40)
     mass = list(problem.free).index(problem.index["contents_mass"])
+    factor = float(np.exp(min(damping, 20.0)))
     return {
-        "arm": arm.name, "radius_m": radius, "kg": kg, "fill_m": fill, "hz": hz, "pushes": len(pushes),
-        "mass_std_kg": float(np.sqrt(covariance[mass, mass])), "fill_std_m": fill * density / 1000.0, "hz_std": hz * tuning,
-        "damping_factor": float(np.exp(min(damping, 20.0))), "nats": float(ends.cost.min()),
+        "arm": arm.name, "radius_mm": 1e3 * radius, "g": 1e3 * kg, "fill_mm": 1e3 * fill, "hz": hz,
+        "mass_std_g": 1e3 * float(np.sqrt(covariance[mass, mass])), "fill_std_mm": fill * density, "hz_std": hz * tuning,
+        "damping": f"{factor:.1f}" if factor < 20.0 else "-", "nats": float(ends.cost.min()),
     }  # fmt: skip
 
 
@@ -198,18 +205,17 @@ def rows() -> Iterator[dict[str, object]]:
                     continue  # no such container fits a hand
                 for what, pushes in zip(SETS, (arm.pushes[:3], arm.pushes), strict=True):
                     found = bound(arm, pushes, radius, kg)
-                    row = {"arm": arm.name, "radius_m": radius, "kg": kg, **(found or {}), "runs": what}
-                    print(json.dumps(row), flush=True)
-                    yield row
+                    if found is not None:
+                        yield {**found, "runs": what}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What pushes and shakes can tell of a container's contents at best.")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    found = list(rows())
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps({"bound": found}, indent=1) + "\n")
+    arguments = parser_of(__doc__).parse_args()
+    results = Results(__file__, arguments.json)
+    results.table("bound", COLUMNS)
+    for row in rows():
+        results.row("bound", **row)
+    results.keep()
 
 
 if __name__ == "__main__":

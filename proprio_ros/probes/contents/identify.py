@@ -271,7 +271,7 @@ class ContentsFound(Conclusion):
         return (
             f"an upright cylinder of {2e3 * facts.radius:g} mm inside, {1e3 * facts.height:g} mm high, the middle of its bottom at "
             f"[{place}] mm in {self.robot.payload_frame}, held upright and at rest when the current came on",
-            f"a liquid weighs {facts.density:g} +- {facts.density_std:g} kg/m^3: its fill is its mass over that density, as far as its "
+            f"a liquid weighs {facts.density:g} +- {facts.density_std:g} kg/m^3: its fill is its mass over that, as far as its "
             "frequency does not say it",
             "one of four: nothing, one rigid thing, a liquid (first sloshing mode), grains; each as likely as another beforehand",
             stated_in(self.robot),

@@ -22,7 +22,8 @@ from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
-from proprio_ros.sim.slosh import SLOSH_PARAMETERS, SloshRun, SloshSimulator
+from proprio_ros.sim.slosh import SloshRun, SloshSimulator
+from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS
 
 KINDS_INSIDE = ("nothing", "rigid", "liquid", "granular")
 GRAVITY = 9.81

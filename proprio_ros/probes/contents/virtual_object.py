@@ -86,7 +86,7 @@ class Filled(HandObject):
         low = (0.5 * self.fill_m * self.liquid_kg - moving * float(slosh.height)) / rest
         shell = self.emptied
         cup = hand.add_body(name="held/cylinder", pos=shell.com_m)
-        set_inertia(cup, self.mass_kg, (0.0, 0.0, 0.0), shell.inertia_kg_m2)
+        set_inertia(cup, self.mass_kg, (0.0, 0.0, 0.0), shell.inertia)
         lower = hand.add_body(name="held/still", pos=np.add(self.bottom_m, (0.0, 0.0, low)))
         set_inertia(lower, rest, (0.0, 0.0, 0.0), self._solid(rest, self.fill_m))
         upper = hand.add_body(name="held/moving", pos=np.add(self.bottom_m, (0.0, 0.0, float(slosh.height))))

@@ -1,0 +1,124 @@
+"""The law of a joint with moving contents, for Warp: what ``slosh.py`` says, with its exact change along any direction."""
+
+from functools import cache
+
+import warp as wp
+
+from proprio_ros.sim.joint_kernels import (
+    CARRIED,
+    CURRENT,
+    DELAY,
+    GRAVITY_CONSTANT,
+    INERTIA,
+    LOAD,
+    LOAD_PER_KG,
+    PARAMETERS,
+    Q0,
+    V0,
+    VEC3,
+    linearised_acceleration,
+    standstill,
+)  # fmt: skip
+from proprio_ros.sim.rollout import Law
+from proprio_ros.sim.runtime import FLOAT, FLOATS
+
+SLOSH_TERMS = ("slosh_mass", "slosh_height", "slosh_stiffness", "slosh_damping", "slosh_friction", "settled", "tilt")
+"""What moving contents add to the parameters of ``joint.py``: kg, m above the bottom, 1/s^2, 1/s, m/s^2, 1, rad. ``tilt`` is how
+much further than its encoder shows the joint has turned the container."""
+SLOSH_PARAMETERS = (*PARAMETERS, *SLOSH_TERMS)
+MASS, HEIGHT, STIFFNESS, DAMPING, FRICTION, SETTLED, TILT = range(len(PARAMETERS), len(SLOSH_PARAMETERS))
+REACH, BOTTOM, G_S, G_Z = 0, 1, 2, 5  # columns of ``SloshData.geometry``; gravity's constant, cos and sin parts
+FRICTION_SPEED = 0.02  # over which grains' friction is smoothed [m/s]
+VEC4 = wp.types.vector(length=4, dtype=FLOAT)
+
+
+@wp.struct
+class SloshData:
+    """What is known about the runs."""
+
+    constants: FLOATS
+    geometry: FLOATS
+
+
+@wp.func
+def _gravity(geometry: FLOATS, r: wp.int32, at: wp.int32, angle: FLOAT):
+    """A component of gravity in the container's frame, and its change with the angle."""
+    c = wp.cos(angle)
+    s = wp.sin(angle)
+    value = geometry[r, at] + geometry[r, at + 1] * c + geometry[r, at + 2] * s
+    return value, geometry[r, at + 2] * c - geometry[r, at + 1] * s
+
+
+@cache
+def slosh_law(directions: int, stribeck: bool) -> Law:
+    """Joint and moving contents with tangents; the state is q, v, x, x'."""
+    vec = wp.types.vector(length=directions, dtype=FLOAT)
+    mat = wp.types.matrix(shape=(4, directions), dtype=FLOAT)
+    linearised = linearised_acceleration(directions, stribeck)
+
+    @wp.struct
+    class Out:
+        q: FLOATS
+        v: FLOATS
+        dq: wp.array2d(dtype=vec)
+        x: FLOATS
+        dx: wp.array2d(dtype=vec)
+
+    @wp.func
+    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32):
+        gs, by_angle = _gravity(data.geometry, r, G_S, p[w, Q0] + p[w, TILT])
+        x = p[w, SETTLED] * gs / p[w, STIFFNESS]
+        dx = (p[w, SETTLED] * by_angle) * (dp[w, Q0] + dp[w, TILT]) + gs * dp[w, SETTLED] - x * dp[w, STIFFNESS]
+        return (
+            VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)),
+            wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx / p[w, STIFFNESS], vec()),
+        )
+
+    @wp.func
+    def rates(
+        y: VEC4, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32
+    ):
+        load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
+        d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
+        a, da = linearised(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)
+        v = y[1]
+        s = y[3]
+        m = p[w, MASS]
+        high = data.geometry[r, BOTTOM] + p[w, HEIGHT]
+        far = data.geometry[r, REACH] + y[2]
+        turned = dy[0] + dp[w, TILT]
+        gs, gs_by = _gravity(data.geometry, r, G_S, y[0] + p[w, TILT])
+        gz, gz_by = _gravity(data.geometry, r, G_Z, y[0] + p[w, TILT])
+        side = wp.tanh(s / FLOAT(FRICTION_SPEED))
+        pull = p[w, STIFFNESS] * y[2] + p[w, DAMPING] * s + p[w, FRICTION] * side
+        d_pull = p[w, STIFFNESS] * dy[2] + y[2] * dp[w, STIFFNESS] + s * dp[w, DAMPING] + side * dp[w, FRICTION]
+        steep = p[w, FRICTION] * (FLOAT(1.0) - side * side) / FLOAT(FRICTION_SPEED)
+        d_pull = d_pull + (p[w, DAMPING] + steep) * dy[3]
+        moment = high * (pull - v * v * far) - (gz + FLOAT(2.0) * v * s) * far
+        d_moment = (pull - v * v * far) * dp[w, HEIGHT] + high * d_pull - (gz_by * far) * turned
+        d_moment = d_moment - (FLOAT(2.0) * (high * v * far + s * far)) * dy[1] - (FLOAT(2.0) * v * far) * dy[3]
+        d_moment = d_moment - (high * v * v + gz + FLOAT(2.0) * v * s) * dy[2]
+        inverse = FLOAT(1.0) / (p[w, INERTIA] + m * far * far)
+        b = (a * p[w, INERTIA] + m * moment) * inverse
+        db = p[w, INERTIA] * da + (a - b) * dp[w, INERTIA] + m * d_moment + (moment - b * far * far) * dp[w, MASS]
+        db = inverse * (db - (FLOAT(2.0) * b * m * far) * dy[2])
+        k = gs - pull + v * v * far - high * b
+        dk = gs_by * turned - d_pull + (FLOAT(2.0) * v * far) * dy[1] + (v * v) * dy[2] - high * db - b * dp[w, HEIGHT]
+        return VEC4(v, b, s, k), wp.matrix_from_rows(dy[1], db, dy[3], dk)
+
+    @wp.func
+    def moved(y: VEC4, dy: mat, z: VEC4, dz: mat, k: VEC4, dk: mat, data: SloshData, r: wp.int32):
+        return VEC4(z[1], k[1], z[3], k[3]), wp.matrix_from_rows(dz[1], dk[1], dz[3], dk[3])
+
+    @wp.func
+    def record(out: Out, w: wp.int32, k: wp.int32, y: VEC4, dy: mat, lead: FLOAT, d_lead: vec):
+        out.v[w, k] = y[1]
+        out.q[w, k] = y[0] + y[1] * lead
+        out.dq[w, k] = dy[0] + lead * dy[1]
+        if lead < FLOAT(0.0):
+            out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        out.x[w, k] = y[2]
+        out.dx[w, k] = dy[2]
+
+    still = standstill(VEC4, SloshData)
+    return Law(directions, VEC4, VEC3, mat, SloshData, Out, DELAY, start, rates, moved, still, record)
