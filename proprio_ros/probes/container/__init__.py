@@ -105,12 +105,9 @@ class Container(
         return facts.container.mass_std == float("inf")
 
     def baseline_settings(self, facts: ContainerJob) -> dict[str, object]:
-        from proprio_ros.probes.payload.facts import rotational_inertia
+        from proprio_ros.probes.payload.facts import settings_of
 
-        shell = facts.container.shell
-        per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
-        six = per_mass[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
-        return {"payload.com": shell.com.tolist(), "payload.inertia_per_mass": six}
+        return settings_of(facts.container.shell)
 
     def compile(self, robot: Robot, facts: ContainerJob) -> None:
         from proprio_ros.sim.sphere import compile_kernels

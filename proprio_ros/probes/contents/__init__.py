@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from proprio_ros.robot import Robot
 
 
-class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"], base.Shown["ContentsFacts"]):
+class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]):
     """An upright cylinder with something in it."""
 
     name = "contents"
@@ -85,12 +85,9 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         return facts.mass_std == float("inf")
 
     def baseline_settings(self, facts: ContentsFacts) -> dict[str, object]:
-        from proprio_ros.probes.payload.facts import rotational_inertia
+        from proprio_ros.probes.payload.facts import settings_of
 
-        shell = facts.shell
-        per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
-        six = per_mass[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
-        return {"payload.com": shell.com.tolist(), "payload.inertia_per_mass": six}
+        return settings_of(facts.shell)
 
     def compile(self, robot: Robot, facts: ContentsFacts) -> None:
         from proprio_ros.sim.slosh import compile_kernels
@@ -107,13 +104,3 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         from proprio_ros.probes.contents.figures import sections
 
         return sections(estimate)
-
-    def shapes(self, robot: Robot, facts: ContentsFacts, estimate: Estimate) -> base.Shapes:
-        """The container, and the liquid as high as it stands."""
-        size = [2.0 * facts.radius, 2.0 * facts.radius, facts.height]
-        middle = facts.bottom + 0.5 * facts.height * facts.rotation[:, 2]
-        return base.Shapes(middle.tolist(), [base.Body("cylinder", size, facts.rotation, 0.25)])
-
-    def remark(self, estimate: Estimate) -> str:
-        kind = getattr(estimate.detail, "kind", "")
-        return f", {kind} inside" if kind and kind != "nothing" else ""

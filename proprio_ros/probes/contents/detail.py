@@ -10,21 +10,12 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class MovedPart:
-    """Where the moving part of the contents is believed to have been during a run, from the container's axis [m]."""
-
-    run: str
-    times_s: np.ndarray  # shape (K,)
-    x: np.ndarray  # shape (K,)
-
-
-@dataclass(frozen=True)
 class ContentsDetail:
-    """What is inside, where that is sure (else empty), how probable each kind is, and how the moving part went."""
+    """What is inside, where that is sure (else empty), how probable each kind is, and what moved."""
 
     kind: str
     probabilities: Mapping[str, float]
-    moved: tuple[MovedPart, ...]
+    moved: tuple[tuple[str, np.ndarray, np.ndarray], ...]  # of each run its name, times [s] and place from the axis [m]
 
     def as_json(self) -> dict[str, Any]:
         """The kind; the probabilities are values."""

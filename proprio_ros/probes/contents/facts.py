@@ -12,7 +12,6 @@ from proprio_ros.inputs.settings import Settings
 from proprio_ros.probes.contents.models import ContentsFacts
 from proprio_ros.robot import rotation_from_rpy
 
-DECIDING = ("contents.radius", "contents.height", "contents.bottom")
 _LENGTH = "lengths are in m, so 35 mm is 0.035"
 _NEAR_HAND = Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m")
 FORMS: dict[str, Form] = {
@@ -51,6 +50,5 @@ def contents_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContentsF
     mass, std = said.pop("mass"), said.pop("mass_std")
     known = (0.05, np.inf) if mass is None else (mass, std)
     rotation = rotation_from_rpy(said.pop("rpy"))
-    guessed = tuple(key for key in DECIDING if key not in settings.taken)
     bottom = np.array(said.pop("bottom"))
-    return ContentsFacts(bottom=bottom, rotation=rotation, mass=known[0], mass_std=known[1], guessed=guessed, **said)
+    return ContentsFacts(bottom=bottom, rotation=rotation, mass=known[0], mass_std=known[1], **said)

@@ -24,7 +24,7 @@ from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.probes.contents.detail import ContentsDetail, MovedPart
+from proprio_ros.probes.contents.detail import ContentsDetail
 from proprio_ros.probes.contents.models import (
     COMPLEX_STEP,
     KINDS_INSIDE,
@@ -34,13 +34,12 @@ from proprio_ros.probes.contents.models import (
     container_seen,
     damping_ratio,
     slosh_of,
-)
+)  # fmt: skip
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-SURE = 0.95
-"""Probability from which on a kind is said."""
+SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.0
 """Residuals that the robot's model leaves go together within a run: models differ by so many times less than their chi-square."""
 STARTS_KG = (0.03, 0.1, 0.3)
@@ -77,10 +76,10 @@ def fitted(
     for role in (Role.FROZEN, Role.FREE):
         problem = ContentsProblem(robot, runs, facts, filled, model, role)
         starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
-        if problem.inside:
-            starts[:, problem.index["contents_mass"]] = STARTS_KG
         if fits:
-            starts = np.tile(fits[0].values_of(problem.unknowns), (1, 1))
+            starts = fits[0].values_of(problem.unknowns)[None]
+        elif problem.inside:
+            starts[:, problem.index["contents_mass"]] = STARTS_KG
         internal = problem.coordinates.internal(starts[:, problem.free])
         windows = None if fits else problem.simulator.windows
         solution = solvers.levenberg_marquardt(problem, internal, windows, iterations=30, tolerance=1e-3)
@@ -114,7 +113,8 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     best = min(model.opened.reduced_chi2 for model in models)
     logs = np.array([model.evidence(ALIKE_RUNS * max(1.0, best)) for model in models])
     weight = np.exp(logs - logs.max())
-    return ContentsFound.of(models, weight / weight.sum(), facts, found, len(runs)).estimate()
+    first = models[1 + int(np.argmax(weight[1:]))]
+    return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight / weight.sum(), facts).estimate()
 
 
 @dataclass(eq=False)
@@ -128,27 +128,14 @@ class ContentsFound(Conclusion):
     probe, name = "contents", "contents_mass"
     check = "check contents.radius, contents.bottom and the robot file's inertias"
 
-    @classmethod
-    def of(
-        cls, models: list[Modelled], probabilities: np.ndarray, facts: ContentsFacts, found: Findings, count: int
-    ) -> ContentsFound:
-        """From every model and its probability."""
-        best = models[1 + int(np.argmax(probabilities[1:]))]
-        return cls(best.nominal, best.opened, found, count, models, probabilities, facts)
-
     def __post_init__(self) -> None:
         super().__post_init__()
         assert isinstance(self.opened.problem, ContentsProblem)
         self.problem = self.opened.problem
 
-    @property
-    def likely(self) -> str:
-        """The most probable kind."""
-        return KINDS_INSIDE[int(np.argmax(self.probabilities))]
-
-    def kind(self) -> str:
-        """What is inside, where that is sure; empty where it is not."""
-        return self.likely if float(self.probabilities.max()) >= SURE else ""
+    def kind(self, sure: float = SURE) -> str:
+        """What is inside, where that is so sure; empty where it is not."""
+        return KINDS_INSIDE[int(np.argmax(self.probabilities))] if float(self.probabilities.max()) >= sure else ""
 
     def widen(self) -> None:
         # by how far apart the models' masses are, as probable as they are
@@ -252,12 +239,8 @@ class ContentsFound(Conclusion):
     def detail(self, withheld: str) -> ContentsDetail:
         shares = dict(zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True))
         kind = "" if withheld else self.kind()
-        if withheld or self.likely not in ("liquid", "granular"):
-            return ContentsDetail(kind, shares, ())
-        runs = [run for run, has in zip(self.runs, self.problem.filled, strict=True) if has]
-        paths = zip(runs, self.problem.path(self.fit.values), strict=True)
-        moved = tuple(MovedPart(run.run.name, run.times_s, x) for run, x in paths)
-        return ContentsDetail(kind, shares, moved)
+        moved = () if withheld else tuple(self.problem.path(self.fit.values))
+        return ContentsDetail(kind, shares, moved if self.kind(0.0) in ("liquid", "granular") else ())
 
     def solver(self) -> SolverSummary:
         used = self.nominal.solution.iterations + self.fit.solution.iterations

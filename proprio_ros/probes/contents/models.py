@@ -47,7 +47,6 @@ class ContentsFacts:
     mass_std: float = np.inf
     density: float = 1000.0  # of a liquid [kg/m^3], and its standard deviation
     density_std: float = 150.0
-    guessed: tuple[str, ...] = ()  # keys that decide and were not stated
 
     @property
     def shell(self) -> PayloadFacts:
@@ -106,7 +105,8 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
         mass,
         Unknown("contents_density", 1000.0, 500.0, 300.0, 15000.0),
         Unknown("slosh_share", 0.7, 0.3, 0.0, 2.0),
-        Unknown("grain_friction", 0.5, 0.15, 0.1, 1.2),
+        Unknown("grain_friction", 0.35, 0.2, 0.02, 1.2),
+        Unknown("slosh_damping_log", -1.2, 1.0, -7.0, 0.5),
         Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0),
     ]
 
@@ -138,12 +138,8 @@ def inside_terms(model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]) 
     fill = np.sqrt((mass / (u["contents_density"] * area)) ** 2 + LOWEST_FILL_M**2)
     slosh = Slosh.of(facts.radius, fill)
     share = slosh.share * u["slosh_share"]
-    if model == "liquid":
-        stiffness = slosh.stiffness * u["slosh_tuning"] ** 2
-        damping, friction = 2.0 * np.exp(u["slosh_damping_log"]) * np.sqrt(stiffness), zero
-    else:
-        stiffness = slosh.stiffness
-        damping, friction = 0.4 * np.sqrt(stiffness), GRAVITY * u["grain_friction"]
+    stiffness, friction = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2, GRAVITY * u.get("grain_friction", zero)
+    damping = 2.0 * np.exp(u["slosh_damping_log"]) * np.sqrt(stiffness)
     rigid = mass * (1.0 - share)
     height = (0.5 * fill - share * slosh.height) / (1.0 - share)
     place = facts.bottom + height[:, None] * axis
@@ -260,11 +256,12 @@ class ContentsProblem(Problem):
             p[:, ~self.filled, first + 2] = 1.0
         return p, dp
 
-    def path(self, values: np.ndarray) -> list[np.ndarray]:
-        """How far the moving part is from the container's axis at the used samples of each filled run [m]; none is rigid."""
+    def path(self, values: np.ndarray) -> list[tuple[str, np.ndarray, np.ndarray]]:
+        """Of each filled run its name, times [s] and how far the moving part is from the container's axis [m]; none is rigid."""
         rows = np.flatnonzero(self.filled)
         if not isinstance(self.simulator, MixedSimulator):
             return []
         p, _ = self.parameters(values[None], self.free[:1])
         x = self.simulator.special.path(np.arange(len(rows)), p[0, rows])
-        return [x[n, : self.runs[row].used] for n, row in enumerate(rows)]
+        runs = [self.runs[row] for row in rows]
+        return [(run.run.name, run.times_s, x[n, : run.used]) for n, run in enumerate(runs)]

@@ -73,6 +73,13 @@ def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:
     return mass_kg * rotational_inertia(facts.shape.second_moment_per_mass)
 
 
+def settings_of(shell: PayloadFacts) -> dict[str, object]:
+    """What is stated of a load, as settings of the payload probe."""
+    per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
+    six = per_mass[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+    return {"payload.com": shell.com.tolist(), "payload.inertia_per_mass": six}
+
+
 def rotational_inertia(second_moment: np.ndarray) -> np.ndarray:
     """From the integral of r r^T dm to that of r^2 - r r^T, shape (3, 3)."""
     return np.asarray(np.trace(second_moment) * np.eye(3) - second_moment)
