@@ -76,13 +76,12 @@ def fitted(
     for role in (Role.FROZEN, Role.FREE):
         problem = ContentsProblem(robot, runs, facts, filled, model, role)
         starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
-        if fits:
-            starts = fits[0].values_of(problem.unknowns)[None]
-        elif problem.inside:
+        if problem.inside:
             starts[:, problem.index["contents_mass"]] = STARTS_KG
+        if fits:  # with a robot that is held still the search may end far off, so all starts are made again
+            starts = np.concatenate([fits[0].values_of(problem.unknowns)[None], starts])
         internal = problem.coordinates.internal(starts[:, problem.free])
-        windows = None if fits else problem.simulator.windows
-        solution = solvers.levenberg_marquardt(problem, internal, windows, iterations=30, tolerance=1e-3)
+        solution = solvers.levenberg_marquardt(problem, internal, problem.simulator.windows, tolerance=1e-3)
         fits.append(FitResult.of(problem, solution))
     return Modelled(model, *fits)
 
