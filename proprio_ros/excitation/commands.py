@@ -36,9 +36,8 @@ class JointStates:
     or NaN (as joint_state_broadcaster sends them) follow from the positions. A position that is no number is passed on: the
     state machine stops for it.
 
-    Args:
-        joints: Of the arm.
-        stale_after_s: A sample is given only while every joint that was ever seen was seen within this time.
+    ``joints``: of the arm; ``stale_after_s``: A sample is given only while every joint that was ever seen was seen
+    within this time.
     """
 
     def __init__(self, joints: Sequence[str], stale_after_s: float) -> None:

@@ -206,9 +206,8 @@ GAP_S = 0.1  # after a longer pause nothing is summed up over it
 class GoalController(Controller):
     """One controller's goals; methods that say nothing of their own do what those of an `EffortController` do.
 
-    Args:
-        robot, joints: As of every controller.
-        jump_rad: A position that changes by more from sample to sample is an encoder that slipped.
+    ``robot``, ``joints``: as of every controller; ``jump_rad``: A position that changes by more from sample to sample
+    is an encoder that slipped.
     """
 
     kind = recorded_as = "position"

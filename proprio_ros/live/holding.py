@@ -25,8 +25,7 @@ def probability_of_load(mass_kg: float, std_kg: float, least_kg: float) -> float
 class Holding:
     """Whether something is in the hand, with hysteresis.
 
-    Args:
-        least_kg: Mass of the lightest object that counts.
+    ``least_kg``: mass of the lightest object that counts.
 
     Attributes:
         state: None while nothing is known.

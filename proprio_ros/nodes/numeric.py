@@ -113,10 +113,8 @@ class WeighAction:
 
     The goal is kept and executed when the job has ended: a callback that waited would keep a processor busy; see `LongService`.
 
-    Args:
-        node: That offers it.
-        begin: Begins a job or answers why there can be none.
-        check: Raises `ProprioError`, with the reason, where there can be no such job now.
+    ``node``: that offers it; ``begin``: begins a job or answers why there can be none; ``check``: raises
+    `ProprioError`, with the reason, where there can be no such job now.
     """
 
     def __init__(self, node: ManagedNode, begin: Callable[[Job, Answer], None], check: Callable[[Job], None]) -> None:

@@ -179,9 +179,8 @@ class ChainSimulator:
     def jacobian(self, p: ArrayLike, dp: ArrayLike) -> tuple[NDArray[np.float64], ...]:
         """Positions and velocities at the sample instants, with exact forward sensitivities of the positions.
 
-        Args:
-            p: Parameters of each world, shape (W, P).
-            dp: D tangent directions of each world in parameter space, shape (W, P, D).
+        ``p``: parameters of each world, shape (W, P); ``dp``: D tangent directions of each world in parameter space,
+        shape (W, P, D).
 
         Returns:
             q [rad or m] (W, T, n), v [rad/s or m/s] (W, T, n) and dq (W, T, n, D).

@@ -62,8 +62,7 @@ class Options:
 class Request:
     """What is asked, as it was read; many recordings can share it.
 
-    Raises:
-        ConfigurationError: There is no such driver, or it is wrong.
+    Raises `ConfigurationError`: There is no such driver, or it is wrong.
     """
 
     robot: Robot  # with its calibration, as the settings have it

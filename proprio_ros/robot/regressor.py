@@ -113,9 +113,7 @@ def carriers(model: ReducedModel, body: int) -> list[int]:
 def gravity_torques(model: ReducedModel, position: FloatArray) -> FloatArray:
     """Torque that holds every joint at rest, per unit of every body's parameters.
 
-    Args:
-        model: The arm, n revolute joints.
-        position: Of them [rad], shape (T, n).
+    ``model``: the arm, n revolute joints; ``position``: of them [rad], shape (T, n).
 
     Returns:
         Shape (T, n, n, 10): pose, joint, body, parameter [N m per unit].

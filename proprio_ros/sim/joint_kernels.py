@@ -227,10 +227,8 @@ def plain_rate(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: w
 def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -> PlainLaw:
     """The law of a state (q, v) without tangents.
 
-    Args:
-        rate: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function.
-        data_type: the struct of what is known about the runs.
-        integrator: ``"rk4"`` or ``"semi_implicit"``.
+    ``rate``: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function; ``data_type``: the struct of
+    what is known about the runs; ``integrator``: ``"rk4"`` or ``"semi_implicit"``.
     """
     rk4 = integrator == "rk4"
 

@@ -164,9 +164,7 @@ def likely(log_evidence: FloatArray, factors: FloatArray) -> tuple[FloatArray, f
 def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:
     """How likely it is that values differ by each of `SPREADS` beyond what each knows of its own error, shape (200,), sum 1.
 
-    Args:
-        errors: Of each, relative, shape (n,).
-        variances: That each knows, shape (n,).
+    ``errors``: of each, relative, shape (n,); ``variances``: that each knows, shape (n,).
     """
     apart = np.maximum(variances, 1e-12) + SPREADS[:, None] ** 2
     fit = -0.5 * np.sum(np.log(apart) + np.square(errors) / apart, axis=1)
@@ -184,9 +182,7 @@ def spread_of(posterior: FloatArray) -> float:
 def effective_freedom(total: FloatArray | float, parts: Sequence[tuple[float, float]]) -> FloatArray:
     """Degrees of freedom of a variance, parts of which few say: Satterthwaite 1946, Biometrics Bulletin 2.
 
-    Args:
-        total: Variance.
-        parts: Of it, each with its degrees of freedom.
+    ``total``: variance; ``parts``: of it, each with its degrees of freedom.
     """
     shares = sum(variance**2 / degrees for variance, degrees in parts)
     result: FloatArray = np.maximum(np.square(total) / max(shares, 1e-300), 1.0)

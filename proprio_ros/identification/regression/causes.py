@@ -95,9 +95,7 @@ def with_cause(refusal: Refusal, robot: Robot, motions: Sequence[Motion]) -> Ref
 def torque_cause(robot: Robot, motion: Motion) -> str:
     """The one mistake that explains the torques of a motion, as a sentence without its name; empty where none is sure.
 
-    Args:
-        robot: As its file states it.
-        motion: That was refused.
+    ``robot``: as its file states it; ``motion``: that was refused.
     """
     motion = _thinned(motion)
     try:

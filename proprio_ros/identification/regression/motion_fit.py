@@ -126,9 +126,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
 def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibration, tuple[JointFit, ...]]:
     """What motions with an empty hand say about an arm, and torque of each joint as it explains it.
 
-    Args:
-        robot: As its file states it.
-        motions: Of the same joints, at least one.
+    ``robot``: as its file states it; ``motions``: of the same joints, at least one.
 
     Raises:
         RecordingError: A motion is of no use, or all together are too short.

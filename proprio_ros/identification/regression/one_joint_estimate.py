@@ -99,9 +99,7 @@ def torque_left_over(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence
 def best_delay(left_over: Callable[[float], float], stated: Quantity) -> Quantity:
     """The delay that leaves the least torque over, to a step of the search.
 
-    Args:
-        left_over: By the delay [s].
-        stated: Where to look: two standard deviations about the value [s].
+    ``left_over``: by the delay [s]; ``stated``: where to look: two standard deviations about the value [s].
     """
     low = max(stated.value - DELAY_SIGMAS * stated.std, 0.0)
     high = min(max(stated.value + DELAY_SIGMAS * stated.std, 0.0), LATEST_S)

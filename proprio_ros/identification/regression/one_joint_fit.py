@@ -121,10 +121,8 @@ def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) ->
 def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJointFit:
     """Fit inertia, first moment and friction of a joint that moves alone.
 
-    Args:
-        robot: Its torque constant and geometry.
-        motions: With the same load, each with friction of its own.
-        joint: That moved.
+    ``robot``: its torque constant and geometry; ``motions``: with the same load, each with friction of its own;
+    ``joint``: that moved.
 
     Raises:
         RecordingError: They are too short, or gravity does not turn the joint.

@@ -93,10 +93,8 @@ def terms_of(
 ) -> tuple[FloatArray, float]:
     """The terms that motions with known loads show, shape (6,), and rms of the torque that is left over, in true torque [N m].
 
-    Args:
-        tables: Of each motion, by the length of the windows.
-        loads_kg: Of each.
-        carried: What hangs on the joint.
+    ``tables``: of each motion, by the length of the windows; ``loads_kg``: of each; ``carried``: what hangs on the
+    joint.
     """
     found, left = [], []
     heaviest = max(float(np.abs(part.columns[:, :3] @ (carried.arm + kg * carried.per_kg)).max()) for parts, kg in

@@ -86,8 +86,7 @@ def _second_moment(parameters: FloatArray, covariance: FloatArray) -> float:
 def inertia_about_centre(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Inertia about the centre of mass along the frame's axes: xx, xy, xz, yy, yz, zz [kg m^2], and its gradient.
 
-    Args:
-        parameters: As for `nearest_body`, shape (10,).
+    ``parameters``: as for `nearest_body`, shape (10,).
 
     Returns:
         Shape (6,), and per unit of each parameter, shape (6, 10).

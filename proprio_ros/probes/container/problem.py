@@ -355,9 +355,7 @@ class ContainerProblem(Problem):
     def predict(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, ...]:
         """What runs that have not been made would show, all of them with a sphere, in one launch.
 
-        Args:
-            values: Of all unknowns, shape (N,).
-            columns: Of those that matter to each run, shape (R, F).
+        ``values``: of all unknowns, shape (N,); ``columns``: of those that matter to each run, shape (R, F).
 
         Returns:
             q, v (R, T) and dq (R, T, F) of what the encoder shows; x (R, T, 3) [m] and dx (R, T, 3, F) of the sphere in the

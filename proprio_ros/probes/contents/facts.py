@@ -40,8 +40,7 @@ FORMS: dict[str, Form] = {
 def contents_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContentsFacts:
     """The user's words before the section ``contents`` of the probe's file.
 
-    Raises:
-        ConfigurationError: A value of the wrong form or unit.
+    Raises `ConfigurationError`: A value of the wrong form or unit.
     """
     said = {
         key.removeprefix("contents."): settings.take(key, defaults.get(key.removeprefix("contents.")), form)

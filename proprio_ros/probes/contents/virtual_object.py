@@ -26,8 +26,7 @@ DAMPING_RATIO = 0.02
 class Filled(HandObject):
     """An upright cylinder, rigid in the hand, with a liquid like water whose surface can swing.
 
-    Raises:
-        ConfigurationError: A number is no mass or length, or the liquid does not fit.
+    Raises `ConfigurationError`: A number is no mass or length, or the liquid does not fit.
     """
 
     kind = "filled"
