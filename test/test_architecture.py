@@ -174,8 +174,8 @@ def test_files_and_functions_are_short() -> None:
     assert not long, "\n".join(long)
 
 
-MOST_LINES = 49_900
-"""The bound for good is 50,000 lines. 47,000 were left when the rooms got their walls; the rest is for what comes in."""
+MOST_LINES = 50_000
+"""The bound for good. 47,000 were left when the rooms got their walls; what comes in from here on makes something else shorter."""
 
 
 def test_the_package_stays_small() -> None:

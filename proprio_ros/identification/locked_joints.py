@@ -149,11 +149,9 @@ def joint_torque(
     With T a body's transform, P its pseudo-inertia and g gravity as a transform's last column, the torque on joint i is the sum
     over bodies of ``trace(dT/dq_i  P  (T'' - g)^T)``.
 
-    Args:
-        model: The moving bodies and their joints.
-        motion: Position, velocity and acceleration of each joint over time, each of shape (T,).
-        joint: Place of the joint.
-        inertias: Sets of pseudo-inertias, one of each body, shape (I, n, 4, 4).
+    ``model``: the moving bodies and their joints; ``motion``: position, velocity and acceleration of each joint over
+    time, each of shape (T,); ``joint``: place of the joint; ``inertias``: sets of pseudo-inertias, one of each body,
+    shape (I, n, 4, 4).
     """
     gravity = np.zeros((4, 4))
     gravity[:3, 3] = model.gravity

@@ -162,13 +162,9 @@ def adam_descent(
 ) -> Solution:
     """Adam (Kingma & Ba 2015, algorithm 1, their constants) under cosine annealing, all starts at once.
 
-    Args:
-        gradient_of: Takes coordinates (S, F), gives cost (S,) and gradient (S, F).
-        starts: Shape (S, F).
-        rate: First learning rate, in coordinate units per iteration.
-        iterations: All of them are made.
-        lower: Bound of the coordinates, shape (F,) or one for all.
-        upper: Likewise.
+    ``gradient_of``: takes coordinates (S, F), gives cost (S,) and gradient (S, F); ``starts``: shape (S, F); ``rate``:
+    first learning rate, in coordinate units per iteration; ``iterations``: all of them are made; ``lower``: bound of
+    the coordinates, shape (F,) or one for all; ``upper``: likewise.
     """
     u = starts.astype(np.float64).copy()
     first, second = np.zeros_like(u), np.zeros_like(u)

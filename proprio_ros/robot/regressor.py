@@ -73,11 +73,8 @@ def momentum_and_gravity(
 ) -> tuple[FloatArray, FloatArray]:
     """Momentum of one body and gravity's wrench on it, per unit of each of its parameters.
 
-    Args:
-        rotation: base_R_body, shape (T, 3, 3).
-        origin: Of the body's frame [m], shape (T, 3).
-        twist: Of the body, shape (T, 6).
-        gravity: [m/s^2], shape (3,).
+    ``rotation``: base_R_body, shape (T, 3, 3); ``origin``: of the body's frame [m], shape (T, 3); ``twist``: of the
+    body, shape (T, 6); ``gravity``: [m/s^2], shape (3,).
 
     Returns:
         Both (angular, linear) about the base's origin, shape (T, 6, 10).

@@ -1,4 +1,4 @@
-"""One driven joint with everything else locked: its exact tangents, and its adjoint.
+"""One driven joint with everything else locked, with its exact tangents.
 
 Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920) for one degree of freedom, as docs/pages/how_it_works.md writes it
 down. The rollout starts when the command does, at time 0 in state (q0, v0); sample k is compared at ``t_k - delay``, so the delay
@@ -8,8 +8,8 @@ Departures from the paper: armature, friction, supply limit and delay are ours (
 the default integrator is RK4, because the substep error of the paper's equation (2), semi-implicit Euler, is itself grams of
 mass. ``integrator="semi_implicit"`` is equation (2) to the letter.
 
-Two independent derivatives: forward sensitivities in the rollout (the default), and ``wp.Tape`` over a kernel that stores every
-state. The law is in ``joint_kernels.py``, the walk through time in ``rollout.py``.
+Tests hold the forward sensitivities of the rollout against ``wp.Tape`` over a kernel that stores every state. The law is in
+``joint_kernels.py``, the walk through time in ``rollout.py``.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,14 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint_kernels import DELAY, PARAMETERS, VEC3, JointData, joint_law, plain_joint_law, plain_rate
-from proprio_ros.sim.rollout import TIME_EPS, PlainLaw, observe, rollout, schedule, taped
+from proprio_ros.sim.joint_kernels import PARAMETERS, VEC3, JointData, joint_law
+from proprio_ros.sim.rollout import TIME_EPS, rollout
 from proprio_ros.sim.runtime import FLOAT
 
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
 INTEGRATORS = ("rk4", "semi_implicit")
 _TANGENT_SIZES = (1, 3, 6, 14, 16, 18, 24, 32)
 """Each is two kernels that a new computer compiles ahead, for a second and more: between 6 and 14 none is worth that."""
-MAX_STEPS = 200_000
 
 
 def harmless(parameters: Sequence[str]) -> np.ndarray:
@@ -173,31 +172,10 @@ class JointSimulator:
         vec = wp.types.vector(length=size, dtype=FLOAT)
         return [self._zeros((worlds, self._width), kind) for kind in (FLOAT, FLOAT, vec)]
 
-    def forward(
-        self, law: PlainLaw, runs: wp.array, p: wp.array, capacity: int = 0, record_cmd: bool = False
-    ) -> tuple[list[wp.array], Any]:
-        """Launch the rollout without tangents, or record it; with a ``capacity`` it writes down so many steps.
-
-        Returns:
-            The outputs of ``rollout.schedule``, on the device, and the recorded command.
-        """
-        worlds, steps, samples = len(p), max(capacity, 1), self._width
-        out = [self._zeros((worlds, samples), law.state), self._zeros((worlds, steps)), self._zeros((worlds, steps))]
-        out += [self._zeros((worlds, steps), VEC3), self._zeros(worlds, wp.int32)]
-        out += [self._zeros((worlds, samples), wp.int32)]
-        given = [*self._run_data(self._full_counts), runs, p, capacity]
-        how: dict[str, Any] = {"dim": worlds, "device": "cpu", "record_cmd": record_cmd}
-        return out, runtime.launch(schedule(law), inputs=given, outputs=out, **how)
-
     def rollout(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at the sample instants, shapes (W, T); arguments as in ``jacobian``."""
         q, v, _ = self.jacobian(world_run, p, np.zeros((*p.shape, 1)))
         return q.copy(), v.copy()
-
-    def tape(self, world_run: np.ndarray, p: np.ndarray, law: PlainLaw | None = None) -> "TapedRollout":
-        """The same rollout recorded on a ``wp.Tape``, by a law without tangents; None is the joint's own."""
-        law = plain_joint_law(plain_rate, JointData, self.integrator) if law is None else law
-        return TapedRollout(self, law, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
 
 
 def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
@@ -260,45 +238,3 @@ class _Launch:
         whole = self._views[at]
         whole[..., : values.shape[-1]] = values
         whole[..., values.shape[-1] :] = 0
-
-
-class TapedRollout:
-    """One rollout on a ``wp.Tape``: states of every step are kept, gradients come from reverse mode.
-
-    The step lengths are those the forward kernel takes at the same parameters; they follow the delay to first order, which is
-    exact, and stay frozen otherwise.
-
-    Attributes:
-        q: Positions at the sample instants, shape (W, T).
-    """
-
-    def __init__(self, owner: JointSimulator, law: PlainLaw, world_run: np.ndarray, p: np.ndarray) -> None:
-        worlds, width = len(p), owner._width
-        longest = max(float(run.sample_times_s[-1]) + abs(float(p[:, DELAY].min())) for run in owner.runs)
-        finest = min(min(run.fine_step_s, run.step_s) for run in owner.runs)
-        capacity = int(np.ceil(longest / finest)) + width + int(owner._switch_times.shape[1]) + 2
-        if capacity > MAX_STEPS:
-            raise SimulationError(
-                f"{capacity} steps of {finest:.2g} s are too many for a tape (at most {MAX_STEPS}): use a longer step, "
-                "or the forward sensitivities"
-            )
-        runs = wp.array(world_run, dtype=wp.int32, device="cpu")
-        self._p = wp.array(p, dtype=FLOAT, device="cpu", requires_grad=True)
-        (_, *taken, sample_step), _ = owner.forward(law, runs, self._p, capacity)
-        self._sampled = owner._zeros((worlds, width), requires_grad=True)
-        y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
-        steps = [owner._data(), runs, self._p, owner._array(p[:, DELAY]), *taken]
-        samples = [owner._samples, owner._data(), runs, self._p, sample_step, y]
-        self._tape = wp.Tape()
-        with self._tape:
-            runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device="cpu")
-            runtime.launch(observe(law), dim=(worlds, width), inputs=samples, outputs=[self._sampled], device="cpu")
-        self.q = self._sampled.numpy().copy()
-
-    def gradient(self, weights: np.ndarray) -> np.ndarray:
-        """Gradient of ``sum(weights * q)`` by the parameters of each world: weights (W, T), gradient (W, P), a copy."""
-        seed = wp.array(np.ascontiguousarray(weights, dtype=np.float64), dtype=FLOAT, device="cpu")
-        self._tape.backward(grads={self._sampled: seed})
-        gradient = self._p.grad.numpy().copy()  # a view on the CPU, and zero() below would empty it
-        self._tape.zero()
-        return gradient

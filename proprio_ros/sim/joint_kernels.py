@@ -1,13 +1,12 @@
 """The law of one driven joint for Warp: what ``joint.py`` says, with its exact change along any direction."""
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import warp as wp
 
 from proprio_ros.sim import runtime
-from proprio_ros.sim.rollout import Law, PlainLaw
+from proprio_ros.sim.rollout import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 PARAMETERS = (
@@ -216,53 +215,3 @@ def joint_law(directions: int, stribeck: bool) -> Law:
         return VEC2(y[1], a), wp.matrix_from_rows(dy[1], da)
 
     return one_joint_law(directions, JointData, rates)
-
-
-@wp.func
-def plain_rate(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: JointData, r: wp.int32):
-    return acceleration(q, v, command, extra, p, w, data.constants, r)
-
-
-@cache
-def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -> PlainLaw:
-    """The law of a state (q, v) without tangents.
-
-    ``rate``: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function; ``data_type``: the struct of
-    what is known about the runs; ``integrator``: ``"rk4"`` or ``"semi_implicit"``.
-    """
-    rk4 = integrator == "rk4"
-
-    @wp.func
-    def start(p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
-        return VEC2(p[w, Q0], p[w, V0])
-
-    @wp.func
-    def rates(y: VEC2, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
-        extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
-        return VEC2(y[1], rate(y[0], y[1], u[CURRENT], extra, p, w, data, r))
-
-    @wp.func
-    def step(
-        y: VEC2, h: FLOAT, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32
-    ):  # fmt: skip
-        q = y[0]
-        v = y[1]
-        command = u[CURRENT]
-        extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
-        a1 = rate(q, v, command, extra, p, w, data, r)
-        if wp.static(rk4):
-            half = FLOAT(0.5)
-            two = FLOAT(2.0)
-            v2 = v + half * h * a1
-            a2 = rate(q + half * h * v, v2, command, extra, p, w, data, r)
-            v3 = v + half * h * a2
-            a3 = rate(q + half * h * v2, v3, command, extra, p, w, data, r)
-            v4 = v + h * a3
-            a4 = rate(q + h * v3, v4, command, extra, p, w, data, r)
-            sixth = h / FLOAT(6.0)
-            return VEC2(q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4))
-        else:
-            later = v + h * a1
-            return VEC2(q + h * later, later)
-
-    return PlainLaw(VEC2, VEC3, data_type, DELAY, start, rates, step, standstill(VEC2, data_type))

@@ -167,11 +167,9 @@ def joint_coefficients(pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, 
     With h the first moment, a the axis and g gravity in the joint's frame at q = 0, the torque that holds a revolute joint is
     ``-a . (R(q) h x g)``, and R(q) h = h_par + cos q h_perp + sin q (a x h). A slide carries ``-m a . g``.
 
-    Args:
-        pseudo_inertia: In the joint's frame, shape (..., 4, 4).
-        kind: ``"revolute"`` or ``"prismatic"``.
-        axis: Unit vector in the joint's frame, shape (3,).
-        gravity: Gravity in the joint's frame at q = 0 [m/s^2], shape (3,), or (..., 3) where it differs.
+    ``pseudo_inertia``: in the joint's frame, shape (..., 4, 4); ``kind``: ``"revolute"`` or ``"prismatic"``; ``axis``:
+    unit vector in the joint's frame, shape (3,); ``gravity``: gravity in the joint's frame at q = 0 [m/s^2], shape
+    (3,), or (..., 3) where it differs.
 
     Returns:
         shape (..., 4): inertia about (mass along) the axis, and the cosine, sine and constant part of the gravity load.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.taped import tape
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
@@ -95,8 +96,8 @@ def test_jacobian_against_the_tape(problem: Problem) -> None:
         _, _, exact = problem.simulate(values[None], columns)
         p, dp = problem.parameters(values[None], columns)
         weights = np.where(problem.weight > 0.0, rng.normal(size=problem.weight.shape), 0.0)
-        tape = problem.simulator.tape(np.arange(len(problem.runs)), p[0])
-        gradient = np.einsum("rp,rpn->n", tape.gradient(weights), dp[0])
+        taped = tape(problem.simulator, np.arange(len(problem.runs)), p[0])
+        gradient = np.einsum("rp,rpn->n", taped.gradient(weights), dp[0])
         expected = np.einsum("rt,rtn->n", weights, np.where(problem.weight[..., None] > 0.0, exact[0], 0.0))
         np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.taped import tape
 
 from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
 
@@ -74,12 +75,12 @@ def test_tape_against_sensitivities(integrator: str, seed: int) -> None:
     q, _, exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])
     weights = np.random.default_rng(seed).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
-    tape = sim.tape(ONE, p)
-    np.testing.assert_allclose(tape.q, q, atol=1e-13)
-    gradient = tape.gradient(weights)
+    taped = tape(sim, ONE, p)
+    np.testing.assert_allclose(taped.q, q, atol=1e-13)
+    gradient = taped.gradient(weights)
     np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
     # a second backward pass of the same tape starts from zero
-    np.testing.assert_array_equal(tape.gradient(weights), gradient)
+    np.testing.assert_array_equal(taped.gradient(weights), gradient)
 
 
 def test_many_directions_equal_one_at_a_time() -> None:
@@ -112,5 +113,5 @@ def test_delay_of_a_sample_on_a_change_of_the_current(integrator: str) -> None:
     difference = (-3.0 * q[0] + 4.0 * once - twice) / (2.0 * step)
     np.testing.assert_allclose(difference, exact[0, :, 0], atol=1e-6 * np.abs(exact).max())
     weights = np.random.default_rng(2).normal(size=q.shape)
-    gradient = sim.tape(ONE, p).gradient(weights)[0, INDEX["delay"]]
+    gradient = tape(sim, ONE, p).gradient(weights)[0, INDEX["delay"]]
     np.testing.assert_allclose(gradient, (weights * exact[..., 0]).sum(), rtol=1e-10)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
+from support.taped import tape
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
@@ -190,7 +191,7 @@ def test_what_cannot_be_simulated_is_said() -> None:
         JointSimulator([constant_run(np.zeros(0))])
     tiny = JointSimulator([constant_run(np.array([1.0]), step_s=1e-6, fine_step_s=1e-6)])
     with pytest.raises(SimulationError, match="too many for a tape"):
-        tiny.tape(ONE, parameters())
+        tape(tiny, ONE, parameters())
 
 
 @pytest.mark.parametrize("name", PARAMETERS)

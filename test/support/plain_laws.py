@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from proprio_ros.sim.joint import TapedRollout
 from proprio_ros.sim.joint_kernels import (
     CARRIED,
     CURRENT,
@@ -17,10 +16,8 @@ from proprio_ros.sim.joint_kernels import (
     V0,
     VEC3,
     acceleration,
-    plain_joint_law,
     standstill,
 )
-from proprio_ros.sim.rollout import PlainLaw
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 from proprio_ros.sim.sphere import SphereSimulator
 from proprio_ros.sim.sphere_kernels import (
@@ -52,6 +49,7 @@ from proprio_ros.sim.sphere_kernels import (
 )
 from proprio_ros.sim.squeeze import SqueezeSimulator
 from proprio_ros.sim.squeeze_kernels import SqueezeData, excitation_of_block
+from support.taped import PlainLaw, TapedRollout, forward, plain_joint_law, tape
 
 
 @wp.func
@@ -176,7 +174,7 @@ def record_forward(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndar
     """The forward pass as a command to launch again and again, and the states that it fills, shape (W, T)."""
     runs = wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device="cpu")
     given = wp.array(np.asarray(p, dtype=np.float64), dtype=FLOAT, device="cpu")
-    (states, *_), command = simulator.forward(_law_of(simulator), runs, given, record_cmd=True)
+    (states, *_), command = forward(simulator, _law_of(simulator), runs, given, record_cmd=True)
     return states, command
 
 
@@ -187,8 +185,8 @@ def parts(states: wp.array) -> tuple[np.ndarray, ...]:
 
 
 def taped_sphere(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray) -> TapedRollout:
-    return simulator.tape(world_run, p, _law_of(simulator))
+    return tape(simulator, world_run, p, _law_of(simulator))
 
 
 def taped_squeeze(simulator: SqueezeSimulator, world_run: np.ndarray, p: np.ndarray) -> TapedRollout:
-    return simulator.tape(world_run, p, plain_joint_law(plain_squeeze_rate, SqueezeData, simulator.integrator))
+    return tape(simulator, world_run, p, plain_joint_law(plain_squeeze_rate, SqueezeData, simulator.integrator))

@@ -56,11 +56,9 @@ SPREADS = np.geomspace(1e-4, 1.0, 200)  # At which the posterior of that is take
 def spread_of_runs(stated: float, found: FloatArray, learnt: FloatArray, pseudo_runs: float) -> float:
     """Standard deviation of what differs from run to run, a stated one counting as ``pseudo_runs``.
 
-    Args:
-        stated: Standard deviation that is expected.
-        found: What each run has, shape (R,).
-        learnt: How much of it the run determines rather than its prior, 0 to 1, shape (R,).
-        pseudo_runs: Of how many runs the expectation is worth.
+    ``stated``: standard deviation that is expected; ``found``: what each run has, shape (R,); ``learnt``: how much of
+    it the run determines rather than its prior, 0 to 1, shape (R,); ``pseudo_runs``: of how many runs the expectation
+    is worth.
     """
     total = float(np.sum(np.square(found))) + pseudo_runs * stated**2
     return float(np.sqrt(total / (max(float(np.sum(learnt)), 0.0) + pseudo_runs)))
@@ -108,11 +106,8 @@ class Between:
     def learnt(self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED) -> Between:
         """With what recordings show, beside what this says.
 
-        Args:
-            now: The spreads under which they were fitted.
-            off: How each one's own terms differ from the machine's, shape (R, 5 n + 1).
-            variances: Of these, after the fit, shape (R, 5 n + 1).
-            kinds: What is learnt.
+        ``now``: the spreads under which they were fitted; ``off``: how each one's own terms differ from the machine's,
+        shape (R, 5 n + 1); ``variances``: of these, after the fit, shape (R, 5 n + 1); ``kinds``: what is learnt.
         """
         std, own, spreads, recordings = now.std, self.kinds, dict(self.spreads), dict(self.recordings)
         for kind in kinds:
@@ -192,11 +187,9 @@ def effective_freedom(total: FloatArray | float, parts: Sequence[tuple[float, fl
 def half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, float]]) -> float:
     """Of the 95 % interval [kg].
 
-    Args:
-        posterior: See `spread_posterior`.
-        mass: That the spread is relative to [kg].
-        rest: Variance of everything else [kg^2].
-        freedom: Of its parts that are known from a few only: variance [kg^2] and degrees of freedom.
+    ``posterior``: see `spread_posterior`; ``mass``: that the spread is relative to [kg]; ``rest``: variance of
+    everything else [kg^2]; ``freedom``: of its parts that are known from a few only: variance [kg^2] and degrees of
+    freedom.
     """
     total = rest + np.square(SPREADS * mass)
     effective, stds = effective_freedom(total, freedom), np.sqrt(total)

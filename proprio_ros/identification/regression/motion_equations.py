@@ -189,12 +189,9 @@ def equations(
 ) -> Rows:
     """What one motion says.
 
-    Args:
-        robot: Its torque constants and geometry.
-        motion: Of these joints.
-        joints: Whose terms are the columns.
-        centre_m: Where the payload's mass sits: its other parameters are then how it differs from a point there, shape (3,).
-        by_zeros: Whether they know how they follow the joints' zeros, which takes most of the time.
+    ``robot``: its torque constants and geometry; ``motion``: of these joints; ``joints``: whose terms are the columns;
+    ``centre_m``: where the payload's mass sits: its other parameters are then how it differs from a point there, shape
+    (3,); ``by_zeros``: whether they know how they follow the joints' zeros, which takes most of the time.
 
     Raises:
         RecordingError: It is too short, or too fast for its rate.

@@ -28,11 +28,8 @@ def calibrate_joint(
 ) -> CalibrationEstimate:
     """Learn a joint from motions with known loads.
 
-    Args:
-        robot: Of one joint that turns.
-        motions: Three or more.
-        loads_kg: What was held in each.
-        facts: Where the loads sat.
+    ``robot``: of one joint that turns; ``motions``: three or more; ``loads_kg``: what was held in each; ``facts``:
+    where the loads sat.
 
     Raises:
         RecordingError: There are too few, or one is of no use.

@@ -231,11 +231,8 @@ def identify_by_joint(
 ) -> KnownJointFit:
     """The mass that all motions share.
 
-    Args:
-        robot: Of one joint that turns.
-        motions: At least one.
-        calibration: Of the same joint.
-        facts: Where the payload sits.
+    ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of the same joint; ``facts``: where
+    the payload sits.
 
     Raises:
         RecordingError: A motion is of no use.

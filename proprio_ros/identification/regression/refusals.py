@@ -85,12 +85,8 @@ def far_from_prior(
 ) -> Iterator[Refusal]:
     """Where the worst of an arm's terms is not what ``known`` has it to be.
 
-    Args:
-        keys: Kind and joint of each term.
-        values: That came out.
-        prior: What should have come out.
-        std: How well that is known.
-        known: Who says so.
+    ``keys``: kind and joint of each term; ``values``: that came out; ``prior``: what should have come out; ``std``: how
+    well that is known; ``known``: who says so.
     """
     pulls = np.abs(values - prior) / std
     worst = int(np.argmax(pulls))

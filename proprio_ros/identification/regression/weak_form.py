@@ -97,11 +97,8 @@ def evenly(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Equally spaced times [s], smoothed positions [rad or m] and currents [A] of some joints, shapes (T,), (T, n), (T, n).
 
-    Args:
-        motion: At whatever instants.
-        joints: Of it, n.
-        bandwidth_Hz: To which positions are smoothed.
-        currents_too: Whether currents are, too.
+    ``motion``: at whatever instants; ``joints``: of it, n; ``bandwidth_Hz``: to which positions are smoothed;
+    ``currents_too``: whether currents are, too.
 
     Raises:
         RecordingError: There are too few samples.

@@ -1,0 +1,314 @@
+"""Rollouts without tangents, and on a ``wp.Tape``: the second, independent derivative that all tangents are held against."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from proprio_ros.errors import SimulationError
+from proprio_ros.sim import runtime
+from proprio_ros.sim.joint import JointSimulator
+from proprio_ros.sim.joint_kernels import (
+    CARRIED,
+    CURRENT,
+    DELAY,
+    LOAD,
+    LOAD_PER_KG,
+    Q0,
+    V0,
+    VEC2,
+    VEC3,
+    JointData,
+    acceleration,
+    standstill,
+)
+from proprio_ros.sim.rollout import TIME_EPS
+from proprio_ros.sim.runtime import FLOAT, FLOATS
+
+MAX_STEPS = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class PlainLaw:
+    """What a walk without tangents needs, right for ``wp.Tape``: as in `Law`, with ``dp`` and all that begins with d left out.
+
+    The first two entries of the state are position and velocity of the joint.
+    """
+
+    state: Any
+    input: Any
+    data: Any
+    delay: int
+    start: Callable[..., Any]  # (p, w, data, r) -> y
+    rates: Callable[..., Any]  # (y, u, p, w, data, r) -> k
+    step: Callable[..., Any]  # (y, h, u, p, w, data, r) -> the state a time h later, by its integrator
+    still: Callable[..., Any]  # as in `Law`
+
+
+@cache
+def schedule(law: PlainLaw) -> Any:
+    """Rollout without tangents (thread = world); where ``capacity`` is above 0 it writes down every step, for the adjoint."""
+    start, rates, step, still = law.start, law.rates, law.step, law.still
+    delay_column = law.delay
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def kernel(
+        # Run data:
+        sample_times: FLOATS,
+        sample_count: wp.array(dtype=wp.int32),
+        input_times: FLOATS,
+        inputs: wp.array2d(dtype=law.input),
+        input_count: wp.array(dtype=wp.int32),
+        steps: FLOATS,
+        data: law.data,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p: FLOATS,
+        capacity: wp.int32,
+        # World data out: the state at each sample; step length, its change with the delay, input, and the step after which each
+        # sample is taken
+        y_out: wp.array2d(dtype=law.state),
+        step_out: FLOATS,
+        step_by_delay_out: FLOATS,
+        input_out: wp.array2d(dtype=law.input),
+        steps_out: wp.array(dtype=wp.int32),
+        sample_step_out: wp.array2d(dtype=wp.int32),
+    ):
+        w = wp.tid()
+        r = world_run[w]
+        delay = p[w, delay_column]
+        coarse = steps[r, 0]
+        fine = steps[r, 1]
+        y = start(p, w, data, r)
+        t = FLOAT(0.0)
+        dt = FLOAT(0.0)  # d t / d delay
+        segment = wp.int32(0)
+        u = inputs[r, 0]
+        n = wp.int32(0)
+        for k in range(sample_count[r]):
+            goal = sample_times[r, k] - delay
+            sample_step_out[w, k] = -1
+            if goal > FLOAT(0.0):
+                arrived = wp.int32(0)
+                while arrived == 0:
+                    end = goal
+                    d_end = FLOAT(-1.0)
+                    arrived = wp.int32(1)
+                    if segment + 1 < input_count[r]:
+                        if input_times[r, segment + 1] < goal:
+                            end = input_times[r, segment + 1]
+                            d_end = FLOAT(0.0)
+                            arrived = 0
+                    last = wp.int32(0)
+                    while last == 0 and (capacity == 0 or n < capacity):
+                        h = coarse
+                        if fine < coarse:
+                            if still(y, rates(y, u, p, w, data, r), data, r, coarse):
+                                h = fine
+                        dh = FLOAT(0.0)
+                        if t + h > end - FLOAT(TIME_EPS):
+                            h = end - t
+                            dh = d_end - dt
+                            last = 1
+                        if n < capacity:
+                            step_out[w, n] = h
+                            step_by_delay_out[w, n] = dh
+                            input_out[w, n] = u
+                        y = step(y, h, u, p, w, data, r)
+                        n = n + 1
+                        t = t + h
+                        if last == 1:
+                            t = end
+                            dt = d_end
+                    if last == 0:
+                        arrived = 1  # there is no room for more steps
+                    if arrived == 0:
+                        segment = segment + 1
+                        u = inputs[r, segment]
+                sample_step_out[w, k] = n
+            seen = y
+            seen[0] = y[0] + y[1] * wp.min(goal, FLOAT(0.0))
+            y_out[w, k] = seen
+        steps_out[w] = n
+
+    return kernel
+
+
+@cache
+def taped(law: PlainLaw) -> Any:
+    """A kernel whose adjoint is right, on the steps of `schedule`."""
+    start, step = law.start, law.step
+    delay_column = law.delay
+
+    @wp.kernel(module="unique")
+    def roll(
+        # Run data:
+        data: law.data,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p: FLOATS,
+        delay_at: wp.array(dtype=FLOAT),
+        step_in: FLOATS,
+        step_by_delay_in: FLOATS,
+        input_in: wp.array2d(dtype=law.input),
+        steps_in: wp.array(dtype=wp.int32),
+        # World data out:
+        y_out: wp.array2d(dtype=law.state),
+    ):
+        w = wp.tid()
+        r = world_run[w]
+        delay = p[w, delay_column]
+        y_out[w, 0] = start(p, w, data, r)
+        for n in range(steps_in[w]):
+            h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
+            y_out[w, n + 1] = step(y_out[w, n], h, input_in[w, n], p, w, data, r)
+
+    return roll
+
+
+@cache
+def observe(law: PlainLaw) -> Any:
+    """The joint's position at the samples (thread = world, sample), from every step of `taped`."""
+    start = law.start
+    delay_column = law.delay
+
+    @wp.kernel(module="unique")
+    def kernel(
+        # Run data:
+        sample_times: FLOATS,
+        data: law.data,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p: FLOATS,
+        sample_step_in: wp.array2d(dtype=wp.int32),
+        y_in: wp.array2d(dtype=law.state),
+        # World data out:
+        sampled_out: FLOATS,
+    ):
+        w, k = wp.tid()
+        n = sample_step_in[w, k]
+        if n < 0:
+            y = start(p, w, data, world_run[w])
+            sampled_out[w, k] = y[0] + y[1] * (sample_times[world_run[w], k] - p[w, delay_column])
+        else:
+            sampled_out[w, k] = y_in[w, n][0]
+
+    return kernel
+
+
+@wp.func
+def plain_rate(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: JointData, r: wp.int32):
+    return acceleration(q, v, command, extra, p, w, data.constants, r)
+
+
+@cache
+def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -> PlainLaw:
+    """The law of a state (q, v) without tangents.
+
+    ``rate``: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function; ``data_type``: the struct of
+    what is known about the runs; ``integrator``: ``"rk4"`` or ``"semi_implicit"``.
+    """
+    rk4 = integrator == "rk4"
+
+    @wp.func
+    def start(p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
+        return VEC2(p[w, Q0], p[w, V0])
+
+    @wp.func
+    def rates(y: VEC2, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
+        extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
+        return VEC2(y[1], rate(y[0], y[1], u[CURRENT], extra, p, w, data, r))
+
+    @wp.func
+    def step(
+        y: VEC2, h: FLOAT, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32
+    ):  # fmt: skip
+        q = y[0]
+        v = y[1]
+        command = u[CURRENT]
+        extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
+        a1 = rate(q, v, command, extra, p, w, data, r)
+        if wp.static(rk4):
+            half = FLOAT(0.5)
+            two = FLOAT(2.0)
+            v2 = v + half * h * a1
+            a2 = rate(q + half * h * v, v2, command, extra, p, w, data, r)
+            v3 = v + half * h * a2
+            a3 = rate(q + half * h * v2, v3, command, extra, p, w, data, r)
+            v4 = v + h * a3
+            a4 = rate(q + h * v3, v4, command, extra, p, w, data, r)
+            sixth = h / FLOAT(6.0)
+            return VEC2(q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4))
+        else:
+            later = v + h * a1
+            return VEC2(q + h * later, later)
+
+    return PlainLaw(VEC2, VEC3, data_type, DELAY, start, rates, step, standstill(VEC2, data_type))
+
+
+def forward(
+    owner: JointSimulator, law: PlainLaw, runs: wp.array, p: wp.array, capacity: int = 0, record_cmd: bool = False
+) -> tuple[list[wp.array], Any]:
+    """Launch the rollout without tangents, or record it; with a ``capacity`` it writes down so many steps.
+
+    Returns:
+        The outputs of `schedule`, on the device, and the recorded command.
+    """
+    worlds, steps, samples = len(p), max(capacity, 1), owner._width
+    out = [owner._zeros((worlds, samples), law.state), owner._zeros((worlds, steps)), owner._zeros((worlds, steps))]
+    out += [owner._zeros((worlds, steps), VEC3), owner._zeros(worlds, wp.int32)]
+    out += [owner._zeros((worlds, samples), wp.int32)]
+    given = [*owner._run_data(owner._full_counts), runs, p, capacity]
+    how: dict[str, Any] = {"dim": worlds, "device": "cpu", "record_cmd": record_cmd}
+    return out, runtime.launch(schedule(law), inputs=given, outputs=out, **how)
+
+
+class TapedRollout:
+    """One rollout on a ``wp.Tape``: states of every step are kept, gradients come from reverse mode.
+
+    The step lengths are those the forward kernel takes at the same parameters; they follow the delay to first order, which is
+    exact, and stay frozen otherwise.
+
+    Attributes:
+        q: Positions at the sample instants, shape (W, T).
+    """
+
+    def __init__(self, owner: JointSimulator, law: PlainLaw, world_run: np.ndarray, p: np.ndarray) -> None:
+        worlds, width = len(p), owner._width
+        longest = max(float(run.sample_times_s[-1]) + abs(float(p[:, DELAY].min())) for run in owner.runs)
+        finest = min(min(run.fine_step_s, run.step_s) for run in owner.runs)
+        capacity = int(np.ceil(longest / finest)) + width + int(owner._switch_times.shape[1]) + 2
+        if capacity > MAX_STEPS:
+            raise SimulationError(
+                f"{capacity} steps of {finest:.2g} s are too many for a tape (at most {MAX_STEPS}): use a longer step, "
+                "or the forward sensitivities"
+            )
+        runs = wp.array(world_run, dtype=wp.int32, device="cpu")
+        self._p = wp.array(p, dtype=FLOAT, device="cpu", requires_grad=True)
+        (_, *taken, sample_step), _ = forward(owner, law, runs, self._p, capacity)
+        self._sampled = owner._zeros((worlds, width), requires_grad=True)
+        y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
+        steps = [owner._data(), runs, self._p, owner._array(p[:, DELAY]), *taken]
+        samples = [owner._samples, owner._data(), runs, self._p, sample_step, y]
+        self._tape = wp.Tape()
+        with self._tape:
+            runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device="cpu")
+            runtime.launch(observe(law), dim=(worlds, width), inputs=samples, outputs=[self._sampled], device="cpu")
+        self.q = self._sampled.numpy().copy()
+
+    def gradient(self, weights: np.ndarray) -> np.ndarray:
+        """Gradient of ``sum(weights * q)`` by the parameters of each world: weights (W, T), gradient (W, P), a copy."""
+        seed = wp.array(np.ascontiguousarray(weights, dtype=np.float64), dtype=FLOAT, device="cpu")
+        self._tape.backward(grads={self._sampled: seed})
+        gradient = self._p.grad.numpy().copy()  # a view on the CPU, and zero() below would empty it
+        self._tape.zero()
+        return gradient
+
+
+def tape(simulator: JointSimulator, world_run: np.ndarray, p: np.ndarray, law: PlainLaw | None = None) -> TapedRollout:
+    """A rollout recorded on a ``wp.Tape``, by a law without tangents; None is the joint's own."""
+    law = plain_joint_law(plain_rate, JointData, simulator.integrator) if law is None else law
+    return TapedRollout(simulator, law, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
