@@ -75,7 +75,8 @@ def robots(root: Path) -> Iterator[tuple[str, list[Path]]]:
     found: dict[str, list[Path]] = {}
     for truth in sorted(root.rglob("truth.json")):
         folder = truth.parent
-        found.setdefault(json.loads(truth.read_text())["session"], []).append(folder)
+        if session := json.loads(truth.read_text()).get("session"):  # a container and what is in it: contents.py asks
+            found.setdefault(session, []).append(folder)
     yield from found.items()
 
 

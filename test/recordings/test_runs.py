@@ -337,7 +337,8 @@ def check_against_truth(folder: Path) -> int:
 
 
 def test_the_recordings_of_this_repository() -> None:
-    folders = [truth.parent for truth in BAGS.glob("*/truth.json")]
+    # those of what is in a container hold several runs each: test/benchmarks/contents.py
+    folders = sorted({bag.parent for bag in BAGS.glob("*/bag_*")})
     assert len(folders) == 42
     for folder in folders:
         assert check_against_truth(folder)

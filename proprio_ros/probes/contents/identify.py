@@ -214,6 +214,7 @@ class ContentsFound(Conclusion):
     def liquid_values(self, withheld: str) -> Iterator[Value]:
         """What is said of a liquid; with the reason where it is not."""
         withheld = withheld or ("" if self.kind() == "liquid" else "the recording does not say that it is a liquid")
+        withheld = withheld or ("" if self.fit.explains else "it moves otherwise than small waves do: push it less")
         names, units = ("fill", "slosh_frequency", "slosh_damping"), ("m", "Hz", "1")
         if withheld:
             yield from (Value(*of, None, reason=withheld) for of in zip(names, units, strict=True))
