@@ -11,9 +11,9 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.paper.chain import ChainSimulator, constants_of, doubles, inertial_parameters
 from proprio_ros.paper.chain_kernels import INERTIAL, JOINT_PARAMETERS, TABLE, ChainData, dynamics, module_of
 from proprio_ros.robot import ReducedModel
-from proprio_ros.sim.joint import MAX_STEPS
 from proprio_ros.sim.rollout import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT
+from support.taped import MAX_STEPS
 
 
 def pack(sim: ChainSimulator, **groups: ArrayLike) -> NDArray[np.float64]:
