@@ -66,7 +66,7 @@ def test_a_goal_may_say_how_sure_it_wants_to_be(monkeypatch: pytest.MonkeyPatch)
 def test_a_target_that_has_no_mass_is_refused() -> None:
     action: Any = WeighAction.__new__(WeighAction)
     for target, sequence in (("softness", ""), ("elephant", "")):
-        with pytest.raises(ConfigurationError, match="give one of payload, container, weigh"):
+        with pytest.raises(ConfigurationError, match="give one of payload, container, contents, weigh"):
             action._asked(asked(target, sequence))
     for goal in (asked("weigh", "payload"), asked("weigh", "", half_interval=1e-3)):
         with pytest.raises(ConfigurationError, match="makes no sequence: leave it empty, and half_interval at 0"):
