@@ -122,5 +122,5 @@ def test_every_command_is_completed(shell: str, capsys: pytest.CaptureFixture[st
 def test_bash_completes(capsys: pytest.CaptureFixture[str]) -> None:
     main(["completion", "bash"])
     done = subprocess.run(["bash", "-c", capsys.readouterr().out + TRY], capture_output=True, text=True)
-    expected = ["replay", "--probe --profile", "payload container softness", "--effort-unit", "so101"]
+    expected = ["replay", "--probe --profile", "payload container softness contents", "--effort-unit", "so101"]
     assert done.stderr == "" and done.stdout.splitlines() == expected
