@@ -97,6 +97,6 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
 
     arm = Sticky(np.random.default_rng(1))
     _, (pose, _) = arm.stood(0.3, np.random.default_rng(2))
-    still = {name: values[20:] for name, values in pose.items()}
+    still = {name: values[12:] for name, values in pose.items()}
     with pytest.raises(TooLittleMotion, match="no joint moved by more than"):  # and nothing was calibrated
         replay(write(tmp_path / "still", still), Options(robot="so101"))
