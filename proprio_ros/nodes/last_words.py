@@ -35,7 +35,7 @@ TOLD_PERIOD_S = 0.05
 SILENT_S = 0.25
 """A node that has told nothing for so long does not hold the arm any more. If it goes on later, its commands count again."""
 NODE = "excitation_last_words"
-LAST_WORDS_S = 0.3
+LAST_WORDS_S, AGAIN = 0.3, 6
 START_S = 60.0
 SWITCHED = "switched"
 SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for controller_manager
@@ -137,9 +137,11 @@ def main(topic: str, switched: str = "") -> int:
             publisher.publish(Float64MultiArray(data=array("d", last)))
         if ready and not read:
             break
-    if last:
-        publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
-        time.sleep(LAST_WORDS_S)  # on its way through sockets
+    # again, since what the node itself sent last may come after them
+    for _ in range(AGAIN if last else 0):
+        publisher.publish(Float64MultiArray(data=array("d", last)))
+        publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S / AGAIN))
+        time.sleep(LAST_WORDS_S / AGAIN)  # on their way through sockets
     if engaged and client is not None and client.wait_for_service(SWITCH_S):
         future = client.call_async(controllers.request(kind, engage=False))
         rclpy.spin_until_future_complete(node, future, timeout_sec=SWITCH_S)

@@ -6,8 +6,13 @@ friction and of the payload. Offline rows come from a whole motion, online from 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import hashlib
+import pickle
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, fields, replace
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +38,8 @@ STRETCH_S = 2.5
 MIN_STRETCHES = 4
 ZERO_STEP_RAD = 1e-3  # Of a difference quotient: a torque is nearly linear over it, and its digits are not lost.
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
+_made: ContextVar[dict[bytes, Rows] | None] = ContextVar("made", default=None)
+_Given, _Result = ParamSpec("_Given"), TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -146,6 +153,37 @@ class Arm:
         return np.hstack([regressor[:, self.body] @ self.from_payload, bodies])
 
 
+def once_each(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+    """While it runs, `equations` of a motion are made once: a weighing asks for the same ones four or five times."""
+
+    @functools.wraps(function)
+    def remembering(*arguments: _Given.args, **named: _Given.kwargs) -> _Result:
+        if _made.get() is not None:
+            return function(*arguments, **named)
+        token = _made.set({})
+        try:
+            return function(*arguments, **named)
+        finally:
+            _made.reset(token)
+
+    return remembering
+
+
+def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) -> Rows:
+    """The rows of one motion by motors of these torque constants [N m/A], shape (n,); nobody may write to them."""
+    names = arm.model.joint_names
+    times_s, position, current = evenly(motion, names, BANDWIDTH_HZ)
+    period_s = float(times_s[1] - times_s[0])
+    velocity = np.gradient(position, period_s, axis=0)
+    width = round(WINDOW_S / period_s)
+    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
+    rows = arm.rows(windows, times_s, period_s, position, velocity, current * constants, counts, by_zeros=by_zeros)
+    for field in fields(rows):
+        getattr(rows, field.name).flags.writeable = False
+    return rows
+
+
 def own_terms(count: int) -> int:
     """What each motion has of its own: friction, offset, scale and zero of each of ``count`` joints, and a scale in common."""
     return 5 * count + 1
@@ -197,15 +235,15 @@ def equations(
         RecordingError: It is too short, or too fast for its rate.
     """
     arm = Arm.of(robot, joints, dict(motion.held))
-    names = arm.model.joint_names
-    times_s, position, current = evenly(motion, names, BANDWIDTH_HZ)
-    period_s = float(times_s[1] - times_s[0])
-    velocity = np.gradient(position, period_s, axis=0)
-    width = round(WINDOW_S / period_s)
-    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
-    counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
-    torque = current * np.array([robot.drive_trains[name].torque_constant.value for name in names])
-    rows = arm.rows(windows, times_s, period_s, position, velocity, torque, counts, by_zeros=by_zeros)
+    names, model = arm.model.joint_names, arm.model
+    constants = np.array([robot.drive_trains[name].torque_constant.value for name in names])
+    of_arm = (names, model.parents, model.placement, model.axes, model.gravity, arm.body, arm.from_payload, constants)
+    of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
+    key = hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
+    made = _made.get()
+    made = {} if made is None else made
+    if (rows := made.get(key)) is None:
+        rows = made[key] = _of_motion(arm, motion, constants, by_zeros)
     if not len(rows.joint):
         raise TooLittleMotion(f"{motion.name}: no joint moves for long enough without a pause or a gap")
     if centre_m is None:

@@ -15,7 +15,7 @@ from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.motion_equations import Arm
+from proprio_ros.identification.regression.motion_equations import Arm, once_each
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload, learn_arm, share_of
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
 from proprio_ros.identification.unknowns import Role
@@ -32,6 +32,7 @@ OWN_SHARE = 1.0 / 3.0
 Reference = tuple[Motion, float]  # A motion with a weighed object in the hand, and its mass [kg].
 
 
+@once_each
 def calibrate_motions(
     robot: Robot,
     motions: Sequence[Motion],

@@ -19,7 +19,7 @@ from proprio_ros.identification.judge import ACCEPTED, Refusal, judge, not_ident
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.motion_equations import STRETCH_S
+from proprio_ros.identification.regression.motion_equations import STRETCH_S, once_each
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
@@ -84,6 +84,7 @@ def motion_answer(
     )
 
 
+@once_each
 def identify_in_motion(
     robot: Robot,
     motions: Sequence[Motion],
