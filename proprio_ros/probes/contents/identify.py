@@ -2,7 +2,9 @@
 
 The evidence of a model is Laplace's: its fit's probability times the share of the prior that the recording leaves (MacKay 2003,
 Information Theory, Inference and Learning Algorithms, chapter 28). Where even the best model leaves more than the encoder explains,
-residuals count for less, in all models alike. Masses are averaged over what is probable.
+residuals count for less, in all models alike. Masses are averaged over what is probable. That something moves is no more probable
+than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)): a model of motion also takes
+up what is wrong with the robot's for a moment.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import ndtr
 
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification import solvers
@@ -29,6 +32,7 @@ from proprio_ros.probes.contents.models import (
     COMPLEX_STEP,
     KINDS_INSIDE,
     LEVEL,
+    MODELS,
     ContentsFacts,
     ContentsProblem,
     container_seen,
@@ -42,6 +46,7 @@ from proprio_ros.robot import Robot
 SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.0
 """Residuals that the robot's model leaves go together within a run: models differ by so many times less than their chi-square."""
+STRETCH = 8  # samples whose residuals go together
 STARTS_KG = (0.03, 0.1, 0.3)
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
@@ -66,6 +71,14 @@ class Modelled:
         fit = float(posterior.residual @ posterior.residual) + float(off @ precision @ off)
         kept = [np.linalg.slogdet(matrix)[1] for matrix in (precision, posterior.covariance)]
         return 0.5 * (float(sum(kept)) - fit)
+
+
+    def surpassed_by(self, other: Modelled) -> float:
+        """Probability that the other is nearer to the truth, by how alike the stretches of the recording say so."""
+        mine, theirs = (Posterior(each.opened.problem, each.opened.values, 1.0).residual for each in (self, other))
+        gained = mine**2 - theirs**2
+        gained = np.array([part.sum() for part in np.array_split(gained, max(2, len(gained) // STRETCH))])
+        return float(ndtr(gained.sum() / max(np.sqrt(len(gained)) * gained.std(), 1e-9)))
 
 
 def fitted(
@@ -108,10 +121,16 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
             filled.append(has)
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-    models = [fitted(robot, used, facts, filled, model) for model in KINDS_INSIDE]
+    models = [fitted(robot, used, facts, filled, model) for model in MODELS]
     best = min(model.opened.reduced_chi2 for model in models)
     logs = np.array([model.evidence(ALIKE_RUNS * max(1.0, best)) for model in models])
+    logs -= np.log([[*MODELS.values()].count(MODELS[each.model]) for each in models])  # each kind is as likely beforehand
     weight = np.exp(logs - logs.max())
+    moves = np.array([MODELS[each.model] in ("liquid", "granular") for each in models])
+    still = models[1 + int(np.argmax(weight[1:] * ~moves[1:]))]
+    share, most = weight[moves].sum() / weight.sum(), still.surpassed_by(models[int(np.argmax(weight * moves))])
+    if share > most:
+        weight *= np.where(moves, most / share, (1.0 - most) / (1.0 - share))
     first = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight / weight.sum(), facts).estimate()
 
@@ -121,7 +140,7 @@ class ContentsFound(Conclusion):
     """What the models together say: values are those of the most probable one that has contents."""
 
     models: list[Modelled]
-    probabilities: np.ndarray
+    weights: np.ndarray  # their probabilities
     facts: ContentsFacts
 
     probe, name = "contents", "contents_mass"
@@ -131,6 +150,8 @@ class ContentsFound(Conclusion):
         super().__post_init__()
         assert isinstance(self.opened.problem, ContentsProblem)
         self.problem = self.opened.problem
+        kinds = np.array([*MODELS.values()])
+        self.probabilities = np.array([self.weights[kinds == kind].sum() for kind in KINDS_INSIDE])
 
     def kind(self, sure: float = SURE) -> str:
         """What is inside, where that is so sure; empty where it is not."""
@@ -140,7 +161,7 @@ class ContentsFound(Conclusion):
         # by how far apart the models' masses are, as probable as they are
         masses = [0.0, *(model.opened.value_of(self.name) for model in self.models[1:])]
         off = np.array(masses) - self.assessed.value
-        self.count(float(np.sqrt(self.probabilities @ off**2)), "models of the contents")
+        self.count(float(np.sqrt(self.weights @ off**2)), "models of the contents")
 
     def comparable(self) -> bool:
         return False  # the models are compared, not the runs

@@ -26,6 +26,8 @@ from proprio_ros.sim.slosh import SloshRun, SloshSimulator
 from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS
 
 KINDS_INSIDE = ("nothing", "rigid", "liquid", "granular")
+MODELS = {"nothing": "nothing", "rigid": "rigid", "frozen": "rigid", "liquid": "liquid", "granular": "granular"}
+"""Each is of a kind: something rigid lies anywhere, or fills the bottom as what flows does, or that it lies low would tell it flows."""
 GRAVITY = 9.81
 FIRST_MODE = 1.8412  # least root of J1'
 LOWEST_FILL_M = 2e-3  # below this a fill is smoothed, so that a search may pass through nothing
@@ -92,6 +94,9 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
         places = zip("xyz", centre.tolist(), off.tolist(), strict=True)
         of_it = [Unknown(f"contents_com_{axis}", at, std, -1.0, 1.0) for axis, at, std in places]
         return [mass, *of_it, Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0)]
+    if model == "frozen":
+        spread = Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0)
+        return [mass, Unknown("contents_density", 1000.0, 500.0, 300.0, 15000.0), spread]
     if model == "liquid":
         return [
             mass,
@@ -136,6 +141,8 @@ def inside_terms(model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]) 
         com = np.stack([u[f"contents_com_{name}"] for name in "xyz"], axis=1)
         return ten(mass, com, zero + 0.5 * facts.height), np.stack([zero] * 5, axis=1)
     fill = np.sqrt((mass / (u["contents_density"] * area)) ** 2 + LOWEST_FILL_M**2)
+    if model == "frozen":
+        return ten(mass, facts.bottom + 0.5 * fill[:, None] * axis, fill), np.stack([zero] * 5, axis=1)
     slosh = Slosh.of(facts.radius, fill)
     share = slosh.share * u["slosh_share"]
     stiffness, friction = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2, GRAVITY * u.get("grain_friction", zero)
@@ -171,7 +178,7 @@ def container_seen(robot: Robot, run: PreparedRun, facts: ContentsFacts) -> tupl
 
 
 class ContentsProblem(Problem):
-    """Whitened residuals of runs with and without contents in the container, as in ``Problem``, under one of ``KINDS_INSIDE``.
+    """Whitened residuals of runs with and without contents in the container, as in ``Problem``, under one of `MODELS`.
 
     The empty container is the payload of that problem; ``filled`` says which runs have the contents, too.
     """
