@@ -37,12 +37,7 @@ _HELP = {
 
 
 def write_batch_page(
-    rows: list[Row],
-    path: Path,
-    command: str,
-    reports: Mapping[str, str],
-    drift: Drift,
-    options: Options | None = None,
+    rows: list[Row], path: Path, command: str, reports: Mapping[str, str], drift: Drift, options: Options | None = None
 ) -> None:
     """Write the page of rows with `COLUMNS`, which are put in order and numbered, by the options that were asked of each.
 

@@ -12,8 +12,15 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes import probe_named, virtual_object
 from proprio_ros.probes.contents import models
-from proprio_ros.probes.contents.identify import KINDS_INSIDE, find_contents
-from proprio_ros.probes.contents.models import ContentsFacts, Slosh, damping_ratio, inside_terms, inside_unknowns
+from proprio_ros.probes.contents.identify import find_contents
+from proprio_ros.probes.contents.models import (
+    KINDS_INSIDE,
+    ContentsFacts,
+    Slosh,
+    damping_ratio,
+    inside_terms,
+    inside_unknowns,
+)
 
 FACTS = ContentsFacts(0.035, 0.1, np.array([0.015, 0.0, -0.04]))
 

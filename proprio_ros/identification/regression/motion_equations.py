@@ -6,13 +6,12 @@ friction and of the payload. Offline rows come from a whole motion, online from 
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import hashlib
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, fields, replace
-from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,6 @@ MIN_STRETCHES = 4
 ZERO_STEP_RAD = 1e-3  # Of a difference quotient: a torque is nearly linear over it, and its digits are not lost.
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 _made: ContextVar[dict[bytes, Rows] | None] = ContextVar("made", default=None)
-_Given, _Result = ParamSpec("_Given"), TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -153,24 +151,18 @@ class Arm:
         return np.hstack([regressor[:, self.body] @ self.from_payload, bodies])
 
 
-def once_each(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
-    """While it runs, `equations` of a motion are made once: a weighing asks for the same ones four or five times."""
-
-    @functools.wraps(function)
-    def remembering(*arguments: _Given.args, **named: _Given.kwargs) -> _Result:
-        if _made.get() is not None:
-            return function(*arguments, **named)
-        token = _made.set({})
-        try:
-            return function(*arguments, **named)
-        finally:
-            _made.reset(token)
-
-    return remembering
+@contextlib.contextmanager
+def once_each() -> Iterator[None]:
+    """While this lasts, `equations` of a motion are made once: a weighing asks for the same ones four or five times."""
+    token = _made.set({} if (made := _made.get()) is None else made)
+    try:
+        yield
+    finally:
+        _made.reset(token)
 
 
 def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) -> Rows:
-    """The rows of one motion by motors of these torque constants [N m/A], shape (n,); nobody may write to them."""
+    """The rows of one motion by motors of these torque constants [N m/A], shape (n,)."""
     names = arm.model.joint_names
     times_s, position, current = evenly(motion, names, BANDWIDTH_HZ)
     period_s = float(times_s[1] - times_s[0])
@@ -178,10 +170,7 @@ def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) 
     width = round(WINDOW_S / period_s)
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
     counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
-    rows = arm.rows(windows, times_s, period_s, position, velocity, current * constants, counts, by_zeros=by_zeros)
-    for field in fields(rows):
-        getattr(rows, field.name).flags.writeable = False
-    return rows
+    return arm.rows(windows, times_s, period_s, position, velocity, current * constants, counts, by_zeros=by_zeros)
 
 
 def own_terms(count: int) -> int:
@@ -240,10 +229,8 @@ def equations(
     of_arm = (names, model.parents, model.placement, model.axes, model.gravity, arm.body, arm.from_payload, constants)
     of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
     key = hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
-    made = _made.get()
-    made = {} if made is None else made
-    if (rows := made.get(key)) is None:
-        rows = made[key] = _of_motion(arm, motion, constants, by_zeros)
+    made = {} if (within := _made.get()) is None else within
+    rows = made[key] = made.get(key) or _of_motion(arm, motion, constants, by_zeros)
     if not len(rows.joint):
         raise TooLittleMotion(f"{motion.name}: no joint moves for long enough without a pause or a gap")
     if centre_m is None:
@@ -255,11 +242,7 @@ def equations(
 
 
 def fill_drives(
-    matrix: FloatArray,
-    values: FloatArray,
-    rows: Rows | Problem,
-    geared: slice,
-    beside: FloatArray | float = 0.0,
+    matrix: FloatArray, values: FloatArray, rows: Rows | Problem, geared: slice, beside: FloatArray | float = 0.0
 ) -> None:
     """Fill the columns that go with a solution: gears lose a share of what they transmit, a motor is off by a share of its torque.
 

@@ -32,7 +32,7 @@ OWN_SHARE = 1.0 / 3.0
 Reference = tuple[Motion, float]  # A motion with a weighed object in the hand, and its mass [kg].
 
 
-@once_each
+@once_each()
 def calibrate_motions(
     robot: Robot,
     motions: Sequence[Motion],

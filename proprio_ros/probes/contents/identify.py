@@ -3,8 +3,7 @@
 The evidence of a model is Laplace's: its fit's probability times the share of the prior that the recording leaves (MacKay 2003,
 Information Theory, Inference and Learning Algorithms, chapter 28). Where even the best model leaves more than the encoder explains,
 residuals count for less, in all models alike. Masses are averaged over what is probable. That something moves is no more probable
-than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)): a model of motion also takes
-up what is wrong with the robot's for a moment.
+than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)).
 """
 
 from __future__ import annotations
@@ -27,18 +26,8 @@ from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.contents import models as law
 from proprio_ros.probes.contents.detail import ContentsDetail
-from proprio_ros.probes.contents.models import (
-    COMPLEX_STEP,
-    KINDS_INSIDE,
-    LEVEL,
-    MODELS,
-    ContentsFacts,
-    ContentsProblem,
-    container_seen,
-    damping_ratio,
-    slosh_of,
-)  # fmt: skip
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -72,7 +61,6 @@ class Modelled:
         kept = [np.linalg.slogdet(matrix)[1] for matrix in (precision, posterior.covariance)]
         return 0.5 * (float(sum(kept)) - fit)
 
-
     def surpassed_by(self, other: Modelled) -> float:
         """Probability that the other is nearer to the truth, by how alike the stretches of the recording say so."""
         mine, theirs = (Posterior(each.opened.problem, each.opened.values, 1.0).residual for each in (self, other))
@@ -82,12 +70,12 @@ class Modelled:
 
 
 def fitted(
-    robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str
+    robot: Robot, runs: Sequence[PreparedRun], facts: law.ContentsFacts, filled: Sequence[bool], model: str
 ) -> Modelled:
     """A model fitted with the robot as it is stated, and from its best end with all that is open."""
     fits: list[FitResult] = []
     for role in (Role.FROZEN, Role.FREE):
-        problem = ContentsProblem(robot, runs, facts, filled, model, role)
+        problem = law.ContentsProblem(robot, runs, facts, filled, model, role)
         starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
         if problem.inside:
             starts[:, problem.index["contents_mass"]] = STARTS_KG
@@ -99,7 +87,9 @@ def fitted(
     return Modelled(model, *fits)
 
 
-def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, baseline: Sequence[Run] = ()) -> Estimate:
+def find_contents(
+    robot: Robot, runs: Sequence[Run], facts: law.ContentsFacts, baseline: Sequence[Run] = ()
+) -> Estimate:
     """Identify what is in the container in all ``runs``; the baseline is runs with it empty.
 
     Raises:
@@ -113,7 +103,7 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     found, used, filled = Findings(), [], []
     for run, has in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
         prepared = prepare_run(robot, run, None, facts.shell)
-        if abs(container_seen(robot, prepared, facts)[0]) > LEVEL:
+        if abs(law.container_seen(robot, prepared, facts)[0]) > law.LEVEL:
             said = f"{run.name}: {run.joint} turns the container about its own axis, so that nothing in it has to move"
             raise RecordingError(f"{said}; drive a joint whose axis is level, or state contents.rpy")
         if admitted(robot, prepared, found):
@@ -121,12 +111,13 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
             filled.append(has)
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-    models = [fitted(robot, used, facts, filled, model) for model in MODELS]
+    models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
     best = min(model.opened.reduced_chi2 for model in models)
     logs = np.array([model.evidence(ALIKE_RUNS * max(1.0, best)) for model in models])
-    logs -= np.log([[*MODELS.values()].count(MODELS[each.model]) for each in models])  # each kind is as likely beforehand
+    # each kind is as likely beforehand
+    logs -= np.log([[*law.MODELS.values()].count(law.MODELS[each.model]) for each in models])
     weight = np.exp(logs - logs.max())
-    moves = np.array([MODELS[each.model] in ("liquid", "granular") for each in models])
+    moves = np.array([law.MODELS[each.model] in ("liquid", "granular") for each in models])
     still = models[1 + int(np.argmax(weight[1:] * ~moves[1:]))]
     share, most = weight[moves].sum() / weight.sum(), still.surpassed_by(models[int(np.argmax(weight * moves))])
     if share > most:
@@ -141,21 +132,21 @@ class ContentsFound(Conclusion):
 
     models: list[Modelled]
     weights: np.ndarray  # their probabilities
-    facts: ContentsFacts
+    facts: law.ContentsFacts
 
     probe, name = "contents", "contents_mass"
     check = "check contents.radius, contents.bottom and the robot file's inertias"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        assert isinstance(self.opened.problem, ContentsProblem)
+        assert isinstance(self.opened.problem, law.ContentsProblem)
         self.problem = self.opened.problem
-        kinds = np.array([*MODELS.values()])
-        self.probabilities = np.array([self.weights[kinds == kind].sum() for kind in KINDS_INSIDE])
+        kinds = np.array([*law.MODELS.values()])
+        self.probabilities = np.array([self.weights[kinds == kind].sum() for kind in law.KINDS_INSIDE])
 
     def kind(self, sure: float = SURE) -> str:
         """What is inside, where that is so sure; empty where it is not."""
-        return KINDS_INSIDE[int(np.argmax(self.probabilities))] if float(self.probabilities.max()) >= sure else ""
+        return law.KINDS_INSIDE[int(np.argmax(self.probabilities))] if float(self.probabilities.max()) >= sure else ""
 
     def widen(self) -> None:
         # by how far apart the models' masses are, as probable as they are
@@ -176,7 +167,7 @@ class ContentsFound(Conclusion):
     def remarks(self) -> Iterator[str]:
         if not self.kind():
             order = np.argsort(-self.probabilities)
-            each = ", ".join(f"{KINDS_INSIDE[n]} {100.0 * self.probabilities[n]:.0f} %" for n in order)
+            each = ", ".join(f"{law.KINDS_INSIDE[n]} {100.0 * self.probabilities[n]:.0f} %" for n in order)
             cure = "shake it harder, or with the container further from the joint"
             yield Reason("kind_open", f"the recording does not tell what is inside ({each}): {cure}")
         if self.kind() == "liquid" and (words := self.viscosity_class):
@@ -203,7 +194,7 @@ class ContentsFound(Conclusion):
     def viscosity(self, log_damping: float) -> float:
         """Dynamic viscosity [Pa s] that gives this damping, by Mikishev and Dorozhkin."""
         fill = float(self.of_liquid[0][0])
-        per_root = damping_ratio(self.facts.radius, fill, 1.0)
+        per_root = law.damping_ratio(self.facts.radius, fill, 1.0)
         return float((np.exp(log_damping) / per_root) ** 2 * self.facts.density)
 
     @cached_property
@@ -214,10 +205,10 @@ class ContentsFound(Conclusion):
         at = {name: np.array([self.fit.values[row]]) for name, row in zip(names, rows, strict=True)}
         slopes = np.zeros((3, len(rows)))
         for n, name in enumerate(names):
-            changed = {**at, name: at[name] + 1j * COMPLEX_STEP}
-            slopes[:, n] = slosh_of(self.facts, changed)[0].imag / COMPLEX_STEP
+            changed = {**at, name: at[name] + 1j * law.COMPLEX_STEP}
+            slopes[:, n] = law.slosh_of(self.facts, changed)[0].imag / law.COMPLEX_STEP
         own = self.assessed.covariance[np.ix_(rows, rows)]
-        return slosh_of(self.facts, at)[0], np.sqrt(np.einsum("in,nm,im->i", slopes, own, slopes))
+        return law.slosh_of(self.facts, at)[0], np.sqrt(np.einsum("in,nm,im->i", slopes, own, slopes))
 
     def values(self, withheld: str) -> tuple[Value, ...]:
         mass, shell = (self.problem.index[name] for name in (self.name, "payload_mass"))
@@ -228,7 +219,7 @@ class ContentsFound(Conclusion):
             positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld),
             positive("total_mass", "kg", total, together, withheld),
         ]
-        for kind, probability in zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True):
+        for kind, probability in zip(law.KINDS_INSIDE, self.probabilities.tolist(), strict=True):
             values.append(Value(f"{kind}_inside", "1", None if withheld else probability, reason=withheld))
         return (*values, *self.liquid_values(withheld))
 
@@ -258,7 +249,7 @@ class ContentsFound(Conclusion):
         yield Value("viscosity", "Pa s", value, 2.0 * std * value, limits)
 
     def detail(self, withheld: str) -> ContentsDetail:
-        shares = dict(zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True))
+        shares = dict(zip(law.KINDS_INSIDE, self.probabilities.tolist(), strict=True))
         kind = "" if withheld else self.kind()
         moved = () if withheld else tuple(self.problem.path(self.fit.values))
         return ContentsDetail(kind, shares, moved if self.kind(0.0) in ("liquid", "granular") else ())

@@ -27,7 +27,7 @@ from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS
 
 KINDS_INSIDE = ("nothing", "rigid", "liquid", "granular")
 MODELS = {"nothing": "nothing", "rigid": "rigid", "frozen": "rigid", "liquid": "liquid", "granular": "granular"}
-"""Each is of a kind: something rigid lies anywhere, or fills the bottom as what flows does, or that it lies low would tell it flows."""
+"""Each is of a kind: what is rigid lies anywhere, or fills the bottom as what flows does, so that lying low tells neither."""
 GRAVITY = 9.81
 FIRST_MODE = 1.8412  # least root of J1'
 LOWEST_FILL_M = 2e-3  # below this a fill is smoothed, so that a search may pass through nothing

@@ -84,7 +84,7 @@ def motion_answer(
     )
 
 
-@once_each
+@once_each()
 def identify_in_motion(
     robot: Robot,
     motions: Sequence[Motion],

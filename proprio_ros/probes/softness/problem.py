@@ -77,11 +77,7 @@ def closing_of(run: PreparedRun, facts: BlockFacts) -> np.ndarray:
 
 
 def block_unknowns(
-    robot: Robot,
-    runs: Sequence[PreparedRun],
-    squeezing: Sequence[bool],
-    facts: BlockFacts,
-    drive_role: Role,
+    robot: Robot, runs: Sequence[PreparedRun], squeezing: Sequence[bool], facts: BlockFacts, drive_role: Role
 ) -> list[Unknown]:
     """All unknowns: the block's, and those of the robot, of which the recording may move what ``drive_role`` says."""
     ratio, relaxation, gap = facts.poissons_ratio, facts.relaxation_s, facts.gap
