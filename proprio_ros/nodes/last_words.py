@@ -128,6 +128,8 @@ def main(topic: str, switched: str = "") -> int:
     while True:
         ready, _, _ = select.select([sys.stdin], [], [], SILENT_S if last else None)
         read = os.read(sys.stdin.fileno(), 65536) if ready else b""
+        if ready and not read:
+            break
         *lines, rest = (rest + read).split(b"\n")
         if lines:
             said = lines[-1].split()
@@ -135,8 +137,6 @@ def main(topic: str, switched: str = "") -> int:
             last = [float(word) for word in said[engaged:]]
         elif last:
             publisher.publish(Float64MultiArray(data=array("d", last)))
-        if ready and not read:
-            break
     # again, since what the node itself sent last may come after them
     for _ in range(AGAIN if last else 0):
         publisher.publish(Float64MultiArray(data=array("d", last)))

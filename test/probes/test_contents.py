@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,9 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes import probe_named, virtual_object
 from proprio_ros.probes.contents import models
-from proprio_ros.probes.contents.identify import find_contents
+from proprio_ros.probes.contents.detail import KINDS_INSIDE
+from proprio_ros.probes.contents.identify import find_contents, surpassed, weighted
 from proprio_ros.probes.contents.models import (
-    KINDS_INSIDE,
     ContentsFacts,
     Slosh,
     damping_ratio,
@@ -43,7 +44,7 @@ def test_the_first_mode_is_that_of_the_books() -> None:
     assert damping_ratio(0.035, 0.2, 1e-6) == pytest.approx(0.79 * np.sqrt(1e-6 / np.sqrt(0.035**3 * 9.81)), rel=1e-3)
 
 
-@pytest.mark.parametrize("model", KINDS_INSIDE[1:])
+@pytest.mark.parametrize("model", [*models.MODELS][1:])
 def test_slopes_of_the_models_are_differences(model: str) -> None:
     unknowns = inside_unknowns(model, FACTS)
     for kg in (0.02, 0.1, 0.3):
@@ -61,6 +62,26 @@ def test_slopes_of_the_models_are_differences(model: str) -> None:
                 np.testing.assert_allclose(
                     exact.imag / 1e-30, slope, rtol=1e-5, atol=1e-7 * max(1.0, np.abs(slope).max())
                 )
+
+
+def test_motion_is_no_more_probable_than_its_advantage_is_more_than_chance() -> None:
+    moves = np.array([False, False, True, True])
+    np.testing.assert_allclose(weighted(np.log([0.0001, 0.4, 0.5, 0.0999]), moves, 0.9), [0.0001, 0.4, 0.5, 0.0999])
+    np.testing.assert_allclose(weighted(np.log([1e-9, 0.1, 0.6, 0.3]), moves, 0.6), [0, 0.4, 0.4, 0.2], atol=1e-6)
+    # what is rigid may be out of the question beside what moves, in the digits that numbers have
+    np.testing.assert_allclose(weighted(np.array([-1e5, -5e3, 0.0, -9e3]), moves, 0.99), [0.0, 0.01, 0.99, 0.0])
+    np.testing.assert_allclose(weighted(np.array([0.0, -1.0, -5e3, -6e3]), moves, 0.5).sum(), 1.0)
+
+
+@pytest.mark.parametrize(("won_by", "more_than", "at_most"), [(1, 0.5, 0.9), (30, 0.999, 1.0)])
+def test_an_advantage_counts_by_the_stretches_that_have_it(won_by: int, more_than: float, at_most: float) -> None:
+    residual = np.ones(240)
+    other = residual.copy()
+    other[: 8 * won_by] = 0.5
+    mine, its = (SimpleNamespace(residual=each) for each in (residual, other))
+    assert more_than < surpassed(mine, its) <= at_most and surpassed(its, mine) == pytest.approx(
+        1 - surpassed(mine, its)
+    )
 
 
 def test_all_of_a_liquid_weighs_where_it_is() -> None:
@@ -117,6 +138,6 @@ def test_the_virtual_arm_s_liquid_is_weighed_and_an_empty_one_is_empty() -> None
         find_contents(robot, runs, lying, empty)
     with pytest.raises(ConfigurationError, match="the empty container is not known"):
         find_contents(robot, runs, FACTS)
-    assert tuple(found.detail.probabilities) == models.KINDS_INSIDE
+    assert tuple(found.detail.probabilities) == KINDS_INSIDE
     page = "".join(probe_named("contents").sections(found))
     assert "What is inside" in page

@@ -163,13 +163,12 @@ def once_each() -> Iterator[None]:
 
 def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) -> Rows:
     """The rows of one motion by motors of these torque constants [N m/A], shape (n,)."""
-    names = arm.model.joint_names
-    times_s, position, current = evenly(motion, names, BANDWIDTH_HZ)
+    times_s, position, current = evenly(motion, arm.model.joint_names, BANDWIDTH_HZ)
     period_s = float(times_s[1] - times_s[0])
     velocity = np.gradient(position, period_s, axis=0)
     width = round(WINDOW_S / period_s)
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
-    counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
+    counts = np.isin(arm.model.joint_names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
     return arm.rows(windows, times_s, period_s, position, velocity, current * constants, counts, by_zeros=by_zeros)
 
 

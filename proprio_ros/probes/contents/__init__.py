@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
 from proprio_ros.probes import base
+from proprio_ros.probes.contents.detail import KINDS_INSIDE
 from proprio_ros.probes.contents.virtual_object import Filled
 
 if TYPE_CHECKING:
@@ -37,12 +38,7 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         "grain_friction": Kind("1", "friction between grains"),
         **{
             f"{kind}_inside": Kind("1", f"probability of {said}")
-            for kind, said in (
-                ("nothing", "nothing"),
-                ("rigid", "one rigid thing"),
-                ("liquid", "a liquid"),
-                ("granular", "grains"),
-            )
+            for kind, said in zip(KINDS_INSIDE, ("nothing", "one rigid thing", "a liquid", "grains"), strict=True)
         },
         "fill": Kind("m", "fill height"),
         "slosh_frequency": Kind("Hz", "slosh frequency"),

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+KINDS_INSIDE = ("nothing", "rigid", *(MOVING := ("liquid", "granular")))
+
 
 @dataclass(frozen=True)
 class ContentsDetail:

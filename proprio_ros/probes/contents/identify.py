@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, softmax
 
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification import solvers
@@ -27,7 +27,8 @@ from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.contents import models as law
-from proprio_ros.probes.contents.detail import ContentsDetail
+from proprio_ros.probes.contents.detail import KINDS_INSIDE, MOVING, ContentsDetail
+from proprio_ros.probes.contents.models import ContentsFacts
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -51,26 +52,33 @@ class Modelled:
     nominal: FitResult
     opened: FitResult
 
-    def evidence(self, inflation: float) -> float:
-        """Logarithm of the evidence, but for what all models share; residuals' variances are ``inflation`` times as large."""
-        problem = self.opened.problem
-        posterior = Posterior(problem, self.opened.values, inflation)
-        off = self.opened.values[problem.free] - problem.coordinates.prior_mean
-        precision = problem.coordinates.prior_precision
-        fit = float(posterior.residual @ posterior.residual) + float(off @ precision @ off)
-        kept = [np.linalg.slogdet(matrix)[1] for matrix in (precision, posterior.covariance)]
-        return 0.5 * (float(sum(kept)) - fit)
 
-    def surpassed_by(self, other: Modelled) -> float:
-        """Probability that the other is nearer to the truth, by how alike the stretches of the recording say so."""
-        mine, theirs = (Posterior(each.opened.problem, each.opened.values, 1.0).residual for each in (self, other))
-        gained = mine**2 - theirs**2
-        gained = np.array([part.sum() for part in np.array_split(gained, max(2, len(gained) // STRETCH))])
-        return float(ndtr(gained.sum() / max(np.sqrt(len(gained)) * gained.std(), 1e-9)))
+def evidence(known: Posterior) -> float:
+    """Logarithm of a model's evidence, but for what all models share."""
+    coordinates = known.problem.coordinates
+    off = known.values[known.problem.free] - coordinates.prior_mean
+    fit = float(known.residual @ known.residual) + float(off @ coordinates.prior_precision @ off)
+    kept = [np.linalg.slogdet(matrix)[1] for matrix in (coordinates.prior_precision, known.covariance)]
+    return 0.5 * (float(sum(kept)) - fit)
+
+
+def surpassed(known: Posterior, other: Posterior) -> float:
+    """Probability that the other model is nearer to the truth, by how alike the stretches of the recording say so."""
+    gained = known.residual**2 - other.residual**2
+    gained = np.array([part.sum() for part in np.array_split(gained, max(2, len(gained) // STRETCH))])
+    return float(ndtr(gained.sum() / max(np.sqrt(len(gained)) * gained.std(), 1e-9)))
+
+
+def weighted(logs: np.ndarray, of_group: np.ndarray, most: float) -> np.ndarray:
+    """Probabilities by logarithms of evidence, shape (M,); those of a group (M,) are together no more than ``most``."""
+    share = min(float(softmax(logs)[of_group].sum()), most)
+    # each side by itself: beside the other's its evidence may be nothing
+    within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (of_group, ~of_group))
+    return share * within + (1.0 - share) * beside
 
 
 def fitted(
-    robot: Robot, runs: Sequence[PreparedRun], facts: law.ContentsFacts, filled: Sequence[bool], model: str
+    robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str
 ) -> Modelled:
     """A model fitted with the robot as it is stated, and from its best end with all that is open."""
     fits: list[FitResult] = []
@@ -87,9 +95,7 @@ def fitted(
     return Modelled(model, *fits)
 
 
-def find_contents(
-    robot: Robot, runs: Sequence[Run], facts: law.ContentsFacts, baseline: Sequence[Run] = ()
-) -> Estimate:
+def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, baseline: Sequence[Run] = ()) -> Estimate:
     """Identify what is in the container in all ``runs``; the baseline is runs with it empty.
 
     Raises:
@@ -112,18 +118,16 @@ def find_contents(
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
-    best = min(model.opened.reduced_chi2 for model in models)
-    logs = np.array([model.evidence(ALIKE_RUNS * max(1.0, best)) for model in models])
+    inflation = ALIKE_RUNS * max(1.0, min(model.opened.reduced_chi2 for model in models))
+    known = [Posterior(model.opened.problem, model.opened.values, inflation) for model in models]
+    kinds = [law.MODELS[model.model] for model in models]
     # each kind is as likely beforehand
-    logs -= np.log([[*law.MODELS.values()].count(law.MODELS[each.model]) for each in models])
-    weight = np.exp(logs - logs.max())
-    moves = np.array([law.MODELS[each.model] in ("liquid", "granular") for each in models])
-    still = models[1 + int(np.argmax(weight[1:] * ~moves[1:]))]
-    share, most = weight[moves].sum() / weight.sum(), still.surpassed_by(models[int(np.argmax(weight * moves))])
-    if share > most:
-        weight *= np.where(moves, most / share, (1.0 - most) / (1.0 - share))
+    logs = np.array([evidence(each) - np.log(kinds.count(kind)) for each, kind in zip(known, kinds, strict=True)])
+    moves = np.isin(kinds, MOVING)
+    rigid, moving = (int(np.argmax(np.where(side, logs, -np.inf))) for side in (np.isin(kinds, "rigid"), moves))
+    weight = weighted(logs, moves, surpassed(known[rigid], known[moving]))
     first = models[1 + int(np.argmax(weight[1:]))]
-    return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight / weight.sum(), facts).estimate()
+    return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight, facts).estimate()
 
 
 @dataclass(eq=False)
@@ -132,7 +136,7 @@ class ContentsFound(Conclusion):
 
     models: list[Modelled]
     weights: np.ndarray  # their probabilities
-    facts: law.ContentsFacts
+    facts: ContentsFacts
 
     probe, name = "contents", "contents_mass"
     check = "check contents.radius, contents.bottom and the robot file's inertias"
@@ -142,11 +146,11 @@ class ContentsFound(Conclusion):
         assert isinstance(self.opened.problem, law.ContentsProblem)
         self.problem = self.opened.problem
         kinds = np.array([*law.MODELS.values()])
-        self.probabilities = np.array([self.weights[kinds == kind].sum() for kind in law.KINDS_INSIDE])
+        self.probabilities = np.array([self.weights[kinds == kind].sum() for kind in KINDS_INSIDE])
 
     def kind(self, sure: float = SURE) -> str:
         """What is inside, where that is so sure; empty where it is not."""
-        return law.KINDS_INSIDE[int(np.argmax(self.probabilities))] if float(self.probabilities.max()) >= sure else ""
+        return KINDS_INSIDE[int(np.argmax(self.probabilities))] if float(self.probabilities.max()) >= sure else ""
 
     def widen(self) -> None:
         # by how far apart the models' masses are, as probable as they are
@@ -167,7 +171,7 @@ class ContentsFound(Conclusion):
     def remarks(self) -> Iterator[str]:
         if not self.kind():
             order = np.argsort(-self.probabilities)
-            each = ", ".join(f"{law.KINDS_INSIDE[n]} {100.0 * self.probabilities[n]:.0f} %" for n in order)
+            each = ", ".join(f"{KINDS_INSIDE[n]} {100.0 * self.probabilities[n]:.0f} %" for n in order)
             cure = "shake it harder, or with the container further from the joint"
             yield Reason("kind_open", f"the recording does not tell what is inside ({each}): {cure}")
         if self.kind() == "liquid" and (words := self.viscosity_class):
@@ -219,7 +223,7 @@ class ContentsFound(Conclusion):
             positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld),
             positive("total_mass", "kg", total, together, withheld),
         ]
-        for kind, probability in zip(law.KINDS_INSIDE, self.probabilities.tolist(), strict=True):
+        for kind, probability in zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True):
             values.append(Value(f"{kind}_inside", "1", None if withheld else probability, reason=withheld))
         return (*values, *self.liquid_values(withheld))
 
@@ -249,10 +253,10 @@ class ContentsFound(Conclusion):
         yield Value("viscosity", "Pa s", value, 2.0 * std * value, limits)
 
     def detail(self, withheld: str) -> ContentsDetail:
-        shares = dict(zip(law.KINDS_INSIDE, self.probabilities.tolist(), strict=True))
+        shares = dict(zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True))
         kind = "" if withheld else self.kind()
         moved = () if withheld else tuple(self.problem.path(self.fit.values))
-        return ContentsDetail(kind, shares, moved if self.kind(0.0) in ("liquid", "granular") else ())
+        return ContentsDetail(kind, shares, moved if self.kind(0.0) in MOVING else ())
 
     def solver(self) -> SolverSummary:
         used = self.nominal.solution.iterations + self.fit.solution.iterations

@@ -18,6 +18,7 @@ from proprio_ros.identification.prepared_runs import PreparedRun, turning_with
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.probes.contents.detail import MOVING
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
@@ -25,7 +26,6 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.slosh import SloshRun, SloshSimulator
 from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS
 
-KINDS_INSIDE = ("nothing", "rigid", "liquid", "granular")
 MODELS = {"nothing": "nothing", "rigid": "rigid", "frozen": "rigid", "liquid": "liquid", "granular": "granular"}
 """Each is of a kind: what is rigid lies anywhere, or fills the bottom as what flows does, so that lying low tells neither."""
 GRAVITY = 9.81
@@ -88,15 +88,16 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
     if model == "nothing":
         return []
     mass = Unknown("contents_mass", 0.1, MASS_STD_KG, -0.05 if model == "rigid" else 5e-4, 5.0, asinh_scale=0.005)
+    spread = Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0)
     if model == "rigid":
         centre = facts.bottom + facts.rotation @ np.array([0.0, 0.0, 0.3 * facts.height])
         off = np.abs(facts.rotation @ np.array([0.2 * facts.radius] * 2 + [0.2 * facts.height]))
         places = zip("xyz", centre.tolist(), off.tolist(), strict=True)
         of_it = [Unknown(f"contents_com_{axis}", at, std, -1.0, 1.0) for axis, at, std in places]
-        return [mass, *of_it, Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0)]
+        return [mass, *of_it, spread]
+    dense = Unknown("contents_density", 1000.0, 500.0, 300.0, 15000.0)
     if model == "frozen":
-        spread = Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0)
-        return [mass, Unknown("contents_density", 1000.0, 500.0, 300.0, 15000.0), spread]
+        return [mass, dense, spread]
     if model == "liquid":
         return [
             mass,
@@ -108,11 +109,11 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
         ]
     return [
         mass,
-        Unknown("contents_density", 1000.0, 500.0, 300.0, 15000.0),
+        dense,
         Unknown("slosh_share", 0.7, 0.3, 0.0, 2.0),
         Unknown("grain_friction", 0.35, 0.2, 0.02, 1.2),
         Unknown("slosh_damping_log", -1.2, 1.0, -7.0, 0.5),
-        Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0),
+        spread,
     ]
 
 
@@ -198,7 +199,7 @@ class ContentsProblem(Problem):
         self._affine &= model == "nothing"
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator[SloshSimulator]:
-        if self.model not in ("liquid", "granular"):
+        if self.model not in MOVING:
             return JointSimulator(runs, integrator)
         rows = np.flatnonzero(self.filled).tolist()
         moving = [
