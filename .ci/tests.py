@@ -95,11 +95,12 @@ def main(wiring: list[str]) -> int:
             while waiting and sum(of == queue for of, _ in running.values()) < at_once[queue]:
                 said = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115
                 running[begin(waiting.pop(0), nice[queue], said)] = queue, said
-        child, status = os.wait()
+        child, status, used = os.wait3(0)
         if child in running:
             _, said = running.pop(child)
             said.seek(0)
-            sys.stdout.write(said.read() + (f"== ended with status {status}\n" if status else ""))
+            spent = f"== {used.ru_utime + used.ru_stime:.0f} s of a processor\n"
+            sys.stdout.write(said.read() + spent + (f"== ended with status {status}\n" if status else ""))
             sys.stdout.flush()
             failed += status != 0
     return failed
