@@ -35,6 +35,8 @@ from random_arm import (
 from support.contents import Contents, Cylinder, Grains, Liquid, sloshing, theory_hz
 from support.recording_bag import write_recording
 
+from proprio_ros.excitation.plans import LEAST_CURRENT_A
+
 EXCHANGE_S = 0.002
 AFTER_S = 0.2
 """Held and recorded after a push."""
@@ -271,11 +273,13 @@ def recorded(folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, 
     runs, bare = {}, filled(Case("nothing", case.container))
     hz = theory_hz(container.radius, max(case.fill, 0.02))
     for n, push in enumerate(PUSHES):
-        # half a period is whole cycles of the driver: a switch between two would not be as it is recorded
-        shake = (push.shake_A, 0.05 * round(20.0 / hz)) if push.shake_A else (0.0, 1.0)
         for kind, held in (("baseline", bare), ("run", load)):
-            still = filled(case, moving=False) if kind == "run" else bare
-            runs[f"{kind}_{n}"] = write(f"{kind}_{n}", probe_of(push, hidden, still), held, shake, AFTER_S)
+            probe = probe_of(push, hidden, filled(case, moving=False) if kind == "run" else bare)
+            # no half without a current, as in a sequence, and of whole cycles of the driver: a switch amid one is not as recorded
+            least_A = abs(abs(probe.current_A) - push.shake_A)
+            shake_A = push.shake_A if least_A >= LEAST_CURRENT_A else 0.75 * push.shake_A
+            shake = (shake_A, 0.05 * round(20.0 / hz)) if push.shake_A else (0.0, 1.0)
+            runs[f"{kind}_{n}"] = write(f"{kind}_{n}", probe, held, shake, AFTER_S)
     truth = {
         "kind": case.kind, "name": case.name, "seed": seed,
         "container": {"radius": container.radius, "height": container.height, "bottom": container.bottom, "mass": container.mass},
