@@ -71,19 +71,19 @@ class Limit:
     highest: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Example:
     """What ``proprio demo`` and the launch file show of a probe on a virtual robot."""
 
     # flag, metavar, help: of the option that states the truth, without its dashes
-    flag: str
-    metavar: str
+    flag: str = "mass"
+    metavar: str = "KG"
     help: str
     # truth, lowest, highest: where it is not given, and its range, in the unit of the probe's answer
     truth: float
     lowest: float
     highest: float
-    units: str  # what to say about a number outside it
+    units: str = "masses are in kg, so 50 g is 0.05"  # what to say about a number outside it
     held: str  # what the virtual hand holds, with ``{truth}`` in it, as `virtual_object` is typed
     # now, was, takes: the sentence when it is in the hand; what the truth is called at the end; how long it takes
     now: str

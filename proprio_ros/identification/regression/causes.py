@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Verdict
@@ -18,11 +19,11 @@ from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.mistakes import of_all_joints, of_joint
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, equations
-from proprio_ros.identification.regression.motion_prior import payload_stds
+from proprio_ros.identification.regression.motion_prior import HELD_WITHIN
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
-from proprio_ros.robot.regressor import PARAMETERS
+from proprio_ros.robot.regressor import PARAMETERS, point_mass
 
 EXPLAINED = 0.25
 """A mistake is named where undoing it leaves less than this of the torque, squared and relative to what the URDF says."""
@@ -50,17 +51,17 @@ class _Model:
     rows: Rows
     by_urdf: FloatArray
     weight: FloatArray
-    per_kg: FloatArray  # of a payload's parameters, that of an arm as heavy as this one
+    payload: FloatArray  # of things as heavy as the arm, each at another place
 
     @classmethod
     def of(cls, robot: Robot, motion: Motion) -> _Model:
-        rows, arm = (
-            equations(robot, motion, motion.joints, by_zeros=False),
-            Arm.of(robot, motion.joints, dict(motion.held)),
-        )
+        rows = equations(robot, motion, motion.joints, by_zeros=False)
+        arm = Arm.of(robot, motion.joints, dict(motion.held))
         by_urdf = rows.design[:, : PARAMETERS * arm.count] @ np.concatenate(arm.bodies)
         size = np.array([_rms(by_urdf[rows.joint == joint]) for joint in range(arm.count)])
-        return cls(rows, by_urdf, 1.0 / np.maximum(size, WEAK * size.max())[rows.joint], arm.kg * payload_stds(arm))
+        places = 3.0 * HELD_WITHIN * arm.reach_m * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+        payload = arm.kg * rows.payload @ np.array([point_mass(place) for place in places]).T
+        return cls(rows, by_urdf, 1.0 / np.maximum(size, WEAK * size.max())[rows.joint], payload)
 
     def left(self, torque: FloatArray, beside: FloatArray | None = None) -> tuple[float, FloatArray]:
         """What is left of a torque, shape (E,), in parts of what the URDF says, and the factors of columns ``beside``, (E, 3).
@@ -68,27 +69,34 @@ class _Model:
         Those columns stand in the place of the URDF's torque.
         """
         own = np.eye(self.rows.joint.max() + 1)[self.rows.joint]
-        # a payload also takes up what the URDF is off by
-        columns = [own * self.rows.direction[:, None], own, self.rows.payload * self.per_kg]
         known = self.by_urdf if beside is None else np.zeros_like(torque)
-        matrix = np.hstack([*columns, *([] if beside is None else [beside])]) * self.weight[:, None]
-        right, total = (torque - known) * self.weight, float(np.sum(np.square(self.by_urdf * self.weight)))
-        # a heavy payload needs a reason
-        first = 2 * own.shape[1]
-        heavy = np.sqrt(HEAVY_COSTS * total) * np.eye(matrix.shape[1])[first : first + PARAMETERS]
-        values = np.linalg.lstsq(np.vstack([matrix, heavy]), np.append(right, np.zeros(PARAMETERS)), rcond=1e-8)[0]
-        left = np.sum(np.square(right - matrix @ values)) + np.sum(np.square(heavy @ values))
-        return float(left) / max(total, 1e-12), values[-3:]
+        # a payload also takes up what the URDF is off by, but is no lighter than nothing, as no friction helps
+        columns = [self.payload, own * self.rows.direction[:, None], own, *([] if beside is None else [beside])]
+        system = np.column_stack([*columns, torque - known]) * self.weight[:, None]
+        total = max(float(np.sum(np.square(self.by_urdf * self.weight))), 1e-12)
+        held, joints = self.payload.shape[1], own.shape[1]
+        # a heavy payload needs a reason, and so does a constant torque
+        costs, offsets = np.zeros(system.shape[1]), slice(held + joints, held + 2 * joints)
+        costs[:held], costs[offsets] = 1.0, (own * self.weight[:, None]).max(axis=0) / np.sqrt(joints)
+        small = np.asarray(np.linalg.qr(np.vstack([system, np.sqrt(HEAVY_COSTS * total) * np.diag(costs)]), mode="r"))
+        least = np.where(np.arange(len(costs) - 1) < held + joints, 0.0, -np.inf)
+        found = lsq_linear(small[:, :-1], small[:, -1], (least, np.inf), tol=1e-12)
+        return 2.0 * float(found.cost) / total, found.x[-3:]
 
 
 def with_cause(refusal: Refusal, robot: Robot, motions: Sequence[Motion]) -> Refusal:
-    """The refusal of a fit of some motions, with the mistake that explains it as its first reason, where one is found."""
-    if refusal.verdict is not Verdict.REJECTED:
+    """The refusal of a fit of some motions, with the mistake that explains it as its first reason, where one is found.
+
+    An interval that is too wide may have its cause, too: the mass is withheld then.
+    """
+    if refusal.verdict is Verdict.ACCEPTED:
         return refusal
     for motion in motions:
         if cause := torque_cause(robot, motion):
-            code = getattr(refusal.reasons[0], "code", "other")
-            return replace(refusal, reasons=(Reason(code, f"{motion.name}: {cause}"), *refusal.reasons))
+            code = "misfit" if refusal.verdict is Verdict.TOO_WIDE else getattr(refusal.reasons[0], "code", "other")
+            reasons = (Reason(code, f"{motion.name}: {cause}"), *refusal.reasons)
+            withheld = refusal.withheld or "the arm does not fit its URDF"
+            return replace(refusal, verdict=Verdict.REJECTED, withheld=withheld, reasons=reasons)
     return refusal
 
 

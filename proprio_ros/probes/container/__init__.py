@@ -66,13 +66,10 @@ class Container(
         "container.mass=KG)",
     )
     example = base.Example(
-        flag="mass",
-        metavar="KG",
         help="of the sphere in it",
         truth=0.012,
         lowest=1e-6,
         highest=2.0,
-        units="masses are in kg, so 50 g is 0.05",
         held="container:0.03,sphere={truth:g}",
         now="now there is a sphere in the container",
         was="the sphere in the virtual container weighed",

@@ -56,13 +56,10 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         missing="put it into the hand empty and call ~/record_contents_baseline, or state its mass (settings: contents.mass=KG)",
     )
     example = base.Example(
-        flag="mass",
-        metavar="KG",
         help="of the liquid in it",
         truth=0.15,
         lowest=0.01,
         highest=0.5,
-        units="masses are in kg, so 150 g is 0.15",
         held="filled:0.05,liquid={truth:g}",
         now="now there is a liquid in the container",
         was="the liquid in the virtual container weighed",

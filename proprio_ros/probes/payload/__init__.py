@@ -58,13 +58,10 @@ class Payload(
     solvers = ("lm", "adam", "cma")
     profiles = ("default", "paper")
     example = base.Example(
-        flag="mass",
-        metavar="KG",
         help="of the object in the virtual hand",
         truth=0.05,
         lowest=1e-6,
         highest=2.0,
-        units="masses are in kg, so 50 g is 0.05",
         held="{truth:g}",
         now="now something is in its hand",
         was="the virtual hand held",
