@@ -134,7 +134,7 @@ def test_what_must_be_refused(twin: Recorded) -> None:
     refused(loaded, [], Verdict.NOT_IDENTIFIABLE, "--baseline")
     # another unit: both recordings alike
     tenth = [replace(motion, current_A=0.1 * motion.current_A) for motion in (loaded, empty)]
-    refused(tenth[0], tenth[1:], Verdict.REJECTED, "times what its URDF says")
+    refused(tenth[0], tenth[1:], Verdict.REJECTED, "about 0.1 times what the URDF needs: it is in another unit")
     turned = [replace(motion, current_A=-motion.current_A) for motion in (loaded, empty)]
     refused(turned[0], turned[1:], Verdict.REJECTED, "")
     # picked up in mid-recording
