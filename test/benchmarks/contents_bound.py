@@ -33,6 +33,7 @@ BAGS = Path(__file__).resolve().parents[2] / "bags"
 RADII_M, MASSES_KG = (0.02, 0.035, 0.05), (0.05, 0.15, 0.5)
 WATER = 1e-6  # kinematic viscosity [m^2/s]
 SETS = ("pushes", "and shaken")
+SLOWER = 0.8
 COLUMNS = {
     "arm": "{arm}", "runs": "{runs}", "radius": "{radius_mm:g} mm", "water": "{g:g} g", "fill": "{fill_mm:.0f} mm",
     "sloshes at": "{hz:.1f} Hz",
@@ -82,7 +83,7 @@ def open_manipulator() -> Arm:
         push("joint3", (-0.9, 0.3, 0.6), -0.6),
         push("joint3", (-0.6, -0.4, 1.0), 0.6),
         push("joint4", (-0.6, -0.2, 0.8), -0.7),
-        push("joint4", (-0.6, 0.2, 0.4), -0.2, 0.9, 0.12),
+        push("joint3", (0.1, 1.35, -1.45), -0.3, 2.0, 0.05),
     )
     return Arm("OpenMANIPULATOR-X", robot.with_calibration(calibration), pushes, 40.0)
 
@@ -119,9 +120,14 @@ def facts_of(arm: Arm, push: Push, radius: float, fill: float) -> ContentsFacts:
     return ContentsFacts(radius, max(1.5 * fill, 0.08), bottom, turned)
 
 
+def shaken(hz: float) -> float:
+    """Period of a shake for what sloshes so often [s]: slower, so that waves stay small, and of whole cycles of a driver."""
+    return 0.05 * max(round(20.0 / (SLOWER * hz)), 2)
+
+
 def bare(arm: Arm, push: Push, hz: float, current_A: float) -> Run:
     """A run whose positions are still to come."""
-    half = 0.05 * max(round(10.0 / hz), 1) if push.shake_A else push.duration_s
+    half = 0.5 * shaken(hz) if push.shake_A else push.duration_s
     switches = np.arange(0.0, push.duration_s - 1e-9, half)
     currents = current_A + push.shake_A * np.where(np.arange(len(switches)) % 2, -1.0, 1.0)
     times_s = np.arange(1, int(push.duration_s * arm.rate)) / arm.rate
@@ -146,13 +152,14 @@ def truth_of(problem: ContentsProblem, kg: float, fill: float, facts: ContentsFa
 def driven(arm: Arm, push: Push, facts: ContentsFacts, kg: float, fill: float) -> PreparedRun | None:
     """The push with the current that moves the contents as far as it says; None where 10 A do not."""
     hz = float(np.sqrt(Slosh.of(facts.radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
-    low, high = -10.0, 10.0
+    low, high, period_s = -10.0, 10.0, shaken(hz) if push.shake_A else 1e-3
     for _ in range(22):
         current = 0.5 * (low + high)
         run = prepare_run(arm.robot, bare(arm, push, hz, current), None, facts.shell)
         problem = ContentsProblem(arm.robot, [run], facts, [True], "liquid", Role.FREE)
         shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.free[:1])[0][0, 0]
-        moved = float(shown[-1]) - push.start[push.joint]
+        # of a shaken one where it is on average in the end
+        moved = float(shown[: run.used][run.times_s > run.times_s[-1] - period_s].mean()) - push.start[push.joint]
         low, high = (current, high) if moved < push.travel else (low, current)
     if abs(moved - push.travel) > 0.25:
         return None

@@ -70,8 +70,8 @@ def surpassed(known: Posterior, other: Posterior) -> float:
 
 
 def weighted(logs: np.ndarray, of_group: np.ndarray, most: float) -> np.ndarray:
-    """Probabilities by logarithms of evidence, shape (M,); those of a group (M,) are together no more than ``most``."""
-    share = min(float(softmax(logs)[of_group].sum()), most)
+    """Probabilities by logarithms of evidence, shape (M,); those of a group (M,) are together no more than ``most``, or even."""
+    share = min(float(softmax(logs)[of_group].sum()), max(most, 0.5))
     # each side by itself: beside the other's its evidence may be nothing
     within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (of_group, ~of_group))
     return share * within + (1.0 - share) * beside
