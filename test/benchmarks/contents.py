@@ -15,7 +15,9 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -76,11 +78,12 @@ class Answer:
         return None if share is None or SAID > share > 1.0 - SAID else share >= SAID
 
 
-def answers(root: Path, most: int | None) -> Iterator[Answer]:
-    """Every recording of the folder, asked."""
-    for folder in sorted(path.parent for path in root.glob("[!.]*/truth.json"))[:most]:
-        truth = json.loads((folder / "truth.json").read_text())
-        yield answer(folder, truth)
+def answers(root: Path, most: int | None, jobs: int) -> Iterator[Answer]:
+    """Every recording of the folder, asked by so many processes."""
+    folders = sorted(path.parent for path in root.glob("[!.]*/truth.json"))[:most]
+    truths = [json.loads((folder / "truth.json").read_text()) for folder in folders]
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        yield from (map if jobs == 1 else pool.map)(answer, folders, truths)
 
 
 def answer(folder: Path, truth: dict[str, Any]) -> Answer:
@@ -199,6 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rigid", type=int, default=0, help="so many rigid dummies more")
     parser.add_argument("--first", type=int, default=500, help="first seed of what is made")
     parser.add_argument("--at-most", type=int, help="so many are judged; default: all")
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--particles", action="store_true", help="judge the particles, too")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
@@ -207,7 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for truth in all_recorded(options.folder, options.first, made):
             print(f"made {truth['name']}", flush=True)
         found = []
-        for each in answers(options.folder, options.at_most):
+        for each in answers(options.folder, options.at_most, options.jobs):
             found.append(each)
             print(each.truth["name"], each.verdict, each.why, each.said, each.moving, flush=True)
         judged(results, found)

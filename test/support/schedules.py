@@ -162,7 +162,7 @@ def drawn(seed: int) -> Drawn:
             lasts_s = draw.uniform(0.05, 0.8)
         if kind == "clock":
             lasts_s = draw.choice((-5.0, -0.2, 0.2, 5.0))
-        faults.append(Fault(draw.uniform(0.0, 2.0 if plan == "push" else 4.5), kind, whom, lasts_s))
+        faults.append(Fault(draw.uniform(0.0, 1.5 if plan == "push" else 4.5), kind, whom, lasts_s))
     masses_kg = draw.choice(MASSES_KG), draw.choice(MASSES_KG)
     return Drawn(plan, masses_kg, network, tuple(sorted(faults, key=lambda fault: fault.at_s)))
 
@@ -500,6 +500,7 @@ def standing(plan: str, folder: Path, calibration: Path) -> Iterator[World]:
                 side.mass_kg = 0.05
                 answer = side.push("at the beginning") if plan == "push" else side.weigh("at the beginning")
                 assert answer.startswith("accepted") and not broken, f"{answer} {broken} {made.graph.log}"
+                side.heal()  # from where the next one begins: to go there first takes as long as a push
                 made.clock.sleep(0.5)
             yield made
     finally:
