@@ -12,6 +12,7 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 TRUTH = {
     "payload": ("ball", "payload_mass", 0.05, 4e-3),
     "container": ("sphere", "sphere_mass", 0.0352, 3e-3),
+    "contents": ("inside", "contents_mass", 0.1153, 6e-3),
     # a cube of mu 20 and lambda 7 kPa: E = mu (3 lambda + 2 mu) / (lambda + mu)
     "softness": ("block", "youngs_modulus", 20e3 * (3 * 7 + 2 * 20) / (7 + 20), 6e3),
 }
@@ -20,9 +21,7 @@ TRUTH = {
 def test_there_is_one_per_probe() -> None:
     from proprio_ros.probes import PROBES
 
-    assert (
-        {path.stem for path in EXAMPLES.glob("*.py")} == set(TRUTH) == set(PROBES) - {"contents"}
-    )  # of particles, not of runs
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(TRUTH) == set(PROBES)
 
 
 @pytest.mark.parametrize("probe", sorted(TRUTH))

@@ -190,8 +190,9 @@ def budget_figure(estimate: Estimate) -> str:
     unit = estimate.values[0].unit
     most = max((std for _, std in estimate.budget), default=0.0)
     budget = [(source, std) for source, std in estimate.budget if std > 1e-3 * most]
-    sources = [(source_label(source), std) for source, std in budget[:SHOWN_SOURCES]]
-    if rest := budget[SHOWN_SOURCES:]:
+    first = SHOWN_SOURCES + (len(budget) == SHOWN_SOURCES + 1)  # one alone is shown by its name
+    sources = [(source_label(source), std) for source, std in budget[:first]]
+    if rest := budget[first:]:
         sources.append((f"{len(rest)} others", float(np.sqrt(sum(std**2 for _, std in rest)))))
     whole = sum(std**2 for _, std in sources) or 1.0
     return bars([

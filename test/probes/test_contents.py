@@ -70,6 +70,8 @@ def test_motion_is_no_more_probable_than_its_advantage_is_more_than_chance() -> 
     np.testing.assert_allclose(weighted(np.log([1e-9, 0.1, 0.6, 0.3]), moves, 0.6), [0, 0.4, 0.4, 0.2], atol=1e-6)
     # where neither has an advantage nothing is said, of what is rigid as little as of what moves
     np.testing.assert_allclose(weighted(np.log([1e-9, 0.2, 0.5, 0.3]), moves, 0.1), [0, 0.5, 0.3125, 0.1875], atol=1e-6)
+    # nor of what is rigid and explains nothing
+    np.testing.assert_allclose(weighted(np.log([1e-9, 0.98, 0.01, 0.01]), moves, 0.1, 0.5), [0, 0.5, 0.25, 0.25], atol=1e-6)
     # what is rigid may be out of the question beside what moves, in the digits that numbers have
     np.testing.assert_allclose(weighted(np.array([-1e5, -5e3, 0.0, -9e3]), moves, 0.99), [0.0, 0.01, 0.99, 0.0])
     np.testing.assert_allclose(weighted(np.array([0.0, -1.0, -5e3, -6e3]), moves, 0.5).sum(), 1.0)

@@ -3,7 +3,7 @@
 The evidence of a model is Laplace's: its fit's probability times the share of the prior that the recording leaves (MacKay 2003,
 Information Theory, Inference and Learning Algorithms, chapter 28). Where even the best model leaves more than the encoder explains,
 residuals count for less, in all models alike. Masses are averaged over what is probable. That something moves is no more probable
-than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)).
+than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)), where it is not even.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ def surpassed(known: Posterior, other: Posterior) -> float:
     return float(ndtr(gained.sum() / max(np.sqrt(len(gained)) * gained.std(), 1e-9)))
 
 
-def weighted(logs: np.ndarray, of_group: np.ndarray, most: float) -> np.ndarray:
-    """Probabilities by logarithms of evidence, shape (M,); those of a group (M,) are together no more than ``most``, or even."""
-    share = min(float(softmax(logs)[of_group].sum()), max(most, 0.5))
+def weighted(logs: np.ndarray, of_group: np.ndarray, most: float, least: float = 0.0) -> np.ndarray:
+    """Probabilities by logarithms of evidence, shape (M,); of a group (M,) together from ``least`` to ``most``, or even."""
+    share = max(min(float(softmax(logs)[of_group].sum()), max(most, 0.5)), least)
     # each side by itself: beside the other's its evidence may be nothing
     within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (of_group, ~of_group))
     return share * within + (1.0 - share) * beside
@@ -125,7 +125,9 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     logs = np.array([evidence(each) - np.log(kinds.count(kind)) for each, kind in zip(known, kinds, strict=True)])
     moves = np.isin(kinds, MOVING)
     rigid, moving = (int(np.argmax(np.where(side, logs, -np.inf))) for side in (np.isin(kinds, "rigid"), moves))
-    weight = weighted(logs, moves, surpassed(known[rigid], known[moving]))
+    # what no rigid thing explains may move otherwise than any of these models
+    open_yet = 0.0 if models[rigid].opened.explains else 0.5
+    weight = weighted(logs, moves, surpassed(known[rigid], known[moving]), open_yet)
     first = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight, facts).estimate()
 
