@@ -49,6 +49,7 @@ from support.servo_bag import write
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.prepared_runs import KnownLoad
+from proprio_ros.identification.regression.motion_equations import once_each
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
@@ -414,7 +415,8 @@ MACHINES = {each.__name__: each for each in (real_swings, real_ur10e, real_kuka)
 
 
 def real_answers(name: str, recordings: Path, at_most: int | None = None) -> list[Answer]:
-    with tempfile.TemporaryDirectory() as folder:
+    # of a machine each recording is asked of many times
+    with tempfile.TemporaryDirectory() as folder, once_each():
         return list(itertools.islice(MACHINES[name](recordings, Path(folder)), at_most))
 
 
