@@ -17,7 +17,7 @@ from proprio_ros.recordings.effort import EFFORT_UNITS, ampere
 from proprio_ros.recordings.motions import MOVED_RAD
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
 from proprio_ros.robot import ReducedModel, Robot
-from proprio_ros.robot.regressor import body_parameters, kinematics, momentum_and_gravity
+from proprio_ros.robot.regressor import body_parameters, carriers, gravity_along, kinematics
 
 MOVED_M = 0.002  # a slide that moves less stands still [m]
 LONGEST_LAG_S = 0.15  # of a velocity behind its position; filters of servos take less [s]
@@ -292,15 +292,9 @@ def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
     """Torque at each revolute joint that holds the arm at positions [rad]; both of shape (T, n) [N m]."""
     motion = kinematics(model, position, np.zeros_like(position))
     torque = np.zeros_like(position)
-    for body in range(position.shape[1]):
-        _, wrench = momentum_and_gravity(
-            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
-        )
-        on_body = wrench @ body_parameters(model.pseudo_inertia[body])
-        joint = body
-        while joint >= 0:
-            torque[:, joint] -= np.einsum("ti,ti->t", motion.axis[:, joint], on_body)
-            joint = int(model.parents[joint])
+    for body, pseudo in enumerate(model.pseudo_inertia):
+        force = np.tensordot(body_parameters(pseudo), gravity_along(model, motion, body), 1)
+        torque[:, carriers(model, body)] -= force.T
     return torque
 
 

@@ -1,4 +1,4 @@
-"""Momentum of a moving arm and gravity's wrench on it, linear in the inertial parameters of its bodies.
+"""Momentum of a moving arm and gravity's torques on it, linear in the inertial parameters of its bodies.
 
 Sources: spatial vectors, Featherstone 2008, Rigid Body Dynamics Algorithms, chapter 2; inertial parameters of links and loads,
 Atkeson, An & Hollerbach 1986, International Journal of Robotics Research 5(3).
@@ -37,66 +37,57 @@ def _skew(v: FloatArray) -> FloatArray:
     return result
 
 
+def cross_product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Of vectors whose components come first, shape (3, ...)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 @dataclass(frozen=True)
 class Kinematics:
-    """Where the bodies of an arm are, and how they move, at every sample; n bodies, all in the base frame about its origin."""
+    """Where the n bodies of an arm are, and how they move, at T samples; all in the base frame about its origin.
 
-    rotation: FloatArray  # base_R_body, shape (T, n, 3, 3)
-    origin: FloatArray  # of each body's frame [m], shape (T, n, 3)
-    axis: FloatArray  # screw axis of each joint (angular, linear), shape (T, n, 6)
-    twist: FloatArray  # of each body (angular, linear), shape (T, n, 6)
+    Components come first and samples last: a product of small matrices for each sample takes several times as long.
+    """
+
+    rotation: FloatArray  # base_R_body, its columns first, shape (3, 3, n, T)
+    origin: FloatArray  # of each body's frame [m], shape (3, n, T)
+    axis: FloatArray  # screw axis of each joint (angular, linear), shape (6, n, T)
+    twist: FloatArray  # of each body (angular, linear), shape (6, n, T)
+
+    def seen_by(self, body: int, screws: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Screws, shape (6, S, T), in the frame of a body: angular and linear, shape (3, S, T) each."""
+        turn, place = self.rotation[:, :, body, None], self.origin[:, body, None]
+        linear = screws[3:] + cross_product(screws[:3], place)
+        return (turn * screws[:3]).sum(1), (turn * linear).sum(1)
 
 
 def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) -> Kinematics:
     """Kinematics of a model of n revolute joints along a motion: position [rad] and velocity [rad/s], shape (T, n) each."""
     count, bodies = position.shape
-    rotation, origin = np.zeros((count, bodies, 3, 3)), np.zeros((count, bodies, 3))
-    axis, twist = np.zeros((count, bodies, 6)), np.zeros((count, bodies, 6))
+    rotation, origin = np.zeros((3, 3, bodies, count)), np.zeros((3, bodies, count))
+    axis, twist = np.zeros((2, 6, bodies, count))
+    sine, versine = np.sin(position.T), 1.0 - np.cos(position.T)
     for body in range(bodies):
-        parent = int(model.parents[body])
-        turn = np.broadcast_to(np.eye(3), (count, 3, 3)) if parent < 0 else rotation[:, parent]
-        place = model.placement[body]
-        base = turn @ place[:3, :3]
-        origin[:, body] = turn @ place[:3, 3] + (0.0 if parent < 0 else origin[:, parent])
-        cross = _skew(model.axes[body])
-        angle = position[:, body, None, None]
-        rotation[:, body] = base @ (np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
-        direction = base @ model.axes[body]
-        axis[:, body, :3] = direction
-        axis[:, body, 3:] = np.cross(origin[:, body], direction)
-        twist[:, body] = axis[:, body] * velocity[:, body, None] + (0.0 if parent < 0 else twist[:, parent])
+        parent, place, cross = int(model.parents[body]), model.placement[body, :3], _skew(model.axes[body])
+        turn = np.broadcast_to(np.eye(3)[..., None], (3, 3, count)) if parent < 0 else rotation[:, :, parent]
+        columns = place[:, :3] @ np.column_stack([np.eye(3), cross, cross @ cross, model.axes[body]])
+        seen = np.tensordot(np.hstack([columns, place[:, 3:]]), turn, (0, 0))
+        rotation[:, :, body] = seen[:3] + sine[body] * seen[3:6] + versine[body] * seen[6:9]
+        origin[:, body] = seen[10] + (0.0 if parent < 0 else origin[:, parent])
+        axis[:3, body], axis[3:, body] = seen[9], cross_product(origin[:, body], seen[9])
+        twist[:, body] = axis[:, body] * velocity[:, body] + (0.0 if parent < 0 else twist[:, parent])
     return Kinematics(rotation, origin, axis, twist)
 
 
-def momentum_and_gravity(
-    rotation: FloatArray, origin: FloatArray, twist: FloatArray, gravity: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Momentum of one body and gravity's wrench on it, per unit of each of its parameters.
+def momentum_along(angular: FloatArray, linear: FloatArray, spin: FloatArray, speed: FloatArray) -> FloatArray:
+    """Momentum of a body along screws, per unit of each of its parameters: in its own frame that is a product or two.
 
-    ``rotation``: base_R_body, shape (T, 3, 3); ``origin``: of the body's frame [m], shape (T, 3); ``twist``: of the
-    body, shape (T, 6); ``gravity``: [m/s^2], shape (3,).
-
-    Returns:
-        Both (angular, linear) about the base's origin, shape (T, 6, 10).
+    ``angular``, ``linear``: of the screws; ``spin``, ``speed``: of the body; all shape (3, ...). Returns: shape (10, ...).
     """
-    count = len(rotation)
-    back = np.swapaxes(rotation, 1, 2)
-    spin = (back @ twist[:, :3, None])[..., 0]
-    speed = (back @ (twist[:, 3:] + np.cross(twist[:, :3], origin))[..., None])[..., 0]
-    linear, angular = np.zeros((count, 3, 4)), np.zeros((count, 3, PARAMETERS))  # inertia has no linear momentum
-    linear[:, :, 0], linear[:, :, 1:4] = speed, _skew(spin)
-    angular[:, :, 1:4] = -_skew(speed)
-    for column, (row, other) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)], start=4):
-        angular[:, row, column] = spin[:, other]
-        angular[:, other, column] = spin[:, row]
-    momentum, wrench = np.zeros((2, count, 6, PARAMETERS))
-    lever = _skew(origin)
-    momentum[:, 3:, :4] = linear = rotation @ linear
-    momentum[:, :3] = rotation @ angular
-    momentum[:, :3, :4] += lever @ linear
-    wrench[:, :3, 0], wrench[:, 3:, 0] = lever @ gravity, gravity
-    wrench[:, :3, 1:4] = -_skew(gravity) @ rotation
-    return momentum, wrench
+    pairs = [(row, column) for row in range(3) for column in range(row, 3)]
+    inertia = [angular[i] * spin[j] + (angular[j] * spin[i] if i != j else 0.0) for i, j in pairs]
+    first = cross_product(linear, spin) + cross_product(speed, angular)
+    return np.stack([(linear * speed).sum(0), *first, *inertia])
 
 
 def carriers(model: ReducedModel, body: int) -> list[int]:
@@ -107,6 +98,12 @@ def carriers(model: ReducedModel, body: int) -> list[int]:
     return joints
 
 
+def gravity_along(model: ReducedModel, motion: Kinematics, body: int) -> FloatArray:
+    """Gravity's force on a body along each joint that carries it, per unit of its parameters, shape (10, joints, T)."""
+    force, _ = motion.seen_by(body, np.append(model.gravity, np.zeros(3))[:, None, None])
+    return momentum_along(*motion.seen_by(body, motion.axis[:, carriers(model, body)]), 0.0 * force, force)
+
+
 def gravity_torques(model: ReducedModel, position: FloatArray) -> FloatArray:
     """Torque that holds every joint at rest, per unit of every body's parameters.
 
@@ -115,13 +112,8 @@ def gravity_torques(model: ReducedModel, position: FloatArray) -> FloatArray:
     Returns:
         Shape (T, n, n, 10): pose, joint, body, parameter [N m per unit].
     """
-    at_rest = np.zeros_like(position)
-    motion = kinematics(model, position, at_rest)
+    motion = kinematics(model, position, np.zeros_like(position))
     result = np.zeros((*position.shape, position.shape[1], PARAMETERS))
     for body in range(position.shape[1]):
-        _, wrench = momentum_and_gravity(
-            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
-        )
-        for joint in carriers(model, body):
-            result[:, joint, body] = -(motion.axis[:, joint, None] @ wrench)[:, 0]
+        result[:, carriers(model, body), body] = -gravity_along(model, motion, body).T
     return result

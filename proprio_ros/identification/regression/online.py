@@ -37,7 +37,7 @@ from proprio_ros.recordings.motions import LONGEST_GAP_S
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_and_gravity, point_mass
+from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_along, point_mass
 
 WINDOW_S, WINDOW_SAMPLES = 0.1, 10  # Windows are so long, and have so many samples at least.
 SMOOTHED_S, SMOOTHED_SAMPLES = 0.02, 3
@@ -513,11 +513,9 @@ def inertia_matrix(model: ReducedModel, position: FloatArray, terms: FloatArray)
     motion = kinematics(model, np.tile(position, (count, 1)), np.eye(count))
     result = np.diag(terms[PARAMETERS * count :])
     for body, own in enumerate(bodies):
-        momentum, _ = momentum_and_gravity(
-            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
-        )
-        for joint in carriers(model, body):
-            result[joint] += (momentum @ own) @ motion.axis[0, joint]
+        joints = carriers(model, body)
+        of_body = motion.seen_by(body, motion.twist[:, body, None])
+        result[joints] += np.tensordot(own, momentum_along(*motion.seen_by(body, motion.axis[:, joints]), *of_body), 1)
     return result
 
 

@@ -20,14 +20,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.motions import LONGEST_GAP_S, Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel
-from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_and_gravity
+from proprio_ros.robot.regressor import PARAMETERS, carriers, cross_product, gravity_along, kinematics, momentum_along
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,11 @@ class Windows:
         return -self._over(self.slope, values) / period_s
 
     def _over(self, weight: FloatArray, values: FloatArray) -> FloatArray:
-        columns = np.ascontiguousarray(np.moveaxis(values, 0, -1))
-        rows = np.moveaxis(sliding_window_view(columns, len(weight), -1)[..., self.starts, :], -2, 0)
-        return np.dot(np.ascontiguousarray(rows).reshape(-1, len(weight)), weight).reshape(rows.shape[:-1])
+        width, count = len(weight), len(self.starts)
+        samples, rows = self.starts[:, None] + np.arange(width), np.arange(0, width * count + 1, width)
+        matrix = csr_matrix((np.tile(weight, count), samples.ravel(), rows), shape=(count, len(values)))
+        result: FloatArray = (matrix @ values.reshape(len(values), -1)).reshape(count, *values.shape[1:])
+        return result
 
 
 def torque_regressor(
@@ -79,16 +81,14 @@ def torque_regressor(
     motion = kinematics(model, position, velocity)
     result = np.zeros((len(windows.starts), *2 * position.shape[1:], PARAMETERS))
     axes, twists = motion.axis, motion.twist
-    moved = np.cross(twists[..., :3], axes[..., 3:]) + np.cross(twists[..., 3:], axes[..., :3])
-    turning = np.concatenate([np.cross(twists[..., :3], axes[..., :3]), moved], axis=-1)
+    moved = cross_product(twists[:3], axes[3:]) + cross_product(twists[3:], axes[:3])
+    turning = np.concatenate([cross_product(twists[:3], axes[:3]), moved])
     for body in range(since, position.shape[1]):
-        momentum, wrench = momentum_and_gravity(
-            motion.rotation[:, body], motion.origin[:, body], twists[:, body], model.gravity
-        )
-        for joint in carriers(model, body):
-            axis = axes[:, joint, None]
-            rest = (turning[:, joint, None] @ momentum + axis @ wrench)[:, 0]
-            result[:, joint, body] = windows.derivative((axis @ momentum)[:, 0], period_s) - windows.mean(rest)
+        joints = carriers(model, body)
+        own = motion.seen_by(body, twists[:, body, None])
+        along = momentum_along(*motion.seen_by(body, axes[:, joints]), *own)
+        rest = momentum_along(*motion.seen_by(body, turning[:, joints]), *own) + gravity_along(model, motion, body)
+        result[:, joints, body] = windows.derivative(along.T, period_s) - windows.mean(rest.T)
     return result
 
 
