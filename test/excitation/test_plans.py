@@ -45,12 +45,23 @@ def test_the_packages_own_sequences(robot: Robot) -> None:
     hands = {name: load_sequence(name, others.get(name.split("_")[0], robot)).hand for name in sequence_names()}
     assert hands.items() >= {
         "container": "container", "container_shake": "container", "container_until": "container",
+        "contents": "container", "contents_shake": "container",
         "empty_hand": "empty", "paper_elbow": "payload", "paper_gripper": "block", "paper_wrist": "container", "payload": "payload",
     }.items()  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    "name", ["container", "container_shake", "empty_hand", "payload", "paper_elbow", "paper_wrist"]
+    "name",
+    [
+        "container",
+        "container_shake",
+        "contents",
+        "contents_shake",
+        "empty_hand",
+        "payload",
+        "paper_elbow",
+        "paper_wrist",
+    ],
 )
 def test_starts_are_high_and_inside_the_limits(robot: Robot, name: str) -> None:
     for run in load_sequence(name, robot).runs:

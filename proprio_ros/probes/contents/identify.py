@@ -1,9 +1,10 @@
 """From runs with a filled container to what is inside: every model is fitted, and their evidence compared.
 
 The evidence of a model is Laplace's: its fit's probability times the share of the prior that the recording leaves (MacKay 2003,
-Information Theory, Inference and Learning Algorithms, chapter 28). Where even the best model leaves more than the encoder explains,
-residuals count for less, in all models alike. Masses are averaged over what is probable. That something moves is no more probable
-than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)), where it is not even.
+Information Theory, Inference and Learning Algorithms, chapter 28). Where the best model leaves more of the empty container's runs
+than the encoder explains, residuals count for less, in all models alike. Masses are averaged over what is probable. That something
+moves is no more probable than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)),
+where it is not even.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from proprio_ros.robot import Robot
 SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.0
 """Residuals that the robot's model leaves go together within a run: models differ by so many times less than their chi-square."""
-STRETCH = 8  # samples whose residuals go together
+STRETCH = 16  # samples whose residuals go together: about a period of a shake
 STARTS_KG = (0.03, 0.1, 0.3)
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
@@ -60,6 +61,13 @@ def evidence(known: Posterior) -> float:
     fit = float(known.residual @ known.residual) + float(off @ coordinates.prior_precision @ off)
     kept = [np.linalg.slogdet(matrix)[1] for matrix in (coordinates.prior_precision, known.covariance)]
     return 0.5 * (float(sum(kept)) - fit)
+
+
+def left_over(fit: FitResult, rows: np.ndarray) -> float:
+    """Mean square of what is left of the worst of some ``rows``' runs, shape (R,), in that of their encoder."""
+    shown = fit.problem.simulate(fit.values[None], fit.problem.free[:1])[0][0]
+    squares = np.square((shown - fit.problem.measured) * fit.problem.weight).sum(axis=1)
+    return float((squares / np.count_nonzero(fit.problem.weight, axis=1))[rows].max())
 
 
 def surpassed(known: Posterior, other: Posterior) -> float:
@@ -118,7 +126,9 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
-    inflation = ALIKE_RUNS * max(1.0, min(model.opened.reduced_chi2 for model in models))
+    best = min((model.opened for model in models), key=lambda fit: fit.reduced_chi2)
+    inflation = ALIKE_RUNS * (best.reduced_chi2 if all(filled) else left_over(best, ~np.array(filled)))
+    inflation = max(inflation, ALIKE_RUNS)
     known = [Posterior(model.opened.problem, model.opened.values, inflation) for model in models]
     kinds = [law.MODELS[model.model] for model in models]
     # each kind is as likely beforehand
