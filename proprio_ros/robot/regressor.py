@@ -13,6 +13,9 @@ import numpy as np
 from proprio_ros.robot.geometry import FloatArray, inertia_about_origin
 from proprio_ros.robot.tree import ReducedModel
 
+_NEXT, _LAST = np.roll(np.arange(3), -1), np.roll(np.arange(3), 1)
+_ROWS, _COLUMNS = np.triu_indices(3)
+_ONCE = np.where(_ROWS == _COLUMNS, 0.5, 1.0)[:, None, None]
 PARAMETERS = 10  # of a body: m [kg], m c [kg m] (3), I [kg m^2] about the body's origin: xx, xy, xz, yy, yz, zz
 
 
@@ -39,7 +42,7 @@ def _skew(v: FloatArray) -> FloatArray:
 
 def cross_product(a: FloatArray, b: FloatArray) -> FloatArray:
     """Of vectors whose components come first, shape (3, ...)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return a[_NEXT] * b[_LAST] - a[_LAST] * b[_NEXT]
 
 
 @dataclass(frozen=True)
@@ -84,10 +87,9 @@ def momentum_along(angular: FloatArray, linear: FloatArray, spin: FloatArray, sp
 
     ``angular``, ``linear``: of the screws; ``spin``, ``speed``: of the body; all shape (3, ...). Returns: shape (10, ...).
     """
-    pairs = [(row, column) for row in range(3) for column in range(row, 3)]
-    inertia = [angular[i] * spin[j] + (angular[j] * spin[i] if i != j else 0.0) for i, j in pairs]
+    inertia = _ONCE * (angular[_ROWS] * spin[_COLUMNS] + angular[_COLUMNS] * spin[_ROWS])
     first = cross_product(linear, spin) + cross_product(speed, angular)
-    return np.stack([(linear * speed).sum(0), *first, *inertia])
+    return np.concatenate([(linear * speed).sum(0)[None], first, inertia])
 
 
 def carriers(model: ReducedModel, body: int) -> list[int]:

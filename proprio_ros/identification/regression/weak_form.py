@@ -85,10 +85,11 @@ def torque_regressor(
     turning = np.concatenate([cross_product(twists[:3], axes[:3]), moved])
     for body in range(since, position.shape[1]):
         joints = carriers(model, body)
-        own = motion.seen_by(body, twists[:, body, None])
-        along = momentum_along(*motion.seen_by(body, axes[:, joints]), *own)
-        rest = momentum_along(*motion.seen_by(body, turning[:, joints]), *own) + gravity_along(model, motion, body)
-        result[:, joints, body] = windows.derivative(along.T, period_s) - windows.mean(rest.T)
+        screws = np.concatenate([axes[:, joints], turning[:, joints], twists[:, body, None]], axis=1)
+        angular, linear = motion.seen_by(body, screws)
+        momentum = momentum_along(angular[:, :-1], linear[:, :-1], angular[:, -1:], linear[:, -1:]).T
+        mean = windows.mean(momentum[:, len(joints) :] + gravity_along(model, motion, body).T)
+        result[:, joints, body] = windows.derivative(momentum[:, : len(joints)], period_s) - mean
     return result
 
 
