@@ -77,6 +77,11 @@ def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pat
     )
     box = replay([bags / "realistic_s00_container_sphere_12g_joint4_100mA" / "bag_mcap"], options)
     write_report(box, folder / "container.html", command="proprio replay", sources=[LONG_NAME])
+    bottle = bags / "contents_liquid_r35_h30_1mPas"
+    settings = {"contents.radius": 0.035, "contents.height": 0.1, "contents.bottom": [0.015, 0.0, -0.04]}
+    options = Options(probe="contents", baseline=[bottle / f"baseline_{n}" for n in (0, 3)], settings=settings)
+    inside = replay([bottle / f"run_{n}" for n in (0, 3)], options)
+    write_report(inside, folder / "contents.html", command="proprio replay", sources=[LONG_NAME])
     _motion_pages(folder)
     _swing_pages(folder)
     _servo_pages(folder)
@@ -137,7 +142,7 @@ def _servo_pages(folder: Path) -> None:
 
 
 NAMES = ["payload", "softness", "calibration", "container", "motion", "motion_calibration", "choices", "paper"]
-NAMES += ["swing", "swing_calibration", "servo", "servo_calibration"]
+NAMES += ["contents", "swing", "swing_calibration", "servo", "servo_calibration"]
 
 
 @pytest.fixture(scope="module")
