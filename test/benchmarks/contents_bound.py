@@ -33,7 +33,7 @@ BAGS = Path(__file__).resolve().parents[2] / "bags"
 RADII_M, MASSES_KG = (0.02, 0.035, 0.05), (0.05, 0.15, 0.5)
 WATER = 1e-6  # kinematic viscosity [m^2/s]
 SETS = ("pushes", "and shaken")
-SLOWER = 0.7
+FASTER = 1.3
 COLUMNS = {
     "arm": "{arm}", "runs": "{runs}", "radius": "{radius_mm:g} mm", "water": "{g:g} g", "fill": "{fill_mm:.0f} mm",
     "sloshes at": "{hz:.1f} Hz",
@@ -121,8 +121,8 @@ def facts_of(arm: Arm, push: Push, radius: float, fill: float) -> ContentsFacts:
 
 
 def shaken(hz: float) -> float:
-    """Period of a shake for what sloshes so often [s]: slower, so that waves stay small, and of whole cycles of a driver."""
-    return 0.05 * max(round(20.0 / (SLOWER * hz)), 2)
+    """Period of a shake for what sloshes so often [s]: faster, so that waves stay small, and of whole cycles of a driver."""
+    return 0.05 * max(round(20.0 / (FASTER * hz)), 2)
 
 
 def bare(arm: Arm, push: Push, hz: float, current_A: float) -> Run:
