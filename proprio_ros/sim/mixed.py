@@ -58,8 +58,12 @@ class MixedSimulator(Generic[_Special]):
             rows = np.flatnonzero(mine[world_run])
             if len(rows):
                 width = len(part.parameters)
-                results = part.jacobian(self._local[world_run[rows]], p[rows, :width], dp[rows, :width], counts[mine])
-                for whole, own in zip((q, v, dq), results, strict=True):
+                along = dp[rows, :width]
+                # an empty hand has fewer parameters than what moves in another: it is looked at along its own, and then chained
+                chained = part is self.plain and dp.shape[2] > width
+                given = np.tile(np.eye(width), (len(rows), 1, 1)) if chained else along
+                *states, slopes = part.jacobian(self._local[world_run[rows]], p[rows, :width], given, counts[mine])
+                for whole, own in zip((q, v, dq), (*states, slopes @ along if chained else slopes), strict=True):
                     whole[rows, : own.shape[1]] = own
         return q, v, dq
 

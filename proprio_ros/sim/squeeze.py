@@ -31,7 +31,7 @@ from proprio_ros.sim.rollout import rollout
 from proprio_ros.sim.squeeze_kernels import GAP, SQUEEZE_PARAMETERS, SqueezeData, squeeze_law
 
 SQUEEZE_INDEX = {name: row for row, name in enumerate(SQUEEZE_PARAMETERS)}
-_SIZES = (1, 4, 8, 12, 18)
+_SIZES = (1, 4, 8, 18)
 
 
 @dataclass(frozen=True)
