@@ -139,6 +139,7 @@ def _learnt(robot: Robot, empty: Sequence[Motion], known: Sequence[tuple[Motion,
     return replace(robot, motion_calibration=estimate.motion)
 
 
+@once_each()
 def arm_answers(seed: int) -> list[Answer]:
     """One arm's."""
     build = (SIX, FOUR)[seed % 2]
@@ -319,7 +320,8 @@ def bent(bag: Path, folder: Path, effort: float = 1.0, zero_rad: float = 0.0) ->
     return folder
 
 
-def real_swings(real: Path, folder: Path) -> Iterator[Answer]:
+def real_swings(real: Path, folder: Path, every: int = 1) -> Iterator[Answer]:
+    """``every``: which sets of known loads are taken: each, every second."""
     drive = "torque_constant_N_m_per_A: {value: 1.0, std: 0.5}"
     machines = {
         "sts3215_release": pendulum(folder, "sts3215", 0.001, 0.1, drive),
@@ -334,7 +336,7 @@ def real_swings(real: Path, folder: Path) -> Iterator[Answer]:
 
     first, again, other = "sts3215_release", "sts3215_release_again", "sts3250_release"
     sets = [known for count in (2, 3) for known in itertools.combinations(STS_KG, count)]
-    for known in sets:
+    for known in sets[::every]:
         for kg in sorted(set(STS_KG) - set(known)):
             for row, by, asked in (
                 ("real STS3215 let go, another repetition", first, again),
@@ -414,10 +416,10 @@ def real_kuka(real: Path, folder: Path) -> Iterator[Answer]:
 MACHINES = {each.__name__: each for each in (real_swings, real_ur10e, real_kuka)}
 
 
-def real_answers(name: str, recordings: Path, at_most: int | None = None) -> list[Answer]:
+def real_answers(name: str, recordings: Path, at_most: int | None = None, **of_it: int) -> list[Answer]:
     # of a machine each recording is asked of many times
     with tempfile.TemporaryDirectory() as folder, once_each():
-        return list(itertools.islice(MACHINES[name](recordings, Path(folder)), at_most))
+        return list(itertools.islice(MACHINES[name](recordings, Path(folder), **of_it), at_most))
 
 
 # --- the table --------------------------------------------------------------------------------------------------------

@@ -110,18 +110,19 @@ def bound_s(arm: SensingArm, mass_kg: float = 0.1) -> float:
     told = []
     gains = np.array([1.0 - np.exp(-2.0 / arm.rate_Hz / arm.drift_s)]) * arm.drift**2
     keeps = np.exp(-1.0 / arm.rate_Hz / arm.drift_s)
+    settled = arm.drift**2
+    for _ in range(2000):
+        variance = keeps**2 * settled + gains[0]
+        settled = variance * arm.noise**2 / (variance + arm.noise**2)
     for per_kg in weight:
-        variance, answer, information, samples = arm.drift**2, np.zeros(arm.joints), 0.0, 0
-        for sample in range(-2000, 20000):
+        variance, answer, information, samples = settled, np.zeros(arm.joints), 0.0, 0
+        while samples < 20000 and information <= STEP_SIGMAS**2:
             variance = keeps**2 * variance + gains[0]
             spread = variance + arm.noise**2
-            if sample >= 0:
-                innovation = mass_kg * per_kg - keeps * answer
-                answer = keeps * answer + variance / spread * innovation
-                information += float(np.sum(innovation**2 / spread))
-                samples += 1
-                if information > STEP_SIGMAS**2:
-                    break
+            innovation = mass_kg * per_kg - keeps * answer
+            answer = keeps * answer + variance / spread * innovation
+            information += float(np.sum(innovation**2 / spread))
+            samples += 1
             variance = variance * arm.noise**2 / spread
         told.append(samples / arm.rate_Hz)
     return float(np.median(told))

@@ -34,7 +34,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "mistakes": ("--arms", "pushes", "--only", "*alone*, effort, sign of all joints*", "--jobs", "1"),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
-    "running": ("--arms", "1", "--sensing", "1", "--minutes", "0.5"),
+    "running": ("--arms", "1", "--first", "6", "--sensing", "1", "--minutes", "0.5"),
     "servos": ("--servos", "1", "--questions", "1"),
     "simulated": ("weighing", "container", "blocks", "paper", "--robots", "quantised_s00", "--at-most", "1"),
     "so101": ("--arms", "1", "--first", "1", "--seconds", "15"),

@@ -46,9 +46,9 @@ def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [2])
 def test_moduli_within_their_intervals(seed: int) -> None:
-    """Hidden torque constant, friction, armature, delay and encoder error; three squeezes of each of three blocks."""
+    """Hidden torque constant, friction, armature, delay and encoder error; three squeezes of each of two blocks."""
     robot = calibrated(seed)
-    for modulus, ratio in ((8e3, 0.3), (30e3, 0.13), (150e3, 0.4)):
+    for modulus, ratio in ((8e3, 0.3), (150e3, 0.4)):
         block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
         machine, estimate, _ = squeezed(robot, seed, block)
         assert estimate.verdict is Verdict.ACCEPTED, (machine.message, estimate.reasons)

@@ -89,7 +89,7 @@ def test_friction_recordings_with_the_true_friction(recordings: Path) -> None:
     assert all(abs(truth["probe_travel"]) < 0.1 for truth in refused)
 
 
-LONG_LEVELS = [pytest.param(level, marks=pytest.mark.long) for level in ("friction_s00", "realistic_s01", "hard_s00")]
+LONG_LEVELS = [pytest.param(level, marks=pytest.mark.long) for level in ("friction_s00", "hard_s00")]
 
 
 @pytest.mark.long

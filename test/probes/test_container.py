@@ -89,8 +89,7 @@ def test_the_repositorys_own_recordings(realistic: Boxes) -> None:
         # a single run determines it only to about 0.7 g: its torque may differ from run to run, for all that is known
         ("quantised_s00", 0.9, 0.45),
         ("friction_s00", 0.6, 0.6),
-        ("realistic_s00", 2.0, 1.0),
-        ("realistic_s01", 2.0, 1.0),
+        ("realistic_s01", 2.0, 1.0),  # of realistic_s00 are those of the repository
     ],
 )
 def test_every_recording(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.causes import torque_cause
+from proprio_ros.identification.regression.motion_equations import once_each
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.pipeline.calibrate import write_calibration
 from proprio_ros.pipeline.loading import bag_motion, runs_or_motion
@@ -89,6 +91,13 @@ def test_wrapped_angles_are_unwrapped_and_long_gaps_are_said() -> None:
     times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) > 1000, 60_000_000_000, 0)
     with pytest.raises(RecordingError, match="in gaps"):
         motion_of(replace(whole, joints=replace(record, times_ns=times_ns)), joints=["a", "b"])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _equations_once() -> Iterator[None]:
+    """Many ask for the same recordings: their equations depend on nothing else."""
+    with once_each():
+        yield
 
 
 @pytest.fixture(scope="module")
