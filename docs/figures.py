@@ -204,7 +204,15 @@ def _rows() -> list[Row]:
     return [*_simulated(), *_recorded()]
 
 
-IN_README = ("random robots", "closed box", "upright container", "one squeeze", "SO-101", "UR10e in motion", "five real machines")
+IN_README = (
+    "random robots",
+    "closed box",
+    "upright container",
+    "one squeeze",
+    "SO-101",
+    "UR10e in motion",
+    "five real machines",
+)
 """Words of the rows that README has; the validation page has all."""
 
 

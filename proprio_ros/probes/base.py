@@ -81,8 +81,8 @@ class Example:
     help: str
     # truth, lowest, highest: where it is not given, and its range, in the unit of the probe's answer
     truth: float
-    lowest: float
-    highest: float
+    lowest: float = 1e-6
+    highest: float = 2.0
     units: str = "masses are in kg, so 50 g is 0.05"  # what to say about a number outside it
     held: str  # what the virtual hand holds, with ``{truth}`` in it, as `virtual_object` is typed
     # now, was, takes: the sentence when it is in the hand; what the truth is called at the end; how long it takes
@@ -90,7 +90,7 @@ class Example:
     was: str
     takes: str
     sequences: Mapping[str, str] = field(default_factory=dict)  # the identifier's parameters for a short demo
-    reference: bool = False  # whether a weight helps the short calibration
+    reference: bool = True  # whether a weight helps the short calibration
     stated: tuple[str, ...] = ()  # settings that say what the virtual object is, as a user says it of his
 
 

@@ -28,9 +28,8 @@ from proprio_ros.sim.runtime import FLOAT
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
 INTEGRATORS = ("rk4", "semi_implicit")
 _TANGENT_SIZES = (1, 3, 6, 16, 18, 24, 32)
-"""Each is two kernels that a new computer compiles ahead, for a second and more: between 6 and 16 none is worth that.
-
-All 14 parameters go in 16 directions, which fill a processor's vectors: with AVX-512 in two thirds of the time that 14 take."""
+"""Each is two kernels that a new computer compiles ahead, for a second and more: between 6 and 16 none is worth that. All 14
+parameters go in 16 directions, which fill a processor's vectors: with AVX-512 in two thirds of the time that 14 take."""
 
 
 def harmless(parameters: Sequence[str]) -> np.ndarray:

@@ -180,6 +180,7 @@ class Spring(HasBaseline[float]):
         was="the virtual arm's spring was",
         takes="under a minute",
         sequences={"robot_sequence": "empty_hand_elbow"},
+        reference=False,
     )
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> float:

@@ -85,10 +85,7 @@ class _Model:
 
 
 def with_cause(refusal: Refusal, robot: Robot, motions: Sequence[Motion]) -> Refusal:
-    """The refusal of a fit of some motions, with the mistake that explains it as its first reason, where one is found.
-
-    An interval that is too wide may have its cause, too: the mass is withheld then.
-    """
+    """The refusal of a fit of some motions, with the mistake that explains it, where one is found; its mass is withheld then."""
     if refusal.verdict is Verdict.ACCEPTED:
         return refusal
     for motion in motions:

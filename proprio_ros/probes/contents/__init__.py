@@ -65,7 +65,6 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         was="the liquid in the virtual container weighed",
         takes="two minutes",
         sequences={"robot_sequence": "empty_hand_container"},
-        reference=True,
         stated=("contents.radius=0.035", "contents.height=0.1", "contents.bottom=[0.015,0,-0.04]"),
     )
 

@@ -38,6 +38,7 @@ SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.0
 """Residuals that the robot's model leaves go together within a run: models differ by so many times less than their chi-square."""
 STRETCH = 16  # samples whose residuals go together: about a period of a shake
+GIVES_WAY = 2.5  # times what is left of the empty container's runs: held joints give way and leave twice as much
 STARTS_KG = (0.03, 0.1, 0.3)
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
@@ -59,8 +60,8 @@ def evidence(known: Posterior) -> float:
     coordinates = known.problem.coordinates
     off = known.values[known.problem.free] - coordinates.prior_mean
     fit = float(known.residual @ known.residual) + float(off @ coordinates.prior_precision @ off)
-    kept = [np.linalg.slogdet(matrix)[1] for matrix in (coordinates.prior_precision, known.covariance)]
-    return 0.5 * (float(sum(kept)) - fit)
+    kept = sum(np.linalg.slogdet(matrix)[1] for matrix in (coordinates.prior_precision, known.covariance))
+    return 0.5 * (float(kept) - fit)
 
 
 def left_over(fit: FitResult, rows: np.ndarray) -> float:
@@ -126,18 +127,19 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
-    best = min((model.opened for model in models), key=lambda fit: fit.reduced_chi2)
-    inflation = ALIKE_RUNS * (best.reduced_chi2 if all(filled) else left_over(best, ~np.array(filled)))
-    inflation = max(inflation, ALIKE_RUNS)
+    best, rows = min((model.opened for model in models), key=lambda fit: fit.reduced_chi2), np.array(filled)
+    inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best, ~rows))
     known = [Posterior(model.opened.problem, model.opened.values, inflation) for model in models]
     kinds = [law.MODELS[model.model] for model in models]
     # each kind is as likely beforehand
     logs = np.array([evidence(each) - np.log(kinds.count(kind)) for each, kind in zip(known, kinds, strict=True)])
     moves = np.isin(kinds, MOVING)
     rigid, moving = (int(np.argmax(np.where(side, logs, -np.inf))) for side in (np.isin(kinds, "rigid"), moves))
-    # what no rigid thing explains may move otherwise than any of these models
-    open_yet = 0.0 if models[rigid].opened.explains else 0.5
-    weight = weighted(logs, moves, surpassed(known[rigid], known[moving]), open_yet)
+    # what no rigid thing explains may move otherwise than any of these models, or be heavy and make held joints give way
+    as_rigid = models[rigid].opened
+    at_least = GIVES_WAY * max(1.0, 1.0 if rows.all() else left_over(as_rigid, ~rows))
+    most = surpassed(known[rigid], known[moving]) if left_over(as_rigid, rows) > at_least else 0.9
+    weight = weighted(logs, moves, most, 0.0 if as_rigid.explains else 0.5)
     first = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight, facts).estimate()
 

@@ -60,15 +60,12 @@ class Payload(
     example = base.Example(
         help="of the object in the virtual hand",
         truth=0.05,
-        lowest=1e-6,
-        highest=2.0,
         held="{truth:g}",
         now="now something is in its hand",
         was="the virtual hand held",
         takes="under a minute",
         sequences={"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"},
         stated=("payload.com=[0,0,0]",),
-        reference=True,
     )
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> PayloadJob:
