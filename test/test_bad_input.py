@@ -42,7 +42,7 @@ DEEP = "[" * 15_000
 BOMB = "a0: &a0 [1, 1, 1]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 12))
 MERGED = "a0: &a0 {k: 1}\n" + "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 10)}]}}\n" for n in range(1, 12))
 LONGEST_CPU_S = 300
-"""Of a thousand mistakes, which take 20 to 40 s."""
+"""Of hundreds of mistakes, which take 10 to 20 s."""
 NUMBERED = "extends: open_manipulator_x\njoints: {1: {}, joint1: {}}\n"
 
 
@@ -448,7 +448,7 @@ def test_metadata_that_stands_for_gigabytes(tmp_path: Path) -> None:
         read(folder)
 
 
-# --- a thousand mistakes ---------------------------------------------------------------------------------------------
+# --- hundreds of mistakes --------------------------------------------------------------------------------------------
 
 GROSS: list[Any] = [None, True, "", "text", "1e5", [], {}, [1], 10**400, -(10**400), 1e300, -1e300]
 
@@ -558,15 +558,13 @@ def check_one(good: Path, folder: Path, seed: int, printed: Callable[[], Any]) -
 
 
 @pytest.mark.long
-def test_a_thousand_mistakes(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hundreds_of_mistakes(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No traceback, one line, and nothing accepted that misses the truth by three standard deviations.
 
     In a process of its own: counting calls would take most of the time, and so the kernel ends it where one hangs.
     """
 
-    @settings(
-        max_examples=1000, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck)
-    )
+    @settings(max_examples=500, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(seed=st.integers(0, 10**9))
     def one_of_them(seed: int) -> None:
         said.write_text(f"seed {seed} has not ended after {LONGEST_CPU_S} s of all of them")
