@@ -78,7 +78,7 @@ def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
 
 RATES_HZ = (100.0, 200.0, 500.0)
 MASSES_KG = (0.1, 0.2, 0.5, 1.0, 2.0)
-STAYS_S, SOON_S = 5.0, 0.5
+SOON_S = 0.5
 ELSEWHERE_RAD = 0.8
 
 
@@ -135,7 +135,7 @@ def moving_s(motion: Motion, since_s: float, until_s: float) -> float:
     return float(np.mean(speed[inside] > 0.1) * (until_s - since_s))
 
 
-def sense(seed: int, minutes: float) -> Sensed:
+def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
     """One arm, from calibration to the end of its minutes."""
     shown, joints, rate_Hz = Sensed(), 6 + seed % 2, RATES_HZ[seed % len(RATES_HZ)]
     with tempfile.TemporaryDirectory() as name:
@@ -148,11 +148,11 @@ def sense(seed: int, minutes: float) -> Sensed:
         begun_s, cpu_s, told_s = 0.0, 0.0, 0.0
         loads = [arm.load(mass) for mass in MASSES_KG * 2]
         schedule = [
-            (STAYS_S * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None) for n in range(20)
+            (stays_s * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None) for n in range(20)
         ]
-        rest_s = max(60.0 * minutes - STAYS_S * 22 - 30.0, 20.0)
+        rest_s = max(60.0 * minutes - stays_s * 22 - 30.0, 20.0)
         parts = [
-            (arm.work(STAYS_S * 22, schedule), schedule, shown.later),
+            (arm.work(stays_s * 22, schedule), schedule, shown.later),
             (arm.work(0.5 * rest_s), [], shown.later),
             (arm.work(0.5 * rest_s, [(0.0, one := arm.load(1.0))]), [(0.0, one)], shown.later),
             (arm.work(30.0, [(0.0, one)], elsewhere=ELSEWHERE_RAD), [(0.0, one)], shown.elsewhere),
@@ -244,7 +244,7 @@ def sensing(results: Results, options: Namespace) -> None:
     every = []
     for seed in range(options.first, options.first + options.sensing):
         with threadpool_limits(1, user_api="blas"):
-            every.append(sense(seed, options.minutes))
+            every.append(sense(seed, options.minutes, options.stays))
         name = f"{seed}, {6 + seed % 2} joints, {RATES_HZ[seed % len(RATES_HZ)]:.0f} Hz"
         results.row("sensing", arm=name, **sensed_figures(every[-1]))
     whole = together(every)
@@ -270,6 +270,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=1, help="seed of the first arm")
     parser.add_argument("--sensing", type=int, default=12, help="arms with torque sensing")
     parser.add_argument("--minutes", type=float, default=5.0, help="that each of them works")
+    parser.add_argument("--stays", type=float, default=5.0, help="how long each holds something, and nothing [s]")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     if options.sensing:

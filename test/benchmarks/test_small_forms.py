@@ -14,7 +14,7 @@ from results import REPOSITORY
 
 SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
-    "at_rest": ("--arms", "1", "--first", "2", "--masses", "0.3", "--seconds", "20"),
+    "at_rest": ("--arms", "1", "--first", "2", "--masses", "0.3", "--seconds", "10"),
     "between_recordings": ("--arms=0", "--servos=0", "--pendulums=1", "--first=400", "--jobs=1", "--real"),
     "block_until": ("--robots", "1", "--at-most", "12", "--jobs", "1"),
     "container_until": (
@@ -29,15 +29,15 @@ SMALL: dict[str, tuple[str, ...]] = {
     "coverage": ("--robots", "1", "--per-effect", "0", "--jobs", "1"),
     "distorted": ("--only", "every fourth sample"),
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
-    "early_end": ("--robots", "1", "--masses", "0.05", "--jobs", "1"),
+    "early_end": ("--robots", "1", "--masses", "0.05", "--at-most", "20", "--jobs", "1"),
     "free_swings": ("--arms", "1", "--first", "10"),
     "mistakes": ("--arms", "pushes", "--only", "*alone*, effort, sign of all joints*", "--jobs", "1"),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
-    "running": ("--arms", "1", "--first", "6", "--sensing", "1", "--minutes", "0.5"),
+    "running": ("--arms", "1", "--first", "6", "--sensing", "1", "--minutes", "0.5", "--stays", "2"),
     "servos": ("--servos", "1", "--questions", "1"),
     "simulated": ("weighing", "container", "blocks", "paper", "--robots", "quantised_s00", "--at-most", "1"),
-    "so101": ("--arms", "1", "--first", "1", "--seconds", "15"),
+    "so101": ("--arms", "1", "--first", "1", "--seconds", "10"),
     "spheres": ("--robots", "1", "--jobs", "1"),
     "squeezes": ("--robots", "1"),
     "swings": ("--pendulums", "1"),

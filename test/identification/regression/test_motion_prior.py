@@ -14,6 +14,7 @@ from proprio_ros.identification.regression.motion_estimate import calibrate_moti
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.identification.regression.solve import Prior, correlated_windows, posterior
 from proprio_ros.probes.payload.moving import identify_in_motion
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -56,6 +57,14 @@ def robots(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Robot]:
     }
 
 
+@pytest.fixture(scope="module")
+def recorded() -> tuple[Motion, Motion]:
+    """Of an arm of six joints with something in its hand, and empty."""
+    arm = Twin(11, SIX)
+    loaded = arm.record("loaded", 15.0, arm.payload(np.random.default_rng(11)))
+    return loaded, arm.record("empty", 20.0)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("calibrated", [True, False])
 @pytest.mark.parametrize(
@@ -68,13 +77,12 @@ def robots(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Robot]:
     ],
 )
 def test_torques_in_another_unit_than_the_empty_ones_are_no_payload(
-    robots: dict[int, Robot], calibrated: bool, torque: str, codes: list[str]
+    robots: dict[int, Robot], recorded: tuple[Motion, Motion], calibrated: bool, torque: str, codes: list[str]
 ) -> None:
-    robot, arm = robots[6], Twin(11, SIX)
-    loaded = arm.record("loaded", 15.0, arm.payload(np.random.default_rng(11)))
+    robot, (loaded, empty) = robots[6], recorded
     factor = np.full(6, {"8 tenths": 0.8, "12 tenths": 1.2}.get(torque, 1.0))
     factor[1] *= 0.7 if torque == "one joint" else 1.0
-    loaded, empty = replace(loaded, current_A=loaded.current_A * factor), arm.record("empty", 20.0)
+    loaded = replace(loaded, current_A=loaded.current_A * factor)
     if calibrated:
         estimate = identify_in_motion(
             replace(robot, motion_calibration=fit_empty(robot, [empty])), [loaded], [], PayloadFacts()
