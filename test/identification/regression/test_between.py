@@ -108,7 +108,7 @@ def mostly_hold(answers: list[Answer], within: float = 4.0) -> None:
 @pytest.mark.long
 def test_arms_whose_recordings_differ() -> None:
     pytest.importorskip("mujoco")
-    answers = [answer for seed in (400, 401, 402, 403) for answer in arm_answers(seed)]
+    answers = [answer for seed in (400, 401) for answer in arm_answers(seed)]
     mostly_hold(answers, 4.5)
     assert np.mean([answer.given for answer in answers]) > 0.6
 
