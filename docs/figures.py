@@ -207,7 +207,6 @@ def _rows() -> list[Row]:
 IN_README = (
     "random robots",
     "closed box",
-    "upright container",
     "one squeeze",
     "SO-101",
     "UR10e in motion",
