@@ -117,13 +117,10 @@ def judged(results: Results, found: Sequence[Answer]) -> None:
             "within 3 g or 3 %": "{near}",
             "rms error, g": "{rms:.1f}",
             "median half interval, g": "{half:.1f}",
-            "rigid or moving said": "{said}",
-            "right": "{right}",
-            "kind said": "{kind_said}",
-            "right ": "{kind_right}",
-            "fill asked (h < R)": "{fills}",
-            "answered": "{fill_answered}",
-            "within 10 % of the height": "{fill_near}",
+            "rigid or moving right, of those said": "{right} of {said}",
+            "kind": "{kind_right} of {kind_said}",
+            "fill told (h < R)": "{fill_answered} of {fills}",
+            "within 10 %": "{fill_near}",
         },
     )
     for kind in (*KINDS, "all"):

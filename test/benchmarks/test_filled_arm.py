@@ -14,7 +14,7 @@ if shutil.which("gcc") is None:
     pytest.skip("needs gcc", allow_module_level=True)
 
 from filled_arm import CONTAINERS, EXCHANGE_S, PUSHES, Case, Filled, filled, probe_of
-from random_arm import JOINTS, HiddenRobot, simulate
+from random_arm import JOINTS, STEP_S, HiddenRobot, simulate
 from support.contents import Cylinder, Grains, Liquid, sloshing, theory_hz
 
 CYLINDER, FILL_M = Cylinder(0.035, 0.1), 0.06
@@ -147,5 +147,7 @@ def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
             ]
             for load in loads
         )
-        assert np.abs(coupled - one).max() < 0.02 * np.abs(still - one).max()
+        # when it is caught, each is caught where its own weight is held: that is no part of the push
+        driven = slice(round(probe.duration_s / STEP_S))
+        assert np.abs((coupled - one)[driven]).max() < 0.02 * np.abs((still - one)[driven]).max()
     assert CONTAINERS[1].mass == empty.mass
