@@ -15,10 +15,15 @@ if shutil.which("gcc") is None:
 
 from filled_arm import CONTAINERS, EXCHANGE_S, PUSHES, Case, Filled, filled, probe_of
 from random_arm import JOINTS, STEP_S, HiddenRobot, simulate
-from support.contents import Cylinder, Grains, Liquid, sloshing, theory_hz
+from support.contents import Cylinder, Grains, Liquid, library, sloshing, theory_hz
 
 CYLINDER, FILL_M = Cylinder(0.035, 0.1), 0.06
 NONE, DOWN = np.zeros(3), np.array([0.0, 0.0, -9.81])
+
+
+def test_whoever_loads_it_keeps_subnormal_numbers() -> None:
+    library()
+    assert np.float64(5e-324) * np.float64(1.0) > 0.0
 
 
 @pytest.mark.long
