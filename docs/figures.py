@@ -146,7 +146,6 @@ def _simulated() -> list[Row]:
         f"the same, three squeezes by {rows[0]['asked']} random grippers", f"rms {_span([r['rms'] for r in rows], 1)} %",
         f"{sum(row['hold'] for row in rows)} of {sum(row['answered'] for row in rows)}", "soft-blocks",
     ))  # fmt: skip
-    arms = numbers("so101", "so101", held="all")
     inside = numbers("contents", "contents", kind="all")
     refused = inside["recordings"] - inside["answered"]
     found.append((
@@ -154,6 +153,7 @@ def _simulated() -> list[Row]:
         f"mass: rms {inside['rms']:.1f} g; rigid or moving said {inside['said']} times, right {inside['right']}",
         f"{_all(inside['hold'], inside['answered'])}; {refused} refused", "what-is-in-a-container",
     ))  # fmt: skip
+    arms = numbers("so101", "so101", held="all")
     found.append((
         "ten simulated SO-101 that record goals and positions alone, 30 Hz; nothing to 200 g",
         f"rms {arms['rms']:.1f} g, worst {arms['worst']:.1f} g",
@@ -204,14 +204,7 @@ def _rows() -> list[Row]:
     return [*_simulated(), *_recorded()]
 
 
-IN_README = (
-    "random robots",
-    "closed box",
-    "one squeeze",
-    "SO-101",
-    "UR10e in motion",
-    "five real machines",
-)
+IN_README = ("random robots", "closed box", "one squeeze", "SO-101", "UR10e in motion", "five real machines")
 """Words of the rows that README has; the validation page has all."""
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from results import Results, parser_of
+from support.contents import shake_period_s
 
 from proprio_ros.identification import solvers
 from proprio_ros.identification.posterior import Posterior
@@ -33,7 +34,6 @@ BAGS = Path(__file__).resolve().parents[2] / "bags"
 RADII_M, MASSES_KG = (0.02, 0.035, 0.05), (0.05, 0.15, 0.5)
 WATER = 1e-6  # kinematic viscosity [m^2/s]
 SETS = ("pushes", "and shaken")
-FASTER = 1.3
 COLUMNS = {
     "arm": "{arm}", "runs": "{runs}", "radius": "{radius_mm:g} mm", "water": "{g:g} g", "fill": "{fill_mm:.0f} mm",
     "sloshes at": "{hz:.1f} Hz",
@@ -120,14 +120,9 @@ def facts_of(arm: Arm, push: Push, radius: float, fill: float) -> ContentsFacts:
     return ContentsFacts(radius, max(1.5 * fill, 0.08), bottom, turned)
 
 
-def shaken(hz: float) -> float:
-    """Period of a shake for what sloshes so often [s]: faster, so that waves stay small, and of whole cycles of a driver."""
-    return 0.05 * max(round(20.0 / (FASTER * hz)), 2)
-
-
 def bare(arm: Arm, push: Push, hz: float, current_A: float) -> Run:
     """A run whose positions are still to come."""
-    half = 0.5 * shaken(hz) if push.shake_A else push.duration_s
+    half = 0.5 * shake_period_s(hz) if push.shake_A else push.duration_s
     switches = np.arange(0.0, push.duration_s - 1e-9, half)
     currents = current_A + push.shake_A * np.where(np.arange(len(switches)) % 2, -1.0, 1.0)
     times_s = np.arange(1, int(push.duration_s * arm.rate)) / arm.rate
@@ -152,7 +147,7 @@ def truth_of(problem: ContentsProblem, kg: float, fill: float, facts: ContentsFa
 def driven(arm: Arm, push: Push, facts: ContentsFacts, kg: float, fill: float) -> PreparedRun | None:
     """The push with the current that moves the contents as far as it says; None where 10 A do not."""
     hz = float(np.sqrt(Slosh.of(facts.radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
-    low, high, period_s = -10.0, 10.0, shaken(hz) if push.shake_A else 1e-3
+    low, high, period_s = -10.0, 10.0, shake_period_s(hz) if push.shake_A else 1e-3
     for _ in range(22):
         current = 0.5 * (low + high)
         run = prepare_run(arm.robot, bare(arm, push, hz, current), None, facts.shell)

@@ -33,7 +33,7 @@ from random_arm import (
     record,
     simulate,
 )
-from support.contents import Contents, Cylinder, Grains, Liquid, sloshing, theory_hz
+from support.contents import Contents, Cylinder, Grains, Liquid, shake_period_s, sloshing, theory_hz
 from support.recording_bag import write_recording
 
 EXCHANGE_S = 0.002
@@ -235,10 +235,6 @@ PUSHES = (
 """The container stands upright at each start."""
 
 
-FASTER = 1.3
-"""Than the contents slosh: waves stay small. Slower shakes show more of a liquid, and as much of how held joints give way."""
-
-
 def probe_of(push: Push, hidden: HiddenRobot, load: Load, shake: tuple[float, float] = (0.0, 1.0)) -> Probe:
     """The run, with the current that a person finds by trying."""
     start = {**dict(zip(JOINTS, (0.0, *push.start), strict=True)), GRIPPER: 0.0}
@@ -281,8 +277,7 @@ def recorded(folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, 
     runs, bare = {}, filled(Case("nothing", case.container))
     hz = theory_hz(container.radius, max(case.fill, 0.02))
     for n, push in enumerate(PUSHES):
-        # whole cycles of the driver: a switch amid one is not as it is recorded
-        shake = (push.shake_A, 0.05 * round(20.0 / (FASTER * hz))) if push.shake_A else (0.0, 1.0)
+        shake = (push.shake_A, shake_period_s(hz)) if push.shake_A else (0.0, 1.0)
         for kind, held in (("baseline", bare), ("run", load)):
             probe = probe_of(push, hidden, filled(case, moving=False) if kind == "run" else bare, shake)
             runs[f"{kind}_{n}"] = write(f"{kind}_{n}", probe, held, shake, AFTER_S)

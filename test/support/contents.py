@@ -23,6 +23,7 @@ FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-c")
 GRAVITY = 9.81
 KG_M3 = 1000.0
 GRAIN_STEP_S = 5e-5
+FASTER = 1.3  # than the contents slosh
 
 
 @dataclass(frozen=True)
@@ -200,6 +201,14 @@ def theory_hz(radius: float, fill: float) -> float:
     """First sloshing mode of a perfect liquid in an upright cylinder (Lamb, Hydrodynamics, 191)."""
     k = 1.8412 / radius
     return float(np.sqrt(GRAVITY * k * np.tanh(k * fill)) / (2.0 * np.pi))
+
+
+def shake_period_s(hz: float) -> float:
+    """Of a shake for what sloshes so often: waves stay small, and half of it is whole cycles of a driver of 40 Hz.
+
+    Slower shakes show more of a liquid, and as much of how held joints give way.
+    """
+    return 0.05 * round(20.0 / (FASTER * hz))
 
 
 def ring(contents: Contents, centre: Callable[[], float], seconds: float, step_s: float) -> tuple[Array, Array]:

@@ -227,8 +227,8 @@ def equations(
     constants = np.array([robot.drive_trains[name].torque_constant.value for name in names])
     of_arm = (names, model.parents, model.placement, model.axes, model.gravity, arm.body, arm.from_payload, constants)
     of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
-    key = hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
     made = {} if (within := _made.get()) is None else within
+    key = b"" if within is None else hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
     rows = made[key] = made.get(key) or _of_motion(arm, motion, constants, by_zeros)
     if not len(rows.joint):
         raise TooLittleMotion(f"{motion.name}: no joint moves for long enough without a pause or a gap")

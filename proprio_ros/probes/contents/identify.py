@@ -34,7 +34,7 @@ from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-SURE = 0.95  # probability from which on a kind is said
+SURE, UNTOLD = 0.95, 0.9  # probability from which on a kind is said, and motion's at most where held joints may be all
 ALIKE_RUNS = 2.0
 """Residuals that the robot's model leaves go together within a run: models differ by so many times less than their chi-square."""
 STRETCH = 16  # samples whose residuals go together: about a period of a shake
@@ -64,11 +64,11 @@ def evidence(known: Posterior) -> float:
     return 0.5 * (float(kept) - fit)
 
 
-def left_over(fit: FitResult, rows: np.ndarray) -> float:
-    """Mean square of what is left of the worst of some ``rows``' runs, shape (R,), in that of their encoder."""
+def left_over(fit: FitResult) -> np.ndarray:
+    """Mean square of what is left of each run, in that of its encoder, shape (R,)."""
     shown = fit.problem.simulate(fit.values[None], fit.problem.free[:1])[0][0]
     squares = np.square((shown - fit.problem.measured) * fit.problem.weight).sum(axis=1)
-    return float((squares / np.count_nonzero(fit.problem.weight, axis=1))[rows].max())
+    return np.asarray(squares / np.count_nonzero(fit.problem.weight, axis=1))
 
 
 def surpassed(known: Posterior, other: Posterior) -> float:
@@ -128,7 +128,7 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
     best, rows = min((model.opened for model in models), key=lambda fit: fit.reduced_chi2), np.array(filled)
-    inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best, ~rows))
+    inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best)[~rows].max())
     known = [Posterior(model.opened.problem, model.opened.values, inflation) for model in models]
     kinds = [law.MODELS[model.model] for model in models]
     # each kind is as likely beforehand
@@ -136,9 +136,9 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     moves = np.isin(kinds, MOVING)
     rigid, moving = (int(np.argmax(np.where(side, logs, -np.inf))) for side in (np.isin(kinds, "rigid"), moves))
     # what no rigid thing explains may move otherwise than any of these models, or be heavy and make held joints give way
-    as_rigid = models[rigid].opened
-    at_least = GIVES_WAY * max(1.0, 1.0 if rows.all() else left_over(as_rigid, ~rows))
-    most = surpassed(known[rigid], known[moving]) if left_over(as_rigid, rows) > at_least else 0.9
+    left = left_over(as_rigid := models[rigid].opened)
+    tells = left[rows].max() > GIVES_WAY * left[~rows].max(initial=1.0)
+    most = surpassed(known[rigid], known[moving]) if tells else UNTOLD
     weight = weighted(logs, moves, most, 0.0 if as_rigid.explains else 0.5)
     first = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight, facts).estimate()
