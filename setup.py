@@ -71,6 +71,7 @@ setup(
             "pandas",
             "jsonschema>=4",
             "pytest>=7",
+            "pytest-xdist>=3",
             "greenlet",
             "hypothesis",
             "ruff",

@@ -11,7 +11,7 @@ from support.domains import free_domain, given_back
 # rclpy reads these when it is first imported. Without the field check, a wrong scalar type is published as garbage.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-if "ROS_DOMAIN_ID" not in os.environ:
+if "ROS_DOMAIN_ID" not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:  # which inherits that of who started it
     os.environ["ROS_DOMAIN_ID"] = free_domain()
 
 # as the command line does: threads for matrices of a hundred unknowns only wait for each other

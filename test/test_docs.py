@@ -22,7 +22,7 @@ PAGES = sorted((REPOSITORY / "docs" / "pages").glob("*.md"))
 TEXTS = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "bags" / "README.md", *PAGES]
 COMMANDS = (
     "python3 -m venv .venv && .venv/bin/pip install -e '.[ros,sim,test]' && .venv/bin/proprio demo",
-    "python3 -m venv .venv && .venv/bin/pip install -e '.[ros,sim,test]' && .venv/bin/python -m pytest",
+    "python3 -m venv .venv && .venv/bin/pip install -e '.[ros,sim,test]' && .venv/bin/python -m pytest -n 2 --dist loadfile",
 )
 CURRENT = """
 import sys; sys.path.insert(0, "docs")

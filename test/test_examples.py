@@ -16,6 +16,7 @@ TRUTH = {
     # a cube of mu 20 and lambda 7 kPa: E = mu (3 lambda + 2 mu) / (lambda + mu)
     "softness": ("block", "youngs_modulus", 20e3 * (3 * 7 + 2 * 20) / (7 + 20), 6e3),
 }
+SLOW = {"contents"}
 
 
 def test_there_is_one_per_probe() -> None:
@@ -24,7 +25,9 @@ def test_there_is_one_per_probe() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == set(TRUTH) == set(PROBES)
 
 
-@pytest.mark.parametrize("probe", sorted(TRUTH))
+@pytest.mark.parametrize(
+    "probe", [*sorted(TRUTH.keys() - SLOW), *(pytest.param(x, marks=pytest.mark.long) for x in SLOW)]
+)
 def test_example(probe: str) -> None:
     path = EXAMPLES / f"{probe}.py"
     cells = path.read_text().count("\n# %% ")

@@ -128,6 +128,7 @@ class InMujoco(Filled):
         return np.zeros(4)
 
 
+@pytest.mark.long
 def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
     """A bob on a spring, a quarter of the load, coupled step by step and solved by MuJoCo as one; frozen, it moves otherwise."""
     empty, bob = filled(Case("nothing", 1)), Bob()

@@ -18,7 +18,7 @@ from support.schedules import FAULTY, KINDS, PLANS, calibrated, drawn
 SCHEDULES = Path(__file__).resolve().parents[1] / "support" / "schedules.py"
 PLAYED, BLOCKS = range(1000), 2
 """The blocks are parts of the same size, so that two workers may play them, a process each."""
-FEW = [seed for seed in range(1000, 1040) if drawn(seed).plan == "push"][:16]
+FEW = [seed for seed in range(1000, 1040) if drawn(seed).plan == "push"][:10]
 """Without ``--long``."""
 FAILED = (20130, 37, 100626, 150837, 200652)
 """Schedules after which something was not true once: a disk is full; messages are doubled while an encoder slips; the clock is
