@@ -11,7 +11,8 @@ from proprio_ros.identification.calibration_estimate import HeldOutRun
 from proprio_ros.identification.estimate import RunFit, UnknownRow
 from proprio_ros.kinds import KINDS, label_of
 from proprio_ros.quantity import Z95
-from proprio_ros.report.figures import ACCENT, INK, MUTED, PALE, SIMULATED, drawn, plain, svg
+from proprio_ros.records import TORQUE_OFF
+from proprio_ros.report.figures import ACCENT, INK, MUTED, PALE, SIMULATED, TIME, drawn, plain, svg
 
 TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck")
 OF_MOTIONS = ("torque_share", "coulomb", "viscous", "load_friction", "armature", "offset")
@@ -29,21 +30,21 @@ def joints_of(unknowns: tuple[UnknownRow, ...], of_runs: bool = False) -> list[s
 
 
 def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
-    """Every term of every joint: what the file said (pale), and what the runs say now (dark), 95 % each; a ``Figure``."""
+    """Every term of every joint: what the file said (pale), and what the runs say now (strong), 95 % each; a ``Figure``."""
     rows = {row.key: row for row in unknowns}
     joints = joints_of(unknowns)
     terms = TERMS if ("torque_constant", joints[0]) in rows else OF_MOTIONS
     with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (figure, axes):
         for axis, term in zip(axes.ravel(), terms, strict=True):
+            least = -np.inf if term in ANY_SIGN else 0.0
             for place, joint in enumerate(joints[::-1]):
-                row = rows.get((term, joint))
-                if row is None:
+                if (row := rows.get((term, joint))) is None:
                     continue
                 before, now = (row.prior, row.prior_std, 0.62, PALE), (row.value, row.std, 0.26, ACCENT)
                 for value, std, height, color in (before, now):
-                    low = value - Z95 * std if term in ANY_SIGN else max(value - Z95 * std, 0.0)
+                    low = max(value - Z95 * std, least)
                     axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
-                axis.plot(row.value, place, "|", color=INK, markersize=9, markeredgewidth=1.6)
+                axis.plot(max(row.value, least), place, "|", color=INK, markersize=9, markeredgewidth=1.6)
             axis.set_yticks(range(len(joints)), [plain(_short(joint, 32)) for joint in joints[::-1]])
             axis.set_title(f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})", fontsize=9.5, loc="left")
             axis.grid(axis="y", visible=False)
@@ -93,7 +94,7 @@ def residuals_figure(fits: tuple[RunFit, ...]) -> str:
             for left_out in fit.left_out_times_s:
                 axis.axvline(left_out, color=MUTED, linewidth=0.8, linestyle=":")
             axis.set_title(plain(_short(fit.name, 32)), fontsize=7.5, loc="left")
-        figure.supxlabel("time after the current came on (s)", fontsize=9.5)
+        figure.supxlabel(TIME[fits[0].source == TORQUE_OFF], fontsize=9.5)
         figure.supylabel("residual (mrad)", fontsize=9.5)
         return svg(figure, "Residuals of every run over time, with two standard deviations")
 

@@ -30,12 +30,9 @@ def write_calibration_report(
     if figures.joints_of(estimate.unknowns):
         parts += plotted(
             "The drive train",
-            svg(
-                figures.draw_drive_trains(estimate.unknowns),
-                "Drive-train terms of every joint with 95 % intervals, before and after",
-            ),
-            "Pale: the 95 % interval of the robot file, cut where it is far wider. Dark: what the recordings leave of it. A dark "
-            "bar as long as the pale one was not learnt.",
+            svg(figures.draw_drive_trains(estimate.unknowns), "Drive-train terms of every joint, before and after"),
+            "Pale: the 95 % interval of the robot file, cut where it is far wider. Strong: what the recordings leave of it. "
+            "A strong bar as long as the pale one was not learnt.",
         )
     parts += _noise(estimate)
     if estimate.run_fits:

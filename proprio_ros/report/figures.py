@@ -11,8 +11,10 @@ from html import escape
 from typing import Any
 
 from proprio_ros.identification.estimate import JointFit, RunFit
+from proprio_ros.records import TORQUE_OFF
 
 INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d1495b", "#2a7f9e"
+TIME = {False: "time after the current came on (s)", True: "time after it was let go (s)"}
 LINE, PALE, INSIDE = "#e4e8ee", "#dbe2ea", "#f4f6f9"
 _THEME = {INK: "ink", MUTED: "muted", SIMULATED: "red", ACCENT: "accent", LINE: "line", PALE: "pale", INSIDE: "inside"}
 """Colours of a figure, and the page's own that take their place, which follow the reader's colour scheme."""
@@ -133,4 +135,4 @@ def _draw_run(above: Any, below: Any, fit: RunFit) -> None:
     below.axhline(0.0, color=MUTED, linewidth=0.8)
     below.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=3.0, linewidth=0.8)
     below.set_ylabel("residual (mrad)")
-    below.set_xlabel("time after the current came on (s); band: two standard deviations of the encoder")
+    below.set_xlabel(f"{TIME[fit.source == TORQUE_OFF]}; band: two standard deviations of the encoder")

@@ -25,7 +25,7 @@ def arm_and_payload(views: Sequence[HeldView]) -> list[str]:
     """The arm with what it held, and closer."""
     if not views:
         return []
-    about = "Dark: the arm where the hand is farthest out, with a ring where the object is attached; faint: at other instants."
+    about = "Strong: the arm where the hand is farthest out, with a ring where the object is attached; faint: at other instants."
     pictures = "".join(framed(held_figure(view, len(views) == 1), view.side.capitalize()) for view in views)
     if views[0].centre is not None:
         interval = "" if views[0].within is None else "; dashed: its 95 % interval"
@@ -61,7 +61,7 @@ def what_told(fits: Sequence[JointFit]) -> list[str]:
     if not fits:
         return []
     about = (
-        "Shares of what is known of the mass, the darker the more: the square of the torque that a kilogram makes there, over "
+        "Shares of what is known of the mass, the stronger the more: the square of the torque that a kilogram makes there, over "
         "that of what stays unexplained of the joint's torque."
     )
     most = max(float(fit.told.max(initial=0.0)) for fit in fits) or 1.0

@@ -12,9 +12,9 @@ from proprio_ros.identification.fit import source_label
 from proprio_ros.quantity import Z95, shown, shown_unit, spec_for
 from proprio_ros.records import TORQUE_OFF
 from proprio_ros.report.chart import Axis, Panel, Series, chart
+from proprio_ros.report.figures import TIME
 from proprio_ros.report.html import bars, percent
 
-TIME, RELEASED = "time after the current came on (s)", "time after it was let go (s)"
 SHOWN_SOURCES = 8
 HIGHEST_CHI2 = 15.0  # of a profile that is shown: the 95 % interval ends at 3.8
 
@@ -45,7 +45,7 @@ def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) ->
         title = "residual (mrad); band: two standard deviations"
         panels.append(Panel(title, "mrad", [off], 90.0, (fit.times_s, -sigma, sigma), rules=[0.0]))
     fitted, alone = "measured and simulated position, input current and residual", "recorded position and input current"
-    return chart(panels, Axis(RELEASED if free else TIME, "s"), f"Run {number}: {fitted if fit else alone} over time")
+    return chart(panels, Axis(TIME[free], "s"), f"Run {number}: {fitted if fit else alone} over time")
 
 
 def _current(run: RecordedRun) -> Series:
