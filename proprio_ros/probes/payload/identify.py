@@ -63,6 +63,7 @@ relative, has been measured."""
 
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
+BETTER_FOLLOWED = 1.5  # So many times better, and an open zero is believed; less, and the mass may be either.
 COVERED = 2.0
 """A swing may hold so many times less than the lightest load of its calibration; it does not tell whose rotor and arm it is of."""
 SWING_ROUNDS = 4  # How often the error of a simulated swing is looked at again.
@@ -128,30 +129,26 @@ def weigh(
 
 
 def _weigh_swings(
-    robot: Robot,
-    runs: Sequence[PreparedRun],
-    facts: PayloadFacts,
-    options: WeighingOptions,
-    found: gates.Findings,
-    count: int,
-) -> Estimate:
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, found: gates.Findings, count: int
+) -> Estimate:  # fmt: skip
     """From free swings; those that are followed worse than the calibration's count for less."""
     options = replace(options, starts_kg=_swing_starts(robot, runs[0], facts))
     searched, opened, misfit = _followed(robot, runs, facts, options)
-    if misfit and robot.is_calibrated(joints_of(runs)):
-        # a swing shows its own zero, and one that was put on anew explains what nothing else does
+    either_kg = 0.0
+    if robot.is_calibrated(joints_of(runs)):
+        # a swing shows its own zero: one that was put on anew may explain what nothing else does, or as well another mass
         joint = runs[0].run.joint
         drive = robot.drive_trains[joint]
         anew = replace(drive, zero=replace(drive.zero, std=ANY_ZERO_RAD / ZERO_REPEATS))
         elsewhere = replace(robot, drive_trains={**robot.drive_trains, joint: anew})
         again = _followed(elsewhere, runs, facts, options)
-        if not again[2]:
+        before, after = (fit.problem.robot.swing_error for fit in (opened, again[1]))
+        if not again[2] and (misfit or before > BETTER_FOLLOWED * after):
             searched, opened, misfit = again
-            off = float(opened.values[opened.problem.index["swing_zero", 0]])
-            found.notes.append(
-                f"{joint} swings as if its zero were {off:+.3f} rad off what the file says: was the horn put on anew? The zero was "
-                "fitted, too"
-            )
+            said = f"{joint} swings as if its zero were {opened.value_of(('swing_zero', 0)):+.3f} rad off what the file says: was "
+            found.notes.append(f"{said}the horn put on anew? The zero was fitted, too")
+        elif not again[2]:
+            either_kg = again[1].value_of("payload_mass") - opened.value_of("payload_mass")
     against: list[Refusal] = []
     if misfit:
         against.append(rejected("misfit", "the model does not explain the recording", misfit))
@@ -162,7 +159,7 @@ def _weigh_swings(
             "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)"
         )
         against.append(not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing))
-    return Weighed(searched, opened, found, count, facts, options, against=against).estimate()
+    return Weighed(searched, opened, found, count, facts, options, against=against, either_kg=either_kg).estimate()
 
 
 def _followed(
@@ -228,6 +225,7 @@ class Weighed(Conclusion):
     facts: PayloadFacts
     options: WeighingOptions
     still: Sequence[PreparedRun] = ()
+    either_kg: float = 0.0  # how far off a mass is that explains swings as well
 
     probe, name = "payload", "payload_mass"
 
@@ -245,6 +243,7 @@ class Weighed(Conclusion):
         mass = self.assessed.value
         if self.swings:
             self.count(swings.FRICTION_LAW_SHARE * abs(mass), swings.FRICTION_LAW)
+            self.count(self.either_kg, swings.HORN)
         elif not self.known:
             # the nominal mass may sit anywhere inside the open fit's interval: count how far
             self.assessed.widen(mass - float(self.opened.values[self.assessed.row]))

@@ -117,6 +117,8 @@ def test_arms_whose_recordings_differ() -> None:
 def test_pendulums_whose_horn_was_put_on_anew() -> None:
     pytest.importorskip("mujoco")
     answers = [answer for seed in range(400, 404) for answer in pendulum_answers(seed)]
+    # these once were explained by another mass with the old zero: 3.0, 2.8 and 7.3 standard deviations off, and accepted
+    answers += [answer for seed in (17, 24, 28) for answer in pendulum_answers(seed)]
     mostly_hold(answers)
     anew = [answer for answer in answers if "horn" in answer.row]
     assert sum(answer.given for answer in anew) >= 3
