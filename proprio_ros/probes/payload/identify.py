@@ -141,14 +141,14 @@ def _weigh_swings(
         drive = robot.drive_trains[joint]
         anew = replace(drive, zero=replace(drive.zero, std=ANY_ZERO_RAD / ZERO_REPEATS))
         elsewhere = replace(robot, drive_trains={**robot.drive_trains, joint: anew})
-        again = _followed(elsewhere, runs, facts, options)
-        before, after = (fit.problem.robot.swing_error for fit in (opened, again[1]))
-        if not again[2] and (misfit or before > BETTER_FOLLOWED * after):
-            searched, opened, misfit = again
+        again_searched, again, worse = _followed(elsewhere, runs, facts, options)
+        before, after = (fit.problem.robot.swing_error for fit in (opened, again))
+        if not worse and (misfit or before > BETTER_FOLLOWED * after):
+            searched, opened, misfit = again_searched, again, worse
             said = f"{joint} swings as if its zero were {opened.value_of(('swing_zero', 0)):+.3f} rad off what the file says: was "
             found.notes.append(f"{said}the horn put on anew? The zero was fitted, too")
-        elif not again[2]:
-            either_kg = again[1].value_of("payload_mass") - opened.value_of("payload_mass")
+        elif not worse:
+            either_kg = again.value_of("payload_mass") - opened.value_of("payload_mass")
     against: list[Refusal] = []
     if misfit:
         against.append(rejected("misfit", "the model does not explain the recording", misfit))
