@@ -22,6 +22,10 @@ from proprio_ros.robot.drives import PositionServo
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.loads import Loads
 
+BRISK_RAD_S, NUDGING_PACE = (
+    15.0,
+    0.1,
+)  # a hold as stiff as this follows as fast as a sequence says; the arm is asked for its delay
 UNITS = ("N.m", "A")  # what the drive takes an effort for: torque (N of a slide), or the motor's current
 DRIFT = 1e-4  # two clocks may run apart by so much
 CLOCK_SET_S = 0.5  # a clock that is off by more has been set
@@ -83,6 +87,21 @@ class Controller:
         self.joints = tuple(joints)
         self.holding = False
 
+    @property
+    def pace(self) -> float:
+        """How fast joints follow, 1 or less, as `ExcitationMachine` takes it."""
+        return 1.0
+
+    @property
+    def late_s(self) -> float:
+        """How long after the next reading what is sent comes into effect [s]."""
+        return 0.0
+
+    @property
+    def held_kg(self) -> float:
+        """What hangs in the hand, as far as holding it says."""
+        return 0.0
+
     def check(self, sequence: ExcitationSequence) -> None:
         """Whether this controller can make a sequence now.
 
@@ -125,6 +144,21 @@ class EffortController(Controller):
     def lost(self) -> str:
         """Why the joints are not held any more; empty while they are."""
         return self._hold.lost
+
+    @property
+    def pace(self) -> float:
+        if self._hold.nudging:
+            return NUDGING_PACE
+        return min(1.0, self._hold.frequency_rad_s / BRISK_RAD_S) or 1.0
+
+    @property
+    def late_s(self) -> float:
+        period_s = 1.0 / self._hold.rate_hz if self._hold.rate_hz else 0.0
+        return max((self._hold.delay.delay_s or 0.0) - period_s, 0.0)
+
+    @property
+    def held_kg(self) -> float:
+        return self._hold.held_kg if self.holding else 0.0
 
     @property
     def record(self) -> dict[str, float]:
@@ -183,7 +217,9 @@ class EffortController(Controller):
     def steady(self) -> list[float]:
         """The same; nothing is pushed any more."""
         self.pushed_A = {}
-        return self.last_words()
+        efforts = self._hold.steady()
+        self._hold.sent(efforts)
+        return self._listed(efforts)
 
     def release(self) -> list[float]:
         """Let go: zeros."""

@@ -16,7 +16,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation import plans
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
-from proprio_ros.robot.loads import Loads
+from proprio_ros.robot.loads import Load, Loads
 
 JOINTS = 2  # are pushed
 POSES = 400  # are looked at for each of them
@@ -34,7 +34,7 @@ STEP_RAD = 0.18  # of a goal
 WORDS = {"empty": "with nothing in the hand", "payload": "with the object", "reference": "with the reference object"}
 
 
-def first_sequence(robot: Robot, hand: str) -> plans.ExcitationSequence:
+def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.ExcitationSequence:
     """Pushes of an arm with what `WORDS` says in its hand; the same whenever they are asked for.
 
     Raises `ConfigurationError`: No driven joint that turns feels a weight in the hand where there is room for a push.
@@ -78,7 +78,7 @@ def first_sequence(robot: Robot, hand: str) -> plans.ExcitationSequence:
                 step = up * plans.margin(robot, name, STEP_RAD)
                 runs.append(plans.ExcitationRun(name, 0.0, DURATION_S, start, goal_step=step))
             else:
-                runs.append(_push(robot, name, start, up, lifts, loads, pose))
+                runs.append(_push(robot, name, start, up, lifts, loads.at(pose, held_kg)))
     return plans.ExcitationSequence(
         f"first_{hand}", hand, tuple(runs), description=f"lifts and lowers {' and '.join(best)} {WORDS[hand]}",
         min_clearance_m=CLEARANCE_M,
@@ -86,16 +86,17 @@ def first_sequence(robot: Robot, hand: str) -> plans.ExcitationSequence:
 
 
 def _push(
-    robot: Robot, name: str, start: Mapping[str, float], up: float, lifts: bool, loads: Loads, pose: Mapping[str, float]
+    robot: Robot, name: str, start: Mapping[str, float], up: float, lifts: bool, load: Load
 ) -> plans.ExcitationRun:
-    load, drive = loads.at(pose), robot.drive_trains[name]
+    drive = robot.drive_trains[name]
     per_A = drive.nominal_effort_per_current
     rotor = (drive.armature.value or drive.armature.std) / drive.transmission**2
     weight_A, slow_A = load.gravity[name] / per_A, ACCELERATION_RAD_S2 * (load.inertia[name] + rotor) / abs(per_A)
     most_A = plans.largest_current_A(robot, name)
     limits = {"min_travel": LEAST_TRAVEL_RAD, "max_travel": TRAVEL_RAD}
     if not lifts and abs(weight_A) > 4.0 * slow_A:
-        return plans.ExcitationRun(name, SUPPORT * weight_A, DURATION_S, start, raise_by=0.7, **limits)
+        lowered = max(-0.9 * most_A, min(0.9 * most_A, SUPPORT * weight_A))
+        return plans.ExcitationRun(name, lowered, DURATION_S, start, raise_by=0.7, **limits)
     current_A = weight_A + up * math.copysign(slow_A, per_A)
     if abs(current_A) < plans.LEAST_CURRENT_A:
         current_A = up * math.copysign(plans.LEAST_CURRENT_A, per_A)

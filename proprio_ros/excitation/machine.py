@@ -101,6 +101,8 @@ class ExcitationMachine:
         abort_reason, aborted_by: Why the last sequence was ended, and what ended it, as in `RunOutcome.ended_by`; else empty.
     """
 
+    pace = 1.0  # of ways; less than 1 is slower
+
     def __init__(self, robot: Robot, guards: Guards | None = None) -> None:
         self.robot = robot
         self.guards = guards or Guards()
@@ -296,7 +298,7 @@ class ExcitationMachine:
                     return "held joint", words
             elif off <= guards.follow_error_rad:
                 self._off_since_s.pop(name, None)
-            elif self._now_s - self._off_since_s.setdefault(name, self._now_s) >= guards.follow_time_s:
+            elif self._now_s - self._off_since_s.setdefault(name, self._now_s) >= guards.follow_time_s / self.pace:
                 return "follow", f"{name} does not follow: is something in its way, its load too heavy, or torque off?"
         return None if driven is None else self._watch_pushed(CATCH_LOOKAHEAD_S if caught else guards.lookahead_s)
 
@@ -387,7 +389,7 @@ class ExcitationMachine:
             self._phase_start_s = self._now_s
         elapsed_s = self._elapsed_s + _ROUNDING_S
         if self.phase in (Phase.APPROACH, Phase.RETURN):
-            self._way_s += self._seen_s
+            self._way_s += self.pace * self._seen_s
             self._goals = self._way.at(self._way_s)
             if self._way_s + _ROUNDING_S >= self._way.duration_s:
                 self._enter(Phase.SETTLE if self.phase is Phase.APPROACH else Phase.DONE)
@@ -399,7 +401,7 @@ class ExcitationMachine:
                     whole = self.ways.whole(self.ways.pose(self._sample))
                     self._swing = free_swing(self.robot, self._run.joint, whole)
                 self._enter(Phase.PROBE)
-            elif elapsed_s > self.sequence.settle_s + LONGEST_UNREST_S:
+            elif elapsed_s > self.sequence.settle_s + LONGEST_UNREST_S / self.pace:
                 words = f"{self._run.joint} does not come to rest: hold the arm's table still, or check the servo"
                 return "unrest", words
         elif self.phase is Phase.PROBE:
@@ -415,17 +417,18 @@ class ExcitationMachine:
                 if self._caught_for is not None:
                     return self._caught_for
                 self._hold_driven()
-        elif elapsed_s >= self.sequence.brake_s:
+        elif elapsed_s >= self.sequence.brake_s / self.pace:
             return self._after_run()
         return None
 
     def _still(self) -> bool:
         """Whether the run's joint stands, by its positions: single velocities are too coarse."""
-        since_s = self._now_s - STANDSTILL_WINDOW_S
+        window_s = STANDSTILL_WINDOW_S / self.pace
+        since_s = self._now_s - window_s
         while self._recent and self._recent[0][0] < since_s - self.guards.stale_after_s:
             self._recent.popleft()
         recent = np.array([entry for entry in self._recent if entry[0] >= since_s - _ROUNDING_S])
-        if len(recent) < 3 or recent[-1, 0] - recent[0, 0] < 0.5 * STANDSTILL_WINDOW_S:
+        if len(recent) < 3 or recent[-1, 0] - recent[0, 0] < 0.5 * window_s:
             return False
         times_s, positions = (recent - recent.mean(axis=0)).T
         slope = float(times_s @ positions) / float(times_s @ times_s)

@@ -132,13 +132,14 @@ def as_text(sequence: ExcitationSequence) -> str:
     return json.dumps(section)
 
 
-def load_sequence(name_or_path: str | Path, robot: Robot) -> ExcitationSequence:
+def load_sequence(name_or_path: str | Path, robot: Robot, held_kg: float = 0.0) -> ExcitationSequence:
     """Read the section ``excitation`` of a probe file and check it against the robot.
 
     Args:
         name_or_path: One of `sequence_names`, the path of a YAML file, or the section itself as JSON, in braces. Those of `FIRST`
             are made from the URDF of an arm that has none of their joints.
         robot: The arm that is to make the runs.
+        held_kg: What is known to be in the hand; sequences that are made here push with as much more.
 
     Raises:
         ConfigurationError: The file is missing or not readable, a key is unknown or missing, a value has the wrong type or
@@ -161,7 +162,7 @@ def load_sequence(name_or_path: str | Path, robot: Robot) -> ExcitationSequence:
         if not is_path and name in FIRST and not _its_joints(section) & {*robot.drive_trains}:
             from proprio_ros.excitation.first import first_sequence  # which is written in the words of this file
 
-            sequence = first_sequence(robot, section["hand"])
+            sequence = first_sequence(robot, section["hand"], held_kg)
             check_sequence(sequence, robot)
             return sequence
     sequence = _sequence(section, name, robot, where)

@@ -56,6 +56,7 @@ class Conclusion:
         # what each source puts on the value, the largest first
         self.budget = [(self.called.get(source, source), std) for source, std in self.assessed.budget()]
         self.apart: Contradiction | None = None
+        self.outlier: int | None = None  # the run that says so
         self.guesses: list[Guess] = []
 
     # --- what a probe must say; `withheld` is in a few words why no value is stated, and empty where it is ---------------
@@ -158,9 +159,9 @@ class Conclusion:
         """Look for a run that says another value than the others; nearly the same one widens the interval by half of that."""
         if len(self.runs) < 2 or not np.isfinite(self.fit.chi2) or not self.comparable():
             return
-        outlier = contradicting(Posterior(self.opened.problem, self.opened.values))
-        if outlier is not None:
-            self.apart = self.contradiction(outlier)
+        self.outlier = contradicting(Posterior(self.opened.problem, self.opened.values))
+        if self.outlier is not None:
+            self.apart = self.contradiction(self.outlier)
             if self.apart.half is not None:
                 self.assessed.widen(self.apart.half)
 

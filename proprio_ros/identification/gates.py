@@ -28,6 +28,7 @@ MISFIT_LIMIT = 9.0
 """Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
 CONTRADICTION = 2.5
 """Reduced chi-square with which the other runs may predict a run: beyond it, and beyond chance, the run contradicts them."""
+LEFT_OUT_AT_MOST = 0.25  # part of the runs that may contradict the others before all of them are refused
 
 STEADY = 0.1  # part of itself by which the current of a push may change
 STILL_SIGMAS = 3.0  # so many standard deviations more than is known may hold a joint that stands still
@@ -190,3 +191,10 @@ def contradicting(posterior: Posterior) -> int | None:
     ratios = [chi2 / max(CONTRADICTION * k, chi2_limit(k)) if k else 0.0 for k, chi2 in held_out]
     worst = int(np.argmax(ratios))
     return worst if ratios[worst] > 1.0 else None
+
+
+def said_left_out(names: Sequence[str], count: int, question: str) -> str:
+    """Which of so many runs were left out, since they contradict the others."""
+    contradict, were = ("contradicts", "was") if len(names) == 1 else ("contradict", "were")
+    left_out = f"{', '.join(names)} {contradict} the other runs and {were} left out ({len(names)} of {count})"
+    return f"{left_out}: {question}"

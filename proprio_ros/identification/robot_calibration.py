@@ -17,7 +17,15 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate, EmptyHand, HeldOutRun
 from proprio_ros.identification.calibration_fit import Fitted, fit, of_runs, spread_of_runs, with_another_rise
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
-from proprio_ros.identification.gates import Findings, contradicting, never_reversed, screen_run, unusable
+from proprio_ros.identification.gates import (
+    LEFT_OUT_AT_MOST,
+    Findings,
+    contradicting,
+    never_reversed,
+    said_left_out,
+    screen_run,
+    unusable,
+)
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
@@ -30,7 +38,6 @@ from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-LEFT_OUT_AT_MOST = 0.25  # part of the runs that may contradict the others before the whole calibration is refused
 STRANGE_TORQUE = 4.0
 """Torque of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
 COARSE = 3.0  # residuals so many times coarser than encoder and stamps explain: the model does not describe this robot
@@ -86,7 +93,7 @@ def calibrate(
     if not refusals:
         verdict, reasons, calibration = _separated(whole, problem.runs, one_way)
     if left_out:
-        reasons.append(_said_contradiction(left_out, len(usable)))
+        reasons.append(said_left_out(left_out, len(usable), "was the hand as stated, and nothing in the way?"))
     rows = shared_rows(problem, values, fitted.covariance)
     if not swings:  # swings differ by more than a run says of itself: a good servo's loads would be doubted
         reasons += _not_as_stated(empty_hand(problem, values, posterior, references=True))
@@ -288,12 +295,6 @@ def _outlier(robot: Robot, fitted: Fitted) -> int | None:
     others = np.arange(len(found)) != largest
     usual = spread_of_runs(robot.torque_disturbance, found[others], learnt[others])
     return largest if abs(found[largest]) > STRANGE_TORQUE * usual else None
-
-
-def _said_contradiction(names: Sequence[str], count: int) -> str:
-    contradict, were = ("contradicts", "was") if len(names) == 1 else ("contradict", "were")
-    left_out = f"{', '.join(names)} {contradict} the other runs and {were} left out ({len(names)} of {count})"
-    return f"{left_out}: was the hand as stated, and nothing in the way?"
 
 
 def shared_rows(problem: Problem, values: np.ndarray, covariance: np.ndarray) -> tuple[UnknownRow, ...]:

@@ -58,9 +58,11 @@ class Output:
 
     Attributes:
         holds: Whether this node, and nobody else, holds the arm through it.
+        controller: Whose commands they are; None: this package's driver's.
     """
 
     holds = False
+    controller: EffortController | GoalController | None = None
 
     def check(self, sequence: ExcitationSequence) -> None:
         """Raises: ExcitationError: It cannot be made now."""
@@ -132,6 +134,8 @@ class ControllerOutput(Output):
 
     holds = True
 
+    controller: EffortController | GoalController
+
     def __init__(
         self,
         node: ManagedNode,
@@ -140,7 +144,7 @@ class ControllerOutput(Output):
         applied: Any,
         speaker: LastWords,
     ) -> None:
-        self._node, self._controller = node, controller
+        self._node, self.controller = node, controller
         self._let_go_at_end = controller.can_let_go and node.values["on_end"] == "zero"
         self._commands, self._applied, self._last_words = commands, applied, speaker
         self._topic = self._commands.topic_name
@@ -163,23 +167,23 @@ class ControllerOutput(Output):
             raise ExcitationError(
                 "the process that holds the arm if this one is killed has ended: start this node again"
             )
-        self._controller.check(sequence)
+        self.controller.check(sequence)
 
     def begin(self) -> None:
-        self._controller.begin()
+        self.controller.begin()
 
     def send(self, command: Command, slipped: bool) -> None:
         """What `hear` and `unheard` say from now on."""
         if slipped:
-            self._controller.take_here()
+            self.controller.take_here()
         else:
-            self._controller.take(command)
+            self.controller.take(command)
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         stamp_ns = messages.time_ns(message.header.stamp)
         self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, clock.now_ns())
         stamp_ns = stamp_ns or self._clock.at(clock.now_ns())
-        controller, lost = self._controller, self._controller.lost
+        controller, lost = self.controller, self.controller.lost
         controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
         if self._blind:  # it is not where it was, and would be thrown back
             controller.take_here()
@@ -196,34 +200,34 @@ class ControllerOutput(Output):
 
     def unheard(self) -> None:
         """What held the arm at last; nobody can do better who does not see it."""
-        if self._controller.holding:
+        if self.controller.holding:
             self._blind = True
-            self._say(self._controller.steady())
+            self._say(self.controller.steady())
         self._record()
         self._take_up(None)
 
     def release(self) -> str:
-        if not self._controller.holding:
+        if not self.controller.holding:
             return "nothing was held"
         self._let_go()
-        return self._controller.let_go
+        return self.controller.let_go
 
     def hand_over(self) -> None:
-        self._controller.release()
+        self.controller.release()
         self._last_words.dismiss()
 
     def finish(self) -> None:  # the controller keeps the last command, whatever becomes of us
-        if not self._controller.holding:
+        if not self.controller.holding:
             return
-        last = [0.0] * len(self._controller.joints)
+        last = [0.0] * len(self.controller.joints)
         try:
             if not self._let_go_at_end:
-                last = self._controller.steady()
+                last = self.controller.steady()
         finally:
             self._say(last)
             self._record()
             self._take_up(None)
-            self._controller.holding = False
+            self.controller.holding = False
             for publisher in (self._commands, self._applied):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
             self._last_words.dismiss()
@@ -235,20 +239,20 @@ class ControllerOutput(Output):
         self._said_ns = clock.now_ns()  # before it is sent: a pause after it would have it sent late
         self._commands.publish(Float64MultiArray(data=array("d", commands)))
         if self._last_words.due:
-            self._last_words.tell([0.0] * len(commands) if self._let_go_at_end else self._controller.last_words())
+            self._last_words.tell([0.0] * len(commands) if self._let_go_at_end else self.controller.last_words())
 
     def _let_go(self) -> None:
-        self._say(self._controller.release())
+        self._say(self.controller.release())
         self._last_words.dismiss()
 
     def _record(self) -> None:
         """Remember what drives the joints, for whoever records, when it changes and now and then."""
-        record, now_s = self._controller.record, clock.now()
+        record, now_s = self.controller.record, clock.now()
         if not self._heard or not record:
             return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
             self._recorded, self._recorded_at_s = record, now_s
-            said_ns = self._said_ns if self._controller.holding else clock.now_ns()
+            said_ns = self._said_ns if self.controller.holding else clock.now_ns()
             self._untaken[self._clock.at(said_ns)] = record
 
     def _take_up(self, stamp_ns: int | None) -> None:
@@ -259,6 +263,6 @@ class ControllerOutput(Output):
         taken = [sent_ns for sent_ns in self._untaken if stamp_ns is None or sent_ns + ON_THE_WAY_NS <= stamp_ns]
         records = {sent_ns: self._untaken.pop(sent_ns) for sent_ns in taken}
         for sent_ns in taken if stamp_ns is None else taken[-1:]:
-            values = {self._controller.recorded_as: list(records[sent_ns].values())}
-            when_ns = sent_ns if stamp_ns is None else stamp_ns
+            values = {self.controller.recorded_as: list(records[sent_ns].values())}
+            when_ns = (sent_ns if stamp_ns is None else stamp_ns) + round(1e9 * self.controller.late_s)
             self._applied.publish(messages.joint_state(when_ns, list(records[sent_ns]), **values))

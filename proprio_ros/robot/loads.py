@@ -25,10 +25,11 @@ class Load(NamedTuple):
     inertia: dict[str, float]  # what it moves, without rotors [kg m^2 or kg]
     # of each joint that moves: what the others need then to stand, for its acceleration and for its speed squared
     reactions: dict[str, dict[str, tuple[float, float]]]
+    per_kg: dict[str, float]  # effort that holds a point mass of 1 kg in the payload frame [N m/kg or N/kg]
 
 
 class Loads:
-    """Gravity and inertia by joint, as the URDF has them, with an empty hand."""
+    """Gravity and inertia by joint, as the URDF has them, with an empty hand or a point mass in it."""
 
     def __init__(self, robot: Robot) -> None:
         model = robot.model
@@ -51,8 +52,10 @@ class Loads:
             frames[joint.child] = body, place
             if body >= 0:
                 self._pseudo[body] = self._pseudo[body] + place @ inertias[joint.child] @ place.T
+        body, place = frames.get(robot.payload_frame, (-1, np.eye(4)))
+        self._hand, self._held_at = body, place[:, 3]
 
-    def at(self, pose: Mapping[str, float]) -> Load:
+    def at(self, pose: Mapping[str, float], held_kg: float = 0.0) -> Load:
         """Efforts and inertias in a pose of all independent joints [rad or m]. A joint that others follow moves them, too."""
         places: list[FloatArray] = []
         moving: list[FloatArray] = []  # velocity of the points beyond, as a matrix on their coordinates
@@ -62,6 +65,14 @@ class Loads:
             places.append(frame @ motion(joint.kind, joint.axis, multiplier * pose[name] + offset))
             moving.append(multiplier * _velocity(joint.kind, frame, joint.axis))
         beyond = [place @ pseudo @ place.T for place, pseudo in zip(places, self._pseudo, strict=True)]
+        held = places[self._hand] @ self._held_at if self._hand >= 0 else np.zeros(4)
+        if self._hand >= 0:
+            beyond[self._hand] = beyond[self._hand] + held_kg * np.outer(held, held)
+        per_kg = dict.fromkeys(self.joints, 0.0)
+        row = self._hand
+        while row >= 0:
+            per_kg[self._driving[row][0]] -= float(self._gravity @ (moving[row] @ held)[:3])
+            row = parents[row]
         for row in range(len(places) - 1, 0, -1):
             if parents[row] >= 0:
                 beyond[parents[row]] = beyond[parents[row]] + beyond[row]
@@ -86,7 +97,7 @@ class Loads:
                 add(before, row, momentum)
                 add(row, before, moving[before] @ beyond[row])
                 before = parents[before]
-        return Load(gravity, inertia, reactions)
+        return Load(gravity, inertia, reactions, per_kg)
 
 
 def _velocity(kind: str, frame: FloatArray, axis: FloatArray) -> FloatArray:

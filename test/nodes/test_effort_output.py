@@ -250,7 +250,7 @@ def test_an_exception_does_not_keep_a_node_from_its_last_word(make: Any, monkeyp
     monkeypatch.setattr(arm.node._machine, "tick", fails)
     with pytest.raises(ZeroDivisionError):
         arm.advance(0.01)
-    monkeypatch.setattr(arm.node._output._controller, "steady", fails)
+    monkeypatch.setattr(arm.node._output.controller, "steady", fails)
     with pytest.raises(ZeroDivisionError):
         arm.node.finish()
     assert arm.commands[-1].data[0] == 0.0 != pushed

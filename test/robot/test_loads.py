@@ -38,7 +38,7 @@ def kinetic_J(robot: Robot, pose: dict[str, float], joint: str) -> float:
 
 def test_gravity_is_the_slope_of_the_potential_energy_and_inertia_twice_the_kinetic() -> None:
     robot = load_robot("open_manipulator_x")
-    effort, inertia, _ = Loads(robot).at(POSE)
+    effort, inertia, *_ = Loads(robot).at(POSE)
     assert set(effort) == set(robot.model.independent_joints)
     for name in effort:
         ahead, behind = (potential_J(robot, {**POSE, name: POSE[name] + s}) for s in (STEP, -STEP))
@@ -48,17 +48,32 @@ def test_gravity_is_the_slope_of_the_potential_energy_and_inertia_twice_the_kine
     assert min(abs(effort[name]) for name in ("joint2", "joint3", "joint4")) > 0.05
 
 
+def test_what_the_hand_holds_pulls_where_the_hand_is() -> None:
+    robot, held_kg = load_robot("open_manipulator_x"), 0.3
+    empty, loaded = Loads(robot).at(POSE), Loads(robot).at(POSE, held_kg)
+    for name, effort in empty.gravity.items():
+        heights = [
+            robot.model.frame_transform(robot.payload_frame, {**POSE, name: POSE[name] + s})[2, 3]
+            for s in (STEP, -STEP)
+        ]
+        lever_m = (heights[0] - heights[1]) / (2.0 * STEP)
+        assert loaded.per_kg[name] == pytest.approx(9.81 * lever_m, rel=1e-3, abs=1e-6)
+        assert loaded.gravity[name] == pytest.approx(effort + held_kg * loaded.per_kg[name], abs=1e-9)
+    reach_m = np.linalg.norm(robot.model.frame_transform(robot.payload_frame, POSE)[:2, 3])
+    assert loaded.inertia["joint1"] - empty.inertia["joint1"] == pytest.approx(held_kg * reach_m**2, rel=0.2)
+
+
 def test_all_masses_scale_together() -> None:
     heavy = load_robot("open_manipulator_x", {"arm_scale": 1.1})
-    effort, inertia, _ = Loads(load_robot("open_manipulator_x")).at(POSE)
-    scaled, moved, _ = Loads(heavy).at(POSE)
+    effort, inertia, *_ = Loads(load_robot("open_manipulator_x")).at(POSE)
+    scaled, moved, *_ = Loads(heavy).at(POSE)
     assert scaled["joint3"] == pytest.approx(1.1 * effort["joint3"])
     assert math.isclose(moved["joint3"], 1.1 * inertia["joint3"])
 
 
 def test_a_joint_that_moves_pulls_at_the_others_as_the_equations_of_motion_say() -> None:
     robot = load_robot("open_manipulator_x")
-    gravity, _, reactions = Loads(robot).at(POSE)
+    gravity, _, reactions, _ = Loads(robot).at(POSE)
     names = ("joint1", "joint2", "joint3", "joint4")
     held = {name: value for name, value in POSE.items() if name not in names}
     model = robot.model.lock(names, held, robot.gravity)

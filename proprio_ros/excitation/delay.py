@@ -1,0 +1,164 @@
+"""When efforts come into effect, as the joints show it, and what they leave unexplained: for a hold by efforts that come late.
+
+Efforts, integrated twice, are compared with positions by second differences over `WINDOW_S`, which weigh both alike: no velocity,
+no filter. The lag at which efforts resemble the inertial efforts of the joints most is the delay. What they leave there is what
+hangs at a joint, or rubs (a disturbance observer: Ohnishi, "A new servo method in mechatronics", 1987), and with both, positions
+can be carried on to where an effort that is sent now begins to work (Smith, "Closer control of loops with dead time", 1957). No
+clock, no ROS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from proprio_ros.robot.geometry import FloatArray
+
+WINDOW_S = 0.03  # a position that is read to 1.5 mrad is an acceleration to 2 rad/s^2 then
+LAG_STEP_S = 0.004
+LAGS_S = np.arange(0.0, 0.122, LAG_STEP_S)
+LONGEST_S = 0.08  # is assumed until the joints have shown the delay
+KEPT, LONG_AGO_S = 512, -1e9  # commands and positions; before the first one
+GAP_S = 0.075  # across a longer one positions say nothing of accelerations
+SLOW_S = 0.3  # what changes more slowly than this is no effect of an effort: it rubs, or hangs there
+REMEMBERED_S = 20.0
+ASKED_RAD_S2 = 2.0  # efforts that ask for less say nothing beside an encoder's noise
+LEAST_RAD_S2 = 1.4  # nor do accelerations whose root mean square over a second, with zero beyond, is less
+SURE = 0.75  # least squared correlation of efforts and accelerations; at the right lag, nudges had 0.8 to 0.99
+NUDGE_S, NUDGE_REST_S, NUDGES = 0.05, 0.12, 8
+NUDGE_RAD_S2, NUDGE_RAISED = 5.0, 1.5
+
+
+class Nudge:
+    """Short jerks to and fro of one joint, by which an arm that stands shows the delay: begun with little and raised."""
+
+    def __init__(self) -> None:
+        self._begun_s: float | None = None
+        self._made = 0
+
+    @property
+    def over(self) -> bool:
+        """Whether all were made."""
+        return self._made >= NUDGES
+
+    def at(self, now_s: float) -> float:
+        """Acceleration now [rad/s^2]."""
+        if self._begun_s is None:
+            self._begun_s = now_s + NUDGE_REST_S
+        elapsed_s = now_s - self._begun_s
+        if elapsed_s >= 2.0 * NUDGE_S + NUDGE_REST_S:
+            self._made, self._begun_s, elapsed_s = self._made + 1, now_s, 0.0
+        if self.over or not 0.0 <= elapsed_s < 2.0 * NUDGE_S:
+            return 0.0
+        first = 1.0 if elapsed_s < NUDGE_S else -1.0
+        return first * (-1.0) ** self._made * NUDGE_RAD_S2 * NUDGE_RAISED**self._made
+
+
+class Delay:
+    """Of one arm's efforts; those that balance gravity are none of them.
+
+    Attributes:
+        delay_s: Between an effort and its effect [s]; None while the joints have not shown it.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.delay_s: float | None = None
+        self._sent_s = np.full(KEPT, LONG_AGO_S)  # in order of time, the newest last
+        self._sent = np.zeros((KEPT, 3, joints))  # effort, its integral, and that one's integral, at that time
+        self._seen_s = np.full(KEPT, LONG_AGO_S)
+        self._seen = np.zeros((KEPT, joints))
+        self._slow_effort, self._slow_inertial = np.zeros((len(LAGS_S), joints)), np.zeros(joints)
+        self._seen_for_s = 0.0
+        # of effort by effort, effort by acceleration, for each lag, and acceleration by acceleration, over time
+        self._xx, self._xy, self._yy = np.zeros(len(LAGS_S)), np.zeros(len(LAGS_S)), 0.0
+
+    @property
+    def assumed_s(self) -> float:
+        """The delay, or the longest that is reckoned with [s]."""
+        return LONGEST_S if self.delay_s is None else self.delay_s
+
+    @property
+    def last_s(self) -> float:
+        """When an effort was last sent [s]."""
+        return float(self._sent_s[-1])
+
+    def sent(self, time_s: float, effort: Sequence[float]) -> None:
+        """Efforts are commanded from a time on, that of the latest reading [N m or N]."""
+        if time_s <= self.last_s:
+            self._sent[-1, 0] = effort
+            return
+        before = self._integrals(np.array([time_s]))[0]
+        self._sent_s[:-1], self._sent[:-1] = self._sent_s[1:], self._sent[1:]
+        self._sent_s[-1], self._sent[-1, 0], self._sent[-1, 1:] = time_s, effort, before
+
+    def observe(
+        self, time_s: float, position: Sequence[float], inertia: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Take a reading.
+
+        Args:
+            time_s: Of the reading [s].
+            position: Of the joints, shape (J,) [rad or m].
+            inertia: Of the joints, shape (J, J) [kg m^2 or kg].
+
+        Returns:
+            The inertial efforts of late, and the efforts behind them, weighed alike, shape (J,); None while too little was seen.
+        """
+        step_s = time_s - self._seen_s[-1]
+        if step_s <= 0.0:
+            return None
+        self._seen_s[:-1], self._seen[:-1] = self._seen_s[1:], self._seen[1:]
+        self._seen_s[-1], self._seen[-1] = time_s, position
+        self._seen_for_s = self._seen_for_s + step_s if step_s <= GAP_S else 0.0
+        if self._seen_for_s < 2.0 * WINDOW_S:
+            return None
+        places_s = time_s - WINDOW_S * np.arange(3)
+        q = np.stack([np.interp(places_s, self._seen_s, column) for column in self._seen.T], axis=1)
+        inertial = inertia @ _second_difference(q)
+        twice = self._integrals((places_s[:, None] - LAGS_S).ravel())[:, 1]
+        efforts = _second_difference(twice.reshape(3, len(LAGS_S), -1))
+        self._compare(step_s, efforts, inertial, np.diag(inertia))
+        return inertial, efforts[round(self.assumed_s / LAG_STEP_S)]
+
+    def coming(self) -> tuple[FloatArray, FloatArray]:
+        """What efforts that are under way will have added to momenta when the last one begins to work, and that one's integral."""
+        ahead_s, now_s = self.assumed_s, self.last_s
+        (then, then_twice), (now, now_twice) = self._integrals(np.array([now_s, now_s - ahead_s]))
+        return then - now, then_twice - now_twice - now * ahead_s
+
+    def _integrals(self, times_s: FloatArray) -> FloatArray:
+        """Of the efforts, once and twice, shape (T, 2, J); before the first one there are none."""
+        row = np.maximum(np.searchsorted(self._sent_s, times_s, side="right") - 1, 0)
+        since = (times_s - self._sent_s[row])[:, None]
+        effort, once, twice = np.moveaxis(self._sent[row], 1, 0)
+        return np.stack([once + effort * since, twice + once * since + 0.5 * effort * since**2], axis=1)
+
+    def _compare(self, step_s: float, efforts: FloatArray, inertial: FloatArray, inertia: FloatArray) -> None:
+        slow = min(step_s / SLOW_S, 1.0) if self._seen_for_s > 2.0 * WINDOW_S + step_s else 1.0
+        self._slow_effort += slow * (efforts - self._slow_effort)
+        self._slow_inertial += slow * (inertial - self._slow_inertial)
+        of = np.where(inertia > 0.0, inertia, math.inf)
+        x, y = (efforts - self._slow_effort) / of, (inertial - self._slow_inertial) / of
+        asked = np.abs(x).max(axis=0) > ASKED_RAD_S2
+        if not asked.any():
+            return
+        x, y = x[:, asked], y[asked]
+        kept = math.exp(-step_s / REMEMBERED_S)
+        self._xx = kept * self._xx + step_s * np.sum(x * x, axis=1)
+        self._xy = kept * self._xy + step_s * np.sum(x * y, axis=1)
+        self._yy = kept * self._yy + step_s * float(y @ y)
+        alike = np.maximum(self._xy, 0.0) ** 2 / np.maximum(self._xx * self._yy, 1e-12)
+        best = int(np.argmax(alike))
+        if self._yy >= LEAST_RAD_S2**2 and alike[best] >= SURE:
+            before, at, after = alike[[max(best - 1, 0), best, min(best + 1, len(LAGS_S) - 1)]].tolist()
+            bend = before - 2.0 * at + after  # the vertex of a parabola through them
+            off = 0.5 * (before - after) / bend if 0 < best < len(LAGS_S) - 1 and bend < 0.0 else 0.0
+            self.delay_s = float(LAGS_S[best]) + off * LAG_STEP_S
+
+
+def _second_difference(three: FloatArray) -> FloatArray:
+    """Of values at three times, the newest first, `WINDOW_S` apart, over that squared."""
+    difference: FloatArray = (three[0] - 2.0 * three[1] + three[2]) / WINDOW_S**2
+    return difference
