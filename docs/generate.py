@@ -133,10 +133,7 @@ def command_line() -> str:
         "130 interrupted. `proprio --version` prints the version; every command explains itself with `--help`.",
         _table(
             ("command", "does"),
-            [
-                (f"[`proprio {name}`](#proprio-{name.replace(' ', '-')})", about)
-                for name, (about, _) in commands.items()
-            ],
+            [(f"[`proprio {name}`](#proprio-{name.replace(' ', '-')})", about) for name, (about, _) in commands.items()],
         ),
     ]
     for name, (_, command) in commands.items():
@@ -148,9 +145,7 @@ def command_line() -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _commands(
-    parser: argparse.ArgumentParser, before: str = ""
-) -> Iterator[tuple[str, tuple[Any, argparse.ArgumentParser]]]:
+def _commands(parser: argparse.ArgumentParser, before: str = "") -> Iterator[tuple[str, tuple[Any, argparse.ArgumentParser]]]:
     """Name, help and parser of every command; of a command with commands of its own, those."""
     for group in [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]:
         helps = {choice.dest: choice.help for choice in group._choices_actions}
@@ -161,11 +156,7 @@ def _commands(
 
 def _invocation(action: argparse.Action) -> str:
     """As it is written on the command line, without brackets."""
-    value = (
-        action.metavar
-        or (None if action.choices is None else "|".join(map(str, action.choices)))
-        or action.dest.upper()
-    )
+    value = action.metavar or (None if action.choices is None else "|".join(map(str, action.choices))) or action.dest.upper()
     if action.nargs == 0:
         return action.option_strings[-1]
     many = f"{value} [{value} ...]" if action.nargs in ("+", "*") else str(value)
@@ -242,9 +233,7 @@ def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str,
         yield from _made_by(operator.attrgetter(method)(module), {**vars(module), **given}, name, values)
 
 
-def _made_by(
-    function: Any, known: dict[str, Any], name: str, values: dict[str, Any]
-) -> Iterator[tuple[str, str, str, str]]:
+def _made_by(function: Any, known: dict[str, Any], name: str, values: dict[str, Any]) -> Iterator[tuple[str, str, str, str]]:
     """What a function makes: ``publishes``, ``takes`` or ``serves``; the full name, the type, and how messages are kept.
 
     The body is read, not run: loops over tables of the module are followed, and names are computed from what they hold.
@@ -252,9 +241,7 @@ def _made_by(
     body = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
     scope = {
         **known,
-        "self": SimpleNamespace(
-            values=values, conventions=importlib.import_module("proprio_ros.recordings.topics").OUR_DRIVER
-        ),
+        "self": SimpleNamespace(values=values, conventions=importlib.import_module("proprio_ros.recordings.topics").OUR_DRIVER),
         "node": SimpleNamespace(values=values),
     }
     # a kind of connection, and which of its arguments are type, name and quality of service
@@ -269,9 +256,7 @@ def _made_by(
         if isinstance(target, ast.Name):
             return {target.id: value}
         assert isinstance(target, ast.Tuple)
-        return {
-            key: part for one, each in zip(target.elts, value, strict=True) for key, part in bound(one, each).items()
-        }
+        return {key: part for one, each in zip(target.elts, value, strict=True) for key, part in bound(one, each).items()}
 
     def maker(tree: ast.AST) -> str:
         called = getattr(tree.func, "attr", getattr(tree.func, "id", "")) if isinstance(tree, ast.Call) else ""
@@ -285,9 +270,7 @@ def _made_by(
     for part in ast.walk(body):
         if maker(part):
             assert isinstance(part, ast.Call)
-            needed |= {
-                name for place in makers[maker(part)][1:3] if place is not None for name in names(part.args[place])
-            }
+            needed |= {name for place in makers[maker(part)][1:3] if place is not None for name in names(part.args[place])}
         elif isinstance(part, (ast.For, ast.comprehension)):
             needed |= names(part.iter)
     for part in reversed([part for part in ast.walk(body) if isinstance(part, ast.Assign)]):
@@ -394,9 +377,7 @@ def ros_interface() -> str:
             ],
         ),
     ]
-    parts.append(
-        "*running*: may be changed with `ros2 param set` while the node runs; the others are read when it is configured."
-    )
+    parts.append("*running*: may be changed with `ros2 param set` while the node runs; the others are read when it is configured.")
     return "\n\n".join(parts) + "\n"
 
 
@@ -481,17 +462,11 @@ def settings() -> str:
         "## Driver profile",
         "Files of `config/drivers`, or of your own, for `--driver` and the identifier's parameter `driver`. Keys that are left out "
         "are those of the profile that a file extends. Topics are named without a namespace, and found in any.",
-        _table(
-            ("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in FORMS.items()]
-        ),
+        _table(("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in FORMS.items()]),
         "### inputs",
-        _table(
-            ("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in INPUT.items()]
-        ),
+        _table(("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in INPUT.items()]),
         "### columns",
-        _table(
-            ("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in COLUMNS.items()]
-        ),
+        _table(("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in COLUMNS.items()]),
         "## Calibration",
         "The section `calibration` of a robot file, as `proprio calibrate` writes it. `model_fingerprint` is required; joints and "
         "links "

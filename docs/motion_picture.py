@@ -27,10 +27,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder, twin = Path(name), Twin(11)
         box = twin.record("box", 20.0, (BOX_KG, np.array(CENTRE_M)), MOMENTS)
-        bags = [
-            write_bag(folder / motion.name, motion, constants=SIX.constants)
-            for motion in (box, twin.record("empty", 20.0))
-        ]
+        bags = [write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in (box, twin.record("empty", 20.0))]
         found = weigh(bags[0], baseline=bags[1], robot=write_robot(folder), effort_unit="N.m").estimate
     most = max(found.joint_fits, key=lambda fit: float(fit.told.sum()))
     for name, svg in (("arm", held_figure(found.held_views[0])), ("torque", torque_figure(most, True))):

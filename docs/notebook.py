@@ -88,17 +88,12 @@ def page(found: tuple[Cell, ...]) -> str:
             parts.append(f"```text\n{cell.printed.rstrip()}\n```")
         if cell.html or cell.svg:
             # one line: an empty one would end the block
-            shown = " ".join(
-                (cell.html or f'<img alt="" src="data:image/svg+xml;base64,{_coded(cell.svg)}">').split("\n")
-            )
+            shown = " ".join((cell.html or f'<img alt="" src="data:image/svg+xml;base64,{_coded(cell.svg)}">').split("\n"))
             parts.append(f'<div class="shown" style="overflow-x:auto">{shown}</div>')
         elif cell.plain:
             parts.append(f"```text\n{cell.plain}\n```")
     name = SCRIPT.with_suffix(".ipynb").name
-    return (
-        "\n\n".join([*parts, f'<p><a href="{name}" download>The notebook</a>: the same cells with what they gave.</p>'])
-        + "\n"
-    )
+    return "\n\n".join([*parts, f'<p><a href="{name}" download>The notebook</a>: the same cells with what they gave.</p>']) + "\n"
 
 
 def _coded(text: str) -> str:

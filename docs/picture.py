@@ -74,20 +74,13 @@ def draw_arm(axes: Any, elbow_end: float) -> None:
         axes.add_patch(Circle((x[-1], z[-1]), 0.0195, color=LOADS[1][3], alpha=alpha, zorder=5, lw=0))
         for joint in range(1, 4):
             driven = joint == 2
-            axes.add_patch(
-                Circle((x[joint], z[joint]), 0.0095, color=PUSH if driven else "white", alpha=alpha, zorder=6, lw=0)
-            )
+            axes.add_patch(Circle((x[joint], z[joint]), 0.0095, color=PUSH if driven else "white", alpha=alpha, zorder=6, lw=0))
     axes.add_patch(Rectangle((-0.03, -0.005), 0.085, 0.022, color=INK))
     axes.plot([-0.22, 0.11], [-0.005, -0.005], color=MUTED, lw=1.5)
     # from where the forearm pointed to where it points after the push
     degrees, radius = (52.0, 83.0), 0.155
-    axes.add_patch(
-        Arc((x[2], z[2]), 2 * radius, 2 * radius, theta1=degrees[0], theta2=degrees[1] - 3, color=PUSH, lw=2.4)
-    )
-    ends = [
-        np.array([x[2], z[2]]) + radius * np.array([np.cos(a), np.sin(a)])
-        for a in np.radians((degrees[1] - 6, degrees[1]))
-    ]
+    axes.add_patch(Arc((x[2], z[2]), 2 * radius, 2 * radius, theta1=degrees[0], theta2=degrees[1] - 3, color=PUSH, lw=2.4))
+    ends = [np.array([x[2], z[2]]) + radius * np.array([np.cos(a), np.sin(a)]) for a in np.radians((degrees[1] - 6, degrees[1]))]
     axes.add_patch(FancyArrowPatch(*ends, color=PUSH, arrowstyle="-|>", mutation_scale=17, shrinkA=0, shrinkB=0))
     axes.annotate("300 mA push the elbow\nfor 0.6 s", (x[2] - 0.045, 0.052), color="#a87300", ha="center", va="center")
     axes.annotate("what is in\nthe hand?", (x[-1] + 0.032, z[-1] - 0.062), color=LOADS[1][3], ha="center", va="top")

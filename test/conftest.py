@@ -36,16 +36,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Long tests; and real servos for test/bus/conformance: without a port those tests skip."""
     parser.addoption("--long", action="store_true", help="also run what takes long: populations, and all live tests")
     group = parser.getgroup("hardware", "real servos (test/bus/conformance)")
-    group.addoption(
-        "--hardware-port", metavar="PATH", help="serial port, such as /dev/ttyUSB0: support the arm, it goes limp"
-    )
+    group.addoption("--hardware-port", metavar="PATH", help="serial port, such as /dev/ttyUSB0: support the arm, it goes limp")
     group.addoption("--hardware-ids", default="11", metavar="IDS", help="servos on it, comma-separated; default 11")
-    group.addoption(
-        "--hardware-baud", type=int, default=1_000_000, metavar="BITS", help="bits per second; default 1000000"
-    )
-    group.addoption(
-        "--hardware-moves", action="store_true", help="also run what turns the first servo: clamp it free of load"
-    )
+    group.addoption("--hardware-baud", type=int, default=1_000_000, metavar="BITS", help="bits per second; default 1000000")
+    group.addoption("--hardware-moves", action="store_true", help="also run what turns the first servo: clamp it free of load")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -92,9 +92,7 @@ def room_of(path: Path) -> str:
 
 
 def modules() -> list[Path]:
-    return [
-        path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py" and "launch" not in path.parts
-    ]
+    return [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py" and "launch" not in path.parts]
 
 
 def imports(path: Path) -> set[str]:

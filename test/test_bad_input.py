@@ -418,9 +418,7 @@ def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch:
     (folder / "bag_mcap.mcap.zstd").write_bytes(zstd.compress(whole))
     (folder / "bag_mcap.mcap").unlink()
     metadata = (folder / "metadata.yaml").read_text().replace("compression_format: ''", "compression_format: zstd")
-    metadata = metadata.replace("compression_mode: ''", "compression_mode: FILE").replace(
-        "bag_mcap.mcap", "bag_mcap.mcap.zstd"
-    )
+    metadata = metadata.replace("compression_mode: ''", "compression_mode: FILE").replace("bag_mcap.mcap", "bag_mcap.mcap.zstd")
     (folder / "metadata.yaml").write_text(metadata)
     assert len(read(folder).joints.times_ns) == len(read(BAG).joints.times_ns)
     monkeypatch.setattr("proprio_ros.recordings.reader.MOST_UNPACKED", len(whole) - 1)
@@ -489,9 +487,7 @@ def scrambled(data: bytes, dice: random.Random) -> bytes:
         return data[:at]
     if what == 2:
         return data[:at] + data[at:to][:5000] + data[at:]
-    return (
-        data[:at] + dice.choice((b"\0", b"\xff", b"\n", b"[", b"&a *a", b"9" * 400, b": ", b"\xef\xbb\xbf")) + data[at:]
-    )
+    return data[:at] + dice.choice((b"\0", b"\xff", b"\n", b"[", b"&a *a", b"9" * 400, b": ", b"\xef\xbb\xbf")) + data[at:]
 
 
 @pytest.fixture(scope="module")

@@ -66,9 +66,7 @@ def test_every_link_and_every_file_that_is_named_is_there(path: Path) -> None:
     rooms = "|".join(entry.name for entry in (REPOSITORY / "proprio_ros").iterdir() if entry.is_dir())
     named = rf"(?<![\w/.])(?:config|urdf|bags|docs|test|{rooms})/[\w./*-]*(?:\.(?:py|yaml|md|urdf|svg)|/bag_mcap)\b"
     for name in set(re.findall(named, path.read_text(encoding="utf-8"))):
-        assert any([*REPOSITORY.glob(name), *(REPOSITORY / "proprio_ros").glob(name)]), (
-            f"{name} is not in the repository"
-        )
+        assert any([*REPOSITORY.glob(name), *(REPOSITORY / "proprio_ros").glob(name)]), f"{name} is not in the repository"
 
 
 @pytest.mark.long
@@ -122,11 +120,7 @@ def test_the_design_page_has_the_rooms_and_the_classes_of_probes() -> None:
         == rooms
     )
     base = ast.parse((package / "probes" / "base.py").read_text(encoding="utf-8"))
-    kinds = {
-        node.name
-        for node in base.body
-        if isinstance(node, ast.ClassDef) and "Facts" in "".join(map(ast.unparse, node.bases))
-    }
+    kinds = {node.name for node in base.body if isinstance(node, ast.ClassDef) and "Facts" in "".join(map(ast.unparse, node.bases))}
     (table,) = re.findall(r"^\| class \| a probe that \|\n(.*?)\n\n", design, re.DOTALL | re.MULTILINE)
     assert set(re.findall(r"`([A-Z]\w+)`", table)) == kinds - {"Probe"}
 
@@ -134,12 +128,8 @@ def test_the_design_page_has_the_rooms_and_the_classes_of_probes() -> None:
 def test_every_topic_and_service_is_explained() -> None:
     interface = (REPOSITORY / "docs" / "pages" / "ros_interface.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(/\S+)` \| `(\S+)` \| (.*?) \|", interface, re.MULTILINE)
-    assert {"/joint_states", "/identifier/estimate", "/identifier/calibrate_payload", "/driver/stop"} <= {
-        r[0] for r in rows
-    }
-    assert [name for name, _, about in rows if not about.strip()] == [], (
-        "say what it holds in ABOUT of docs/generate.py"
-    )
+    assert {"/joint_states", "/identifier/estimate", "/identifier/calibrate_payload", "/driver/stop"} <= {r[0] for r in rows}
+    assert [name for name, _, about in rows if not about.strip()] == [], "say what it holds in ABOUT of docs/generate.py"
 
 
 def test_commands_are_named_as_a_workspace_has_them() -> None:
@@ -185,8 +175,6 @@ def test_the_workflow_runs_the_gate_and_the_gate_builds_the_pages() -> None:
     jobs = yaml(".github/workflows/ci.yml")["jobs"]
     assert {"run": ".ci/run"} in jobs["gate"]["steps"]
     assert {"run": COMMANDS[1]} in jobs["tests"]["steps"]
-    gate, pages = (
-        (REPOSITORY / path).read_text(encoding="utf-8") for path in (".ci/run", "test/test_documentation_pages.py")
-    )
+    gate, pages = ((REPOSITORY / path).read_text(encoding="utf-8") for path in (".ci/run", "test/test_documentation_pages.py"))
     assert "-e '.[ros,sim,test,docs]'\n" in gate and gate.endswith('.venv/bin/python .ci/tests.py "${wiring[@]}"\n')
     assert '"mkdocs", "build", "-q", "--strict"' in pages

@@ -124,12 +124,8 @@ def test_calibrations(bags: str, validator: Any, tmp_path: Path, capsys: pytest.
     assert (result["calibration"] is not None) == (result["output"] is not None) == output.exists() == accepted
 
 
-@pytest.mark.parametrize(
-    "arguments", [["replay", "--json"], ["replay", "bag", "--probe", "weight", "--json"], ["weigh", "--json"]]
-)
-def test_a_command_line_that_does_not_parse(
-    arguments: list[str], validator: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("arguments", [["replay", "--json"], ["replay", "bag", "--probe", "weight", "--json"], ["weigh", "--json"]])
+def test_a_command_line_that_does_not_parse(arguments: list[str], validator: Any, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     said = capsys.readouterr()

@@ -210,9 +210,7 @@ def not_wrong(estimate: Estimate, truth: float) -> bool:
 
 @pytest.mark.long
 @pytest.mark.parametrize("noise", [0.006, 0.002])
-def test_a_real_pendulum_is_not_weighed_with_a_robot_that_is_not_its(
-    shared: Path, tmp_path: Path, noise: float
-) -> None:
+def test_a_real_pendulum_is_not_weighed_with_a_robot_that_is_not_its(shared: Path, tmp_path: Path, noise: float) -> None:
     """It was accepted at a third of its 490 g: its PWM is no current. Under its own controller it makes no probe."""
     bag = shared / "recordings_real" / "xl330_kp100_up_and_down"
     if not bag.exists():
@@ -221,9 +219,7 @@ def test_a_real_pendulum_is_not_weighed_with_a_robot_that_is_not_its(
 
 
 @pytest.mark.long
-def test_a_real_pendulum_that_is_let_go_swings_freely_whatever_was_measured_before(
-    shared: Path, tmp_path: Path
-) -> None:
+def test_a_real_pendulum_that_is_let_go_swings_freely_whatever_was_measured_before(shared: Path, tmp_path: Path) -> None:
     """It was accepted at 118 g of 490: the torque that is known is none, and the rotor of a data sheet makes no mass of a swing."""
     bag = shared / "recordings_real" / "xl330_kp100_lift_and_drop"
     if not bag.exists():
@@ -312,9 +308,7 @@ def test_commands_stamped_too_early_are_no_calibration(bags: Path, robot: Robot,
 
 
 @pytest.mark.parametrize("off_s", [-0.04, 0.04])
-def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(
-    bags: Path, robot: Robot, off_s: float
-) -> None:
+def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(bags: Path, robot: Robot, off_s: float) -> None:
     learnt = calibrate(robot, empty_runs(bags, robot)).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
@@ -322,9 +316,7 @@ def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("off_s", "off"), [(-0.1, True), (-0.02, False), (0.0, False), (0.02, False), (0.06, True), (0.1, True)]
-)
+@pytest.mark.parametrize(("off_s", "off"), [(-0.1, True), (-0.02, False), (0.0, False), (0.02, False), (0.06, True), (0.1, True)])
 def test_commands_stamped_by_another_clock_are_refused_without_a_calibration(
     bags: Path, robot: Robot, off_s: float, off: bool
 ) -> None:
@@ -541,9 +533,7 @@ def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(bags:
     empty = [bag_in(folder) for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
     assert calibrate_from_bags(empty, {}, output=calibration).verdict is Verdict.ACCEPTED
     bag, rolled = bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3_x0"), {"robot.gravity": [0, 6.94, -6.94]}
-    with pytest.raises(
-        ConfigurationError, match=r"the calibration was made where it is \[0.0, 0.0, -9.81\].*--baseline"
-    ):
+    with pytest.raises(ConfigurationError, match=r"the calibration was made where it is \[0.0, 0.0, -9.81\].*--baseline"):
         replay(bag, Options(calibration=calibration, settings=rolled))
     # an empty hand recorded as the arm stands now does tell
     drifted = replay(bag, Options(calibration=calibration, settings=rolled, baseline=empty[:1]))

@@ -154,9 +154,7 @@ def test_how_it_swings_is_said_and_its_mass_is_not(tmp_path: Path, capsys: pytes
     recording, truth = swung(0.4, scale=1.17)
     write_recording(tmp_path / "bag", recording)
     robot = robot_file(tmp_path)
-    code = main(
-        ["replay", str(tmp_path / "bag"), "--probe", "payload", "--robot", str(robot), "--effort-unit", "N.m", "--json"]
-    )
+    code = main(["replay", str(tmp_path / "bag"), "--probe", "payload", "--robot", str(robot), "--effort-unit", "N.m", "--json"])
     answer = json.loads(capsys.readouterr().out)
     mass, length = answer["estimates"]
     assert code == 3 and answer["verdict"] == "not_identifiable" and answer["reason_codes"] == ["torque_scale_open"]

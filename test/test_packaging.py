@@ -139,12 +139,8 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
             pytest.fail("colcon is missing: apt-get install colcon python3-colcon-ros python3-ament-package")
         pytest.skip("needs colcon")
     source = tmp_path / "src" / "proprio_ros"
-    shutil.copytree(
-        REPOSITORY, source, ignore=shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
-    )
-    clean = {
-        key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
-    }
+    shutil.copytree(REPOSITORY, source, ignore=shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info"))
+    clean = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")}
     # without the environment of the tests: colcon is the system's
     clean["PATH"] = os.pathsep.join(p for p in clean["PATH"].split(os.pathsep) if p != str(Path(sys.executable).parent))
     built = subprocess.run(

@@ -79,9 +79,7 @@ def test_another_arm_is_weighed_by_the_commands_of_the_readme(
     for seed, (name, kg) in enumerate(BAGS.items()):
         record_arm(tmp_path / name, tmp_path / "my_arm.urdf", TRUE, "hand", kg, seed, seconds=15.0)
     ran = commands("**Any other arm")
-    assert [words[:2] for words in ran] == [
-        ["proprio", word] for word in ["robot", "check", "replay", "calibrate", "replay"]
-    ]
+    assert [words[:2] for words in ran] == [["proprio", word] for word in ["robot", "check", "replay", "calibrate", "replay"]]
     half_widths = []
     for words in ran:
         assert main(words[1:]) == 0, f"{shlex.join(words)}: {capsys.readouterr().err}"
@@ -172,10 +170,7 @@ def test_a_reference_stops_no_calibration(
         told = json.loads(capsys.readouterr().out)
         assert ("says_too_little" in told["reason_codes"]) == (name == "LIGHT_BAG"), told["reasons"]
         assert not any("your reference" in note for note in told["notes"]) or name == "HEAVY_BAG"
-        assert (
-            main(["replay", "LOADED_BAG", "--probe", "payload", "--calibration", f"{name}.yaml", *effort, "--json"])
-            == 0
-        )
+        assert main(["replay", "LOADED_BAG", "--probe", "payload", "--calibration", f"{name}.yaml", *effort, "--json"]) == 0
         low, high = json.loads(capsys.readouterr().out)["estimates"][0]["ci95"]
         assert low < 1.3 < high, told
 

@@ -53,9 +53,7 @@ def runs(swings: list[tuple[np.ndarray, np.ndarray]]) -> list[Run]:
     return [as_run(f"swing {number}", *swing) for number, swing in enumerate(swings)]
 
 
-def recording(
-    stamps_s: np.ndarray, position: np.ndarray, off_s: float | None, inputs: InputRecord | None = None
-) -> Recording:
+def recording(stamps_s: np.ndarray, position: np.ndarray, off_s: float | None, inputs: InputRecord | None = None) -> Recording:
     times_ns = START_NS + np.rint(1e9 * stamps_s).astype(np.int64)
     off = () if off_s is None else ((START_NS + int(1e9 * off_s), int(times_ns[-1]) + 1),)
     return Recording("bag", JointRecord(times_ns, ("pivot",), position[:, None]), inputs, (), off)
@@ -140,9 +138,7 @@ def test_what_no_torque_explains_is_refused_with_the_reason() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0, 3])
-def test_a_bag_says_when_torque_is_off(
-    tmp_path: Path, swings: list[tuple[np.ndarray, np.ndarray]], late_s: int
-) -> None:
+def test_a_bag_says_when_torque_is_off(tmp_path: Path, swings: list[tuple[np.ndarray, np.ndarray]], late_s: int) -> None:
     """Also where most states were heard late, on a busy computer: no clock differs for that."""
     types: Any = message_types()
     time, header, state, boolean = (
@@ -156,9 +152,7 @@ def test_a_bag_says_when_torque_is_off(
         said = state(header(stamp=stamp, frame_id=""), ["pivot"], np.array([position]), np.zeros(1), np.array([7.0]))
         enabled = boolean(data=bool(stamp_s < 0.1))
         heard_ns = time_ns + (late_s * 10**9 if stamp_s > 0.05 else 0)
-        messages.append(
-            RawMessage("/joint_states", JOINT_STATE, heard_ns, bytes(types.serialize_cdr(said, JOINT_STATE)))
-        )
+        messages.append(RawMessage("/joint_states", JOINT_STATE, heard_ns, bytes(types.serialize_cdr(said, JOINT_STATE))))
         messages.append(RawMessage("/torque_enabled", BOOL, time_ns, bytes(types.serialize_cdr(enabled, BOOL))))
     write_messages(tmp_path / "bag", messages)
     read = read_recording(tmp_path / "bag", nominal_torque_constants={}, joint_order=["pivot"])

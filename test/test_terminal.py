@@ -75,9 +75,7 @@ def test_several_answers_are_a_table_and_errors_are_wrapped() -> None:
 def test_a_batch_shows_its_answers(tmp_path: Path) -> None:
     words = ["batch", PUSH, STUCK, "--out", str(tmp_path / "out"), "--jobs", "1"]
     seen = on_terminal(*words, columns=150)
-    assert re.search(
-        r"^episode +answer +95 % interval +verdict\n.*bag_mcap +- +- +not_identifiable +stuck", seen, re.MULTILINE
-    )
+    assert re.search(r"^episode +answer +95 % interval +verdict\n.*bag_mcap +- +- +not_identifiable +stuck", seen, re.MULTILINE)
     assert re.search(r"^\S*bag_mcap +50 g +0 \.\. 131 g +too_wide +too_wide, not_calibrated", seen, re.MULTILINE), seen
     again = subprocess.run([sys.executable, "-m", "proprio_ros.cli", *words], capture_output=True, text=True)
     assert again.stdout.splitlines()[0] == "2 episodes: 1 not_identifiable, 1 too_wide" and "95 %" not in again.stdout

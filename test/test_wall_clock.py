@@ -65,19 +65,13 @@ def tries_again(tree: ast.Module) -> list[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.For) and isinstance(node.target, ast.Name) and node.target.id == "_":
             for inner in ast.walk(node):
-                leaves = isinstance(inner, ast.If) and any(
-                    isinstance(each, ast.Break | ast.Return) for each in inner.body
-                )
+                leaves = isinstance(inner, ast.If) and any(isinstance(each, ast.Break | ast.Return) for each in inner.body)
                 caught = isinstance(inner, ast.Try) and "AssertionError" in ast.unparse(inner)
                 if caught or (leaves and OUTCOMES.search(ast.unparse(inner.test))):
                     found.append(f"{inner.lineno}: in the loop of line {node.lineno}")
         elif isinstance(node, ast.Call) and dotted(node.func) == "any":
             for inner in ast.walk(node):
-                if (
-                    isinstance(inner, ast.comprehension)
-                    and isinstance(inner.target, ast.Name)
-                    and inner.target.id == "_"
-                ):
+                if isinstance(inner, ast.comprehension) and isinstance(inner.target, ast.Name) and inner.target.id == "_":
                     found.append(f"{node.lineno}: any of several tries")
     return found
 
@@ -88,9 +82,7 @@ def test_only_wiring_looks_at_the_clock_on_the_wall() -> None:
     for path, tree in trees():
         helper = path.parent == TEST / "support" and path.name in HELPERS
         if path not in allowed and not helper:
-            assert not looks_at_the_clock(tree), (
-                f"{path.relative_to(REPOSITORY)}: take simulated time (test/support), or wire"
-            )
+            assert not looks_at_the_clock(tree), f"{path.relative_to(REPOSITORY)}: take simulated time (test/support), or wire"
 
 
 def test_nothing_is_tried_twice() -> None:

@@ -80,11 +80,7 @@ class Drift(Listed[Period]):
 
     def friction(self) -> list[list[str]]:
         """Titles, then words of each period: its name, episodes, the arm's weight over its URDF's, Coulomb friction by joint."""
-        titles = (
-            [["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in self[0].arm.joints)]]
-            if self
-            else [[]]
-        )
+        titles = [["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in self[0].arm.joints)]] if self else [[]]
         return titles + [
             [period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}"]
             + [within(v, s) for v, s in zip(*period.term("coulomb"), strict=True)]

@@ -162,9 +162,7 @@ def _check_units(episodes: Sequence[Episode], options: Options) -> None:
         )
 
 
-def self_calibrated(
-    empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]
-) -> Options:
+def self_calibrated(empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]) -> Options:
     """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
     The span of the options is what of each episode is empty; what comes back is for all of each. ``option`` of the command line is
@@ -175,9 +173,7 @@ def self_calibrated(
     """
     path = out.resolve() / "calibration.yaml"
     if path.exists() and not path.with_name("job.json").exists():
-        raise ConfigurationError(
-            f"{option}: {path} is no calibration of a job here: move it away, or give it with --calibration"
-        )
+        raise ConfigurationError(f"{option}: {path} is no calibration of a job here: move it away, or give it with --calibration")
     if not path.exists():
         request = request_of(options)
         # evenly over all of them: an arm drifts
@@ -212,9 +208,7 @@ def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
     return found
 
 
-def _reports(
-    folder: Path, rows: Sequence[Row], job: Job, most: int, processes: int, tell: Callable[[str], Any]
-) -> dict[str, str]:
+def _reports(folder: Path, rows: Sequence[Row], job: Job, most: int, processes: int, tell: Callable[[str], Any]) -> dict[str, str]:
     """Write the pages of rows, what looks odd first; returns their places beside the page, by what `named` calls the row.
 
     A page that a stopped job left is of the same row and options: it stays.

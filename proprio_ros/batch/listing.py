@@ -53,11 +53,7 @@ def asked(options: Options | None, check: bool = False) -> str:
     if not check and options.probe != "payload":
         words += ["--probe", options.probe]
     if not check:
-        words += [
-            word
-            for key, value in options.settings.items()
-            for word in ("--set", f"{key}={json.dumps(value, default=str)}")
-        ]
+        words += [word for key, value in options.settings.items() for word in ("--set", f"{key}={json.dumps(value, default=str)}")]
     return "".join(f" {shlex.quote(word)}" for word in words)
 
 

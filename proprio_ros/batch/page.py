@@ -71,9 +71,7 @@ def _sources(rows: Iterable[Row]) -> dict[str, tuple[str, str]]:
     """What each is called, and where it lies: its folder's name where that says which, else all of its path."""
     places = {row["source_name"]: row["source"] for row in rows}
     often = Counter(Path(place).name for place in places.values())
-    return {
-        name: (Path(place).name if often[Path(place).name] == 1 else place, place) for name, place in places.items()
-    }
+    return {name: (Path(place).name if often[Path(place).name] == 1 else place, place) for name, place in places.items()}
 
 
 def _summary(whole: Sequence[Row]) -> list[str]:
@@ -154,17 +152,11 @@ def _refused(whole: Sequence[Row], reports: Mapping[str, str], options: Options 
         title = f"{escape(code.replace('_', ' '))}: {len(own)} ({_percent(len(own), len(whole))})"
         parts.append(f"<div class=cause><h3>{title}</h3><i style='width:{100.0 * len(own) / most:.1f}%'></i>")
         if words:  # no reason of a fit: the sentence is the cause
-            checked = (
-                f"<code>proprio check {escape(named(own[0]).partition(' --span ')[0] + asked(options, True))}</code>"
-            )
-            parts.append(
-                f"<p>{said}</p><p><b>What to do:</b> {_HELP.get(code, _HELP['']).replace('CHECK', checked)}</p>"
-            )
+            checked = f"<code>proprio check {escape(named(own[0]).partition(' --span ')[0] + asked(options, True))}</code>"
+            parts.append(f"<p>{said}</p><p><b>What to do:</b> {_HELP.get(code, _HELP['']).replace('CHECK', checked)}</p>")
         else:
             meaning, remedy = (escape(words[0].upper() + words[1:]) for words in (CODES[code], REMEDIES[code]))
-            parts.append(
-                f"<p>{meaning}.</p><p><b>What to do:</b> {_coded(remedy)}.</p><p class=small>One of them: {said}</p>"
-            )
+            parts.append(f"<p>{meaning}.</p><p><b>What to do:</b> {_coded(remedy)}.</p><p class=small>One of them: {said}</p>")
         examples = ", ".join(_linked(row, reports) for row in own[:EXAMPLES])
         more = f" and {len(own) - EXAMPLES} more" if len(own) > EXAMPLES else ""
         jump = f" <a class=jump href='#all' data-cause='{number}'>Show {'all' if more else 'in the list'}</a>"

@@ -447,6 +447,4 @@ class DynamixelBus:
                 between = bytes(self._goal_length - len(first) - len(last))  # velocity and profile: 0
                 param += (servo.id, *first, *between, *last)
         if param:
-            self._guarded(
-                lambda port: self._packets.syncWriteTxOnly(port, self._goal_start, self._goal_length, param, len(param))
-            )
+            self._guarded(lambda port: self._packets.syncWriteTxOnly(port, self._goal_start, self._goal_length, param, len(param)))

@@ -64,9 +64,7 @@ def hours_between(one: Moment, other: Moment) -> float | None:
 
 def warmer_K(one: Moment, other: Moment) -> dict[str, float]:
     """By joint, where both know the motor's temperature."""
-    return {
-        joint: t - one.temperature_C[joint] for joint, t in other.temperature_C.items() if joint in one.temperature_C
-    }
+    return {joint: t - one.temperature_C[joint] for joint, t in other.temperature_C.items() if joint in one.temperature_C}
 
 
 def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibration:

@@ -168,8 +168,7 @@ class MotionCalibration:
                 for joint, (constant, rms, windows) in zip(self.joints, numbers, strict=True)
             ],
             "between_recordings": {
-                kind: {"std": short(std), "recordings": short(recordings)}
-                for kind, (std, recordings) in self.between.items()
+                kind: {"std": short(std), "recordings": short(recordings)} for kind, (std, recordings) in self.between.items()
             },
             "unknowns": unknowns,
             "correlation": triangle_of(self.covariance / std[:, None] / std),

@@ -104,7 +104,6 @@ class JointCalibration:
         whole = len(rows) == len(runs) and all(len(row) == len(TERMS) for row in rows) and np.all(np.isfinite(rows))
         if len(runs) < FEWEST_RUNS or not whole:
             raise FormError(
-                f"without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; "
-                "calibrate again"
+                f"without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; calibrate again"
             )
         return cls(joint, constant, np.array(terms), np.array(rows), spread, residual, runs)

@@ -223,8 +223,7 @@ class Calibration:
         covariance = correlation_of(section, len(keys), _SMALLEST_EIGENVALUE) * scale[:, None] * scale[None, :]
         defaults = zip(NOISE.items(), (1.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
         noise = {
-            re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default)
-            for (name, form), default in defaults
+            re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default) for (name, form), default in defaults
         }
         if "made" in section:
             with under("made"):

@@ -160,8 +160,7 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
     stated = ", ".join(dict.fromkeys(key.rpartition(".")[2] for key in new.to_state))
     state = f"state: {stated} (marked in the file)" if stated else "use it with --effort-unit N.m"
     text = (
-        f"{output}: {new.name}, joints {', '.join(new.joints)}\n  {state}\n"
-        f"  check: payload_frame, {new.payload_frame} is a guess"
+        f"{output}: {new.name}, joints {', '.join(new.joints)}\n  {state}\n  check: payload_frame, {new.payload_frame} is a guess"
     )
     terminal.show(options.json, {**schema.header("robot"), **about, "to_state": list(new.to_state)}, text)
     return EXIT_OK
@@ -179,9 +178,7 @@ def robot_export(options: argparse.Namespace, given: Sequence[str]) -> int:
     learnt = learnt_urdf(robot)
     write_in_one_step(output, learnt.text, "--output")
     about = {"robot": robot.name, "output": str(output), "friction": list(learnt.joints), "links": list(learnt.links)}
-    bent = f"\n  inertia about the centre is not as learnt, since no body is so: {', '.join(learnt.bent)}" * bool(
-        learnt.bent
-    )
+    bent = f"\n  inertia about the centre is not as learnt, since no body is so: {', '.join(learnt.bent)}" * bool(learnt.bent)
     joints, links = ", ".join(learnt.joints) or "no joint", ", ".join(learnt.links) or "no link"
     text = f"{output}: friction of {joints}; inertia of {links}{bent}"
     terminal.show(options.json, {**schema.header("robot"), **about, "not_as_learnt": list(learnt.bent)}, text)

@@ -93,9 +93,7 @@ class Delay:
         self._sent_s[:-1], self._sent[:-1] = self._sent_s[1:], self._sent[1:]
         self._sent_s[-1], self._sent[-1, 0], self._sent[-1, 1:] = time_s, effort, before
 
-    def observe(
-        self, time_s: float, position: Sequence[float], inertia: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
+    def observe(self, time_s: float, position: Sequence[float], inertia: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Take a reading.
 
         Args:

@@ -27,9 +27,7 @@ DURATION_S = 0.6
 ACCELERATION_RAD_S2 = 1.5  # of the first attempt, beside gravity: 0.27 rad in a push
 CLEARANCE_M = 0.05
 LEAST_LEVER_M = 0.02  # a joint on which a weight has less of a lever does not weigh
-SUPPORT = (
-    0.85  # of what gravity needs: with so much a joint begins to be lowered, and with less from attempt to attempt
-)
+SUPPORT = 0.85  # of what gravity needs: with so much a joint begins to be lowered, and with less from attempt to attempt
 STEP_RAD = 0.18  # of a goal
 WORDS = {"empty": "with nothing in the hand", "payload": "with the object", "reference": "with the reference object"}
 
@@ -48,9 +46,7 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
     bent = bent_pose(robot)
     # what does not raise the hand stays where it rests
     limits = {name: span for name, span in limits.items() if abs(lever_m(robot, name, bent)) > 1e-6}
-    drawn = [
-        {**rest, **{n: round(float(random.uniform(*span)), 2) for n, span in limits.items()}} for _ in range(POSES)
-    ]
+    drawn = [{**rest, **{n: round(float(random.uniform(*span)), 2) for n, span in limits.items()}} for _ in range(POSES)]
     found: dict[str, list[tuple[float, dict[str, float]]]] = {}
     for name in limits:
         if robot.model.joint(name).kind != "prismatic":
@@ -85,9 +81,7 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
     )  # fmt: skip
 
 
-def _push(
-    robot: Robot, name: str, start: Mapping[str, float], up: float, lifts: bool, load: Load
-) -> plans.ExcitationRun:
+def _push(robot: Robot, name: str, start: Mapping[str, float], up: float, lifts: bool, load: Load) -> plans.ExcitationRun:
     drive = robot.drive_trains[name]
     per_A = drive.nominal_effort_per_current
     rotor = (drive.armature.value or drive.armature.std) / drive.transmission**2

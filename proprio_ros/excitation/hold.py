@@ -200,9 +200,7 @@ class Hold:
         for name, inertial, effort in zip(self.joints, *np.array(told).tolist(), strict=True):
             per_rad = self._per_rad[name]
             far = abs(self._goal[name] - self._position[name]) > (ASTRAY_RAD if resting else SLACK_RAD) * per_rad
-            moves = (
-                abs(self._velocity[name]) > DEAD_RAD_S * per_rad and not self._pushed
-            )  # else a reaction, which passes
+            moves = abs(self._velocity[name]) > DEAD_RAD_S * per_rad and not self._pushed  # else a reaction, which passes
             if name in self._pushed or not (far or moves):
                 continue
             most = UNKNOWN_SHARE * self.largest[name]
@@ -379,9 +377,7 @@ class Hold:
                 for other, (by_acceleration, _) in self._reactions[name].items():
                     if other in self.joints:
                         self._mass[self.joints.index(other), column] = by_acceleration
-            self._inverse = np.asarray(
-                np.linalg.pinv(self._mass), dtype=np.float64
-            )  # a joint may have no inertia, by its URDF
+            self._inverse = np.asarray(np.linalg.pinv(self._mass), dtype=np.float64)  # a joint may have no inertia, by its URDF
 
     def _bounded(self, name: str, effort: float) -> float:
         return max(-self.largest[name], min(self.largest[name], effort))

@@ -502,9 +502,7 @@ class ExcitationMachine:
         drive = self.robot.drive_trains[joint]
         weight_N_m = swing.moment_at(self._sample.position[joint]) * drive.transmission  # at the shaft
         if self.phase is Phase.PROBE:
-            return (
-                0.0 if elapsed_s + 0.5 * self._tick_s >= LET_GO_S else -math.copysign(plans.LEAST_CURRENT_A, weight_N_m)
-            )
+            return 0.0 if elapsed_s + 0.5 * self._tick_s >= LET_GO_S else -math.copysign(plans.LEAST_CURRENT_A, weight_N_m)
         inertia = swing.inertia_kg_m2 * drive.transmission**2 + drive.armature.value
         braking_N_m = inertia / CATCH_TIME_S * self._sample.velocity[joint] / drive.transmission
         limit_A = self.robot.motors[joint].current_limit_A

@@ -154,9 +154,7 @@ def load_sequence(name_or_path: str | Path, robot: Robot, held_kg: float = 0.0) 
         path = given if is_path else resource("probes", text)
         content = _content(path)
         if "excitation" not in content:
-            words = (
-                f"has no section 'excitation'; probe files with one: {', '.join(sequence_names()) or 'none'}; or add it"
-            )
+            words = f"has no section 'excitation'; probe files with one: {', '.join(sequence_names()) or 'none'}; or add it"
             raise ConfigurationError(f"{path.name}: {words}")
         section, name, where = _whole(content["excitation"], path), path.stem, f"{path.name}: excitation"
         if not is_path and name in FIRST and not _its_joints(section) & {*robot.drive_trains}:
@@ -303,9 +301,7 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
         mean_A = run.other_current(mean_A)
 
 
-def _of_pose(
-    stated: Mapping[str, float], known: Mapping[str, float], sequence: ExcitationSequence, robot: Robot
-) -> Iterator[str]:
+def _of_pose(stated: Mapping[str, float], known: Mapping[str, float], sequence: ExcitationSequence, robot: Robot) -> Iterator[str]:
     """Limits of the joints stated; and the height of the pose, where the joints that are not known yet are at zero."""
     for name, position in stated.items():
         if name not in robot.drive_trains:

@@ -82,9 +82,7 @@ class Ways:
         model, spare = self.robot.model.joint(joint), margin_rad * self.per_rad[joint]
         return model.lower + spare, model.upper - spare
 
-    def find(
-        self, before: Mapping[str, float], after: Mapping[str, float], sequence: ExcitationSequence, where: str
-    ) -> Way:
+    def find(self, before: Mapping[str, float], after: Mapping[str, float], sequence: ExcitationSequence, where: str) -> Way:
         """The straight way of all driven joints [rad or m], or one over a higher pose when that comes too low.
 
         Raises `ExcitationError`: Neither keeps the sequence's clearance; ``where`` says what is there.

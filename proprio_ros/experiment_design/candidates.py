@@ -140,9 +140,7 @@ def expected_coulomb(problem: Problem, joint: str) -> float:
     return coulomb.value + 0.5 * coulomb.std * (coulomb.value < coulomb.std)
 
 
-def currents_beyond(
-    run: PreparedRun, facts: PayloadFacts, masses_kg: Sequence[float]
-) -> Iterator[tuple[float, float, float]]:
+def currents_beyond(run: PreparedRun, facts: PayloadFacts, masses_kg: Sequence[float]) -> Iterator[tuple[float, float, float]]:
     """Currents that move the joint of a standing run one way or the other, by a little and by more, with any mass in the hand.
 
     Yields:

@@ -66,9 +66,7 @@ class _Candidates:
         return _known_after(self.problem, self.dq[s], self.alive[s], [r])
 
 
-def _known_after(
-    problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]
-) -> tuple[list[Key], np.ndarray]:
+def _known_after(problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]) -> tuple[list[Key], np.ndarray]:
     """Keys and precision of the unknowns that some runs touch, after them; dq (R, T, F), alive (R, T)."""
     free = [problem.unknowns[row] for row in problem.free]
     own = [f for f, u in enumerate(free) if u.shared or u.scope in runs]
@@ -106,9 +104,7 @@ def plan(
             stds = [_std_of_mass(*candidates.known_after(s, r)) for s in range(len(masses))]
             widest = int(np.argmax(stds))
             if np.isfinite(stds[widest]):
-                interval = (
-                    f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
-                )
+                interval = f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
                 yield stds[widest], _as_plan(candidates, r, stds, f"widest 95 % interval {interval}")
 
     search = Search(robot, candidate_joints(robot), tries)

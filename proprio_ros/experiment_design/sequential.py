@@ -289,9 +289,7 @@ class Catalogue:
             runs.append(JointRun(run.times_s, times, given, no_supply, self.robot.friction_velocity, STEP_S, fine))
         return JointSimulator(runs)
 
-    def _fitting(
-        self, simulator: JointSimulator, candidates: Sequence[_Candidate], masses: Sequence[float]
-    ) -> np.ndarray:
+    def _fitting(self, simulator: JointSimulator, candidates: Sequence[_Candidate], masses: Sequence[float]) -> np.ndarray:
         """Which pushes stay inside all limits with each of the masses, shape (C,)."""
         places, count = [each.place for each in candidates], len(candidates)
         fits = np.ones(count, dtype=bool)

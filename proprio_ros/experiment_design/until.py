@@ -49,9 +49,7 @@ class CatalogueChooser(Chooser):
 class UntilSure(CatalogueChooser):
     """One weighing whose pushes are chosen one by one; `Chooser` has what it takes and raises."""
 
-    def __init__(
-        self, robot: Robot, facts: PayloadFacts, sequence: ExcitationSequence, whole: Whole | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, facts: PayloadFacts, sequence: ExcitationSequence, whole: Whole | None = None) -> None:
         super().__init__(robot, sequence, Sought("mass", "kg"), whole)
         self.catalogue = sequential.Catalogue(robot, facts)
         self.known = self.catalogue.nothing_known()

@@ -45,9 +45,7 @@ class Value:
         """Of a vector or a tensor, each as a value of its own; a number as it is."""
         if not isinstance(self.value, list):
             return [self]
-        axes = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(
-            len(self.value), range(len(self.value))
-        )
+        axes = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(len(self.value), range(len(self.value)))
         stds = self.std if isinstance(self.std, list) else [None] * len(self.value)
         ends = self.ci95 if isinstance(self.ci95, list) else [None] * len(self.value)
         return [
@@ -284,9 +282,7 @@ class Estimate:
         return plain({**record, "uncertainty_budget": budget, **picked(self, "assumptions", "notes", "timing_s")})
 
 
-def no_answer(
-    probe: str, name: str, unit: str, robot: str, runs: int, reasons: Sequence[str], notes: Sequence[str]
-) -> Estimate:
+def no_answer(probe: str, name: str, unit: str, robot: str, runs: int, reasons: Sequence[str], notes: Sequence[str]) -> Estimate:
     """What is said where no run can be used: the value is not determined, and the reasons are the runs' own."""
     values = (Value(name, unit, None, reason="no run of this recording determines it"),)
     verdict = Verdict.NOT_IDENTIFIABLE

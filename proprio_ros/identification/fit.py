@@ -147,9 +147,7 @@ def solve_load(
     return FitResult.of(problem, solution)
 
 
-def fit_both(
-    solve: Callable[..., FitResult], again: Callable[[FitResult, FitResult], bool]
-) -> tuple[FitResult, FitResult]:
+def fit_both(solve: Callable[..., FitResult], again: Callable[[FitResult, FitResult], bool]) -> tuple[FitResult, FitResult]:
     """A fit with the robot as it is stated, and from there the one in which all that is open moves under its prior.
 
     ``solve`` takes a role for what is open, and a fit to start from (``start``), default every start; ``again`` says of both fits
@@ -329,9 +327,7 @@ class _Held:
         self.coordinates = problem.coordinates
         self._problem, self._column, self._inflation, self._best = problem, column, inflation, best
 
-    def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See ``LeastSquares``."""
         cost, gradient, matrix = self._problem.linearise(internal, counts)
         if self._inflation > 1.0:

@@ -50,9 +50,7 @@ class Contradiction:
     half: float | None = None  # of the difference between two values that are nearly alike; None where they are not
 
 
-def contradiction(
-    name: str, unit: str, one: float, others: float, alike: float, same: float, question: str
-) -> Contradiction:
+def contradiction(name: str, unit: str, one: float, others: float, alike: float, same: float, question: str) -> Contradiction:
     """What to make of the run called ``name`` that says ``one`` value where the others say another.
 
     Values that differ by less than ``alike`` do not contradict each other; half of the difference then counts as uncertainty. What

@@ -75,9 +75,7 @@ class Posterior:
         return whitened / self._weight[rows], float(self.residual[rows] @ whitened)
 
 
-def run_fits(
-    problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]
-) -> tuple[tuple[RunFit, ...], float, float]:
+def run_fits(problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]) -> tuple[tuple[RunFit, ...], float, float]:
     """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
     q, _, _ = problem.simulate(values[None], problem.free[:3])
     fits, squares, expected, samples = [], 0.0, 0.0, 0

@@ -389,9 +389,7 @@ class Problem:
         q, v, dq = self.simulator.jacobian(self._worlds(guesses), p, tangents, counts)
         return *(a.reshape(guesses, runs, -1) for a in (q, v)), dq.reshape(guesses, runs, -1, dq.shape[-1]), direct
 
-    def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cost, gradient and Gauss-Newton matrix in solver coordinates, priors included.
 
         Args:

@@ -58,9 +58,7 @@ class LoadedRun(NamedTuple):
     load: KnownLoad = KnownLoad()
 
 
-def calibrate(
-    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
-) -> CalibrationEstimate:
+def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None) -> CalibrationEstimate:
     """Learn the robot from empty-hand runs, and runs with a weighed reference; what its file states is the prior.
 
     Raises:
@@ -252,15 +250,11 @@ def _not_as_stated(off: EmptyHand | None) -> list[str]:
         return []
     by = f"{shown('kg', abs(off.mass_kg), spec='.1f')} +- {shown('kg', off.std_kg, spec='.1f')}"
     less = "less" if off.mass_kg < 0.0 else "more"
-    said = (
-        f"by these runs your reference weighs {by} {less} than you stated: weigh it again, since every mass follows it"
-    )
+    said = f"by these runs your reference weighs {by} {less} than you stated: weigh it again, since every mass follows it"
     return [Reason("far_from_prior", said)]
 
 
-def _fit_what_agrees(
-    robot: Robot, runs: list[PreparedRun], progress: Callable[[str], None]
-) -> tuple[Fitted, list[str]]:
+def _fit_what_agrees(robot: Robot, runs: list[PreparedRun], progress: Callable[[str], None]) -> tuple[Fitted, list[str]]:
     """Fit all runs; while one of them contradicts the rest, leave it out and fit again.
 
     A run that was not as stated bends the fit, and an honest one may look worse by that: each that was left out comes back where
@@ -340,9 +334,7 @@ def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
     return tuple(entries)
 
 
-def _not_separated(
-    robot: Robot, problem: Problem, rows: Sequence[UnknownRow], calibration: Calibration
-) -> tuple[str, ...]:
+def _not_separated(robot: Robot, problem: Problem, rows: Sequence[UnknownRow], calibration: Calibration) -> tuple[str, ...]:
     """What these runs leave open, in sentences: drive-train terms at their prior, and pairs that only occur together."""
     sentences = []
     for row in rows:

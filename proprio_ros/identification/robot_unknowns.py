@@ -106,9 +106,7 @@ def onset_std(robot: Robot, run: PreparedRun) -> float:
     return float(np.hypot(robot.onset_jitter_s, period / 2.0))
 
 
-def _from_quantity(
-    kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf
-) -> Unknown:
+def _from_quantity(kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf) -> Unknown:
     return Unknown(kind, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper, scope=scope)
 
 

@@ -24,9 +24,7 @@ class LeastSquares(Protocol):
 
     coordinates: Coordinates
 
-    def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cost (S,), gradient (S, F), Gauss-Newton matrix (S, F, F)."""
         ...
 

@@ -161,9 +161,7 @@ class Text(Form):
         if not isinstance(value, str) or not value:
             raise FormError(f"expected {self.what}, got {shortly(value)}")
         if len(value) > self.longest or not value.isprintable():
-            raise FormError(
-                f"expected {self.what} of at most {self.longest} printable characters, got {shortly(value)}"
-            )
+            raise FormError(f"expected {self.what} of at most {self.longest} printable characters, got {shortly(value)}")
         return value
 
     def described(self) -> str:

@@ -101,9 +101,7 @@ def _check_depth(content: Any) -> None:
     while level:
         if depth > DEEPEST:
             raise _Refused(_TOO_DEEP)
-        nested = [
-            outer.values() if isinstance(outer, dict) else outer for outer in level if isinstance(outer, (dict, list))
-        ]
+        nested = [outer.values() if isinstance(outer, dict) else outer for outer in level if isinstance(outer, (dict, list))]
         level, depth = list(chain.from_iterable(nested)), depth + 1
 
 

@@ -51,9 +51,7 @@ SEARCH: dict[str, Form] = {
     "solver.widest_relative": Number(
         "half width of the widest 95 % interval that is an answer, over the value", "", 0.0, 10.0, open=True
     ),
-    "solver.wide_share": Number(
-        "an interval wider than +- this share of the value is too wide", "", 0.0, 100.0, open=True
-    ),
+    "solver.wide_share": Number("an interval wider than +- this share of the value is too wide", "", 0.0, 100.0, open=True),
     "solver.wide_floor_kg": Number("but not where it is narrower than +- this", "kg", 0.0, 10.0),
     "solver.signals": Choice("what runs that a camera saw are fitted to", ("both", "joint", "camera")),
     "paper.substeps": Whole("Euler steps per 1/60 s frame, 4 to 64 in the paper", "", 1, 1024),
@@ -64,9 +62,7 @@ SEARCH: dict[str, Form] = {
     "paper.loss_time_s": Perhaps(
         "simulated instant that is compared; null: the last sample's", Number(unit="s", lowest=0.0, highest=60.0)
     ),
-    "paper.loss_sample": Perhaps(
-        "number of the sample it is compared with; null: the last", Whole(lowest=-1e6, highest=1e6)
-    ),
+    "paper.loss_sample": Perhaps("number of the sample it is compared with; null: the last", Whole(lowest=-1e6, highest=1e6)),
 }
 """Forms of how a probe searches; what is stated about an object is in the ``facts.py`` of its probe."""
 

@@ -86,9 +86,7 @@ def _nodes(context: LaunchContext) -> list[Any]:
     if virtual:
         mass, wait_s = mass or "0.1", "1.0"
         data = data or f"~/.ros/proprio_ros/virtual_{given['seed'] or 'default'}"
-    reference = (
-        mass if virtual and float(mass) > 0.0 else ""
-    )  # whoever has no weight has none to put into the hand either
+    reference = mass if virtual and float(mass) > 0.0 else ""  # whoever has no weight has none to put into the hand either
     overrides: dict[str, dict[str, str]] = {
         "virtual": {"link": port, "object": given["object"], "seed": given["seed"], "reference": reference},
         "driver": {"port": port, "rate": given["rate"]},

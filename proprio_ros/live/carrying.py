@@ -130,10 +130,7 @@ class Carrier:
 def way(start: Mapping[str, float], goal: Mapping[str, float]) -> list[dict[str, float]]:
     """Poses on the straight way of the joints from one pose to another, which may leave joints where they are [rad]."""
     shares = np.linspace(0.0, 1.0, WAY_POSES)
-    return [
-        {**start, **{name: (1.0 - s) * start.get(name, to) + s * to for name, to in goal.items()}}
-        for s in shares.tolist()
-    ]
+    return [{**start, **{name: (1.0 - s) * start.get(name, to) + s * to for name, to in goal.items()}} for s in shares.tolist()]
 
 
 def capability_entries(found: Capability, load: Load) -> dict[str, object]:

@@ -114,9 +114,7 @@ class OnlineFeed:
         rows = [self._latest[name] for name in self.joints]
         new = self._running.add(time_s, [row[0] for row in rows], [row[1] for row in rows])
         if self._running.frozen:
-            self.waits_for = (
-                "joint states say the same again and again of an arm that was moving: their publisher stalls"
-            )
+            self.waits_for = "joint states say the same again and again of an arm that was moving: their publisher stalls"
         elif all(math.isfinite(value) for row in rows for value in row):
             self.waits_for, self.samples = "", self.samples + 1
         return self._running.estimate() if new else None

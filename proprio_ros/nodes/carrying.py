@@ -63,9 +63,7 @@ class Carrying:
             return
         names, now_ns = list(self._carrier.joints), messages.first_stamp_ns(self._seen) or 0
         efforts, stds = self._carrier.efforts(self._pose, load)
-        self._effort.publish(
-            messages.joint_state(now_ns, names, [self._pose[name] for name in names], effort=efforts.tolist())
-        )
+        self._effort.publish(messages.joint_state(now_ns, names, [self._pose[name] for name in names], effort=efforts.tolist()))
         self._std.publish(messages.joint_state(now_ns, names, effort=stds.tolist()))
         self._count += 1
         if self._count % EVERY == 1:
@@ -76,18 +74,12 @@ class Carrying:
         carrier = self._carrier
         wrong = [] if carrier is None else [name for name in goal if name not in carrier.joints]
         if load is None or carrier is None or not self._stands():
-            reason = (
-                "what the hand holds is not known; weigh it"
-                if self._stands()
-                else "no joint states of the arm are coming"
-            )
+            reason = "what the hand holds is not known; weigh it" if self._stands() else "no joint states of the arm are coming"
         elif wrong or not goal or not all(map(math.isfinite, goal.values())):
             reason = f"the goal must name joints of {', '.join(carrier.joints)}, each with a position in rad"
         else:
             return self._say(load, way(self._pose, goal), "to the goal")
-        self._capability.publish(
-            messages.status("warning", "capability", reason, {"where": "to the goal", "can_carry": "unknown"})
-        )
+        self._capability.publish(messages.status("warning", "capability", reason, {"where": "to the goal", "can_carry": "unknown"}))
 
     def _say(self, load: Load, poses: list[dict[str, float]], where: str) -> None:
         assert self._carrier is not None
@@ -95,6 +87,4 @@ class Carrying:
         left = f"{found.joint} has {100.0 * found.margin:.0f} % left"
         words = f"{'can' if found.can else 'cannot'} carry {1e3 * load.mass_kg:.0f} g {where}: {left}"
         level = "ok" if found.can else "warning"
-        self._capability.publish(
-            messages.status(level, "capability", words, {"where": where, **capability_entries(found, load)})
-        )
+        self._capability.publish(messages.status(level, "capability", words, {"where": where, **capability_entries(found, load)}))

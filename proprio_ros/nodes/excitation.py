@@ -122,9 +122,7 @@ class ExcitationNode(ManagedNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self._output = self._driver_output() if ours else self._controller_output(interface)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(
-            JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not (ours and self._machine.busy)
-        )
+        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not (ours and self._machine.busy))
         if ours:  # else this node says itself what it commands
             self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
@@ -196,9 +194,7 @@ class ExcitationNode(ManagedNode):
             if lost := self._output.hear(message, now, whole=sample is not None):
                 remedy = "check sign and unit of the efforts, what it carries, and who else moves it"
                 if "paused" in lost:
-                    remedy = (
-                        "keep this computer free, or run this node beside controller_manager with real-time priority"
-                    )
+                    remedy = "keep this computer free, or run this node beside controller_manager with real-time priority"
                 self.say("error", f"the arm is let go: {lost}; {remedy}")
                 self._abort(f"the arm was let go: {lost}")
 

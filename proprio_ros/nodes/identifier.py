@@ -60,9 +60,7 @@ def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
     called, baseline = f"calibrate_{probe.name}", f"record_{probe.name}_baseline"
     if isinstance(probe, HasBaseline):
         called += f" and {baseline}"
-    parameters = [
-        Parameter(f"{probe.name}_sequence", probe.default_sequence, f"Probe sequence of {called}.", dynamic=True)
-    ]
+    parameters = [Parameter(f"{probe.name}_sequence", probe.default_sequence, f"Probe sequence of {called}.", dynamic=True)]
     if isinstance(probe, HasBaseline):
         words = f"Bag of the {probe.baseline.noun}; empty: what {baseline} kept last; none: without."
         parameters.append(Parameter(f"{probe.name}_baseline", "", words, dynamic=True))

@@ -153,9 +153,7 @@ def _marker(
     return marker
 
 
-def markers(
-    stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str, accepted: bool = True
-) -> MarkerArray:
+def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str, accepted: bool = True) -> MarkerArray:
     """Bodies at one place with the value in words above, in amber where its interval is too wide; what was shown before goes."""
     header, colour, spec = ("proprio", stamp_ns, frame), BLUE if accepted else AMBER, spec_for(unit, std)
     made = [

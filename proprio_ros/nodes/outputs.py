@@ -36,16 +36,12 @@ def controller_of(node: ManagedNode, robot: Robot, topic: str) -> EffortControll
     """
     values = node.values
     joints, jump_rad = values["controller_joints"], values["max_jump"]
-    switches = (
-        "" if values["controller_manager"] else "this node switches no controllers: activate that one first, and "
-    )
+    switches = "" if values["controller_manager"] else "this node switches no controllers: activate that one first, and "
     controller: EffortController | GoalController
     if values["command_interface"] == "effort":
         gains = HoldGains(values["hold_frequency"], jump_rad=jump_rad, max_velocity_rad_s=values["max_velocity"])
         controller = EffortController(robot, joints, values["effort_unit"], gains)
-        said = (
-            f"efforts go to {topic}; this node alone holds the arm then; {switches}keep a hand near the emergency stop"
-        )
+        said = f"efforts go to {topic}; this node alone holds the arm then; {switches}keep a hand near the emergency stop"
     else:
         controller = GoalController(robot, joints, jump_rad)
         said = f"goals go to {topic}; {switches}keep a hand near the servos' supply"
@@ -160,13 +156,9 @@ class ControllerOutput(Output):
             raise ExcitationError(f"nobody listens to {self._topic}: load and activate the controller")
         publishers = self._node.get_publishers_info_by_topic(self._topic)
         if sum(not self._last_words.is_publisher(info) for info in publishers) > 1:  # beside this node's own
-            raise ExcitationError(
-                f"somebody else publishes on {self._topic}, too: end it first, for the last command counts"
-            )
+            raise ExcitationError(f"somebody else publishes on {self._topic}, too: end it first, for the last command counts")
         if not self._last_words.alive:
-            raise ExcitationError(
-                "the process that holds the arm if this one is killed has ended: start this node again"
-            )
+            raise ExcitationError("the process that holds the arm if this one is killed has ended: start this node again")
         self.controller.check(sequence)
 
     def begin(self) -> None:

@@ -131,9 +131,7 @@ class ManagedNode(LifecycleNode):
                 f"another node is called {self.get_fully_qualified_name()}: calls reach either of them; {advice}",
             )
 
-    def create_service(
-        self, kind: Any, name: str, callback: Any, *, qos_profile: QoSProfile = CALLS, **more: Any
-    ) -> Any:
+    def create_service(self, kind: Any, name: str, callback: Any, *, qos_profile: QoSProfile = CALLS, **more: Any) -> Any:
         """As rclpy's, for more callers at once."""
 
         def serve(request: Any, response: Any) -> Any:
@@ -185,9 +183,7 @@ class ManagedNode(LifecycleNode):
         events = SubscriptionEventCallbacks(incompatible_qos=relax)
         subscriptions = [self.create_subscription(kind, topic, hear, quality, event_callbacks=events, raw=raw)]
 
-    def call(
-        self, client: Any, request: Any, patience_s: float, then: Callable[[Any, str], None], name: str = ""
-    ) -> None:
+    def call(self, client: Any, request: Any, patience_s: float, then: Callable[[Any, str], None], name: str = "") -> None:
         """Call a service without waiting for it; ``name`` is its own in words, where the client's is not meant.
 
         ``then`` is called later, once, with the response and an empty string, or with None and what went wrong.

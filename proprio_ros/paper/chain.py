@@ -237,9 +237,7 @@ def attach_payload_joint(
     wanted = (3,) if kind == "prismatic" else (2, 3)
     directions, pseudo = np.asarray(axes, dtype=np.float64), np.asarray(pseudo_inertia, dtype=np.float64)
     if directions.shape != wanted or not np.all(np.linalg.norm(directions, axis=-1) > 0.0):
-        raise SimulationError(
-            f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}"
-        )
+        raise SimulationError(f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}")
     directions = (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).reshape(-1, 3)
     if pseudo.shape != (4, 4) or not np.all(np.isfinite(pseudo)):
         raise SimulationError("the payload's pseudo-inertia must be a finite 4 x 4 matrix")

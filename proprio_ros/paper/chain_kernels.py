@@ -268,13 +268,9 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         result = vec()
         for i in range(n):
             supply = fixed.supply
-            current, _slope = limited_current(
-                command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE]
-            )
+            current, _slope = limited_current(command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE])
             motor = p[w, TORQUE_CONSTANT * n + i] * current
-            dry = (p[w, COULOMB * n + i] + p[w, LOAD_FRICTION * n + i] * wp.abs(motor)) * wp.tanh(
-                v[i] / fixed.friction_velocity[i]
-            )
+            dry = (p[w, COULOMB * n + i] + p[w, LOAD_FRICTION * n + i] * wp.abs(motor)) * wp.tanh(v[i] / fixed.friction_velocity[i])
             result[i] = motor - dry - p[w, VISCOUS * n + i] * v[i] - p[w, STIFFNESS * n + i] * q[i]
         return result
 
@@ -334,9 +330,7 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
             if wp.static(parents[n - 1 - k] >= 0):
                 force[wp.static(parents[n - 1 - k])] = force[wp.static(parents[n - 1 - k])] + force[i]
             supply = fixed.supply
-            current, slope = limited_current(
-                command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE]
-            )
+            current, slope = limited_current(command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE])
             motor = p[w, TORQUE_CONSTANT * n + i] * current
             side[i] = wp.tanh(v[i] / fixed.friction_velocity[i])
             load[i] = wp.abs(motor)
@@ -345,9 +339,7 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
             steep = (p[w, COULOMB * n + i] + p[w, LOAD_FRICTION * n + i] * load[i]) / fixed.friction_velocity[i]
             by_constant[i] = gain * current
             by_v[i] = (
-                gain * p[w, TORQUE_CONSTANT * n + i] * slope
-                - steep * (FLOAT(1.0) - side[i] * side[i])
-                - p[w, VISCOUS * n + i]
+                gain * p[w, TORQUE_CONSTANT * n + i] * slope - steep * (FLOAT(1.0) - side[i] * side[i]) - p[w, VISCOUS * n + i]
             )
 
         da = block()
@@ -361,9 +353,7 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
                 if wp.static(parents[i] >= 0):
                     own_vel[i] = own_vel[i] + own_vel[wp.static(parents[i])]
                     own_acc[i] = own_acc[wp.static(parents[i])]
-                own_acc[i] = (
-                    own_acc[i] + dq[d, i] * lift[i] + dv[d, i] * turn[i] + v[i] * wp.spatial_cross(own_vel[i], s[i])
-                )
+                own_acc[i] = own_acc[i] + dq[d, i] * lift[i] + dv[d, i] * turn[i] + v[i] * wp.spatial_cross(own_vel[i], s[i])
                 own_momentum = _momentum(inertia[i], own_vel[i])
                 own_force[i] = _momentum(inertia[i], own_acc[i]) + wp.spatial_cross_dual(own_vel[i], momentum[i])
                 if heavier(dp, r, i):

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 MISSING = "not available here"
 TITLE = "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction"
-AUTHORS = (
-    "Peter Yichen Chen, Chao Liu, Pingchuan Ma, John Eastman, Daniela Rus, Dylan Randle, Yuri Ivanov, Wojciech Matusik"
-)
+AUTHORS = "Peter Yichen Chen, Chao Liu, Pingchuan Ma, John Eastman, Daniela Rus, Dylan Randle, Yuri Ivanov, Wojciech Matusik"
 ADDRESS = "https://arxiv.org/abs/2410.03920"
 
 MASS_ERRORS = "2 to 6 g, 10 to 28 %"  # of table I over its four objects; which has which is not available here

@@ -116,8 +116,7 @@ class SoftBody:
         block = mesh.tets, mesh.cells, shares, mesh.volumes, inverses, grams, self.masses, self._sides, self._ends
         kinds = wp.int32, wp.int32, FLOAT, FLOAT, MAT33, MAT33, FLOAT, FLOAT, wp.int32
         self._block = [
-            wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu")
-            for values, kind in zip(block, kinds, strict=True)
+            wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu") for values, kind in zip(block, kinds, strict=True)
         ]
 
     @cached_property

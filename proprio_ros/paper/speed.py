@@ -147,16 +147,12 @@ def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, f
     initial = sysid.create_initial_state(model, np.array([prepared.rest.value]))
     sequences = sysid.ModelSequences("arm", spec, "probe", initial, control, encoder)
 
-    def rollout(
-        models: Any, datas: Any, control_signal: Any, param_dicts: Any, initial_states: Any, **maps: Any
-    ) -> Any:
+    def rollout(models: Any, datas: Any, control_signal: Any, param_dicts: Any, initial_states: Any, **maps: Any) -> Any:
         # one recording, so one state per column of finite differences
         states = [sysid.create_initial_state(model, one["q0"].value, one["v0"].value) for one in param_dicts]
         names = ("rollout_signal_mapping", "rollout_state_mapping", "ctrl_mapping")
         chosen = {name: maps[name] for name in names}
-        return sysid.sysid_rollout(
-            models=models, datas=datas, control_signal=control_signal, initial_states=states, **chosen
-        )
+        return sysid.sysid_rollout(models=models, datas=datas, control_signal=control_signal, initial_states=states, **chosen)
 
     def whitened(params: Any, predicted: Any, measured: Any, model: Any, everything: bool, state: Any) -> Any:
         values = params.as_vector()
@@ -277,9 +273,7 @@ class NewtonArm:
         placement, axis = _transform(locked.placement[0]), tuple(locked.axes[0])
         armature = prepared.drive.armature.value
         hinge = builder.add_joint_revolute(-1, moved, parent_xform=placement, axis=axis, armature=armature, **nothing)
-        weld = builder.add_joint_fixed(
-            moved, self._payload, parent_xform=_transform(locked.frames[case.robot.payload_frame][1])
-        )
+        weld = builder.add_joint_fixed(moved, self._payload, parent_xform=_transform(locked.frames[case.robot.payload_frame][1]))
         builder.add_articulation([hinge, weld])
         self._model = model = builder.finalize(device="cpu", requires_grad=True)
         self._solver = newton.solvers.SolverFeatherstone(model)
@@ -293,9 +287,7 @@ class NewtonArm:
         self._position, self._sigma = prepared.position, prepared.sigma
         self._states = [model.state() for _ in range(steps + 1)]
         # a sample lies between two steps: the misfit's slope with respect to these goes into the tape
-        self._slopes = {
-            row: wp.zeros(1, dtype=wp.float32, device="cpu") for row in np.union1d(self._row, self._row + 1)
-        }
+        self._slopes = {row: wp.zeros(1, dtype=wp.float32, device="cpu") for row in np.union1d(self._row, self._row + 1)}
 
         def play() -> None:
             # the payload's mass has changed

@@ -94,9 +94,7 @@ def compute(task: Task) -> tuple[Task, Rows]:
     return task, {**rows, "cost_s": time.process_time() - began}
 
 
-def run(
-    store: Store, names: Sequence[str], seeds: int, processes: int, tell: Callable[[str], Any]
-) -> dict[str, list[Rows]]:
+def run(store: Store, names: Sequence[str], seeds: int, processes: int, tell: Callable[[str], Any]) -> dict[str, list[Rows]]:
     """All rows by experiment, in the order of the seeds; what is kept is not computed again.
 
     No names are all experiments. So many processes work at a time; those that take times run alone.

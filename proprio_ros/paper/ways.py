@@ -82,9 +82,7 @@ def paper_mass(robot: Robot, run: Run, facts: PayloadFacts) -> Answer:
     return _descended(make, options.starts_kg, options.learning_rate, options.extended_iterations, 1e-6)
 
 
-def _descended(
-    make_loss: Callable[[], _Loss], starts_kg: Sequence[float], rate_kg: float, most: int, lightest_kg: float
-) -> Answer:
+def _descended(make_loss: Callable[[], _Loss], starts_kg: Sequence[float], rate_kg: float, most: int, lightest_kg: float) -> Answer:
     """Where Adam ends best on a loss of one mass, from several starts; making the loss counts in its time."""
 
     def solve(iterations: int) -> float:
@@ -160,9 +158,7 @@ class SqueezeLastFrame:
         return off**2, rolled.gradient(weights)[:, rows] * p[:, rows]
 
 
-def paper_cube(
-    robot: Robot, run: Run, edge_m: float, gap_m: float, mass: float, start_Pa: tuple[float, float]
-) -> Answer:
+def paper_cube(robot: Robot, run: Run, edge_m: float, gap_m: float, mass: float, start_Pa: tuple[float, float]) -> Answer:
     """The paper's way for a soft cube, from one first guess of its Lame parameters; the answer is Young's modulus [Pa]."""
     started = time.process_time()
     loss = SqueezeLastFrame(robot, run, edge_m, gap_m, mass)

@@ -141,9 +141,7 @@ def refresh_from_bags(
         raise ConfigurationError("nothing to bring up to date: name the old calibration")
     _check_given(paths, output, force)
     if stated := [key for key in options.settings if key.startswith("robot.")]:
-        raise ConfigurationError(
-            f"--set {stated[0]}: {old} says what the robot is; leave it out, or calibrate from the start"
-        )
+        raise ConfigurationError(f"--set {stated[0]}: {old} says what the robot is; leave it out, or calibrate from the start")
     request = read_request(options)
     fresh = request.robot.calibration
     if fresh is None:
@@ -352,9 +350,7 @@ def write_calibration(
     write_in_one_step(path, stream.getvalue(), "--output")
 
 
-def _with_learnt_delay(
-    request: Request, loads: Sequence[tuple[Path, KnownLoad]], progress: Callable[[str], None]
-) -> Request:
+def _with_learnt_delay(request: Request, loads: Sequence[tuple[Path, KnownLoad]], progress: Callable[[str], None]) -> Request:
     """The same with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
 
     Only where a single joint follows its goal by a law, so that all of its torque hangs on that delay.

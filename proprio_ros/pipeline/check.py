@@ -71,9 +71,7 @@ def check_bags(paths: str | Path | Sequence[str | Path], options: Options | None
     # a URDF alone is enough to look, as where torque was recorded: what needs torque constants is then not said
     described = read_request(replace(options, effort_unit="N.m", driver=None), _any_object)
     request = replace(described, options=options)
-    return request.robot.name, [
-        (_text_check if is_text_recording(path) else _bag_check)(request, path) for path in given
-    ]
+    return request.robot.name, [(_text_check if is_text_recording(path) else _bag_check)(request, path) for path in given]
 
 
 def _any_object(settings: Settings) -> None:
@@ -91,9 +89,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         contents = Contents((), columns.position if columns else None)
     types = {name: kind for name, kind, _ in contents.topics}
     fitting = tuple(driver.name for driver in drivers_of(types.items()))
-    check = BagCheck(
-        str(path), topics=contents.topics, state_topic=contents.states, driver=request.driver, fitting=fitting
-    )
+    check = BagCheck(str(path), topics=contents.topics, state_topic=contents.states, driver=request.driver, fitting=fitting)
     if contents.problem:
         return replace(check, problem=contents.problem)
     problem = ""
@@ -264,9 +260,7 @@ def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, .
     return tuple(advice)
 
 
-def _input_of(
-    recording: Recording, runs: Sequence[RunCheck], types: dict[str, str], unit: str | None
-) -> tuple[str, str]:
+def _input_of(recording: Recording, runs: Sequence[RunCheck], types: dict[str, str], unit: str | None) -> tuple[str, str]:
     """Where the current would come from, and what its numbers are; empty where there is none."""
     inputs = recording.inputs
     if any(run.free for run in runs):

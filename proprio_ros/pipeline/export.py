@@ -45,9 +45,7 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
     """
     path = Path(str(robot.settings.get("urdf", "")))
     if path.suffix != ".urdf" or not path.is_file():
-        raise RobotError(
-            f"{robot.name}: its URDF is in no .urdf file of its own ({path.name}); write it to one and name that"
-        )
+        raise RobotError(f"{robot.name}: its URDF is in no .urdf file of its own ({path.name}); write it to one and name that")
     builder = ElementTree.TreeBuilder(insert_comments=True)
     root = ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=builder))
     calibration = robot.motion_calibration
@@ -58,9 +56,7 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
     if calibration is None:
         scale = robot.arm_scale.value
         bodies = {
-            link.name: scale * link.pseudo_inertia
-            for link in robot.model.links
-            if scale != 1.0 and link.pseudo_inertia[3, 3]
+            link.name: scale * link.pseudo_inertia for link in robot.model.links if scale != 1.0 and link.pseudo_inertia[3, 3]
         }
         bent: list[str] = []
     else:
@@ -100,9 +96,7 @@ def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
         at = slice(PARAMETERS * body, PARAMETERS * (body + 1))
         learnt = calibration.torque_scale * calibration.values[at]
         if learnt[0] <= 0.0:
-            raise RobotError(
-                f"what moves with {joint} weighs {learnt[0]:.3g} kg by this calibration; calibrate with more motion"
-            )
+            raise RobotError(f"what moves with {joint} weighs {learnt[0]:.3g} kg by this calibration; calibrate with more motion")
         change = pseudo_inertia(learnt) - model.pseudo_inertia[body]
         link = max((name for name, (of, _) in model.frames.items() if of == body), key=lambda name: masses[name][3, 3])
         back = np.linalg.inv(model.frames[link][1])
@@ -130,7 +124,5 @@ def _state_inertia(element: ElementTree.Element, pseudo: FloatArray) -> None:
     inertial = ElementTree.SubElement(element, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{axis:.9g}" for axis in centre), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=f"{mass:.9g}")
-    names = {
-        f"i{'xyz'[row]}{'xyz'[column]}": f"{inertia[row, column]:.9g}" for row in range(3) for column in range(row, 3)
-    }
+    names = {f"i{'xyz'[row]}{'xyz'[column]}": f"{inertia[row, column]:.9g}" for row in range(3) for column in range(row, 3)}
     ElementTree.SubElement(inertial, "inertia", names)

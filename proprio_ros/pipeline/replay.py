@@ -191,9 +191,7 @@ def compile_for(options: Options) -> None:
     request.probe.compile(request.robot, request.facts)
 
 
-def write_report(
-    estimate: Estimate, path: Path, *, command: str = "", sources: Sequence[str] = (), force: bool = False
-) -> None:
+def write_report(estimate: Estimate, path: Path, *, command: str = "", sources: Sequence[str] = (), force: bool = False) -> None:
     """Write the page for one result, with what its probe has to show; see `write_page`."""
     own = probe_named(estimate.probe).sections(estimate)
     write_page(estimate, path, own, command=command, sources=sources, force=force)

@@ -197,11 +197,7 @@ def _configured(options: Options, settings: Settings, unit: str | None) -> tuple
         if frame not in links:
             raise ConfigurationError(f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}")
         robot = replace(robot, payload_frame=str(frame))
-    if (
-        "gravity" in overrides
-        and not options.baseline
-        and any(getattr(robot, each) is not None for each in CALIBRATIONS)
-    ):
+    if "gravity" in overrides and not options.baseline and any(getattr(robot, each) is not None for each in CALIBRATIONS):
         made = robot_named(options.calibration or options.robot or DEFAULT_ROBOT).gravity
         if np.linalg.norm(made - robot.gravity) > 0.05:  # m/s^2, 0.3 degrees
             raise ConfigurationError(

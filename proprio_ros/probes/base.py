@@ -232,9 +232,7 @@ class ChoosesNext(Probe[Facts]):
     """Somebody chooses its pushes, one by one."""
 
     @abstractmethod
-    def chooser(
-        self, robot: Robot, facts: Facts, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
-    ) -> Chooser:
+    def chooser(self, robot: Robot, facts: Facts, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
         """Who chooses the pushes of a sequence that has `until`, with what is in the hand; the baseline is without it.
 
         Raises `ConfigurationError`: Nobody can, for this sequence.
@@ -302,9 +300,7 @@ class Shown(Probe[Facts]):
         return ""
 
 
-def chooser_of(
-    probe: Probe[Any], robot: Robot, facts: Any, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
-) -> Chooser:
+def chooser_of(probe: Probe[Any], robot: Robot, facts: Any, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
     """As `ChoosesNext.chooser`, for any probe. Raises `ConfigurationError`: Nobody can choose, for this probe or this sequence."""
     if not isinstance(probe, ChoosesNext):
         raise ConfigurationError(

@@ -33,9 +33,7 @@ class JointColumns(NamedTuple):
         return int(ahead[ahead.size // 2]) if ahead.size else 0  # np.median would round it to 256 ns
 
 
-def joint_state_columns(
-    bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
-) -> JointColumns:
+def joint_state_columns(bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER) -> JointColumns:
     """Columns of a JointState topic; the first of the quantities (fields of the message) must be there in every message.
 
     Raises `RecordingError`: Names and values do not fit each other, or two joints would have one name.

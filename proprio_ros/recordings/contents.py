@@ -54,9 +54,7 @@ def look_into(
     return found if inputs is None or inputs[0] == state else replace(found, inputs=one_line(inputs[0].name))
 
 
-def parts_of(
-    path: str | Path, most: int, *, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER
-) -> list[Span]:
+def parts_of(path: str | Path, most: int, *, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER) -> list[Span]:
     """Parts of a bag with about as many joint states each, of which none has more than ``most``; they leave no gap."""
     with open_bag(path) as bag:
         return bag.parts(bag.topics.states(state_topic, None, conventions), most)
@@ -112,7 +110,5 @@ def read_points(path: str | Path, topic: str, option: str) -> PointTrack:
         messages = [message for _, message in bag.messages(bag.topics.chosen(topic, [POINT], option))]
     stamps = np.array([stamp_ns(message) for message in messages], dtype=np.int64)
     if not stamps.all():
-        raise RecordingError(
-            f"{path}: {topic} holds points without a stamp: they cannot be laid beside the joint states"
-        )
+        raise RecordingError(f"{path}: {topic} holds points without a stamp: they cannot be laid beside the joint states")
     return PointTrack.of_seen(stamps, np.array([[m.point.x, m.point.y, m.point.z] for m in messages]))

@@ -148,9 +148,7 @@ def _as_current(name: str, reading: FloatArray, commanded: FloatArray, effort: E
     return unit, reading / per_A[unit] * np.sign(np.median(reading / commanded))
 
 
-def _compare(
-    where: str, source: str, name: str, unit: str, commanded: FloatArray, measured: FloatArray, effort: Effort
-) -> None:
+def _compare(where: str, source: str, name: str, unit: str, commanded: FloatArray, measured: FloatArray, effort: Effort) -> None:
     """Raises RecordingError: the two contradict each other."""
     off = measured - commanded
     scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))

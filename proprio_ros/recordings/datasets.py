@@ -117,9 +117,7 @@ def _opened(folder: Path, _changed_ns: int) -> DataSet:
         info = json_of(text_of(folder / "meta" / "info.json", RecordingError))
         version = str(info["codebase_version"])
         if not version.startswith(VERSIONS):
-            raise RecordingError(
-                f"{folder}: a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot"
-            )
+            raise RecordingError(f"{folder}: a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot")
         episodes = dict((_episodes_3 if version.startswith("v3.") else _episodes_2)(folder, info))
         features = {str(key): value for key, value in info["features"].items()}
         return DataSet(folder, version, float(info["fps"]), features, dict(sorted(episodes.items())))
@@ -198,9 +196,7 @@ def read_columns(
             if not all(map(len, found.values())):
                 raise RecordingError(f"{name}: no frames in this part of the recording; it has {count} in all")
     if count != episode.length:
-        raise RecordingError(
-            f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole"
-        )
+        raise RecordingError(f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole")
     return found
 
 
@@ -313,9 +309,7 @@ def read_episode(
 
     times_ns, joints, sent = _times(data, read), in_si(position), in_si(_ending(goals, "", "pos"))
     if len(joints) != len(position):
-        raise RecordingError(
-            f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
-        )
+        raise RecordingError(f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver")
     table = np.column_stack(list(joints.values()))
     whole, notes = _usable(times_ns, table, columns, called)
     nothing = np.full(len(table), np.nan)
@@ -362,9 +356,7 @@ def _by_name(data: DataSet, column: str, values: records.FloatArray, called: str
     names = data.names(column)
     table = values.reshape(len(values), -1)
     if len(names) != table.shape[1]:
-        raise RecordingError(
-            f"{called}: {column} has {table.shape[1]} entries and meta/info.json names {len(names)} of them"
-        )
+        raise RecordingError(f"{called}: {column} has {table.shape[1]} entries and meta/info.json names {len(names)} of them")
     return dict(zip(names, table.T, strict=True))
 
 

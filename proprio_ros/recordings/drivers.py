@@ -142,9 +142,7 @@ FORMS: dict[str, Form] = {
         "keys of a data set's columns",
         by=_columns,
     ),
-    "recognised_by": _Texts(
-        "topics, or types of messages, of which any identifies the driver; `proprio check` names it then"
-    ),
+    "recognised_by": _Texts("topics, or types of messages, of which any identifies the driver; `proprio check` names it then"),
 }
 """Forms of the keys of a profile."""
 
@@ -213,9 +211,7 @@ def _located(name: str, folder: Path) -> Path:
         close = [each for each in names if name and each.startswith(name)]
         close = close or difflib.get_close_matches(name[:100], names, n=1)
         hint = f"did you mean {' or '.join(close)}? " if close else ""
-        raise ConfigurationError(
-            f"{_called(name)}: unknown; {hint}choose one of {', '.join(names)}, or give a .yaml file"
-        )
+        raise ConfigurationError(f"{_called(name)}: unknown; {hint}choose one of {', '.join(names)}, or give a .yaml file")
     path = folder / name
     if problem := path_problem(path) or ("" if path.is_file() else "there is no such file"):
         raise ConfigurationError(f"{_called(name)}: {problem}")

@@ -22,8 +22,7 @@ _DEFINITIONS = {
     "string name\nstring message\nstring hardware_id\nKeyValue[] values",
     "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/msg/PointStamped": "std_msgs/Header header\nPoint point",
-    "sensor_msgs/msg/JointState": "std_msgs/Header header\nstring[] name\n"
-    "float64[] position\nfloat64[] velocity\nfloat64[] effort",
+    "sensor_msgs/msg/JointState": "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort",
     "sensor_msgs/msg/BatteryState": "std_msgs/Header header\nfloat32 voltage\nfloat32 temperature\nfloat32 current\n"
     "float32 charge\nfloat32 capacity\nfloat32 design_capacity\nfloat32 percentage\nuint8 power_supply_status\n"
     "uint8 power_supply_health\nuint8 power_supply_technology\nbool present\nfloat32[] cell_voltage\n"

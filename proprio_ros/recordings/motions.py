@@ -84,9 +84,7 @@ def motion_of(
     return motion
 
 
-def _current(
-    recording: Recording, joints: Sequence[str], notes: list[str]
-) -> tuple[FloatArray, BoolArray | slice, str]:
+def _current(recording: Recording, joints: Sequence[str], notes: list[str]) -> tuple[FloatArray, BoolArray | slice, str]:
     """Currents of the motors [A], shape (T, J); at which joint states they are known, T of them; and where they come from."""
     record, inputs, name = recording.joints, recording.inputs, recording.name
     measured = None if record.current is None else record.current[:, [record.column(joint) for joint in joints]]
@@ -100,9 +98,7 @@ def _current(
         raise RecordingError(f"{name}: the recording holds no current; state the unit of its effort with --effort-unit")
     absent = [joint for joint in joints if joint not in inputs.names]
     if absent:
-        raise RecordingError(
-            f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
-        )
+        raise RecordingError(f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}")
     row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
     notes.append(
         f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
@@ -119,9 +115,7 @@ def _check_times(times_s: FloatArray, name: str) -> None:
     intervals = np.diff(times_s)
     rate_hz = 1.0 / float(np.median(intervals))
     if rate_hz < SLOWEST_HZ:
-        raise RecordingError(
-            f"{name}: joint states come at {rate_hz:.2g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
-        )
+        raise RecordingError(f"{name}: joint states come at {rate_hz:.2g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least")
     lost_s = float(intervals[intervals > LONGEST_GAP_S].sum())
     if lost_s > 0.5 * times_s[-1]:
         raise RecordingError(f"{name}: {lost_s:.0f} of {lasted:.0f} s lie in gaps between joint states")

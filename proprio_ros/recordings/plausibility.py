@@ -348,9 +348,7 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     return found
 
 
-def effort_units(
-    per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float
-) -> tuple[EffortUnit, ...]:
+def effort_units(per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float) -> tuple[EffortUnit, ...]:
     """How plausible each unit is that effort may be in, by `effort_per_torque`, torque constants [N m/A] and current per count."""
     result = []
     for unit in EFFORT_UNITS:

@@ -73,9 +73,7 @@ class _Interval(NamedTuple):
     notes: tuple[str, ...]
 
 
-def cut_runs(
-    recording: Recording, *, held: Mapping[str, float] | None = None, joints: Sequence[str]
-) -> tuple[Run, ...]:
+def cut_runs(recording: Recording, *, held: Mapping[str, float] | None = None, joints: Sequence[str]) -> tuple[Run, ...]:
     """Cut the runs out of a recording, in the order in which they happened, of joints that have a motor.
 
     A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods
@@ -174,9 +172,7 @@ def _free_response(name: str, record: JointRecord, joint: str, inside: BoolArray
     repeated = _repeated(record, inside, column)
     if repeated.any():
         inside = inside & ~repeated
-        notes.append(
-            f"{int(repeated.sum())} joint states repeat the one before although {joint} moves; they were left out"
-        )
+        notes.append(f"{int(repeated.sum())} joint states repeat the one before although {joint} moves; they were left out")
     rows = np.flatnonzero(inside)
     position = record.position[rows, column]
     end = np.median(position[record.times_ns[rows] >= record.times_ns[rows[-1]] - int(REST_S * 1e9)])
@@ -223,9 +219,7 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
             raise RecordingError(f"{name}: joint {joint!r} was driven, but the robot drives {', '.join(joints)}")
         if joint not in record.names:
             recorded = ", ".join(record.names)
-            raise RecordingError(
-                f"{name}: joint {joint!r} was driven but its position was not recorded; recorded: {recorded}"
-            )
+            raise RecordingError(f"{name}: joint {joint!r} was driven but its position was not recorded; recorded: {recorded}")
         intervals += _intervals_of_joint(record, inputs, joint, active[:, column])
     if inputs.measured:
         # a few samples above the rest level are noise, not an excitation
@@ -321,9 +315,7 @@ def _intervals_of_joint(record: JointRecord, inputs: InputRecord, joint: str, ac
         onset_ns = int(times[first])
         end_ns = int(times[last + 1]) if last + 1 < len(times) else max(int(record.times_ns[-1]), onset_ns)
         if last + 1 == len(times):
-            notes.append(
-                f"the input ends while {joint} is still driven: its last current is held until the last joint state"
-            )
+            notes.append(f"the input ends while {joint} is still driven: its last current is held until the last joint state")
         longest_ns = int(np.diff(times[first : last + 2]).max(initial=0))
         if longest_ns > LOST_AFTER_PERIODS * period_ns:
             notes.append(f"no input came for {longest_ns / 1e6:.0f} ms while {joint} was driven; the last was held")

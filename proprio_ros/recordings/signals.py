@@ -386,9 +386,7 @@ def read_drive_signals(
         ]
     volts.sort(key=lambda sample: sample[0])
     voltage_ns = np.array([time_ns for time_ns, _ in volts], dtype=np.int64)
-    return records.DriveSignals(
-        goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64)
-    )
+    return records.DriveSignals(goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64))
 
 
 def without_jumps(recording: records.Recording, joints: Sequence[str]) -> records.Recording:

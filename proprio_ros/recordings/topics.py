@@ -152,9 +152,7 @@ class Topics:
             self._refuse(f"which joint states? choose with --state-topic from: {listed(filled)}")
         return candidates[0]
 
-    def input(
-        self, name: str | None, states: Topic, conventions: Conventions = OUR_DRIVER
-    ) -> tuple[Topic, InputTopic] | None:
+    def input(self, name: str | None, states: Topic, conventions: Conventions = OUR_DRIVER) -> tuple[Topic, InputTopic] | None:
         """What drove the joints, and what it means: as the user calls it, else the first that the driver's conventions name.
 
         It has the namespace of the joint states. None where there is none, several are refused.

@@ -95,9 +95,7 @@ def _weighed(estimate: CalibrationEstimate) -> list[str]:
     for each in estimate.weighed_empty:
         spec = spec_for("kg", each.half_width / Z95)
         held = shown("kg", loads.get(each.name, 0.0), spec=".0f")
-        rows.append(
-            [each.name, held, shown("kg", each.mass_kg, spec=spec), "± " + shown("kg", each.half_width, spec=spec)]
-        )
+        rows.append([each.name, held, shown("kg", each.mass_kg, spec=spec), "± " + shown("kg", each.half_width, spec=spec)])
     title = "<h3>Each motion, weighed by the calibration of the others</h3>"
     return [title, table(["", "held", "weighs", "95 %"], rows, numbers=(1, 2, 3))]
 

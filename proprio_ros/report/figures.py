@@ -106,18 +106,14 @@ def motions_figure(fits: Sequence[JointFit]) -> Any:
             above.set_title(plain(f"{fit.name}: {fit.joint}"), loc="left", fontsize=9.5)
             above.plot(fit.times_s, fit.measured, color=MEASURED, linewidth=1.6, label="measured")
             above.plot(fit.times_s, fit.explained, color=SIMULATED, linewidth=1.6, label="explained")
-            above.plot(
-                fit.times_s, fit.explained - fit.payload, color=MUTED, linewidth=1.2, label="without the payload"
-            )
+            above.plot(fit.times_s, fit.explained - fit.payload, color=MUTED, linewidth=1.2, label="without the payload")
             above.set_ylabel("torque (N m)")
             above.legend(loc="best")
             if fit.usual > 0.0:
                 below.axhspan(-2.0 * fit.usual, 2.0 * fit.usual, color=ACCENT, alpha=0.15, linewidth=0)
             below.plot(fit.times_s, fit.explained - fit.measured, color=SIMULATED, linewidth=0.8)
             below.set_ylabel("residual (N m)")
-            below.set_xlabel(
-                "time (s); band: two standard deviations of what stays unexplained where the load is known"
-            )
+            below.set_xlabel("time (s); band: two standard deviations of what stays unexplained where the load is known")
         return figure
 
 

@@ -54,9 +54,7 @@ def document(title: str, parts: Sequence[str], own: Own | None = None) -> str:
     return "\n".join([*head, *parts, f"{tail}</body></html>"])
 
 
-def write_document(
-    path: Path, title: str, parts: Sequence[str], option: str, force: bool = False, own: Own | None = None
-) -> None:
+def write_document(path: Path, title: str, parts: Sequence[str], option: str, force: bool = False, own: Own | None = None) -> None:
     """Write a page; an older page of that name is replaced in one step, another file only with ``force``.
 
     Raises `ConfigurationError`: Another file is there, or it cannot be written; the option is what named it.
@@ -152,9 +150,7 @@ def table(
 def breakable(words: str) -> str:
     """A cell's words, in which a long name may break where folders do."""
     return (
-        re.sub(r"(?<=[/_])(?=\w)", "<wbr>", escape(words))
-        if len(max(words.split(), key=len, default="")) > 24
-        else escape(words)
+        re.sub(r"(?<=[/_])(?=\w)", "<wbr>", escape(words)) if len(max(words.split(), key=len, default="")) > 24 else escape(words)
     )
 
 

@@ -30,9 +30,7 @@ def arm_and_payload(views: Sequence[HeldView]) -> list[str]:
     if views[0].centre is not None:
         interval = "" if views[0].within is None else "; dashed: its 95 % interval"
         about += f" Cross: the payload's centre of mass{interval}. {_INERTIA.get(views[0].inertia_is, '')}"
-        pictures += "".join(
-            framed(held_figure(view, closer=True), f"{view.side.capitalize()}, closer") for view in views
-        )
+        pictures += "".join(framed(held_figure(view, closer=True), f"{view.side.capitalize()}, closer") for view in views)
     return ["<h2>Arm and payload</h2>", f"<div class=views>{pictures}</div>", f"<p class=small>{escape(about)}</p>"]
 
 
@@ -85,9 +83,7 @@ def what_told(fits: Sequence[JointFit]) -> list[str]:
 def _strip(shares: np.ndarray) -> str:
     """A cell for each part of a recording, as dark as its share of the most, 0 to 1."""
     cells = "".join(
-        f'<rect x="{place}" width="1" height="1" opacity="{share:.2f}"/>'
-        for place, share in enumerate(shares)
-        if share >= 0.005
+        f'<rect x="{place}" width="1" height="1" opacity="{share:.2f}"/>' for place, share in enumerate(shares) if share >= 0.005
     )
     return (
         f'<svg class="strip" role="img" aria-label="Share over time" viewBox="0 0 {len(shares)} 1" '

@@ -64,9 +64,7 @@ def series_figure(title: str, places: Sequence[str], unit: str, lines: Sequence[
     """Named values with half of their intervals, one of each line at every place. A matplotlib ``Figure``."""
     with drawn(7.4, 3.6) as (figure, axis):
         for number, (name, values, half) in enumerate(lines):
-            at = np.arange(len(places)) + 0.06 * (
-                number - 0.5 * (len(lines) - 1)
-            )  # beside each other, not on each other
+            at = np.arange(len(places)) + 0.06 * (number - 0.5 * (len(lines) - 1))  # beside each other, not on each other
             axis.errorbar(at, values, yerr=half, fmt="o-", linewidth=1.0, markersize=3.5, capsize=2, label=plain(name))
         axis.set_xticks(range(len(places)), places, rotation=30, ha="right", fontsize=8.0)
         axis.set_ylabel(unit)
@@ -81,9 +79,7 @@ def calibration_figure(estimate: CalibrationEstimate) -> Any:
         return draw_drive_trains(estimate.unknowns)
     weighed = estimate.weighed_empty[:MOST_ROWS]
     if not weighed:
-        return words_figure(
-            f"calibration {estimate.verdict.value.replace('_', ' ')}", estimate.reasons or ("nothing to show",)
-        )
+        return words_figure(f"calibration {estimate.verdict.value.replace('_', ' ')}", estimate.reasons or ("nothing to show",))
     with drawn(7.4, 0.9 + 0.28 * len(weighed)) as (figure, axis):
         grams, half = (1e3 * np.array(each) for each in zip(*((w.mass_kg, w.half_width) for w in weighed), strict=True))
         axis.errorbar(grams, range(len(weighed)), xerr=half, fmt="o", color=ACCENT, capsize=3)

@@ -61,9 +61,7 @@ def write_page(
     write_document(Path(path), title, parts, "--report", force)
 
 
-def card(
-    title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str], interval_first: bool = False
-) -> str:
+def card(title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str], interval_first: bool = False) -> str:
     """A result in a few lines for a notebook's cell, styled by itself, so that nothing of it reaches the rest of the notebook."""
     color = _COLORS.get(verdict.value, "#5a6675")
     badge = f"background:{color};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600;display:inline-block"

@@ -87,9 +87,7 @@ class ArmPicture:
     def ground(self) -> None:
         """The floor, at the height of the base."""
         floor = self.MARGIN + self.scale * self.high[1]
-        self.body.append(
-            f'<path class="ground" d="M{self.MARGIN / 2:.1f},{floor:.1f}H{self.WIDTH - self.MARGIN / 2:.1f}"/>'
-        )
+        self.body.append(f'<path class="ground" d="M{self.MARGIN / 2:.1f},{floor:.1f}H{self.WIDTH - self.MARGIN / 2:.1f}"/>')
 
     def place(self, point: np.ndarray) -> str:
         """Of a point [m]."""
@@ -99,9 +97,7 @@ class ArmPicture:
 
     def links(self, links: np.ndarray, style: str, joint: np.ndarray | None = None) -> None:
         """Lines from joint to joint, shape (L, 2, 2), and a ring about one joint."""
-        lines = dict.fromkeys(
-            f"M{a}L{b}" for a, b in ((self.place(link[0]), self.place(link[1])) for link in links) if a != b
-        )
+        lines = dict.fromkeys(f"M{a}L{b}" for a, b in ((self.place(link[0]), self.place(link[1])) for link in links) if a != b)
         self.body.append(f'<path class="{style}" d="{"".join(lines)}"/>')
         if joint is not None:
             x, y = self.place(joint).split(",")
@@ -119,9 +115,7 @@ class ArmPicture:
     def svg(self, name: str) -> str:
         """With a bar for its scale; ``name`` is for those who cannot see it."""
         height = self.scale * float((self.high - self.low)[1]) + 2.0 * self.MARGIN + self.BELOW
-        length = next(
-            bar for bar in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.0) if self.scale * bar < 0.35 * self.WIDTH
-        )
+        length = next(bar for bar in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.0) if self.scale * bar < 0.35 * self.WIDTH)
         bottom, bar = height - 12.0, self.scale * length
         ruler = (
             f'<path class="ground" style="stroke:var(--ink)" d="M{self.MARGIN:.1f},{bottom:.1f}h{bar:.1f}"/>'

@@ -64,18 +64,14 @@ def _packaged(name: str) -> Path:
     try:
         importlib.import_module("robot_descriptions")
     except ImportError as error:
-        raise RobotError(
-            f"{where}: the package is not installed: pip install robot_descriptions, or give a .urdf file"
-        ) from error
+        raise RobotError(f"{where}: the package is not installed: pip install robot_descriptions, or give a .urdf file") from error
     module = f"robot_descriptions.{name.removesuffix('_description')}_description"
     try:
         found = importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name != module:
             raise RobotError(f"{where}: needs {error.name}, which is not installed") from error
-        raise RobotError(
-            f"{where}: the package has no such description; `python -m robot_descriptions list` names them"
-        ) from error
+        raise RobotError(f"{where}: the package has no such description; `python -m robot_descriptions list` names them") from error
     except Exception as error:  # it clones a repository when it is imported: git and the network fail as they like
         raise RobotError(f"{where}: cannot be fetched ({one_line(str(error), 120)})") from error
     path = getattr(found, "URDF_PATH", None)
@@ -131,6 +127,4 @@ def check_masses(model: RobotModel, source: str) -> None:
             carried[body[joint.parent]] += mass[joint.child]
     bare = [name for name, total in carried.items() if total <= 0.0]
     if bare:
-        raise RobotError(
-            f"{source}: no <inertial> in links that move: {some(bare)}; state mass, centre and inertia of each"
-        )
+        raise RobotError(f"{source}: no <inertial> in links that move: {some(bare)}; state mass, centre and inertia of each")

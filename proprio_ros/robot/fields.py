@@ -157,9 +157,7 @@ ROBOT: dict[str, Field] = {
     "link_com_std_m": Field(Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.005),
     "link_inertia_std": Field(Number("relative inertia about it", "", 0.0, 10.0), 0.2),
     # a tenth of a rad/s would take the place of the friction that it smooths
-    "friction_velocity_rad_s": Field(
-        Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
-    ),
+    "friction_velocity_rad_s": Field(Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001),
     "held": Field(Part("where joints stand that recordings lack, by name, in rad or m", by=_held), {}),
     "drift": Field(Part("how fast a calibration ages: four relative standard deviations", by=_drift), Drift()),
     "calibrated": Field(Truth("whether the numbers come from this very arm"), False),

@@ -80,9 +80,7 @@ class LiveDescription:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RobotError(
-                f"{path.parent} cannot be written ({error.strerror}): name another data_directory"
-            ) from error
+            raise RobotError(f"{path.parent} cannot be written ({error.strerror}): name another data_directory") from error
         write_in_one_step(path, document, "the description")
         return path
 

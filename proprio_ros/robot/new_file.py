@@ -105,11 +105,7 @@ def _joint(model: RobotModel, name: str, explained: bool, torque_recorded: bool)
             words = f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
             lines.append(_line(6, key, None, STATE + words))
         elif key == "current_limit_A" and torque_recorded and math.isfinite(joint.effort_limit):
-            lines.append(
-                line(
-                    6, key, entry, joint.effort_limit, f"{'N' if slides else 'N m'}, its URDF's: " if explained else ""
-                )
-            )
+            lines.append(line(6, key, entry, joint.effort_limit, f"{'N' if slides else 'N m'}, its URDF's: " if explained else ""))
         else:
             lines.append(line(6, key, entry))
     lines.append("    drive_train:")

@@ -191,9 +191,7 @@ def _urdf_source(text: str, source: Path) -> str:
         return str(beside)
     if text.removesuffix(".urdf") in resource_names("urdf"):
         return str(resource("urdf", text))
-    raise RobotError(
-        f"{source.name}: urdf: there is no {beside}; give a path relative to {source.parent}, or an absolute one"
-    )
+    raise RobotError(f"{source.name}: urdf: there is no {beside}; give a path relative to {source.parent}, or an absolute one")
 
 
 def _choices() -> str:
@@ -210,9 +208,7 @@ def _located(name_or_path: str, folder: Path) -> Path:
         return Path(name_or_path)
     if is_description(name_or_path) or path.suffix in (".yaml", ".yml"):
         if not path.is_file():
-            raise RobotError(
-                f"there is no {'URDF' if is_description(name_or_path) else 'robot file'} {path}; {_choices()}"
-            )
+            raise RobotError(f"there is no {'URDF' if is_description(name_or_path) else 'robot file'} {path}; {_choices()}")
         return path.resolve()
     if name_or_path not in resource_names("robots"):
         raise RobotError(f"unknown robot {name_or_path!r}; {_choices()}")
@@ -477,16 +473,12 @@ def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any])
     What the user states beside that stays, and what a calibration learnt.
     """
     settings = _read_settings(_located(str(name_or_path), Path()))
-    if any(settings.get(section) is not None for section in CALIBRATIONS) or not isinstance(
-        settings.get("joints"), Mapping
-    ):
+    if any(settings.get(section) is not None for section in CALIBRATIONS) or not isinstance(settings.get("joints"), Mapping):
         return dict(overrides)
     unit: dict[str, Any] = {}
     for name, stated in settings["joints"].items():
         nominal, constant = f"joints.{name}.motor.{NOMINAL}", f"joints.{name}.drive_train.{_CONSTANT}"
-        open_yet = (
-            _part(stated, "motor").get(NOMINAL) in (None, 1) and _part(stated, "drive_train").get(_CONSTANT) is None
-        )
+        open_yet = _part(stated, "motor").get(NOMINAL) in (None, 1) and _part(stated, "drive_train").get(_CONSTANT) is None
         if open_yet and nominal not in overrides and constant not in overrides:
             unit |= {nominal: 1.0, constant: dict(RECORDED_TORQUE)}
     return unit | dict(overrides)

@@ -84,9 +84,7 @@ class RobotModel:
     def joint(self, name: str) -> Joint:
         """A joint by name. Raises `RobotError`: There is no such joint."""
         if name not in self._joints_by_name:
-            raise RobotError(
-                f"{self.name} has no joint {name!r}; its joints: {', '.join(self._joints_by_name) or 'none'}"
-            )
+            raise RobotError(f"{self.name} has no joint {name!r}; its joints: {', '.join(self._joints_by_name) or 'none'}")
         return self._joints_by_name[name]
 
     def driving(self, joint: Joint) -> tuple[str, float, float]:
@@ -103,9 +101,7 @@ class RobotModel:
             return 0.0
         name, multiplier, offset = self.driving(joint)
         if name not in positions:
-            raise RobotError(
-                f"no position of joint {name!r} of {self.name} is known: state it with --set held.{name}=VALUE"
-            )
+            raise RobotError(f"no position of joint {name!r} of {self.name} is known: state it with --set held.{name}=VALUE")
         position = float(positions[name])
         if not math.isfinite(position):
             raise RobotError(f"the position of joint {name!r} is {position}; it must be a finite number in rad or m")
@@ -126,9 +122,7 @@ class RobotModel:
             frame = joint.parent
         return result
 
-    def lock(
-        self, active: Sequence[str], positions: Mapping[str, float], gravity: ArrayLike = STANDARD_GRAVITY
-    ) -> ReducedModel:
+    def lock(self, active: Sequence[str], positions: Mapping[str, float], gravity: ArrayLike = STANDARD_GRAVITY) -> ReducedModel:
         """Lock all joints but some, and merge what no longer moves against each other: one body for each active joint.
 
         Args:
@@ -190,9 +184,7 @@ class RobotModel:
             if joint.kind == "fixed":
                 raise RobotError(f"joint {name!r} of {self.name} is fixed and cannot move; choose from: {choices}")
             if joint.mimic is not None:
-                raise RobotError(
-                    f"joint {name!r} of {self.name} only follows {joint.mimic[0]!r}; choose from: {choices}"
-                )
+                raise RobotError(f"joint {name!r} of {self.name} only follows {joint.mimic[0]!r}; choose from: {choices}")
             if list(active).count(name) > 1:
                 raise RobotError(f"joint {name!r} of {self.name} was chosen to move twice; name it once")
         for joint in self.joints:

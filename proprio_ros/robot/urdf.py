@@ -73,9 +73,7 @@ class UrdfReader:
     def __init__(self, text: str | bytes, source: str) -> None:
         self._source = source
         if len(text) > LONGEST_TEXT:
-            raise RobotError(
-                f"{source}: has over {LONGEST_TEXT / 1e6:g} MB; give a URDF file, whose meshes lie beside it"
-            )
+            raise RobotError(f"{source}: has over {LONGEST_TEXT / 1e6:g} MB; give a URDF file, whose meshes lie beside it")
         try:
             self._robot = ElementTree.fromstring(text)
         except (ElementTree.ParseError, LookupError, ValueError) as error:
@@ -95,9 +93,7 @@ class UrdfReader:
         """
         for tag in ("link", "joint"):
             if (count := len(self._robot.findall(tag))) > MOST_LINKS:
-                self._fail(
-                    f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves"
-                )
+                self._fail(f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves")
         links = self._unique("link", self._link)
         if not links:
             self._fail("the robot has no <link>")
@@ -297,7 +293,5 @@ class UrdfReader:
             ordered.append(waiting.pop())
             waiting += children[ordered[-1].child]
         if loop := [name for name, joint in joints.items() if joint not in ordered]:
-            self._fail(
-                f"joints {', '.join(loop)} form a loop apart from the tree; let one of them start at a link of it"
-            )
+            self._fail(f"joints {', '.join(loop)} form a loop apart from the tree; let one of them start at a link of it")
         return ordered

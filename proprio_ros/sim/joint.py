@@ -136,9 +136,7 @@ class JointSimulator:
         q, v, dq, *_ = self._launch(world_run, p, dp, counts)
         return q, v, dq[:, :, : dp.shape[2]]
 
-    def _launch(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
-    ) -> tuple[np.ndarray, ...]:
+    def _launch(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None) -> tuple[np.ndarray, ...]:
         """All outputs of the tangent kernel; its directions are padded to one of ``tangent_sizes``."""
         worlds, _, directions = dp.shape
         size = next((s for s in self.tangent_sizes if s >= directions), directions)
@@ -192,9 +190,7 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
 def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]:
     """Size, and whether friction rises towards standstill, of each kernel that fits may need; the last size has all parameters."""
     # all parameters at once are more than some fits have unknowns, and the rise is one of them on every robot
-    return [
-        (size, stribeck) for size in sizes for stribeck in (False, True) if rises or not stribeck or size == sizes[-1]
-    ]
+    return [(size, stribeck) for size in sizes for stribeck in (False, True) if rises or not stribeck or size == sizes[-1]]
 
 
 def plain_kernel(directions: int, integrator: str) -> Any:
@@ -226,9 +222,7 @@ class _Launch:
         self._given: list[np.ndarray | None] = [None] * len(self._views)
         self._results = tuple(output.numpy() for output in self._outputs)
 
-    def __call__(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
+    def __call__(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, ...]:
         for at, values in enumerate((world_run, counts, p, dp)):
             self._put(at, values)
         self._command.launch()

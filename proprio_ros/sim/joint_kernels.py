@@ -67,12 +67,8 @@ def limited_current(command: FLOAT, v: FLOAT, volt: FLOAT, emf: FLOAT, ohm: FLOA
 
 
 @wp.func
-def acceleration(
-    q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, world: wp.int32, constants: FLOATS, run: wp.int32
-):
-    i, _slope = limited_current(
-        command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE]
-    )
+def acceleration(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, world: wp.int32, constants: FLOATS, run: wp.int32):
+    i, _slope = limited_current(command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE])
     motor = p[world, TORQUE_CONSTANT] * i
     dry = p[world, COULOMB] + p[world, LOAD_FRICTION] * wp.abs(motor)
     if p[world, STRIBECK_VELOCITY] > FLOAT(0.0):
@@ -193,9 +189,7 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
             out.q[w, k] = y[0]
             out.dq[w, k] = dy[0]
 
-    return Law(
-        directions, VEC2, VEC3, mat, data_type, Out, DELAY, start, rates, moved, standstill(VEC2, data_type), record
-    )
+    return Law(directions, VEC2, VEC3, mat, data_type, Out, DELAY, start, rates, moved, standstill(VEC2, data_type), record)
 
 
 @cache
@@ -206,9 +200,7 @@ def joint_law(directions: int, stribeck: bool) -> Law:
     linearised = linearised_acceleration(directions, stribeck)
 
     @wp.func
-    def rates(
-        y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: JointData, r: wp.int32
-    ):
+    def rates(y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: JointData, r: wp.int32):
         load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
         a, da = linearised(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)

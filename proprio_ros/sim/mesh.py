@@ -43,13 +43,9 @@ class TetMesh:
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ConfigurationError("the mesh's points must be finite numbers in rows of x, y, z")
         if tets.ndim != 2 or tets.shape[1] != 4 or len(tets) == 0 or self.cells.shape != (len(tets),):
-            raise ConfigurationError(
-                "the mesh needs tetrahedra: rows of four node numbers, and one cell number for each"
-            )
+            raise ConfigurationError("the mesh needs tetrahedra: rows of four node numbers, and one cell number for each")
         if tets.min() < 0 or tets.max() >= len(points):
-            raise ConfigurationError(
-                f"a tetrahedron has a corner that is no node: numbers go from 0 to {len(points) - 1}"
-            )
+            raise ConfigurationError(f"a tetrahedron has a corner that is no node: numbers go from 0 to {len(points) - 1}")
         unused = len(points) - len(np.unique(tets))
         if unused:
             raise ConfigurationError(f"{unused} nodes of the mesh belong to no tetrahedron: remove them")
@@ -168,9 +164,7 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
     if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0.0).any():
         raise ConfigurationError(f"block.size={size.tolist()} is no box: give three edges above zero, in metres")
     if len(cells) != 3 or any(int(n) != n or not 1 <= n <= MAX_CELLS for n in cells):
-        raise ConfigurationError(
-            f"a block cannot have {list(cells)} cells: give three whole numbers from 1 to {MAX_CELLS}"
-        )
+        raise ConfigurationError(f"a block cannot have {list(cells)} cells: give three whole numbers from 1 to {MAX_CELLS}")
     corner = -0.5 * size if corner is None else np.asarray(corner, dtype=np.float64)
     nodes = np.array([int(n) + 1 for n in cells])
     index, origins = (np.array(list(product(*map(range, counts)))) for counts in (nodes, nodes - 1))
@@ -216,9 +210,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
     tets = [block.data for block in found.cells if block.type == "tetra"]
     if not tets:
         kinds = ", ".join(sorted({block.type for block in found.cells})) or "nothing"
-        raise ConfigurationError(
-            f"{path}: holds no tetrahedra (but {kinds}): mesh the block's inside, with first order"
-        )
+        raise ConfigurationError(f"{path}: holds no tetrahedra (but {kinds}): mesh the block's inside, with first order")
     corners = np.concatenate(tets).astype(np.int64)
     if corners.min() < 0 or corners.max() >= len(found.points):
         raise ConfigurationError(

@@ -52,9 +52,7 @@ class PayloadShape:
         except (TypeError, ValueError):
             numbers = np.array([])
         if len(numbers) != wanted or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
-            raise ConfigurationError(
-                f"payload.size={size!r} does not fit a {shape}: give {form} in m, e.g. 0.03 for 30 mm"
-            )
+            raise ConfigurationError(f"payload.size={size!r} does not fit a {shape}: give {form} in m, e.g. 0.03 for 30 mm")
         if np.any(numbers > 1.0):
             raise ConfigurationError(f"payload.size={size!r} is over 1 m: lengths are in m, so 30 mm is 0.03")
         if shape == "box":

@@ -170,9 +170,7 @@ class QuasiStatic:
         check_material(self.elastic.law, mu, lam)
         squeeze = np.asarray(squeeze, dtype=np.float64)
         if squeeze.ndim != 1 or not np.isfinite(squeeze).all() or (squeeze >= self._length).any():
-            raise SimulationError(
-                f"a block of {1e3 * self._length:g} mm cannot be squeezed by that much: give less, in metres"
-            )
+            raise SimulationError(f"a block of {1e3 * self._length:g} mm cannot be squeezed by that much: give less, in metres")
         unit = abs(mu) + abs(lam)
         soft = (mu / unit, lam / unit)
         scales = np.array([unit, unit * self._travel, 1.0, 1.0])
@@ -243,9 +241,7 @@ class QuasiStatic:
                 return step
             shift = 10.0 * shift or 1e-3 * float(np.abs(stiffness.diagonal()).mean())
 
-    def _sensitivities(
-        self, points: np.ndarray, soft: tuple[float, float]
-    ) -> tuple[tuple[float, float, float, float], np.ndarray]:
+    def _sensitivities(self, points: np.ndarray, soft: tuple[float, float]) -> tuple[tuple[float, float, float, float], np.ndarray]:
         """Force and its derivatives by the mesh's squeeze, mu and lambda (in units of ``unit``); dx/dd (N, 3)."""
         _, force, stiffness = self.elastic.linearised(points, *soft)
         free, g = self._free, self._by_squeeze.ravel()

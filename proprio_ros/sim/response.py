@@ -97,9 +97,7 @@ class Response:
         return basis, cell, [[part / step for part in pair] for pair in by_t], value - inside
 
 
-def build(
-    size: np.ndarray, law: str = "log", contact: str = "bonded", cells: int = CELLS, far: bool = False
-) -> Response:
+def build(size: np.ndarray, law: str = "log", contact: str = "bonded", cells: int = CELLS, far: bool = False) -> Response:
     """Compute a table for a block with such edges [m], x along the squeeze, shape (3,); half a minute for bonded faces.
 
     Only the ratios of the edges matter; cells are of an octant along a mean edge. ``far``: as ``FARTHEST`` says, where
@@ -131,9 +129,7 @@ def _tabulate(solver: QuasiStatic, area: float, length: float, made_of: str) -> 
     return Response(made_of, squeeze, ratio, nodes)
 
 
-def response(
-    size: np.ndarray, law: str = "log", contact: str = "bonded", rebuild: bool = False, far: bool = False
-) -> Response:
+def response(size: np.ndarray, law: str = "log", contact: str = "bonded", rebuild: bool = False, far: bool = False) -> Response:
     """As ``build``: from the cache, unless it is to be rebuilt, or built and put there."""
     made_of = _made_of(size, law, contact, CELLS, far)
     return _kept(made_of, rebuild, lambda: build(size, law, contact, CELLS, far))

@@ -48,9 +48,7 @@ class SloshSimulator(JointSimulator):
 
     def __init__(self, runs: Sequence[SloshRun], integrator: str = "rk4") -> None:
         super().__init__([run.joint for run in runs], integrator)
-        self._geometry = self._array(
-            np.array([[run.reach, run.bottom, *run.gravity_s, *run.gravity_z] for run in runs])
-        )
+        self._geometry = self._array(np.array([[run.reach, run.bottom, *run.gravity_s, *run.gravity_z] for run in runs]))
 
     def path(self, world_run: np.ndarray, p: np.ndarray) -> np.ndarray:
         """How far the moving part is from the container's axis at the samples [m], shape (W, T), a copy."""

@@ -75,9 +75,7 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         )
 
     @wp.func
-    def rates(
-        y: VEC4, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32
-    ):
+    def rates(y: VEC4, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32):
         load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
         a, da = linearised(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)

@@ -83,9 +83,7 @@ class Contact:
         return float(min(bounce / np.sqrt(self.stiffness), slip / slipping))
 
 
-def paper_contact(
-    mass: float, k_e: float = 1000.0, k_d: float = 1.0, k_f: float = 1.0, friction: float = 0.3
-) -> "Contact":
+def paper_contact(mass: float, k_e: float = 1000.0, k_d: float = 1.0, k_f: float = 1.0, friction: float = 0.3) -> "Contact":
     """The paper's constants [N/m, N s/m, N s/m, 1] for a sphere of ``mass`` [kg]."""
     return Contact(k_e / mass, k_d / mass, k_f / mass, friction)
 
@@ -130,9 +128,7 @@ class SphereSimulator(JointSimulator):
     harmless = harmless(SPHERE_PARAMETERS)
     tangent_sizes = _SIZES
 
-    def __init__(
-        self, runs: Sequence[SphereRun], enclosure: Enclosure, law: str = "ramped", integrator: str = "rk4"
-    ) -> None:
+    def __init__(self, runs: Sequence[SphereRun], enclosure: Enclosure, law: str = "ramped", integrator: str = "rk4") -> None:
         if law not in LAWS:
             raise SimulationError(f"unknown law of contact {law!r}: choose one of {', '.join(LAWS)}")
         super().__init__([run.joint for run in runs], integrator)
@@ -141,9 +137,7 @@ class SphereSimulator(JointSimulator):
         self.law = law
         sphere = [enclosure.radius, enclosure.inertia_factor, enclosure.ramp_depth]
         inside = [*(0.5 * np.asarray(enclosure.inner_size, dtype=np.float64)), *sphere]
-        places = [
-            [*run.axis, *run.joint_origin, run.kind == "revolute", *np.ravel(run.gravity_terms())] for run in runs
-        ]
+        places = [[*run.axis, *run.joint_origin, run.kind == "revolute", *np.ravel(run.gravity_terms())] for run in runs]
         self._geometry = self._array(np.array([[*place, *inside] for place in places]))
         self._last: tuple[np.ndarray, ...] = ()
 
@@ -161,9 +155,7 @@ class SphereSimulator(JointSimulator):
         x, dx = self.last_path(dp.shape[2])
         return x.copy(), dx.copy()
 
-    def _launch(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
-    ) -> tuple[np.ndarray, ...]:
+    def _launch(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None) -> tuple[np.ndarray, ...]:
         most = self.tangent_sizes[-1]
         if dp.shape[2] <= most:
             self._last = super()._launch(world_run, p, dp, counts)

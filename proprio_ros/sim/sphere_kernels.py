@@ -232,9 +232,7 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
             if bottom > FLOAT(0.0):
                 d_most = mu * d_normal + normal * dp[world, FRICTION]
                 scale = kf * most / bottom
-                d_bottom = (
-                    (kf * kf) * (slip @ d_slip) + (kf * slipping) * dp[world, TRACTION] + most * d_most
-                ) / bottom
+                d_bottom = ((kf * kf) * (slip @ d_slip) + (kf * slipping) * dp[world, TRACTION] + most * d_most) / bottom
                 d_scale = (kf * d_most + most * dp[world, TRACTION] - scale * d_bottom) / bottom
         else:
             normal = k * depth - c * v_n
@@ -335,9 +333,7 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         while face < faces:
             depth, n = wall(face, x, half, radius)
             if depth > FLOAT(0.0):
-                f, df, turned, d_turned, back, d_back = touched(
-                    depth, n, x, u, s, v, dx, du, ds, dv, p, dp, world, geometry, run
-                )
+                f, df, turned, d_turned, back, d_back = touched(depth, n, x, u, s, v, dx, du, ds, dv, p, dp, world, geometry, run)
                 push = push + f
                 d_push = d_push + df
                 spin = spin + turned

@@ -81,9 +81,7 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
     joint_acceleration = linearised_acceleration(directions, stribeck)
 
     @wp.func
-    def rates(
-        y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SqueezeData, r: wp.int32
-    ):
+    def rates(y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SqueezeData, r: wp.int32):
         load, by_q, by_v, by_p = excitation_of_block(y[0], y[1], p, w, data, r)
         d_load = by_q * dy[0] + by_v * dy[1]
         d_load = d_load + by_p[0] * dp[w, YOUNGS_MODULUS] + by_p[1] * dp[w, POISSONS_RATIO]

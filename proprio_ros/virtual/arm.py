@@ -63,9 +63,7 @@ class VirtualArm:
         """
         missing = [name for name in robot.drive_trains if name not in truth.joints]
         if missing:
-            raise ConfigurationError(
-                f"truth: says nothing of {', '.join(missing)} of {robot.name}; use Truth.draw(robot, seed)"
-            )
+            raise ConfigurationError(f"truth: says nothing of {', '.join(missing)} of {robot.name}; use Truth.draw(robot, seed)")
         if not 0.0 < control_period_s < math.inf:
             raise ConfigurationError(f"the control period must be positive, got {control_period_s} s")
         self.joints = tuple(robot.drive_trains)
@@ -111,9 +109,7 @@ class VirtualArm:
         if not math.isfinite(sum(current_A)):
             raise SimulationError("the virtual arm was given a current that is not finite; check the servos' law")
         force = self._force
-        for current, (constant, coulomb, load), (_, dof, transmission) in zip(
-            current_A, self._drives, self._rows, strict=True
-        ):
+        for current, (constant, coulomb, load), (_, dof, transmission) in zip(current_A, self._drives, self._rows, strict=True):
             torque = constant * current
             force[dof] = torque / transmission
             self._friction[dof] = (coulomb + load * abs(torque)) / transmission
@@ -177,9 +173,7 @@ class VirtualArm:
                 raise ConfigurationError(f"no joint {name!r} can be placed; choose from: {', '.join(self._place_of)}")
             joint = self.robot.model.joint(name)
             if not joint.lower <= value <= joint.upper or not math.isfinite(value):
-                raise ConfigurationError(
-                    f"{name} at {value:g}: give a position within {joint.lower:g} .. {joint.upper:g}"
-                )
+                raise ConfigurationError(f"{name} at {value:g}: give a position within {joint.lower:g} .. {joint.upper:g}")
         for name, value in position.items():
             self.data.qpos[self._place_of[name]] = value
         self._follow()

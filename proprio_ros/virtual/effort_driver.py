@@ -139,9 +139,7 @@ class EffortDriver:
     def set_fault(self, text: str) -> None:
         """Refuse a fault: they are those of a servo bus, which is not here."""
         if text:
-            raise ConfigurationError(
-                f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus"
-            )
+            raise ConfigurationError(f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus")
 
     def close(self) -> None:
         """Nothing is open."""

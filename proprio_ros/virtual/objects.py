@@ -63,9 +63,7 @@ class Payload(HandObject):
 
     kind = "payload"
     form = "payload:0.05,size=0.03,com=[0.01,0,0]"
-    keys = MappingProxyType(
-        {"mass": ("mass_kg", 1), "size": ("size_m", 1), "com": ("com_m", 3), "inertia": ("inertia_kg_m2", 6)}
-    )
+    keys = MappingProxyType({"mass": ("mass_kg", 1), "size": ("size_m", 1), "com": ("com_m", 3), "inertia": ("inertia_kg_m2", 6)})
 
     mass_kg: float
     com_m: Vector = (0.0, 0.0, 0.0)  # centre of mass in the payload frame

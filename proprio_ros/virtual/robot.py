@@ -76,9 +76,7 @@ class VirtualRobot:
         while self._time_s + CONTROL_PERIOD_S <= now_s:
             time_s = self._time_s = self._time_s + CONTROL_PERIOD_S
             seen = zip(servos, self._shift, *arm.sensed(), strict=True)
-            current = self._current = [
-                servo.control(time_s, angle + shift, velocity) for servo, shift, angle, velocity in seen
-            ]
+            current = self._current = [servo.control(time_s, angle + shift, velocity) for servo, shift, angle, velocity in seen]
             if self._supported:
                 self._supported = not any(servo["torque_enable"] for servo in servos)
             else:

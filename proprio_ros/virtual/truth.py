@@ -130,14 +130,11 @@ class Truth:
             given: dict[str, Any] = json.loads(text)
             joints = {name: JointTruth(**values) for name, values in given.pop("joints").items()}
             links = {
-                name: LinkTruth(**{**values, "com_m": tuple(values["com_m"])})
-                for name, values in given.pop("links", {}).items()
+                name: LinkTruth(**{**values, "com_m": tuple(values["com_m"])}) for name, values in given.pop("links", {}).items()
             }
             return cls(joints=joints, links=links, **given)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ConfigurationError(
-                f"truth: {error}; write such a file with Truth.draw(robot, seed).as_json()"
-            ) from error
+            raise ConfigurationError(f"truth: {error}; write such a file with Truth.draw(robot, seed).as_json()") from error
 
 
 _TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")

@@ -114,9 +114,7 @@ def test_what_lerobot_writes_is_read(fleet: Path) -> None:
         assert isinstance(value.value, float) and abs(value.value - mass) < 0.002
         assert value.ci95[0] - 0.001 <= mass <= value.ci95[1] + 0.001
     _, (usable, missing) = check_bags([f"{written}#0", f"{written}#7"], asked(fleet))
-    assert (
-        usable.usable == 1 and usable.state_topic == "observation.state" and usable.duration_s == pytest.approx(11.98)
-    )
+    assert usable.usable == 1 and usable.state_topic == "observation.state" and usable.duration_s == pytest.approx(11.98)
     assert missing.usable == 0 and "no such episode" in missing.problem
     with pytest.raises(RecordingError, match=r"a LeRobot data set\? Name an episode, 'lerobot_0_4_4#0', or ask all"):
         check_bags(written, asked(fleet))
@@ -161,11 +159,7 @@ def test_rows_are_those_of_replay_bit_for_bit_whatever_the_engine(fleet: Path, t
     for row in rows:
         if row is failed:
             continue
-        path = (
-            f"{row['source']}#{row['episode']}"
-            if row["episode_index"] is not None
-            else f"{row['source']}/{row['episode']}"
-        )
+        path = f"{row['source']}#{row['episode']}" if row["episode_index"] is not None else f"{row['source']}/{row['episode']}"
         estimate = replay(path, asked(fleet))
         value = estimate.values[0]
         assert (row["value"], row["std"], [row["low"], row["high"]]) == (value.value, value.std, list(value.ci95))
@@ -241,16 +235,12 @@ def test_two_jobs_do_not_write_to_one_folder(fleet: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.long
-def test_an_episode_that_kills_its_process_is_a_row(
-    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_that_kills_its_process_is_a_row(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As often as it is tried; those that were under way with it are done all the same."""
     monkeypatch.setenv("PROPRIO_TEST_DEADLY", "bags/1")
     monkeypatch.setattr(local, "compute", deadly)
     monkeypatch.setattr(local, "TRIES", 2)
-    outcome = run_batch(
-        [fleet / "data" / "bags"], Job(asked(fleet)), tmp_path, lambda words: None, processes=1, chunk=4
-    )
+    outcome = run_batch([fleet / "data" / "bags"], Job(asked(fleet)), tmp_path, lambda words: None, processes=1, chunk=4)
     assert outcome.verdicts == {"accepted": 2, "failed": 2}
     (row,) = [row for row in table(tmp_path) if row["reason_codes"] == ["process_died"]]
     assert row["episode"] == "1" and "died 2 times" in row["reasons"][0]
@@ -264,9 +254,7 @@ def test_ray_gives_the_same_rows(fleet: Path, tmp_path: Path) -> None:
 
     ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
     try:
-        one = run_batch(
-            [fleet / "data"], Job(asked(fleet)), tmp_path / "ray", lambda words: None, engine="ray", chunk=3
-        )
+        one = run_batch([fleet / "data"], Job(asked(fleet)), tmp_path / "ray", lambda words: None, engine="ray", chunk=3)
     finally:
         ray.shutdown()
     run_batch([fleet / "data"], Job(asked(fleet)), tmp_path / "local", lambda words: None, processes=1)
@@ -346,9 +334,7 @@ def test_a_long_motion_is_answered_in_parts_that_replay_answers_alike(
 
 
 @pytest.mark.long
-def test_memory_does_not_grow_with_the_length_of_a_bag(
-    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_memory_does_not_grow_with_the_length_of_a_bag(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rows_module, "MOST_SAMPLES", 1000)
     monkeypatch.setattr(rows_module, "LEAST_BYTES", 0)
     peaks = []
@@ -389,9 +375,7 @@ def test_what_a_calibration_carries_counts_in_a_batch(bags: Path, tmp_path: Path
     record = whole.joints
     columns = [column for column, name in enumerate(record.names) if name != finger]
     names = tuple(record.names[column] for column in columns)
-    write_recording(
-        tmp_path / "ball", replace(whole, joints=JointRecord(record.times_ns, names, record.position[:, columns]))
-    )
+    write_recording(tmp_path / "ball", replace(whole, joints=JointRecord(record.times_ns, names, record.position[:, columns])))
     place = {"payload.com": [0.0, 0.0, 0.0]}
     asked = Options(calibration=carrying, settings=place)
     run_batch([tmp_path / "ball"], Job(asked), tmp_path / "out", lambda words: None, processes=1)

@@ -57,9 +57,7 @@ def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
                 "reason_codes": ["too_wide"],
             }
         elif kind < 0.08:
-            moved = (
-                f"{source.rsplit('/')[-1]}/{n:05d}: joint3 moved only {rng.random():.3f} rad: probe with more current"
-            )
+            moved = f"{source.rsplit('/')[-1]}/{n:05d}: joint3 moved only {rng.random():.3f} rad: probe with more current"
             row |= {"verdict": "not_identifiable", "reasons": [moved], "reason_codes": ["stuck"]}
             row |= dict.fromkeys(("value", "std", "low", "high"))
         elif kind < 0.09:
@@ -84,9 +82,7 @@ def page_of(folder: Path, rows: list[dict[str, Any]], options: Options | None = 
         if own := [row for row in rows if row["source"] == source]:
             store.write(own, "0")
     read = store.read(COLUMNS)
-    write_batch_page(
-        read, folder / "batch.html", "proprio batch /data --out out", {}, Drift(()), options=options, **more
-    )
+    write_batch_page(read, folder / "batch.html", "proprio batch /data --out out", {}, Drift(()), options=options, **more)
     store.close()
     return folder / "batch.html"
 
@@ -193,9 +189,7 @@ return found;
     far = [row for row in rows if row["verdict"] == "accepted" and row["value"] > 0.6]
     assert seen["far"] == f"{len(far)} of {COUNT}" and len(far) > 5
     falling = [float(value) for value in seen["falling"]]
-    assert falling == sorted(falling, reverse=True) and falling[0] == pytest.approx(
-        1e3 * max(r["value"] for r in far), abs=0.1
-    )
+    assert falling == sorted(falling, reverse=True) and falling[0] == pytest.approx(1e3 * max(r["value"] for r in far), abs=0.1)
     failed = [row for row in rows if row["kind"] == "failed"]
     assert seen["unreadable"].startswith(f"{len(failed)} of") and seen["source"] == ["pick <b>cubes"]
     assert seen["jumped"] == [f"{len(stuck)} of {COUNT}", "not identifiable: stuck"]
@@ -228,9 +222,7 @@ return { failed, far, detail, shown: names().map((each) => each.textContent), va
         f"proprio replay /data/line_1/{seen['far']} --calibration arm.yaml --set 'payload.com=[0, 0, 0.01]' --report"
         in seen["detail"]
     )
-    assert (
-        "guessed, not stated: payload.com" in seen["detail"] and "0 to 12 s; joint1, joint2, joint3" in seen["detail"]
-    )
+    assert "guessed, not stated: payload.com" in seen["detail"] and "0 to 12 s; joint1, joint2, joint3" in seen["detail"]
     highest = max((row for row in rows_like(COUNT) if seen["figure"].startswith(row["source"].split("/")[-1])
                    and row["verdict"] == "accepted"), key=lambda row: row["value"])  # fmt: skip
     assert seen["shown"] == [highest["episode"]] and seen["open"] == 1
@@ -276,9 +268,7 @@ def test_what_to_look_at_is_what_is_far_off_and_then_each_cause_in_turn() -> Non
     rows = rows_like(3000)
     found = odd(rows)
     far = [row for row in found if row["verdict"] == "accepted"]
-    assert found[: len(far)] == far and {row["episode"] for row in far} == {
-        r["episode"] for r in rows if (r["value"] or 0) > 0.6
-    }
+    assert found[: len(far)] == far and {row["episode"] for row in far} == {r["episode"] for r in rows if (r["value"] or 0) > 0.6}
     assert [row["reason_codes"][0] for row in found[len(far) : len(far) + 4]] in (
         ["too_wide", "stuck"] * 2,
         ["stuck", "too_wide"] * 2,
@@ -289,7 +279,4 @@ def test_what_to_look_at_is_what_is_far_off_and_then_each_cause_in_turn() -> Non
 def test_a_batch_without_an_answer_has_a_page(tmp_path: Path, rows: int) -> None:
     only = [row for row in rows_like(400) if row["kind"] == "failed"][:rows]
     page = page_of(tmp_path, only).read_text()
-    assert (
-        f"0 of {rows} accepted" in page
-        and json.loads(re.findall(r"id=data>(.*?)</script>", page)[0])["rows"].__len__() == rows
-    )
+    assert f"0 of {rows} accepted" in page and json.loads(re.findall(r"id=data>(.*?)</script>", page)[0])["rows"].__len__() == rows

@@ -95,9 +95,7 @@ class PerSubstep:
                     outputs=[self._q[n + 1], self._v[n + 1]],
                     device="cpu",
                 )
-            wp.launch(
-                _squared_error, dim=len(mass), inputs=[self._target, self._q[-1]], outputs=[self._loss], device="cpu"
-            )
+            wp.launch(_squared_error, dim=len(mass), inputs=[self._target, self._q[-1]], outputs=[self._loss], device="cpu")
         tape.backward(loss=self._loss)
         gradient = self.mass.grad.numpy().copy()[:, None]
         tape.zero()

@@ -164,9 +164,7 @@ def compare(old: Path, new: Path, numbers: bool) -> int:
     found = [
         line
         for name in sorted(before.keys() & after.keys())
-        for line in differences(
-            before[name], after[name], name, unshared, NOT_COMPARED | (SENTENCES if numbers else set())
-        )
+        for line in differences(before[name], after[name], name, unshared, NOT_COMPARED | (SENTENCES if numbers else set()))
     ]
     found += [f"{name}: only in one of them" for name in sorted(before.keys() ^ after.keys())]
     print("\n".join(found) if found else f"identical: {len(before)} answers")

@@ -53,9 +53,7 @@ class Sticky(Arm):
         return rows, [{name: values[of] for name, values in rows.items()} for of in of_poses]
 
 
-def weighed(
-    seed: int, asked_kg: Sequence[float] = ASKED_KG, seconds: float = 60.0
-) -> list[tuple[str, float, Estimate | str]]:
+def weighed(seed: int, asked_kg: Sequence[float] = ASKED_KG, seconds: float = 60.0) -> list[tuple[str, float, Estimate | str]]:
     """What was asked, truth [kg] and answer, or why there is none, of one arm.
 
     Raises:
@@ -105,11 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         except ProprioError as error:
             print(f"arm {seed}: {error}")
         for what, kg, answer in found[-2 * len(options.masses) - 1 :]:
-            told = (
-                answer
-                if isinstance(answer, str)
-                else f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}"
-            )
+            told = answer if isinstance(answer, str) else f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}"
             print(f"arm {seed}, {what}, {1e3 * kg:.0f} g: {told}"[:220])
     results.table(
         "rest",

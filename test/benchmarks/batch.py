@@ -60,9 +60,7 @@ def options(folder: Path) -> list[str]:
 
 def asked(folder: Path) -> Options:
     """The same for `replay`."""
-    return Options(
-        calibration=folder / "arm.yaml", effort_unit="N.m", settings=SETTINGS, driver=folder / "lerobot_any.yaml"
-    )
+    return Options(calibration=folder / "arm.yaml", effort_unit="N.m", settings=SETTINGS, driver=folder / "lerobot_any.yaml")
 
 
 def make(folder: Path, count: int, jobs: int, seconds: float = SECONDS) -> None:
@@ -122,9 +120,7 @@ def compare(folder: Path, out: Path, replayed: int = 60) -> None:
     good = rows[rows["verdict"] == "accepted"]
     error = good["value"] - good["path"].map(truth)
     held = (good["low"] <= good["path"].map(truth)) & (good["path"].map(truth) <= good["high"])
-    print(
-        f"rms error {1e3 * np.sqrt(np.mean(error**2)):.2f} g, the 95 % interval holds the mass in {100 * held.mean():.1f} %"
-    )
+    print(f"rms error {1e3 * np.sqrt(np.mean(error**2)):.2f} g, the 95 % interval holds the mass in {100 * held.mean():.1f} %")
     chosen = good.sample(min(replayed, len(good)), random_state=1)
     other = 0
     for _, row in chosen.iterrows():
@@ -158,9 +154,7 @@ def descendants() -> dict[int, list[int]]:
     stats: dict[int, list[int]] = {}
     for place in Path("/proc").glob("[0-9]*"):
         try:
-            stats[int(place.name)] = [
-                int(word) for word in (place / "stat").read_text().rpartition(")")[2].split()[1:16]
-            ]
+            stats[int(place.name)] = [int(word) for word in (place / "stat").read_text().rpartition(")")[2].split()[1:16]]
         except (OSError, ValueError):
             continue
     mine, grown = {os.getpid()}, True
@@ -207,9 +201,7 @@ def run_ray(folder: Path) -> None:
             while count_done(out) < at and job.poll() is None:
                 time.sleep(0.2)
             victims = busy_workers()
-            print(
-                f"{time.monotonic() - begun:.0f} s, {count_done(out)} files: killing worker {victims[:1]}", flush=True
-            )
+            print(f"{time.monotonic() - begun:.0f} s, {count_done(out)} files: killing worker {victims[:1]}", flush=True)
             for process in victims[:1]:
                 os.kill(process, signal.SIGKILL)
         while count_done(out) < 0.6 * files and job.poll() is None:

@@ -245,9 +245,7 @@ def servo_answers(seed: int) -> list[Answer]:
         answers = []
         for number, kg in enumerate(random.uniform(0.2, 1.2, 3)):
             bag = write(folder / f"asked{number}", moved(float(kg)))
-            answers.append(
-                said("servo, 6 motions with 3 loads known", float(kg), _of_bag(learnt, bag, POINT), f"servo {seed}")
-            )
+            answers.append(said("servo, 6 motions with 3 loads known", float(kg), _of_bag(learnt, bag, POINT), f"servo {seed}"))
     return answers
 
 
@@ -256,17 +254,13 @@ def _calibrated(known: Mapping[Path, float], options: Options, output: Path, emp
     if output.is_file():
         return output
     try:
-        learnt = calibrate_from_bags(
-            [str(bag) for bag in empty], {str(bag): kg for bag, kg in known.items()}, options, output
-        )
+        learnt = calibrate_from_bags([str(bag) for bag in empty], {str(bag): kg for bag, kg in known.items()}, options, output)
     except ProprioError as error:
         return str(error)
     return output if output.is_file() else f"calibration {learnt.verdict.value}: {'; '.join(learnt.reasons)}"
 
 
-def _of_bag(
-    learnt: Path | str, bag: Path, settings: Mapping[str, Any] | None = None, **more: Any
-) -> Callable[[], Estimate]:
+def _of_bag(learnt: Path | str, bag: Path, settings: Mapping[str, Any] | None = None, **more: Any) -> Callable[[], Estimate]:
     def ask() -> Estimate:
         if isinstance(learnt, str):
             raise ProprioError(learnt)
@@ -366,10 +360,7 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
     def baseline(bag: Path, by: Path) -> Callable[[], Estimate]:
         return lambda: replay(bag, Options(robot=robot, baseline=[str(by)], **unit))  # type: ignore[arg-type]
 
-    pieces = {
-        n: [cut(bag, folder / f"piece_{n}_{k}", 15.0 * k, 15.0 * k + 15.0) for k in range(3)]
-        for n, bag in loaded.items()
-    }
+    pieces = {n: [cut(bag, folder / f"piece_{n}_{k}", 15.0 * k, 15.0 * k + 15.0) for k in range(3)] for n, bag in loaded.items()}
     for n, by in empty.items():
         for bag in [*loaded.values(), *pieces[14], *pieces[15]]:
             yield said("real UR10e, 1 empty", UR10E_KG, baseline(bag, by), f"{bag.name} by {n}")
@@ -379,9 +370,7 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
         for k, bag in loaded.items():
             for by_times in (0.9, 0.95, 0.97, *WARMER):
                 wrong = bent(bag, folder / f"louder_{k}_{by_times}", effort=by_times)
-                yield said(
-                    "real UR10e, efforts 3, 5, 10 % off", UR10E_KG, baseline(wrong, by), f"{k} by {n}, {by_times}"
-                )
+                yield said("real UR10e, efforts 3, 5, 10 % off", UR10E_KG, baseline(wrong, by), f"{k} by {n}, {by_times}")
         for k, other in ((14, 15), (15, 14)):
             file = folder / f"ur10e_{n}_{k}.yaml"
             learnt = _calibrated({loaded[k]: UR10E_KG}, Options(robot=robot, **unit), file, [by])  # type: ignore[arg-type]

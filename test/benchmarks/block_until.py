@@ -106,9 +106,7 @@ def one_robot(job: tuple[int, Until]) -> list[Case]:
         if not answered or not isinstance(told.value, float):
             print(f"{name}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", file=sys.stderr)
             nan = float("nan")
-            cases.append(
-                Case(modulus, "refused", nan, nan, False, False, len(runs), time_s, nan, False, tuple(decided))
-            )
+            cases.append(Case(modulus, "refused", nan, nan, False, False, len(runs), time_s, nan, False, tuple(decided)))
             continue
         other, fixed, fixed_runs, reached = Hand(seed, block), load_sequence("softness", ROBOT), list[Run](), False
         began = other.time_s

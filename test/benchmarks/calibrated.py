@@ -53,9 +53,7 @@ def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
 
     def solve() -> None:
         nonlocal found
-        found = least_squares(
-            residual, start, x_scale=coordinates.natural, bounds=bounds, max_nfev=2 if cases.once else 60
-        )
+        found = least_squares(residual, start, x_scale=coordinates.natural, bounds=bounds, max_nfev=2 if cases.once else 60)
 
     seconds = measure(solve, repeats=1, warm_up=0).median
     assert found is not None

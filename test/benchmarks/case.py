@@ -78,9 +78,7 @@ class Kept:
         self.answer = self._function()
 
 
-def measure_in_turn(
-    functions: Sequence[Callable[[], Any]], repeats: int, calls: Sequence[int], warm_up: int = 1
-) -> list[Timing]:
+def measure_in_turn(functions: Sequence[Callable[[], Any]], repeats: int, calls: Sequence[int], warm_up: int = 1) -> list[Timing]:
     """Time functions by turns, so that whatever else the machine does slows all of them alike.
 
     Args:
@@ -178,9 +176,7 @@ def load() -> Case:
     problem = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
     names = [problem.unknowns[row].name for row in problem.free]
     if names != ["payload_mass", "q0[0]", "v0[0]"]:
-        raise SystemExit(
-            f"the comparison wants mass, start position and start velocity unknown, not {', '.join(names)}"
-        )
+        raise SystemExit(f"the comparison wants mass, start position and start velocity unknown, not {', '.join(names)}")
     physical = np.tile(problem.coordinates.prior_mean, (len(STARTS_KG), 1))
     physical[:, 0] = STARTS_KG
     starts = problem.coordinates.internal(physical)

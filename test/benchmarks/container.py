@@ -75,9 +75,7 @@ class MujocoBox:
         step_s, integrator: its time step, and ``"EULER"`` or ``"RK4"``.
     """
 
-    def __init__(
-        self, run: SphereRun, p: np.ndarray, facts: ContainerFacts, step_s: float, integrator: str = "EULER"
-    ) -> None:
+    def __init__(self, run: SphereRun, p: np.ndarray, facts: ContainerFacts, step_s: float, integrator: str = "EULER") -> None:
         import mujoco
 
         self._mujoco = mujoco
@@ -111,9 +109,7 @@ class MujocoBox:
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
 
-    def positions(
-        self, mass: float, start: np.ndarray, q0: float, v0: float, current_A: float, times_s: np.ndarray
-    ) -> np.ndarray:
+    def positions(self, mass: float, start: np.ndarray, q0: float, v0: float, current_A: float, times_s: np.ndarray) -> np.ndarray:
         """Where the joint is at multiples of the step [rad], shape (T,).
 
         Args:
@@ -233,9 +229,7 @@ def _pose(robot: Robot, facts: ContainerFacts, run: Run, mass_alone: bool = Fals
     return Boxed(robot, facts, problem, starts)
 
 
-def pose(
-    record: Callable[[Boxed, np.ndarray], np.ndarray] | None = None, seed: int = 0, mass_alone: bool = False
-) -> Boxed:
+def pose(record: Callable[[Boxed, np.ndarray], np.ndarray] | None = None, seed: int = 0, mass_alone: bool = False) -> Boxed:
     """The problem of a recording.
 
     Args:
@@ -485,9 +479,7 @@ def _tangent_rows(box: Boxed) -> list[Row]:
         (forward.launch, *(passing(size) for size in sizes)), repeats=15, calls=(10,) * (1 + len(sizes)), warm_up=3
     )
     return [
-        Row(
-            f"ours: tangent pass, five worlds, {size} directions", timing, f"{timing.median / base.median:.1f}x forward"
-        )
+        Row(f"ours: tangent pass, five worlds, {size} directions", timing, f"{timing.median / base.median:.1f}x forward")
         for size, timing in zip(sizes, passes, strict=True)
     ]
 

@@ -150,9 +150,7 @@ def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
     cases = []
     for held in (sphere, box()) if seed % EMPTY_EVERY == 0 else (sphere,):
         try:
-            case = one_case(
-                robot, hidden, baseline, held, reference, until, seed, held is sphere and seed % fixed_every == 0
-            )
+            case = one_case(robot, hidden, baseline, held, reference, until, seed, held is sphere and seed % fixed_every == 0)
             cases.append(case)
             print(
                 f"seed {seed}, {1e3 * case.mass:.1f} g, {reference}: {case.verdict}, off by {1e3 * case.error:+.2f} +- "
@@ -222,9 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--reference", nargs="+", default=["none", "shipped"], choices=["none", "shipped"])
     parser.add_argument("--half", type=float, default=2e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
-    parser.add_argument(
-        "--fixed-every", type=int, default=1, help="make the fixed sequence with every so manieth robot"
-    )
+    parser.add_argument("--fixed-every", type=int, default=1, help="make the fixed sequence with every so manieth robot")
     parser.add_argument("--save", type=Path, help="append each case to this file, as JSON")
     parser.add_argument("--table", type=Path, help="print the table of such a file, and simulate nothing")
     options = parser.parse_args(arguments)

@@ -94,9 +94,7 @@ def answer(folder: Path, truth: dict[str, Any]) -> Answer:
         learnt = calibrate_from_bags(sorted(folder.glob("empty_*")), {}, output=file)
         if not file.exists():
             return Answer(truth, {}, learnt.verdict.value, "not calibrated")
-        options = Options(
-            probe="contents", settings=settings, calibration=file, baseline=sorted(folder.glob("baseline_*"))
-        )
+        options = Options(probe="contents", settings=settings, calibration=file, baseline=sorted(folder.glob("baseline_*")))
         try:
             said = replay(sorted(folder.glob("run_*")), options).as_json()
         except ProprioError as error:
@@ -146,9 +144,7 @@ def _figures(found: Sequence[Answer]) -> dict[str, Any]:
     moved = [each for each in found if each.said_moving is not None]
     said = [each for each in found if each.said is not None]
     shallow = [
-        each
-        for each in found
-        if each.kind == "liquid" and each.truth["contents"]["fill"] < each.truth["container"]["radius"]
+        each for each in found if each.kind == "liquid" and each.truth["contents"]["fill"] < each.truth["container"]["radius"]
     ]
     filled = [each for each in shallow if each.number("fill") is not None]
     off = [abs((each.number("fill") or 0.0) - each.truth["contents"]["fill"]) for each in filled]

@@ -59,9 +59,7 @@ MASSES_KG = (0.01, 0.02, 0.05, 0.1)
 REFERENCE_KG = 0.1
 DIAMETER_M = 0.03
 ALWAYS = ("quantised", "encoder_noise")
-MATCHED = Spread(
-    torque_constant=(0.0, 0.05), link_mass=(0.02, 0.01), armature=(0.004, 0.024), once_per_turn=(0.0, 0.002)
-)
+MATCHED = Spread(torque_constant=(0.0, 0.05), link_mass=(0.02, 0.01), armature=(0.004, 0.024), once_per_turn=(0.0, 0.002))
 """Robots drawn as the robot file says that they differ; friction and delay are uniform inside what it allows."""
 
 
@@ -122,9 +120,7 @@ def run_of(probe: Probe, hidden: HiddenRobot, load: Load | None, rng: np.random.
 
 
 def facts_of(load: Load) -> PayloadFacts:
-    return PayloadFacts(
-        com=np.array(load.offset), shape=PayloadShape.from_inertia_per_mass([v / load.mass for v in load.inertia])
-    )
+    return PayloadFacts(com=np.array(load.offset), shape=PayloadShape.from_inertia_per_mass([v / load.mass for v in load.inertia]))
 
 
 def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarray:
@@ -152,9 +148,7 @@ def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarra
     return np.clip(values, [u.lower for u in problem.unknowns], [u.upper for u in problem.unknowns])
 
 
-def cramer_rao(
-    robot: Robot, hidden: HiddenRobot, known: Sequence[PreparedRun], run: Run, load: Load, jitter_s: float
-) -> float:
+def cramer_rao(robot: Robot, hidden: HiddenRobot, known: Sequence[PreparedRun], run: Run, load: Load, jitter_s: float) -> float:
     """Smallest standard deviation that any unbiased use of these runs and priors can have [kg]."""
     facts = facts_of(load)
     runs = [*known, prepare_run(robot, run, None, facts)]
@@ -208,15 +202,11 @@ def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], i
             continue
         bound = cramer_rao(robot, hidden, kept, run, load, hidden.stamp_jitter_s)
         low, high = value.ci95
-        answers.append(
-            Answer(mass, probe.joint, reference, value.value - mass, value.std, bound, bool(low <= mass <= high))
-        )
+        answers.append(Answer(mass, probe.joint, reference, value.value - mass, value.std, bound, bool(low <= mass <= high)))
     return answers, refused, len(MASSES_KG)
 
 
-def survey(
-    results: Results, name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread
-) -> list[Answer]:
+def survey(results: Results, name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread) -> list[Answer]:
     """Weigh with many robots; one row on all of them."""
     with Pool(jobs) as pool:
         found_of = pool.imap_unordered(one_robot, [(seed, tuple(effects), spread) for seed in seeds], chunksize=2)

@@ -54,9 +54,7 @@ class Case:
     holds: bool
 
 
-def drifted(
-    hidden: HiddenRobot, drift: Drift, hours: float, warmer_K: Sequence[float], rng: np.random.Generator
-) -> HiddenRobot:
+def drifted(hidden: HiddenRobot, drift: Drift, hours: float, warmer_K: Sequence[float], rng: np.random.Generator) -> HiddenRobot:
     """The robot some time later."""
 
     def factors(name: str, common: bool) -> np.ndarray:
@@ -131,12 +129,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=3000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument(
-        "--warmer", type=float, default=0.0, help="rms of the motors' temperature change, which is known [K]"
-    )
-    parser.add_argument(
-        "--times", type=float, default=1.0, help="the true drift is so many times what the robot file states"
-    )
+    parser.add_argument("--warmer", type=float, default=0.0, help="rms of the motors' temperature change, which is known [K]")
+    parser.add_argument("--times", type=float, default=1.0, help="the true drift is so many times what the robot file states")
     parser.add_argument("--reference", choices=["none", "shipped"], default="shipped")
     parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
     o = parser.parse_args(arguments)
@@ -145,9 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cases: list[Case] = []
     times, counts = [], []
     with Pool(o.jobs) as pool:
-        for seed, (found, time_s, count, said) in zip(
-            range(o.first, o.first + o.robots), pool.imap(one_robot, jobs), strict=True
-        ):
+        for seed, (found, time_s, count, said) in zip(range(o.first, o.first + o.robots), pool.imap(one_robot, jobs), strict=True):
             print(f"  {seed}: refresh {count} pushes, {time_s:.0f} s, {said}", file=sys.stderr, flush=True)
             cases += found
             if found:

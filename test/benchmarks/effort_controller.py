@@ -70,9 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         driver = {"interface": "position_controller", "seed": given.seed, "state_rate": given.rate, **arm}
         output = {"command_interface": "position", **arm}
         facts |= {"robot": "so101", **{f"{kind}_sequence": f"so101_{name}" for kind, name in SEQUENCES.items()}}
-    with running(
-        given.data, "virtual", "excitation", "identifier", virtual=driver, excitation=output, identifier=facts
-    ) as (_, client):
+    with running(given.data, "virtual", "excitation", "identifier", virtual=driver, excitation=output, identifier=facts) as (
+        _,
+        client,
+    ):
         for subscription in list(client.node.subscriptions):  # 500 joint states a second are much for a test's client
             if subscription.topic_name in ("/joint_states", "/applied_effort"):
                 client.node.destroy_subscription(subscription)

@@ -264,9 +264,7 @@ def recorded(folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, 
     def write(name: str, probe: Probe, held: Load | None, shake: tuple[float, float], after: float) -> dict[str, Any]:
         made = record(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, held, rng, shake, after)
         joints, inputs = (replace(part, times_ns=part.times_ns + ONSET_NS) for part in (made.joints, made.inputs))
-        write_recording(
-            folder / name, replace(made, joints=joints, inputs=inputs), effort_per_A=NOMINAL_TORQUE_CONSTANT
-        )
+        write_recording(folder / name, replace(made, joints=joints, inputs=inputs), effort_per_A=NOMINAL_TORQUE_CONSTANT)
         at = made.joints.column(probe.joint)
         reached = float(np.ptp(made.joints.position[:, at]))
         return {"joint": probe.joint, "start": dict(probe.start), "current_A": probe.current_A, "shake": shake,
@@ -300,9 +298,7 @@ def _truth(case: Case, rings: dict[str, tuple[float, float]]) -> dict[str, Any]:
     elif case.kind == "liquid":
         container = CONTAINERS[case.container]
         if case.name not in rings:
-            rings[case.name] = sloshing(
-                container.cylinder, case.fill, case.viscosity or 0.0, container.layers, EXCHANGE_S
-            )
+            rings[case.name] = sloshing(container.cylinder, case.fill, case.viscosity or 0.0, container.layers, EXCHANGE_S)
         hz, damping = rings[case.name]
         found |= {"viscosity": case.viscosity, "slosh_hz": hz, "damping_ratio": damping,
                   "theory_hz": theory_hz(container.radius, case.fill)}  # fmt: skip

@@ -54,9 +54,7 @@ def main() -> int:
             spent = timed(pip, PYTHONPATH="")
             both = {key: made[key] + spent[key] for key in made}
             slow += both["cpu_s"] > INSTALL_GOAL_S
-            results.row(
-                "first", what=f"`python3 -m venv` and `pip install -e '.{extra}'`", **both, disk_mb=megabytes(own)
-            )
+            results.row("first", what=f"`python3 -m venv` and `pip install -e '.{extra}'`", **both, disk_mb=megabytes(own))
         demo = [str(own / "bin" / "proprio"), "demo", "--output", str(folder / "demo")]
         cache = folder / "kernels"
         for words in ("the first `proprio demo`, nothing compiled", "the next one"):

@@ -299,9 +299,7 @@ def motions(shared: Path, folder: Path) -> Iterator[Question]:
         hand = hand or robot.payload_frame
         joints = [each for each in robot.drive_trains if robot.model.joint(each).kind != "prismatic"]
         for unit in ("N.m", "A") if name == "ur5e" else ("N.m",):
-            constants = {
-                each: 1.0 if unit == "N.m" else robot.drive_trains[each].torque_constant.value for each in joints
-            }
+            constants = {each: 1.0 if unit == "N.m" else robot.drive_trains[each].torque_constant.value for each in joints}
             bags = {}
             for number, (what, load) in enumerate((("empty", 0.0), ("loaded", kg), ("reference", reference_kg))):
                 bags[what] = record_arm(
@@ -327,9 +325,7 @@ def motions(shared: Path, folder: Path) -> Iterator[Question]:
     bags = {name: cut(real / f"ur10e_{name}_14", folder / f"ur10e_{name}", 0.0, 25.0) for name in ("loaded", "empty")}
     words = ("--effort-unit", "A")
     file = str(ur10e_file(real, folder))
-    asked = Question(
-        "UR10e", "baseline", bags["loaded"], (bags["empty"],), UR10E_KG, file, words, joint="shoulder_lift_joint"
-    )
+    asked = Question("UR10e", "baseline", bags["loaded"], (bags["empty"],), UR10E_KG, file, words, joint="shoulder_lift_joint")
     yield asked
 
 
@@ -374,9 +370,7 @@ def asked_of(arms: str, options: argparse.Namespace) -> list[tuple[str, str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
-    parser.add_argument(
-        "--arms", nargs="+", choices=("pushes", "motions", "swings"), default=["pushes", "motions", "swings"]
-    )
+    parser.add_argument("--arms", nargs="+", choices=("pushes", "motions", "swings"), default=["pushes", "motions", "swings"])
     parser.add_argument("--recordings", type=Path, default=Path(__file__).resolve().parents[3] / "shared")
     parser.add_argument("--only", default="*", help="arm, way and mistake, as a pattern")
     parser.add_argument("--all", action="store_true", help="print every answer")

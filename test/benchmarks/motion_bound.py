@@ -172,9 +172,7 @@ class Model:
         """Of `read` by every unknown at the truth, each of shape (T n, U)."""
         joints, of, step, start = self.joints, self._by_joint(self.truth), 1e-6, 10 + 5 * self.joints
         steps = step * np.eye(len(self.truth))[:start]
-        by_bodies = np.array([self.bodies(self.truth + d) - self.bodies(self.truth - d) for d in steps]).T / (
-            2.0 * step
-        )
+        by_bodies = np.array([self.bodies(self.truth + d) - self.bodies(self.truth - d) for d in steps]).T / (2.0 * step)
         result = []
         for number, ((motion, loaded), (passed, gain, slip), read) in enumerate(
             zip(self.motions, self._motors(self.truth), self.read(self.truth), strict=True)
@@ -239,9 +237,7 @@ class Model:
         inertia += np.diag(self.arm.armature)
         band = np.zeros((3 * joints, count * joints))
         for lag, share in enumerate((6.0, -4.0, 1.0)):
-            block = (
-                POSITION_NOISE_RAD**2 / period_s**4 * share * inertia[lag:] @ np.swapaxes(inertia[: count - lag], 1, 2)
-            )
+            block = POSITION_NOISE_RAD**2 / period_s**4 * share * inertia[lag:] @ np.swapaxes(inertia[: count - lag], 1, 2)
             for i in range(joints):
                 for j in range(joints):
                     if (below := lag * joints + i - j) >= 0:

@@ -50,9 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of each motion")
     parser.add_argument("--loaded-seconds", type=float, help="of the motion that is weighed, where it is shorter")
     parser.add_argument("--joints", type=int, choices=(4, 6), default=6)
-    parser.add_argument(
-        "--teeth", action="store_true", help="friction goes with the place by a law of gears, see `Twin`"
-    )
+    parser.add_argument("--teeth", action="store_true", help="friction goes with the place by a law of gears, see `Twin`")
     parser.add_argument("--baseline", action="store_true", help="one more empty motion counts in the weighing")
     parser.add_argument("--empty", action="store_true", help="weigh a third motion, with nothing in the hand")
     options = parser.parse_args(arguments)

@@ -169,9 +169,7 @@ FIELDS_OF = {
 """Fields that an effect sets; other effects set the field of their name."""
 
 
-def draw_robot(
-    rng: np.random.Generator, effects: Collection[str] = EFFECTS_DEFAULT, spread: Spread = SPREAD
-) -> HiddenRobot:
+def draw_robot(rng: np.random.Generator, effects: Collection[str] = EFFECTS_DEFAULT, spread: Spread = SPREAD) -> HiddenRobot:
     """Draw a robot; what is not among the effects is nominal. The same seed gives the same numbers for every set of effects.
 
     Raises:
@@ -521,13 +519,9 @@ LOADED_PROBES = (
 def main(robots: int = 5) -> None:
     """Print what a run costs, how far it moves, and how exact the step is; then how far a stuck joint creeps."""
     rng = np.random.default_rng(1)
-    cases = [(probe, None) for probe in EMPTY_PROBES[::3]] + [
-        (probe, ball(0.05, 0.043)) for probe in LOADED_PROBES[::2]
-    ]
+    cases = [(probe, None) for probe in EMPTY_PROBES[::3]] + [(probe, ball(0.05, 0.043)) for probe in LOADED_PROBES[::2]]
     simulate(HiddenRobot(), "joint3", {}, 0.0, 0.01)  # importing MuJoCo is none of the costs
-    print(
-        f"steps of {1e3 * STEP_S:g} ms against a fifth of it: rms over the driven time of the joint that differs most"
-    )
+    print(f"steps of {1e3 * STEP_S:g} ms against a fifth of it: rms over the driven time of the joint that differs most")
     worst, costs = 0.0, []
     for number in range(robots):
         effects = EFFECTS if number == 4 else EFFECTS_DEFAULT

@@ -123,9 +123,7 @@ def ur10e_file(real: Path, folder: Path) -> Path:
     """The robot file that a user writes of the URDF and the torque constants."""
     lines = ["name: ur10e", f"urdf: {real / 'models' / 'ur10e.urdf'}", "payload_frame: wrist_3_link", "joints:"]
     for joint, constant in UR10E_N_M_PER_A.items():
-        motor = (
-            f"nominal_torque_constant_N_m_per_A: {constant}, encoder_resolution_rad: 1.0e-5, encoder_noise_rad: 1.0e-5"
-        )
+        motor = f"nominal_torque_constant_N_m_per_A: {constant}, encoder_resolution_rad: 1.0e-5, encoder_noise_rad: 1.0e-5"
         lines += [f"  {joint}:", f"    motor: {{{motor}, current_limit_A: 20.0}}"]
         lines += [f"    drive_train: {{torque_constant_N_m_per_A: {constant}}}", "    usable_velocity_rad_s: 5.0"]
     robot = folder / "ur10e.yaml"
@@ -138,9 +136,7 @@ def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
     unit = ("--effort-unit", "A")
     loaded, empty = real / "ur10e_loaded_14", [real / f"ur10e_empty_{n}" for n in (12, 14, 15)]
     lasts_s = seconds_of(loaded)
-    cuts = [
-        cut(loaded, folder / f"cut_{n}", b, b + 15.0) for n, b in enumerate((0.0, 10.0, 20.0, 30.0, lasts_s - 15.0))
-    ]
+    cuts = [cut(loaded, folder / f"cut_{n}", b, b + 15.0) for n, b in enumerate((0.0, 10.0, 20.0, 30.0, lasts_s - 15.0))]
     for baseline in empty:
         words = ("--robot", str(robot), *unit, "--baseline", str(baseline))
         yield asked("UR10e, 2.805 kg, `--baseline`", baseline.name, UR10E_KG, [str(loaded), *words])
@@ -272,9 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for answer in machines[name](options.recordings, Path(folder)):
                 of_machine.append(answer)
                 if options.bags:
-                    shown = (
-                        "-" if answer.value is None else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
-                    )
+                    shown = "-" if answer.value is None else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
                     print(
                         f"{answer.row}: {answer.asked}: {shown} for {answer.truth:.4f}, {answer.verdict}",
                         file=sys.stderr,
@@ -300,9 +294,7 @@ def _figures(name: str, answers: Sequence[Answer]) -> dict[str, Any]:
         halves.append(scale * max(answer.high - answer.value, answer.value - answer.low))
     words = "{:.1f} %" if relative else "{:.0f} g"
     # of the answer that is farthest off in kg (or m)
-    far = max(
-        range(len(errors)), key=lambda row: abs(errors[row] * given[row].truth if relative else errors[row]), default=0
-    )
+    far = max(range(len(errors)), key=lambda row: abs(errors[row] * given[row].truth if relative else errors[row]), default=0)
     return {
         "asked": name,
         "questions": len(answers),

@@ -78,8 +78,7 @@ class Results:
 def text_of(kept: Mapping[str, Any]) -> str:
     """JSON with a line for each row of a table."""
     tables = {
-        name: {**table, "rows": [f"ROW {name} {n}" for n in range(len(table["rows"]))]}
-        for name, table in kept["tables"].items()
+        name: {**table, "rows": [f"ROW {name} {n}" for n in range(len(table["rows"]))]} for name, table in kept["tables"].items()
     }
     text = json.dumps({**kept, "tables": tables}, indent=1)
     for name, table in kept["tables"].items():
@@ -123,13 +122,9 @@ def _commit() -> str:
     """Short name of the commit; with a `+` where the package or the tests differ from it; empty without git."""
 
     def git(*words: str) -> str:
-        return subprocess.run(
-            ["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=True
-        ).stdout.strip()
+        return subprocess.run(["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        return git("rev-parse", "--short", "HEAD") + (
-            "+" if git("status", "--porcelain", "--", "proprio_ros", "config") else ""
-        )
+        return git("rev-parse", "--short", "HEAD") + ("+" if git("status", "--porcelain", "--", "proprio_ros", "config") else "")
     except (OSError, subprocess.CalledProcessError):
         return ""

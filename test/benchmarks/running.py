@@ -147,9 +147,7 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
         weight = OnlineEstimator(robot, fit_empty(robot, [arm.work(30.0, name=f"empty {n}") for n in range(2)]))
         begun_s, cpu_s, told_s = 0.0, 0.0, 0.0
         loads = [arm.load(mass) for mass in MASSES_KG * 2]
-        schedule = [
-            (stays_s * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None) for n in range(20)
-        ]
+        schedule = [(stays_s * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None) for n in range(20)]
         rest_s = max(60.0 * minutes - stays_s * 22 - 30.0, 20.0)
         parts = [
             (arm.work(stays_s * 22, schedule), schedule, shown.later),
@@ -249,9 +247,7 @@ def sensing(results: Results, options: Namespace) -> None:
         results.row("sensing", arm=name, **sensed_figures(every[-1]))
     whole = together(every)
     results.row("sensing", arm="all", **sensed_figures(whole))
-    results.table(
-        "late", {"mass": "{mass:g} kg", "changes": "{changes}", "median": "{median_s:.2f} s", "95 %": "{most_s:.2f} s"}
-    )
+    results.table("late", {"mass": "{mass:g} kg", "changes": "{changes}", "median": "{median_s:.2f} s", "95 %": "{most_s:.2f} s"})
     for mass, late in whole.late.items():
         seen = np.array(late)
         results.row(

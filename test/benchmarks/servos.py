@@ -119,9 +119,7 @@ class Servo:
         return {name: np.array(values) for name, values in rows.items()}
 
 
-def asked(
-    seed: int, rate_hz: float, questions: int = 3
-) -> list[tuple[float, float | None, float, tuple[float, float]]]:
+def asked(seed: int, rate_hz: float, questions: int = 3) -> list[tuple[float, float | None, float, tuple[float, float]]]:
     """Truth, answer, standard deviation and interval [kg] of some weighings by one servo; no answer where it is refused."""
     random = np.random.default_rng(seed)
     servo = Servo(random)

@@ -56,9 +56,7 @@ class Arm:
         self.sticks, self.dead_band_rad, self.gain = 0.0, 0.0, GAIN
         """By how much of itself dry friction is greater at rest, where it holds a joint; of the firmware; duty cycle per rad."""
 
-    def moved(
-        self, load_kg: float, random: np.random.Generator, rate_hz: float, seconds: float
-    ) -> dict[str, np.ndarray]:
+    def moved(self, load_kg: float, random: np.random.Generator, rate_hz: float, seconds: float) -> dict[str, np.ndarray]:
         """As it goes from pose to pose, see `followed`."""
         dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
         goals_at, goals = [0.0], [MIDDLE]
@@ -133,9 +131,7 @@ class Arm:
 def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
     """A bag of goals and positions."""
     types: Any = message_types()
-    time, header, state = (
-        types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
-    )
+    time, header, state = (types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
     nothing, messages = np.zeros(0), []
     for row, t in enumerate(rows["t"]):
         time_ns = 10**9 + round(1e9 * t)
@@ -147,9 +143,7 @@ def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
     return folder
 
 
-def weighed(
-    seed: int, rate_hz: float, seconds: float, asked_kg: Sequence[float] = ASKED_KG
-) -> list[tuple[float, Estimate]]:
+def weighed(seed: int, rate_hz: float, seconds: float, asked_kg: Sequence[float] = ASKED_KG) -> list[tuple[float, Estimate]]:
     """Truths [kg] and answers of one arm.
 
     Raises:
@@ -165,9 +159,7 @@ def weighed(
 
         output = folder / "calibrated.yaml"
         options = Options(robot="so101", settings=SETTINGS)
-        learnt = calibrate_from_bags(
-            [bag("a", 0.0), bag("b", 0.0)], {bag("known", KNOWN_KG): KNOWN_KG}, options, output
-        )
+        learnt = calibrate_from_bags([bag("a", 0.0), bag("b", 0.0)], {bag("known", KNOWN_KG): KNOWN_KG}, options, output)
         if learnt.verdict is not Verdict.ACCEPTED:
             raise RecordingError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
         options = Options(calibration=output, settings=SETTINGS)

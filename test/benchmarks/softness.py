@@ -303,9 +303,7 @@ class Fit:
 
     def _simulator(self, table: Response) -> SqueezeSimulator:
         times = np.arange(1, 41) / 40.0
-        joint = JointRun(
-            times, np.zeros(1), np.array([0.11]), friction_velocity=0.01, step_s=1 / 480, fine_step_s=1 / 480
-        )
+        joint = JointRun(times, np.zeros(1), np.array([0.11]), friction_velocity=0.01, step_s=1 / 480, fine_step_s=1 / 480)
         return SqueezeSimulator([SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table)])
 
     def _p(self, values: np.ndarray) -> np.ndarray:
@@ -383,9 +381,7 @@ def rows(_: Any = None) -> list[Row]:
     for keep in ("states", "starts"):
         eight = measure(lambda k=keep: body.rollout(run, p, k).gradient(np.ones((1, frames))), repeats=3, warm_up=1)
         mebibytes = body.rollout(run, p, keep).bytes / 2**20
-        lines.append(
-            Row(f"soft block 8^3, keep={keep}: rollout and gradient", eight, note=f"{mebibytes:.0f} MiB of states")
-        )
+        lines.append(Row(f"soft block 8^3, keep={keep}: rollout and gradient", eight, note=f"{mebibytes:.0f} MiB of states"))
     fit = Fit()
     by_scipy, by_us = Kept(fit.scipy), Kept(fit.ours)
     theirs, ours = measure_in_turn((by_scipy, by_us), 3, (1, 10))

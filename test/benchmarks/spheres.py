@@ -85,9 +85,7 @@ class Boxed(Load):
             for side in (-1.0, 1.0):
                 half, place = INNER_M / 2.0 + 0.01, CENTRE_M.copy()
                 half[axis], place[axis] = 0.01, place[axis] + side * (INNER_M[axis] / 2.0 + 0.01)
-                body.add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=place, contype=1, conaffinity=0, mass=0.0, **touch
-                )
+                body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=place, contype=1, conaffinity=0, mass=0.0, **touch)
         sphere = spec.worldbody.add_body(name="sphere")
         sphere.add_freejoint()
         sphere.add_geom(
@@ -208,9 +206,7 @@ def cramer_rao(made: Recorded, known: Sequence[PreparedRun], rolling: Sequence[R
     rolls = [row < len(inside) for row in range(len(runs))]
     nothing = JointRun(np.array([0.1]), np.zeros(1), np.zeros(1))
     priors = [start_prior(sphere_run(robot, run, FACTS, nothing), FACTS, run.rest.value) for run in inside]
-    problem = ContainerProblem(
-        robot, runs, FACTS, rolls, container_unknowns(robot, runs, rolls, FACTS, priors, Role.FREE)
-    )
+    problem = ContainerProblem(robot, runs, FACTS, rolls, container_unknowns(robot, runs, rolls, FACTS, priors, Role.FREE))
     values = true_values(hidden, problem, SHELL_KG)
     values[problem.index["sphere_mass"]] = made.sphere.sphere_kg
     _, v, dq = problem.simulate(values[None], problem.free)

@@ -43,9 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             holds = found.ci95[0] <= modulus <= found.ci95[1]
             known = found_ratio.value is not None
             ratio_holds = known and found_ratio.ci95[0] <= ratio <= found_ratio.ci95[1]
-            rows[modulus, ratio].append(
-                (found.value / modulus - 1.0, Z95 * found.std / found.value, holds, known, ratio_holds)
-            )
+            rows[modulus, ratio].append((found.value / modulus - 1.0, Z95 * found.std / found.value, holds, known, ratio_holds))
         print(f"robot {seed} of {options.first} to {options.first + options.robots - 1}", file=sys.stderr)
     results.table(
         "squeezes",

@@ -111,13 +111,9 @@ class InMujoco(Filled):
         import mujoco
 
         body, bob = super().add_to(spec), Bob()
-        moving = body.add_body(
-            name="bob", pos=self.bottom + np.array([0.0, 0.0, bob.height]), mass=bob.kg, inertia=[1e-9] * 3
-        )
+        moving = body.add_body(name="bob", pos=self.bottom + np.array([0.0, 0.0, bob.height]), mass=bob.kg, inertia=[1e-9] * 3)
         moving.explicitinertial, moving.ipos = True, np.zeros(3)
-        moving.add_joint(
-            type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], stiffness=bob.per_m, damping=[bob.damping, 0.0, 0.0]
-        )
+        moving.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], stiffness=bob.per_m, damping=[bob.damping, 0.0, 0.0])
         return body
 
     def settle(self, model: Any, data: Any) -> np.ndarray:

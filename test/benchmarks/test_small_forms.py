@@ -66,9 +66,7 @@ def ran(name: str, words: tuple[str, ...], file: Path) -> dict[str, Any]:
     """What a benchmark keeps."""
     importlib.import_module(name).main([*words, "--json", str(file)])
     kept: dict[str, Any] = json.loads(file.read_text())
-    assert (
-        kept["command"].startswith(f"python test/benchmarks/{name}.py {words[0]}") and str(file) not in kept["command"]
-    )
+    assert kept["command"].startswith(f"python test/benchmarks/{name}.py {words[0]}") and str(file) not in kept["command"]
     return kept
 
 
@@ -78,9 +76,7 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     pytest.importorskip("mujoco")
     from support import hand
 
-    monkeypatch.setattr(
-        hand, "RATE_HZ", hand.RATE_HZ
-    )  # a benchmark has another; the tests after it have their own again
+    monkeypatch.setattr(hand, "RATE_HZ", hand.RATE_HZ)  # a benchmark has another; the tests after it have their own again
     if name in NEEDS and not (SHARED / NEEDS[name]).is_dir():
         pytest.skip(f"needs {SHARED / NEEDS[name]}")
     kept = ran(name, SMALL[name], tmp_path / f"{name}.json")
@@ -90,9 +86,7 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "plan", "softness"]
-)
+@pytest.mark.parametrize("part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "plan", "softness"])
 def test_a_part_of_the_comparison_runs(part: str, tmp_path: Path) -> None:
     """To its last row; goals of time may be missed on a busy computer, and are no matter here."""
     pytest.importorskip("mujoco")

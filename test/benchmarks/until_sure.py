@@ -172,9 +172,7 @@ def one_case(robot: Robot, hidden: HiddenRobot, mass: float, reference: str, unt
         nan = float("nan")
         said = decision.reason if estimate is None else f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}"
         print(f"  seed {seed}, {1e3 * mass:.0f} g, {reference}: {said}", file=sys.stderr)
-        return Case(
-            mass, reference, "refused", nan, nan, False, False, len(runs), bench.time_s, nan, False, nan, decided
-        )
+        return Case(mass, reference, "refused", nan, nan, False, False, len(runs), bench.time_s, nan, False, nan, decided)
     low, high = value.ci95
     half = Z95 * value.std
     # the fixed sequence, again and again

@@ -59,9 +59,7 @@ def test_by_a_clock_that_is_behind_nothing_is_outdated() -> None:
 def test_all_of_one_publisher_in_any_order_is_of_one() -> None:
     """Shuffled within its places and doubled: what is obeyed only grows."""
     draw = random.Random(1)
-    numbers = sorted(
-        [*range(1, 300), *draw.sample(range(1, 300), 60)], key=lambda number: number + draw.uniform(0, LATE - 1)
-    )
+    numbers = sorted([*range(1, 300), *draw.sample(range(1, 300), 60)], key=lambda number: number + draw.uniform(0, LATE - 1))
     senders, obeyed = Senders(), list[int]()
     for number in numbers:
         if (sender := senders.of(number, "five", number * MS)) != OUTDATED:

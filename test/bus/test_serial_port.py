@@ -66,9 +66,7 @@ def test_the_port_belongs_to_one_process(desk: Desk, plain: DynamixelBus) -> Non
         "except PortLostError as error:\n"
         "    print(error)\n"
     )
-    other = subprocess.run(
-        [sys.executable, "-c", code, str(desk.port.path)], capture_output=True, text=True, timeout=60
-    )
+    other = subprocess.run([sys.executable, "-c", code, str(desk.port.path)], capture_output=True, text=True, timeout=60)
     assert (other.returncode, other.stderr) == (0, "")
     assert other.stdout == f"{desk.port.path}: another program uses it: stop that one first\n"
     plain.handshake()

@@ -66,9 +66,7 @@ def test_a_motor_that_is_warmer_widens_its_own_joint() -> None:
     beside = growth(1.0, {"joint3": 11.0}) - growth(1.0)
     assert np.sqrt(np.diag(beside)) == pytest.approx([0.0, 0.0, 0.02, 0.2, 0.0])
     # magnets weaken alike: one warmer and one colder go apart
-    assert (
-        growth(1.0, {"joint2": 11.0, "joint3": -11.0})[0, 2] < 0.0 < growth(1.0, {"joint2": 11.0, "joint3": 11.0})[0, 2]
-    )
+    assert growth(1.0, {"joint2": 11.0, "joint3": -11.0})[0, 2] < 0.0 < growth(1.0, {"joint2": 11.0, "joint3": 11.0})[0, 2]
     assert not (growth(1.0, {"joint3": 1.0}) - growth(1.0)).any(), "motors say whole degrees"
 
 
@@ -138,9 +136,7 @@ def temperatures(celsius: dict[str, float], namespace: str = "") -> RawMessage:
     dimension, layout = (types.types[f"std_msgs/msg/MultiArray{kind}"] for kind in ("Dimension", "Layout"))
     dims = [dimension(",".join(celsius), len(celsius), len(celsius))]
     message = types.types[FLOAT_ARRAYS[0]](layout(dims, 0), np.array(list(celsius.values())))
-    return RawMessage(
-        f"{namespace}/motor_temperatures", FLOAT_ARRAYS[0], 5, bytes(types.serialize_cdr(message, FLOAT_ARRAYS[0]))
-    )
+    return RawMessage(f"{namespace}/motor_temperatures", FLOAT_ARRAYS[0], 5, bytes(types.serialize_cdr(message, FLOAT_ARRAYS[0])))
 
 
 def states() -> list[RawMessage]:
@@ -221,10 +217,7 @@ def test_a_refresh_brings_a_calibration_up_to_date(yesterday: Path, tmp_path: Pa
     before = aged(old.calibration, old.drift, new.calibration.made).quantities
     for key in (("coulomb", "joint3"), ("torque_constant", "joint3")):
         assert new.calibration.quantities[key].std < before[key].std
-    stds = [
-        replay(bag_of("fixed_light_ball_20g_joint3"), Options(calibration=path)).values[0].std
-        for path in (output, yesterday)
-    ]
+    stds = [replay(bag_of("fixed_light_ball_20g_joint3"), Options(calibration=path)).values[0].std for path in (output, yesterday)]
     assert all(isinstance(std, float) for std in stds) and stds[0] < 0.97 * stds[1]  # type: ignore[operator]
 
 

@@ -33,9 +33,7 @@ def states(namespace: str = "") -> list[RawMessage]:
     time = types.types["builtin_interfaces/msg/Time"]
     messages = []
     for n in range(20):
-        message = kind(
-            header(time(1_700_000_000, n * 10_000_000), ""), ["joint2", "joint3"], *[np.array([0.1, 0.2])] * 3
-        )
+        message = kind(header(time(1_700_000_000, n * 10_000_000), ""), ["joint2", "joint3"], *[np.array([0.1, 0.2])] * 3)
         data = bytes(types.serialize_cdr(message, kind.__msgtype__))
         messages.append(RawMessage(f"{namespace}/joint_states", kind.__msgtype__, n * 10_000_000, data))
     return messages
@@ -72,9 +70,7 @@ def calibrated(tmp_path: Path) -> Robot:
         "stribeck_velocity",
     )
     values = np.array([1.7, 0.04, 0.01, 0.02, 0.014, 0.0, 0.0, 0.1])
-    known = Calibration(
-        tuple((term, "joint3") for term in terms), values, np.diag((0.01 * values + 1e-4) ** 2), motors=ARM
-    )
+    known = Calibration(tuple((term, "joint3") for term in terms), values, np.diag((0.01 * values + 1e-4) ** 2), motors=ARM)
     write_calibration(tmp_path / "arm.yaml", load_robot("open_manipulator_x"), known)
     robot = load_robot(tmp_path / "arm.yaml")
     assert robot.calibration is not None and robot.calibration.motors == ARM
@@ -135,7 +131,5 @@ def test_one_calibration_is_of_one_arm(tmp_path: Path) -> None:
     other = {**ARM, "joint2": replace(ARM["joint2"], homing_offset=9)}
     one = bag(tmp_path / "one", *states(), told(ARM))
     two = bag(tmp_path / "two", *states(), told(other))
-    with pytest.raises(
-        RecordingError, match="another arm than that of the recordings before it: joint2 has homing offset 9"
-    ):
+    with pytest.raises(RecordingError, match="another arm than that of the recordings before it: joint2 has homing offset 9"):
         calibrate_from_bags([one, two], {})

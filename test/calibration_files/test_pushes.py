@@ -119,9 +119,7 @@ def test_the_robot_takes_what_was_learnt_and_keeps_the_rest(written: Path) -> No
     drive = robot.drive_trains["joint3"]
     assert robot.is_calibrated() and robot.is_calibrated(["joint3"]) and not robot.is_calibrated(["joint2", "joint3"])
     assert not base.is_calibrated() and robot.name == base.name
-    assert drive.torque_constant.value == pytest.approx(1.7123456789) and drive.torque_constant.std == pytest.approx(
-        0.02
-    )
+    assert drive.torque_constant.value == pytest.approx(1.7123456789) and drive.torque_constant.std == pytest.approx(0.02)
     assert drive.coulomb.value == pytest.approx(0.041) and drive.viscous.value == pytest.approx(0.008)
     assert robot.drive_trains["joint2"] == base.drive_trains["joint2"]
     assert robot.arm_scale.value == pytest.approx(1.013) and robot.delay.std == pytest.approx(0.0011)
@@ -282,9 +280,7 @@ def test_calibration_and_robot_must_belong_together(written: Path) -> None:
 
 
 @pytest.mark.long
-def test_from_bags_to_a_mass_by_the_command_line(
-    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_from_bags_to_a_mass_by_the_command_line(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What the README shows: sixteen runs, three with a reference, one file, one weighing."""
     path = tmp_path / "arm.yaml"
     empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]
@@ -403,9 +399,7 @@ def test_an_older_file_stays_where_nothing_was_learnt(bags: Path, written: Path)
 @pytest.mark.long
 def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
     path = tmp_path / "arm.yaml"
-    calibrate_from_bags(
-        [f / "bag_mcap" for f in sorted(bags.glob("realistic_s00_empty_*")) if "04" not in f.name], {}, output=path
-    )
+    calibrate_from_bags([f / "bag_mcap" for f in sorted(bags.glob("realistic_s00_empty_*")) if "04" not in f.name], {}, output=path)
     bag = bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
     alone = replay([bag], Options(calibration=path))
     empty = bags / "realistic_s00_empty_04_joint3" / "bag_mcap"
@@ -415,9 +409,7 @@ def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
     loaded = bags / "realistic_s00_fixed_light_cube_10g_joint3" / "bag_mcap"
     drifted = replay([bag], Options(calibration=path, baseline=(loaded,)))
     assert drifted.verdict.value == "rejected" and drifted.value("payload_mass").value is None
-    assert (
-        drifted.reasons[0].startswith("drift: the empty hand now weighs +1") and "calibrate again" in drifted.reasons[0]
-    )
+    assert drifted.reasons[0].startswith("drift: the empty hand now weighs +1") and "calibrate again" in drifted.reasons[0]
 
 
 def test_an_older_file_is_replaced_only_when_that_is_asked_for(
@@ -462,9 +454,7 @@ def test_runs_that_separate_nothing_give_no_file(bags: Path, tmp_path: Path) -> 
         estimate = calibrate_from_bags(given, {}, output=path)
         assert estimate.verdict.value == "not_identifiable" and estimate.reasons[0].code == code and not path.exists()
         assert any("add a run in which it moves in the positive direction" in reason for reason in estimate.reasons)
-        assert {plan.joint for plan in estimate.advice} == {"joint3"} and min(
-            p.travel[0] for p in estimate.advice
-        ) > 0.0
+        assert {plan.joint for plan in estimate.advice} == {"joint3"} and min(p.travel[0] for p in estimate.advice) > 0.0
 
 
 def test_a_joint_that_was_not_separated_stays_uncalibrated(bags: Path, tmp_path: Path) -> None:

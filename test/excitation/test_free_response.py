@@ -83,9 +83,7 @@ def test_gravity_and_inertia_are_those_of_another_simulator() -> None:
     hand = Hand(1, None, 0.0)
     truth = hand.arm.truth
     joint = replace(truth.joints[WRIST], viscous=0.0, load_friction=0.0, stribeck=0.0)
-    hand.arm.truth = truth = replace(
-        truth, joints={**truth.joints, WRIST: joint}, links={}, arm_scale=ROBOT.arm_scale.value
-    )
+    hand.arm.truth = truth = replace(truth, joints={**truth.joints, WRIST: joint}, links={}, arm_scale=ROBOT.arm_scale.value)
     arm = type(hand.arm)(ROBOT, truth, position=SEQUENCE.runs[0].start, control_period_s=PERIOD_S)
     start = SEQUENCE.runs[0].start[WRIST]
     swing = free_swing(ROBOT, WRIST, {name: arm.position()[name] for name in ROBOT.model.independent_joints})
@@ -102,9 +100,7 @@ def test_gravity_and_inertia_are_those_of_another_simulator() -> None:
 
 
 def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() -> None:
-    def refused(
-        words: str, start: dict[str, float], joint: str = WRIST, guards: Guards | None = None, **more: float
-    ) -> None:
+    def refused(words: str, start: dict[str, float], joint: str = WRIST, guards: Guards | None = None, **more: float) -> None:
         run = ExcitationRun(joint, 0.0, 2.0, start)
         machine = ExcitationMachine(ROBOT, guards)
         with pytest.raises(ExcitationError, match=words):
@@ -251,9 +247,7 @@ def at(seconds: float, phase: Phase = Phase.PROBE) -> Callable[[ExcitationMachin
 
 
 @pytest.mark.parametrize("phase", [Phase.PROBE, Phase.CATCH])
-@pytest.mark.parametrize(
-    "mishap", ["abort", "jump", *(pytest.param(m, marks=LONG) for m in ("sample", "held joint", "clock"))]
-)
+@pytest.mark.parametrize("mishap", ["abort", "jump", *(pytest.param(m, marks=LONG) for m in ("sample", "held joint", "clock"))])
 def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, phase: Phase) -> None:
     sequence = replace(ONCE, runs=(replace(ONCE.runs[0], duration_s=0.5),))
     due = at(0.4 if phase is Phase.PROBE else 0.05, phase)
@@ -357,9 +351,7 @@ def test_what_lets_go_and_what_catches_are_no_probes() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "seed", [0, 2, 11], ids=["rises by 0.7 at rest", "falls by 0.14 rad", "search that stops early"]
-)
+@pytest.mark.parametrize("seed", [0, 2, 11], ids=["rises by 0.7 at rest", "falls by 0.14 rad", "search that stops early"])
 def test_swings_of_a_virtual_arm_tell_its_friction_and_its_rotor(seed: int) -> None:
     """The joint's friction rises towards standstill as the file does not say; nothing that is stated may be wrong for that.
 

@@ -41,9 +41,7 @@ class HeldArm:
         position, _, _ = self.driver.states()
         return dict(zip(self.driver.broadcast, position, strict=True))
 
-    def run(
-        self, seconds: float, velocity: dict[str, float] | None = None, pushed: dict[str, float] | None = None
-    ) -> FloatArray:
+    def run(self, seconds: float, velocity: dict[str, float] | None = None, pushed: dict[str, float] | None = None) -> FloatArray:
         """Departures from the goals, all of them as angles of the motors [rad], shape (T, J)."""
         rows = []
         for _ in range(round(seconds * self.rate_hz)):

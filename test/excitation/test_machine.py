@@ -114,9 +114,7 @@ def check_command(machine: ExcitationMachine, command: Command, phase: Phase) ->
         assert abs(current) <= most_A <= ROBOT.motors[joint].current_limit_A
 
 
-def drive(
-    machine: ExcitationMachine, arm: Arm, rate_hz: float, meddle: Callable[[Arm], None] = lambda _: None
-) -> list[Tick]:
+def drive(machine: ExcitationMachine, arm: Arm, rate_hz: float, meddle: Callable[[Arm], None] = lambda _: None) -> list[Tick]:
     """Tick until the machine is done."""
     ticks = []
     sample = arm.sample()
@@ -328,9 +326,7 @@ def recorded(ticks: list[Tick], topic: str) -> Recording:
 
 @pytest.mark.parametrize("rate_hz", [100.0, 40.0])
 @pytest.mark.parametrize("topic", ["/current_command", "/applied_effort"])
-def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(
-    topic: str, rate_hz: float, tmp_path: Path
-) -> None:
+def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(topic: str, rate_hz: float, tmp_path: Path) -> None:
     machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
     second = replace(SHAKE, current_A=-0.06, shake_A=-0.14, shake_period_s=0.3)
     machine.start(replace(QUICK, runs=(SHAKE, second)), arm.sample())
@@ -390,9 +386,7 @@ class Bench:
         return self.machine.tick(now_s, self.sample)
 
 
-def bench(
-    phase: Phase, sequence: ExcitationSequence = QUICK, pose: dict[str, float] = HOME, guards: Guards | None = None
-):
+def bench(phase: Phase, sequence: ExcitationSequence = QUICK, pose: dict[str, float] = HOME, guards: Guards | None = None):
     machine = ExcitationMachine(ROBOT, guards)
     sample = JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0))
     machine.start(sequence, sample)
@@ -583,9 +577,7 @@ def test_abort_without_a_sequence_does_nothing() -> None:
 
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.SETTLE, Phase.BRAKE, Phase.RETURN])
 def test_a_joint_that_does_not_follow(phase: Phase) -> None:
-    sequence = replace(
-        QUICK, runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint3": 0.6}),), settle_s=1.0, brake_s=1.0, home=HOME
-    )
+    sequence = replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint3": 0.6}),), settle_s=1.0, brake_s=1.0, home=HOME)
     ready = bench(phase, replace(sequence, approach_velocity=0.1))
     goal = ready.machine.command.position["joint1"]
     late = 0
@@ -594,10 +586,7 @@ def test_a_joint_that_does_not_follow(phase: Phase) -> None:
         assert not ready.tick(joint1=goal + 0.16).current_A
         late += 1
     assert 50 <= late <= 52  # 0.5 s
-    assert (
-        "joint1 does not follow: is something in its way, its load too heavy, or torque off?"
-        in ready.machine.abort_reason
-    )
+    assert "joint1 does not follow: is something in its way, its load too heavy, or torque off?" in ready.machine.abort_reason
     assert all(outcome.used for outcome in ready.machine.outcomes)
 
 
@@ -608,9 +597,7 @@ def test_a_short_lag_is_forgiven() -> None:
     assert ready.machine.phase is Phase.SETTLE
 
 
-@pytest.mark.parametrize(
-    "unrest", [lambda t_s: 0.025 * t_s, lambda t_s: 0.01 * math.sin(20.0 * t_s)], ids=["creeps", "shakes"]
-)
+@pytest.mark.parametrize("unrest", [lambda t_s: 0.025 * t_s, lambda t_s: 0.01 * math.sin(20.0 * t_s)], ids=["creeps", "shakes"])
 def test_a_joint_that_never_rests(unrest: Callable[[float], float]) -> None:
     ready = bench(Phase.SETTLE)
     started_s = ready.sample.time_s

@@ -125,9 +125,7 @@ def test_a_square_wave_halves_and_keeps_away_from_zero_in_every_attempt(robot: R
         while mean_A is not None:
             first = [run.current_at(part * run.shake_period_s, mean_A) for part in (0.0, 0.49, 1.01, 2.49)]
             second = [run.current_at(part * run.shake_period_s, mean_A) for part in (0.51, 0.99, 1.51, 2.99)]
-            assert first == pytest.approx([mean_A + run.shake_A] * 4) and second == pytest.approx(
-                [mean_A - run.shake_A] * 4
-            )
+            assert first == pytest.approx([mean_A + run.shake_A] * 4) and second == pytest.approx([mean_A - run.shake_A] * 4)
             assert min(map(abs, first + second)) >= LEAST_CURRENT_A
             mean_A = run.other_current(mean_A)
             attempts += 1

@@ -28,9 +28,7 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
 
-@pytest.mark.parametrize(
-    "modulus", [1.5e3, pytest.param(100e3, marks=pytest.mark.long), pytest.param(1e6, marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("modulus", [1.5e3, pytest.param(100e3, marks=pytest.mark.long), pytest.param(1e6, marks=pytest.mark.long)])
 def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
     """From foam to hard rubber, with a gripper of little friction: 45 % is never reached, and the block is let go."""
     hand = Hand(3, SoftBlock(modulus, gap_m=GAP_M), coulomb=0.015)
@@ -73,9 +71,7 @@ def test_a_missing_block_is_reported() -> None:
 def until_sure(robot: Robot, hand: Hand, until: Until) -> tuple[tuple[Run, ...], list[Decision]]:
     """The runs of a block that is squeezed until sure, and what was decided after each."""
     sequence = replace(load_sequence("block_until", ROBOT), until=until)
-    chooser = probe_named("softness").chooser(
-        robot, SoftnessJob(BlockFacts(np.full(3, EDGE_M)), SqueezeOptions()), sequence
-    )
+    chooser = probe_named("softness").chooser(robot, SoftnessJob(BlockFacts(np.full(3, EDGE_M)), SqueezeOptions()), sequence)
     began, decisions = hand.time_s, []
     machine, runs, _ = made(replace(sequence, until=None), hand)
     assert machine.phase is Phase.DONE, machine.message

@@ -76,8 +76,7 @@ def test_open_friction_is_half_as_large_as_it_may_be(robot: Robot) -> None:
 
 def test_the_quickest_that_is_enough_comes_first() -> None:
     slow, quick, vague = (
-        Push("joint3", POSE, 0.1, 0.0, 0.5, time_s, std, 1.0, 0.4)
-        for time_s, std in ((5.0, 1e-3), (3.0, 1.5e-3), (1.0, 9e-3))
+        Push("joint3", POSE, 0.1, 0.0, 0.5, time_s, std, 1.0, 0.4) for time_s, std in ((5.0, 1e-3), (3.0, 1.5e-3), (1.0, 9e-3))
     )
     assert best_first([vague, slow, quick], 2e-3) == [quick, slow, vague]
 

@@ -156,10 +156,7 @@ def test_clearance_of_a_known_pose() -> None:
     hanging = {**pose, "joint2": 1.4, "joint3": 1.2}
     assert clearance(robot, hanging) < clearance(robot, pose)
     assert clearance(robot, hanging) == pytest.approx(
-        min(
-            robot.model.frame_transform(link, hanging)[2, 3]
-            for link in ("link5", robot.payload_frame, "gripper_left_link")
-        )
+        min(robot.model.frame_transform(link, hanging)[2, 3] for link in ("link5", robot.payload_frame, "gripper_left_link"))
     )
 
 

@@ -151,19 +151,11 @@ def test_it_ends_when_it_is_sure(tmp_path: Path) -> None:
         assert again.next(arm.runs, arm.sample().position, 1.0).ended_by == ended_by
     from proprio_ros.report.choices_page import Choice, write_choices
 
-    choices = [
-        Choice(d.value, d.half, d.promised, d.reason, [push.words for push in d.others], d.decided_s) for d in decisions
-    ]
+    choices = [Choice(d.value, d.half, d.promised, d.reason, [push.words for push in d.others], d.decided_s) for d in decisions]
     write_choices(choices, chooser.sought, UNTIL.half_interval, tmp_path / "choices.html")
     page = (tmp_path / "choices.html").read_text()
-    assert (
-        page.count('<svg class="chart" role') == 1
-        and decisions[-1].reason in page
-        and decisions[0].others[0].words in page
-    )
-    grams = re.search(
-        r"<p class=value>([\d.]+) g</p>\s*<p class=interval>mass \+-[\d.]+ g \(95 %\) after (\d+) push", page
-    )
+    assert page.count('<svg class="chart" role') == 1 and decisions[-1].reason in page and decisions[0].others[0].words in page
+    grams = re.search(r"<p class=value>([\d.]+) g</p>\s*<p class=interval>mass \+-[\d.]+ g \(95 %\) after (\d+) push", page)
     assert grams is not None and float(grams[1]) == pytest.approx(1e3 * decisions[-1].value, abs=0.06)
     assert int(grams[2]) == len(decisions) - 1
 

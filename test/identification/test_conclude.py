@@ -115,9 +115,7 @@ def test_reasons_come_in_one_order(fits: tuple[FitResult, FitResult]) -> None:
     codes = reason_codes(estimate.reasons)
     assert codes == ["too_wide", "other", "guessed_facts", "other", "not_calibrated"]
     assert estimate.reasons[1] == "seen on the way" and estimate.reasons[3] == "look twice"
-    assert (
-        "a.size" not in estimate.reasons[-1] and " g" in estimate.reasons[-1]
-    )  # what the robot's file leaves open, alone
+    assert "a.size" not in estimate.reasons[-1] and " g" in estimate.reasons[-1]  # what the robot's file leaves open, alone
     assert estimate.notes == ("a note",) and estimate.runs == 3 and estimate.probe == "scales"
 
 
@@ -135,9 +133,7 @@ def test_what_cannot_be_simulated_and_what_is_not_explained_are_refused(fits: tu
     assert coarse.verdict is Verdict.REJECTED and reason_codes(coarse.reasons)[0] == "misfit"
     assert "reduced chi-square 18.0" in coarse.reasons[0] or "misses the recording by" in coarse.reasons[0]
     assert "has not been calibrated" in coarse.reasons[1]
-    nothing = Weighed(
-        nominal, replace(opened, chi2=np.inf), Findings(), 1, own=1.0, guessed=[Guess("a", "b", "c", 1.0)]
-    )
+    nothing = Weighed(nominal, replace(opened, chi2=np.inf), Findings(), 1, own=1.0, guessed=[Guess("a", "b", "c", 1.0)])
     refused = nothing.estimate()
     assert reason_codes(refused.reasons)[0] == "unsimulated" and "check the robot file's inertias" in refused.reasons[0]
     assert not nothing.guesses and nothing.apart is None

@@ -65,9 +65,7 @@ def test_stuck(calibrated: Robot, lift: Run) -> None:
 
 
 @pytest.mark.parametrize(("share", "moves"), [(1.0, True), (0.7, False), (0.0, True)])
-def test_a_joint_that_stands_still_where_the_others_say_it_moves(
-    calibrated: Robot, lift: Run, share: float, moves: bool
-) -> None:
+def test_a_joint_that_stands_still_where_the_others_say_it_moves(calibrated: Robot, lift: Run, share: float, moves: bool) -> None:
     """Beside the current that lifts and none at all, 0.7 of it is within friction of what holds 20 g."""
     still = replace(shrunk(lift, 1e-3), name="still", input_current_A=share * lift.input_current_A)
     estimate = weigh(calibrated, [lift, still])
@@ -114,9 +112,7 @@ def test_current_limit(calibrated: Robot, lift: Run) -> None:
 def test_supply_limit(bags: Path, calibrated: Robot, robot: Robot) -> None:
     fast = run_of(bags, "realistic_s00_fixed_reference_100g_joint3_x1", robot)
     estimate = weigh(calibrated, [fast])
-    assert any(
-        "passed 3.5 rad/s" in reason and "did not report the commanded current" in reason for reason in estimate.reasons
-    )
+    assert any("passed 3.5 rad/s" in reason and "did not report the commanded current" in reason for reason in estimate.reasons)
 
 
 def test_a_held_joint_that_moves(calibrated: Robot, lift: Run) -> None:
@@ -135,9 +131,7 @@ def test_friction_never_reversed(bags: Path, robot: Robot, lift: Run) -> None:
     assert any(sentence in reason for reason in one_way.reasons)
     wide = replace(
         robot,
-        drive_trains={
-            name: replace(d, coulomb=replace(d.coulomb, value=0.04, std=0.01)) for name, d in robot.drive_trains.items()
-        },
+        drive_trains={name: replace(d, coulomb=replace(d.coulomb, value=0.04, std=0.01)) for name, d in robot.drive_trains.items()},
     )
     assert any(sentence in reason for reason in weigh(wide, [lift]).reasons)
     assert not any("only ever moved" in reason for reason in weigh(wide, [lift, lower]).reasons)
@@ -162,15 +156,10 @@ def test_contradicting_runs_are_named_with_both_masses(bags: Path, calibrated: R
 
 
 @pytest.mark.long
-def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
-    bags: Path, calibrated: Robot, robot: Robot
-) -> None:
+def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(bags: Path, calibrated: Robot, robot: Robot) -> None:
     """Torque that is 1 or 3 % off in one of three runs, on a robot that allows for none: the interval carries it, or not."""
     sure = replace(calibrated, residual_scale=0.5, torque_disturbance=1e-4, onset_jitter_s=0.0, stamp_jitter_s=1e-5)
-    runs = [
-        run_of(bags, f"realistic_s00_fixed_reference_100g_{name}", robot)
-        for name in ("joint2_x2", "joint2_x3", "joint3_x1")
-    ]
+    runs = [run_of(bags, f"realistic_s00_fixed_reference_100g_{name}", robot) for name in ("joint2_x2", "joint2_x3", "joint3_x1")]
     weaker = [*runs[:2], replace(runs[2], input_current_A=1.01 * runs[2].input_current_A)]
     nearly = weigh(sure, weaker)
     (sentence,) = (reason for reason in nearly.reasons if "differs from the other runs" in reason)

@@ -204,9 +204,7 @@ def test_guesses_are_named_with_what_they_cost_together() -> None:
 
 
 def at_times(robot: Robot, run: Run, times_s: np.ndarray) -> PreparedRun:
-    return prepare_run(
-        robot, replace(run, times_s=times_s, duration_s=1.0, after_times_s=np.zeros(0), after_position=np.zeros(0))
-    )
+    return prepare_run(robot, replace(run, times_s=times_s, duration_s=1.0, after_times_s=np.zeros(0), after_position=np.zeros(0)))
 
 
 def test_a_pause_is_said_before_uneven_stamps(robot: Robot, lift: Run) -> None:

@@ -103,9 +103,7 @@ LOAD = PayloadFacts(
 
 def inverse_dynamics(arm, joint: str, positions, velocities, accelerations) -> float:
     mujoco, model, data = arm
-    for values, name in itertools.product(
-        ((data.qpos, positions), (data.qvel, velocities), (data.qacc, accelerations)), positions
-    ):
+    for values, name in itertools.product(((data.qpos, positions), (data.qvel, velocities), (data.qacc, accelerations)), positions):
         values[0][model.joint(name).qposadr[0]] = values[1].get(name, 0.0)
     mujoco.mj_inverse(model, data)
     return float(data.qfrc_inverse[model.joint(joint).dofadr[0]])

@@ -66,9 +66,7 @@ def test_a_fast_sample_counts_where_the_motor_reports_the_commanded_current(robo
     joint = "joint1"
     fast = 1.2 * robot.drive_trains[joint].usable_velocity
     run = moving(1.0, joint)
-    run = replace(
-        run, position=np.where(run.times_s < 0.3, run.position, run.position + (fast - 1.0) * (run.times_s - 0.3))
-    )
+    run = replace(run, position=np.where(run.times_s < 0.3, run.position, run.position + (fast - 1.0) * (run.times_s - 0.3)))
     cut = prepare_run(robot, run, KnownLoad())
     assert "reached its limit" not in cut.cut_reason and "supply may no longer drive" in cut.cut_reason
     assert 0.2 < cut.times_s[-1] < 0.35
@@ -101,12 +99,9 @@ def test_what_the_hand_weighs_at_rest(robot: Robot) -> None:
     """One kilogram in the hand: its weight times the horizontal distance to the elbow's axis."""
     run = prepare_run(robot, moving(0.5), KnownLoad())
     there, axis = (
-        robot.model.frame_transform(link, POSE)[:3, 3]
-        for link in (robot.payload_frame, robot.model.joint("joint3").child)
+        robot.model.frame_transform(link, POSE)[:3, 3] for link in (robot.payload_frame, robot.model.joint("joint3").child)
     )
     gravity = float(np.linalg.norm(robot.gravity))
     away = float(np.linalg.norm((there - axis)[:2]))
-    assert abs(run.weight_at_rest(run.coefficients.per_kg(KnownLoad().facts))) == pytest.approx(
-        gravity * away, rel=1e-6
-    )
+    assert abs(run.weight_at_rest(run.coefficients.per_kg(KnownLoad().facts))) == pytest.approx(gravity * away, rel=1e-6)
     assert run.torque_stds.shape == (3,) and np.all(run.torque_stds >= 0.0)

@@ -135,9 +135,7 @@ def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Proble
         whole_cost, whole_gradient, _ = problem.linearise(full)
         assert whole_cost[0] == pytest.approx(cost[s], rel=1e-5)  # the free friction takes finer steps
         shared = [problem.free.tolist().index(problem.index[small.unknowns[row].key]) for row in small.free]
-        np.testing.assert_allclose(
-            whole_gradient[0, shared], gradient[s], rtol=5e-3, atol=1e-6 * np.abs(gradient[s]).max()
-        )
+        np.testing.assert_allclose(whole_gradient[0, shared], gradient[s], rtol=5e-3, atol=1e-6 * np.abs(gradient[s]).max())
 
 
 def test_a_guess_that_cannot_be_simulated_costs_everything(problem: Problem) -> None:

@@ -65,8 +65,7 @@ def test_everything_else_is_fitted_again_at_each_mass(opened: FitResult) -> None
     chosen = [1, len(masses) - 3]
     for row in chosen:
         unknowns = [
-            replace(u, value=masses[row], std=0.0, role=Role.FROZEN) if u.kind == "payload_mass" else u
-            for u in problem.unknowns
+            replace(u, value=masses[row], std=0.0, role=Role.FROZEN) if u.kind == "payload_mass" else u for u in problem.unknowns
         ]
         held = Problem(problem.robot, problem.runs, PayloadFacts(), unknowns)
         start = held.coordinates.internal(opened.values[held.free][None])

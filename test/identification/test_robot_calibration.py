@@ -201,9 +201,7 @@ def test_what_was_not_probed_is_not_determined(recordings: Path, robot: Robot) -
 
 def test_stuck_runs_only(recordings: Path, robot: Robot) -> None:
     stuck = [
-        LoadedRun(run)
-        for folder in (recordings / "friction_s00" / "fixed_random_a_joint3",)
-        for run in runs_of(folder, robot)
+        LoadedRun(run) for folder in (recordings / "friction_s00" / "fixed_random_a_joint3",) for run in runs_of(folder, robot)
     ]
     estimate = calibrate(robot, stuck)
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.calibration is None
@@ -254,9 +252,7 @@ def test_pooled_runs_with_a_calibration(
 
 
 @pytest.mark.long
-def test_an_empty_hand_weighs_nothing(
-    recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
-) -> None:
+def test_an_empty_hand_weighs_nothing(recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]) -> None:
     """Runs that were left out of the calibration, weighed with it."""
     known = empty_runs(recordings / "realistic_s00", robot)
     for out in (0, 4, 7):

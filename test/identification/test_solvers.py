@@ -20,9 +20,7 @@ class Valley:
             [Unknown("payload_com_x", 0.0, np.inf, -5.0, upper_x), Unknown("payload_com_y", 0.0, np.inf, -50.0, 50.0)]
         )
 
-    def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         x, y = internal.T
         residual = np.stack([10.0 * (y - x**2), 1.0 - x], axis=1)
         jacobian = np.zeros((len(x), 2, 2))
@@ -56,9 +54,7 @@ class Saturated:
 
     coordinates = Coordinates([Unknown("payload_com_x", 0.0, np.inf, -1e4, 1e4)])
 
-    def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         residual, slope = np.arctan(internal), 1.0 / (1.0 + internal**2)
         return 0.5 * (residual**2).sum(1), residual * slope, (slope**2)[..., None]
 

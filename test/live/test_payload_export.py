@@ -33,9 +33,7 @@ LOAD = Carried(0.5, [0.01, 0.02, 0.03], np.diag([1e-3, 2e-3, 3e-3]))
 @pytest.fixture
 def robot(tmp_path: Path) -> Robot:
     (tmp_path / "arm.urdf").write_text(URDF)
-    return load_robot(
-        tmp_path / "arm.urdf", {"payload_frame": "tip", "joints.elbow.motor.nominal_torque_constant_N_m_per_A": 1.0}
-    )
+    return load_robot(tmp_path / "arm.urdf", {"payload_frame": "tip", "joints.elbow.motor.nominal_torque_constant_N_m_per_A": 1.0})
 
 
 def test_the_flange_sees_the_load_turned_and_shifted(robot: Robot) -> None:

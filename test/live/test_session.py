@@ -169,9 +169,7 @@ def test_an_unwritable_folder_is_named_before_anything_is_recorded(tmp_path: Pat
     full = tmp_path / "full"
     full.write_text("a file where a folder should be")
     session = Session(full, "payload")
-    with pytest.raises(
-        RecordingError, match=r"full cannot be written .*name another folder with --data-directory"
-    ) as caught:
+    with pytest.raises(RecordingError, match=r"full cannot be written .*name another folder with --data-directory") as caught:
         session.open()
     assert "the parameter data_directory" in as_parameters(str(caught.value))
 
@@ -260,9 +258,7 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
             if not foreign:
                 live.add_input(int(stamp), read.inputs.names, current * effort)
             elif any(current):
-                live.add_command(
-                    int(stamp), {n: float(c) for n, c in zip(read.inputs.names, current, strict=True) if c}
-                )
+                live.add_command(int(stamp), {n: float(c) for n, c in zip(read.inputs.names, current, strict=True) if c})
             else:
                 live.add_command(int(stamp), {})
         for stamp, row in zip(read.joints.times_ns, read.joints.position, strict=True):
@@ -292,9 +288,7 @@ def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
     assert load.inertia_is == "assumed" and np.linalg.eigvalsh(load.inertia_kg_m2).min() > 0.0
 
 
-def test_the_command_beside_a_result_gives_it_again(
-    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_beside_a_result_gives_it_again(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = Options(settings={"payload.size": 0.03, "payload.shape": "cube"})
     estimate = replay([bags / BAG], options)
     bag = tmp_path / "bag"
@@ -342,9 +336,7 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         "held.joint1",
     }
     check_settings(Options(settings=stated))
-    with pytest.raises(
-        ConfigurationError, match=r"sphere\.radios: unknown; valid keys: sphere\.radius.*block\.contact"
-    ):
+    with pytest.raises(ConfigurationError, match=r"sphere\.radios: unknown; valid keys: sphere\.radius.*block\.contact"):
         check_settings(Options(settings={**stated, "sphere.radios": 0.01}))
     with pytest.raises(ConfigurationError, match="does not fit"):
         check_settings(Options(settings={"sphere.radius": 0.03}))
@@ -362,9 +354,7 @@ def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> N
     # thin walls: the two across z are 6 x 4 cm, those across y 6 x 4, those across x 4 x 4; moments of a plate and Steiner
     areas = {"x": 2 * 16.0, "y": 2 * 24.0, "z": 2 * 24.0}
     about_y = (
-        areas["x"] * (4.0**2 / 12.0 + 3.0**2)
-        + areas["y"] * (6.0**2 + 4.0**2) / 12.0
-        + areas["z"] * (6.0**2 / 12.0 + 2.0**2)
+        areas["x"] * (4.0**2 / 12.0 + 3.0**2) + areas["y"] * (6.0**2 + 4.0**2) / 12.0 + areas["z"] * (6.0**2 / 12.0 + 2.0**2)
     ) / (1e4 * sum(areas.values()))
     assert weighing.settings["payload.inertia_per_mass"][1] == pytest.approx(about_y, rel=1e-9)
     estimate = replay(options.baseline, weighing)

@@ -117,9 +117,7 @@ def test_a_stop_in_mid_probe_is_named(arm: Arm) -> None:
     assert arm.run().success
     arm.until(lambda: arm.machine.phase.value == "probe")
     arm.node._on_driver(STOPPED)
-    assert arm.machine.abort_reason == (
-        "the driver was stopped: the current is zero; /driver/torque true holds the arm again"
-    )
+    assert arm.machine.abort_reason == ("the driver was stopped: the current is zero; /driver/torque true holds the arm again")
     assert not arm.sent[-1][1].current_A and arm.machine.phase.value == "aborted"
 
 
@@ -230,9 +228,7 @@ def test_nor_is_the_identifier_configured_with_one(context: Any, capfd: pytest.C
     node = IdentifierNode(context=context, parameter_overrides=[Parameter("softness_sequence", value="nonsense")])
     try:
         node.trigger_configure()
-        assert (
-            "cannot configure: softness_sequence: no 'nonsense' among the probes; there are: " in capfd.readouterr().err
-        )
+        assert "cannot configure: softness_sequence: no 'nonsense' among the probes; there are: " in capfd.readouterr().err
     finally:
         node.destroy_node()
 

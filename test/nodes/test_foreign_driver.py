@@ -46,9 +46,7 @@ def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytes
     parameters: dict[str, Any] = {"data_directory": tmp_path / "data", "payload_sequence": str(push)}
     with Graph(tmp_path / "logs") as graph:
         graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.05})
-        graph.start(
-            "driver", {"port": tmp_path / "bus", "reply_timeout": 0.1, "command_timeout": 0.5}, namespace="hardware"
-        )
+        graph.start("driver", {"port": tmp_path / "bus", "reply_timeout": 0.1, "command_timeout": 0.5}, namespace="hardware")
         graph.start("excitation", {"stale_after": 4.0})  # nobody here may take a late message for silence
         graph.start("identifier", parameters | {"calibration": "none", "report": False})
         client = Client()
@@ -74,9 +72,7 @@ def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytes
                 assert wait_for(listening)
                 answer = client.call("/identifier/calibrate_payload", 3600.0)
             assert "recording: " in answer.message and "aborted" not in answer.message, answer.message
-            assert "published best effort" in graph.log("identifier") and "published best effort" in graph.log(
-                "excitation"
-            )
+            assert "published best effort" in graph.log("identifier") and "published best effort" in graph.log("excitation")
         finally:
             client.close()
     drives = load_robot("open_manipulator_x").drive_trains

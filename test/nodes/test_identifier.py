@@ -84,9 +84,7 @@ class Nodes:
 @pytest.fixture
 def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Nodes]:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    monkeypatch.setattr(
-        identifier, "prepare_identification", lambda *given: None
-    )  # compiles kernels, and none is run here
+    monkeypatch.setattr(identifier, "prepare_identification", lambda *given: None)  # compiles kernels, and none is run here
     made = Nodes()
     yield made
     made.close()
@@ -163,9 +161,7 @@ def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(nodes: Nodes
     assert arm._diagnosed == "arm1/driver"
 
 
-def test_a_calibration_of_another_arm_is_not_used(
-    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_calibration_of_another_arm_is_not_used(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     newest = tmp_path / "open_manipulator_x_calibration.yaml"
     newest.write_text("extends: pendulum\n")  # has no calibration
     assert nodes.identifier(data_directory=tmp_path)._workspace.calibration is None
@@ -187,9 +183,7 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
     assert read_motors(tmp_path / "bag") == {"joint3": elbow}
 
 
-def test_how_warm_the_motors_are_is_part_of_a_recording(
-    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_how_warm_the_motors_are_is_part_of_a_recording(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     node = nodes.identifier("arm1", data_directory=tmp_path)
     node._inputs.on_motors(serialize_message(messages.status("ok", "motors", "", {}, "")))
     node._inputs.on_temperatures(serialize_message(messages.labelled({"joint2": 31.0, "joint3": 35.0})))
@@ -295,26 +289,20 @@ def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_
     job = Job(WEIGH, "weigh")
     with pytest.raises(JobError, match=r"no calibration of motions.*proprio calibrate BAG"):
         node._weighing.weigh(job, node._jobs.identify)
-    assert node._inputs.kept is None and node._inputs.may_skip("joint_states"), (
-        "nothing is kept for what cannot be done"
-    )
+    assert node._inputs.kept is None and node._inputs.may_skip("joint_states"), "nothing is kept for what cannot be done"
     node._inputs.kept = deque()
     assert not node._inputs.may_skip("joint_states") and node._inputs.may_skip("applied_effort")
     with pytest.raises(JobError, match="give the parameter driver or effort_unit"):
         node._weighing.weigh(job, node._jobs.identify)
     hear = {role: node._inputs.listener(f"/{role}", role, JointState) for role in ("joint_states", "applied_effort")}
     hear["applied_effort"](b"")
-    with pytest.raises(
-        JobError, match="give the parameter driver or effort_unit"
-    ):  # it may go to somebody else's driver
+    with pytest.raises(JobError, match="give the parameter driver or effort_unit"):  # it may go to somebody else's driver
         node._weighing.weigh(job, node._jobs.identify)
     node.create_publisher(Float64MultiArray, "applied_current", 1)  # as our own driver has
     with pytest.raises(JobError, match="no joint states are coming"):
         node._weighing.weigh(job, node._jobs.identify)
     for number in range(20):
-        still = messages.joint_state(
-            10**7 * number, ["joint1", "wheel"], [0.001 * (number % 2), number], [], [0.0, 0.0]
-        )
+        still = messages.joint_state(10**7 * number, ["joint1", "wheel"], [0.001 * (number % 2), number], [], [0.0, 0.0])
         hear["joint_states"](serialize_message(still))
     with pytest.raises(JobError, match="no joint moved in the last 15 s"):
         node._weighing.weigh(job, node._jobs.identify)
@@ -372,9 +360,7 @@ def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_
 def test_the_estimate_of_a_run_takes_the_current_command_where_no_effort_comes(nodes: Nodes, tmp_path: Path) -> None:
     inputs = nodes.identifier(data_directory=tmp_path, calibration="none")._inputs
     taken: list[dict[str, float]] = []
-    inputs.live = SimpleNamespace(
-        joints=("joint2", "joint3"), add_command=lambda at_ns, current_A: taken.append(current_A)
-    )
+    inputs.live = SimpleNamespace(joints=("joint2", "joint3"), add_command=lambda at_ns, current_A: taken.append(current_A))
     inputs.session = SimpleNamespace(add=lambda *message: None)
     hear = inputs.listener("/current_command", "current_command", Float64MultiArray)
     for current in (0.2, 0.0):
@@ -405,13 +391,9 @@ def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:
     assert options.driver == "robotis" and options.effort_unit is None
     assert options.state_topic is None and options.command_topic is None, "found in the bag as they were found here"
     assert current_A(100.0, "raw", 1.78) == pytest.approx(0.269)
-    assert nodes.identifier(**given, driver="robotis", effort_unit="A")._inputs.measured_unit() == "A", (
-        "what is stated wins"
-    )
+    assert nodes.identifier(**given, driver="robotis", effort_unit="A")._inputs.measured_unit() == "A", "what is stated wins"
     assert nodes.identifier(**given)._inputs.measured_unit() == ""
-    with pytest.raises(
-        ConfigurationError, match="the parameter driver ur_torque: this effort lacks what holds the arm"
-    ):
+    with pytest.raises(ConfigurationError, match="the parameter driver ur_torque: this effort lacks what holds the arm"):
         nodes.identifier(**given, driver="ur_torque")
 
 

@@ -112,9 +112,7 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             assert float(final["payload_mass"]) == result.mass == stamped.mass
             assert json.loads(final["payload_mass.ci95"]) == list(result.interval) == list(stamped.interval)
         assert final["verdict"] == result.verdict == stamped.verdict
-        assert (
-            [final[key] for key in final if key.startswith("reason.")] == list(result.reasons) == list(stamped.reasons)
-        )
+        assert [final[key] for key in final if key.startswith("reason.")] == list(result.reasons) == list(stamped.reasons)
         assert stamped.header.frame_id == "end_effector_link" and stamped.header.stamp.sec > 0
         assert Path(result.bag).is_dir() and result.bag in result.message
         command = json.loads((Path(result.bag).parent / "estimate.json").read_text())["command"]

@@ -159,15 +159,11 @@ def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(stage: S
     mass = estimate.values[0].value
     (request,) = stage.heard
     assert request.mass == pytest.approx(mass + 0.2, rel=1e-6)
-    grasp = setting.robot.model.frame_transform(
-        "end_effector_link", dict.fromkeys(setting.robot.model.independent_joints, 0.0)
-    )
+    grasp = setting.robot.model.frame_transform("end_effector_link", dict.fromkeys(setting.robot.model.independent_joints, 0.0))
     flange = setting.robot.model.frame_transform("link5", dict.fromkeys(setting.robot.model.independent_joints, 0.0))
     away = np.linalg.solve(flange, grasp)[:3, 3]
     told = request.center_of_gravity
-    np.testing.assert_allclose(
-        [told.x, told.y, told.z], (mass * away + 0.2 * np.array([0.0, 0.0, 0.05])) / (mass + 0.2), atol=1e-9
-    )
+    np.testing.assert_allclose([told.x, told.y, told.z], (mass * away + 0.2 * np.array([0.0, 0.0, 0.05])) / (mass + 0.2), atol=1e-9)
     assert "with the tool" in said and "95 % interval" in said
     stage.success = False
     success, said = stage.apply()

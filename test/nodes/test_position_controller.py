@@ -59,18 +59,14 @@ def test_servos_are_pushed_by_steps_of_goals_and_held_when_the_node_is_killed(
         assert all(list(each.name) == ORDER and len(each.position) == len(ORDER) for each in goals)
         assert {tuple(each.position) for each in goals[20:]} <= {tuple(each) for each in sent}
         stamps = {(each.header.stamp.sec, each.header.stamp.nanosec) for each in client.states}
-        assert (
-            sum((each.header.stamp.sec, each.header.stamp.nanosec) in stamps for each in goals[:-5]) > len(goals) - 15
-        )
+        assert sum((each.header.stamp.sec, each.header.stamp.nanosec) in stamps for each in goals[:-5]) > len(goals) - 15
         # the status is said before the goal is sent
         assert wait_for(lambda: client.position("elbow_flex") > 0.2)
         pushed = sent[-1]
         graph.processes["excitation"].send_signal(signal.SIGKILL)
         assert wait_for(lambda: sent[-1] != pushed), "somebody else speaks for it"
         last = sent[-1]
-        assert last[1] != pushed[1] and [*last[:1], *last[2:]] == [*pushed[:1], *pushed[2:]], (
-            "the others stay as they were"
-        )
+        assert last[1] != pushed[1] and [*last[:1], *last[2:]] == [*pushed[:1], *pushed[2:]], "the others stay as they were"
         heard = len(client.motors)
         assert wait_for(lambda: len(client.motors) > heard + 60)
         before = [client.position(name) for name in ORDER]

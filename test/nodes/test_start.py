@@ -46,9 +46,7 @@ def test_the_identifier_says_what_it_compiles(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.long
-def test_an_identifier_that_can_keep_no_kernels_ends_with_a_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_identifier_that_can_keep_no_kernels_ends_with_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     (tmp_path / "file").touch()
     with Graph(tmp_path / "logs", {"WARP_CACHE_PATH": str(tmp_path / "file" / "cache")}) as graph:

@@ -165,9 +165,7 @@ def test_without_the_messages_the_node_says_so_and_works(monkeypatch: pytest.Mon
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     given = {"command_interface": "position", "controller_manager": "/controller_manager", **ARM}
-    node: Any = ExcitationNode(
-        context=context, parameter_overrides=[Parameter(name, value=value) for name, value in given.items()]
-    )
+    node: Any = ExcitationNode(context=context, parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
     try:
         node.trigger_configure()
         node.trigger_activate()

@@ -250,9 +250,7 @@ def test_told_to_end(arm: Arm, node: str, number: int) -> None:
     assert process.wait(SOON_S) == 0
     assert "Traceback" not in arm.graph.log(node)
     if node == "excitation":
-        assert (
-            wait_for(lambda: client.excitation["phase"] == "aborted") and "told to end" in client.excitation["reason"]
-        )
+        assert wait_for(lambda: client.excitation["phase"] == "aborted") and "told to end" in client.excitation["reason"]
         assert any(client.motors[-1].effort), "the arm is held"
     if node == "driver":
         assert wait_for(lambda: not any(client.motors[-1].effort)), "and let go at the end"

@@ -36,18 +36,14 @@ def model(
 
 def hanging(count: int) -> ReducedModel:
     """One or two links that hang down from hinges about y."""
-    bodies = [
-        pseudo_inertia(MASSES[i], (0.0, 0.0, -CENTRES[i]), np.diag((1e-3, INERTIAS[i], 1e-3))) for i in range(count)
-    ]
+    bodies = [pseudo_inertia(MASSES[i], (0.0, 0.0, -CENTRES[i]), np.diag((1e-3, INERTIAS[i], 1e-3))) for i in range(count)]
     offsets = [(0.1, 0.2, 0.3), (0.0, 0.0, -LENGTHS[0])][:count]
     return model(("revolute",) * count, [(0.0, 1.0, 0.0)] * count, offsets, bodies)
 
 
 def free(reduced: ReducedModel, times: np.ndarray, **options: object) -> ChainSimulator:
     """Nothing drives it."""
-    return ChainSimulator(
-        reduced, times, [0.0], np.zeros((1, len(reduced.joint_names))), friction_velocity=1.0, **options
-    )
+    return ChainSimulator(reduced, times, [0.0], np.zeros((1, len(reduced.joint_names))), friction_velocity=1.0, **options)
 
 
 def lagrangian(_: float, state: np.ndarray) -> np.ndarray:
@@ -113,9 +109,7 @@ def test_energy_of_the_double_pendulum() -> None:
         q, v = (values[0] for values in rollout(sim, pack(sim, q0=(2.0, 0.5))))
         kinetic = 0.5 * np.einsum("ti,tij,tj->t", v, mass_matrix(sim.model, q), v)
         elbow = -LENGTHS[0] * np.cos(q[:, 0])
-        potential = G * (
-            -MASSES[0] * CENTRES[0] * np.cos(q[:, 0]) + MASSES[1] * (elbow - CENTRES[1] * np.cos(q.sum(axis=1)))
-        )
+        potential = G * (-MASSES[0] * CENTRES[0] * np.cos(q[:, 0]) + MASSES[1] * (elbow - CENTRES[1] * np.cos(q.sum(axis=1))))
         total = kinetic + potential
         drift.append(np.ptp(total) / np.ptp(potential))
     assert drift[0] < 1e-6
@@ -150,10 +144,7 @@ def test_changes_of_the_input_are_met_exactly() -> None:
     switches, force = np.array([0.0, 0.123, 0.301]), np.array([4.0, 0.0, -4.0])
     times = np.linspace(0.05, 0.5, 10)
     sim = ChainSimulator(reduced, times, switches, force[:, None], friction_velocity=1.0, step_s=0.07)
-    v = sum(
-        f / 2.0 * np.clip(times - on, 0.0, off - on)
-        for f, on, off in zip(force, switches, [*switches[1:], 9.0], strict=True)
-    )
+    v = sum(f / 2.0 * np.clip(times - on, 0.0, off - on) for f, on, off in zip(force, switches, [*switches[1:], 9.0], strict=True))
     np.testing.assert_allclose(rollout(sim, pack(sim, torque_constant=1.0))[1][0, :, 0], v, atol=1e-14)
 
 
@@ -189,9 +180,7 @@ def test_payload_on_a_spring_slide() -> None:
 def test_payload_on_a_universal_joint_circles_as_a_conical_pendulum() -> None:
     """A point at length l on a cone of half angle c circles with W = sqrt(g / (l cos c)); an armature of 1e12 holds the cart."""
     length, cone = 0.15, 0.6
-    cart = model(
-        ("prismatic",), [(1.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)], [pseudo_inertia(1.0, np.zeros(3), 1e-3 * np.eye(3))]
-    )
+    cart = model(("prismatic",), [(1.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)], [pseudo_inertia(1.0, np.zeros(3), 1e-3 * np.eye(3))])
     point = pseudo_inertia(0.05, (0.0, 0.0, -length), np.zeros((3, 3)))
     hung = attach_payload_joint(cart, "tip", "universal", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], point)
     rate = np.sqrt(G / (length * np.cos(cone)))

@@ -44,8 +44,7 @@ def random_urdf(parents: tuple[int, ...], seed: int) -> str:
         second = 1e-3 * factor @ factor.T
         tensor = np.trace(second) * np.eye(3) - second
         entries = " ".join(
-            f'i{a}{b}="{float(tensor["xyz".index(a), "xyz".index(b)])!r}"'
-            for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")
+            f'i{a}{b}="{float(tensor["xyz".index(a), "xyz".index(b)])!r}"' for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")
         )
         kind = rng.choice(["revolute", "prismatic", "continuous"])
         text.append(
@@ -68,9 +67,7 @@ def addresses(model: Any, names: tuple[str, ...]) -> list[int]:
     return [int(model.joint(name).dofadr[0]) for name in names]
 
 
-def mujoco_terms(
-    model: Any, names: tuple[str, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def mujoco_terms(model: Any, names: tuple[str, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mass matrix and inverse dynamics in the order of the named joints."""
     at = addresses(model, names)
     data = mujoco.MjData(model)
@@ -89,9 +86,7 @@ def assert_same_terms(model: Any, ours: ReducedModel, seed: int, tolerance: floa
     q, v, a = rng.uniform(-3.0, 3.0, (3, 5, len(ours.joint_names)))
     masses, torques = rigid_body_terms(ours, q, v, a)
     np.testing.assert_array_equal(mass_matrix(ours, q), masses)
-    np.testing.assert_allclose(
-        np.einsum("bij,bj->bi", masses, a) + bias(ours, q, v), torques, atol=1e-12 * np.abs(torques).max()
-    )
+    np.testing.assert_allclose(np.einsum("bij,bj->bi", masses, a) + bias(ours, q, v), torques, atol=1e-12 * np.abs(torques).max())
     for state in range(len(q)):
         mass, torque = mujoco_terms(model, ours.joint_names, q[state], v[state], a[state])
         np.testing.assert_allclose(masses[state], mass, atol=tolerance * np.abs(mass).max())
@@ -139,9 +134,7 @@ def test_acceleration(tree: str) -> None:
     ours = reduced(text)
     n = len(ours.joint_names)
     rng = np.random.default_rng(12)
-    values = {
-        name: rng.uniform(0.1, 1.0, n) for name in ("torque_constant", "viscous", "armature", "stiffness", "q0", "v0")
-    }
+    values = {name: rng.uniform(0.1, 1.0, n) for name in ("torque_constant", "viscous", "armature", "stiffness", "q0", "v0")}
     current = rng.uniform(-2.0, 2.0, n)
     h = 1e-3
     sim = ChainSimulator(ours, [h], [0.0], current[None], friction_velocity=1.0, integrator="semi_implicit", step_s=h)

@@ -43,9 +43,7 @@ def random_model(tree: str) -> ReducedModel:
         placement[i, :3, 3] = rng.uniform(-0.2, 0.2, 3)
         factor = rng.normal(size=(3, 3))
         second = 1e-3 * factor @ factor.T
-        bodies.append(
-            pseudo_inertia(rng.uniform(0.2, 0.6), rng.uniform(-0.1, 0.1, 3), np.trace(second) * np.eye(3) - second)
-        )
+        bodies.append(pseudo_inertia(rng.uniform(0.2, 0.6), rng.uniform(-0.1, 0.1, 3), np.trace(second) * np.eye(3) - second))
     axes = rng.normal(size=(n, 3))
     return ReducedModel(
         joint_names=tuple(f"joint_{i}" for i in range(n)),
@@ -82,9 +80,7 @@ def points(sim: ChainSimulator) -> np.ndarray:
     rng = np.random.default_rng(3)
     n = len(sim.model.joint_names)
     groups: dict[str, Any] = {
-        name: scale * rng.uniform(0.7, 1.3, (POINTS, n))
-        for name, scale in SCALES.items()
-        if name not in ("pi", "delay")
+        name: scale * rng.uniform(0.7, 1.3, (POINTS, n)) for name, scale in SCALES.items() if name not in ("pi", "delay")
     }
     groups["q0"] *= rng.choice([-1.0, 1.0], (POINTS, n))
     groups["v0"] *= rng.choice([-1.0, 1.0], (POINTS, n))
@@ -113,9 +109,7 @@ def test_sensitivities_against_central_differences(tree: str, integrator: str) -
     sim = simulator(tree, integrator)
     p = points(sim)
     q, _, exact = sim.jacobian(p, every(p))
-    np.testing.assert_allclose(
-        q, rollout(sim, p)[0], rtol=1e-12, atol=1e-14
-    )  # two kernels: not every processor rounds them alike
+    np.testing.assert_allclose(q, rollout(sim, p)[0], rtol=1e-12, atol=1e-14)  # two kernels: not every processor rounds them alike
     largest = np.abs(exact).max(axis=(1, 2))
     for column, name in enumerate(sim.parameter_names):
         step = 3e-7 / np.maximum(largest[:, column], 3e-5 / scale_of(name))
@@ -138,9 +132,7 @@ def test_tape_against_sensitivities(tree: str, integrator: str) -> None:
     tolerance = 1e-10 * np.abs(terms).sum(axis=(1, 2)) + 1e-14 * np.abs(exact).max()
     error = np.abs(tape_gradient(sim, p, weights) - terms.sum(axis=(1, 2)))
     assert np.all(error <= tolerance), {
-        name: error[:, column]
-        for column, name in enumerate(sim.parameter_names)
-        if np.any(error > tolerance, axis=0)[column]
+        name: error[:, column] for column, name in enumerate(sim.parameter_names) if np.any(error > tolerance, axis=0)[column]
     }
 
 

@@ -59,9 +59,7 @@ def test_without_mass_it_is_the_single_joint(hung: Hung, swinging: tuple[Run, ..
 @pytest.mark.parametrize("hung", [SLIDE, PENDULUM], ids=["slide", "universal"])
 def test_sensitivities_against_finite_differences(hung: Hung, swinging: tuple[Run, ...]) -> None:
     ours = problem(hung, swinging[0])
-    columns = np.array(
-        [row for row, u in enumerate(ours.unknowns) if u.kind.startswith("payload_") and u.role is Role.FREE]
-    )
+    columns = np.array([row for row, u in enumerate(ours.unknowns) if u.kind.startswith("payload_") and u.role is Role.FREE])
     values = ours.base.copy()
     values[ours.index["payload_start_1", 0]] = 0.01
     _, _, exact = ours.simulate(values[None], columns)

@@ -166,9 +166,7 @@ def test_the_page_fits_a_phone_and_a_sheet_of_paper(tmp_path: Path) -> None:
         assert float(size) * (16.0 if unit == "rem" else 1.0) <= 330.0 or "figure.large" in selector, selector
     assert not re.search(r"<(?:svg class=.chart.|table|div|figure|img)[^>]* width=", text)
     printed = STYLE[STYLE.rindex("@media print") :]
-    assert (
-        "@page" in printed and "figure, tr, pre" in printed and ".wide, figure.large { overflow: visible; }" in printed
-    )
+    assert "@page" in printed and "figure, tr, pre" in printed and ".wide, figure.large { overflow: visible; }" in printed
 
 
 def test_an_answer_without_a_value_leaves_its_place_empty(tmp_path: Path) -> None:

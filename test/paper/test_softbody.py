@@ -132,9 +132,7 @@ def test_small_oscillation_of_a_gripper_on_a_spring() -> None:
     mu, lam = lame(modulus, 0.3)
     amplitude = 0.01
     # squeezed in the middle of the swing, so that it stays in touch
-    p = parameters(
-        **FREE, lame_mu=mu, lame_lambda=lam, q0=0.0, v0=amplitude * 10.0, gap=-0.1 * EDGE, torque_constant=1.0
-    )
+    p = parameters(**FREE, lame_mu=mu, lame_lambda=lam, q0=0.0, v0=amplitude * 10.0, gap=-0.1 * EDGE, torque_constant=1.0)
     hold = TRAVEL * modulus * EDGE * 0.1  # k_t i that balances the spring there: travel E A s
     schedule = SoftRun(np.zeros(1), np.array([hold * EDGE]), 60)
     inertia = VALUES["inertia"]

@@ -158,12 +158,7 @@ ALSO_WRONG: dict[str, list[Any]] = {
 
 
 def _arguments() -> list[tuple[Any, str]]:
-    named = [
-        (call, name)
-        for call in RIGHT
-        for name, each in signature(call).parameters.items()
-        if each.kind != each.VAR_KEYWORD
-    ]
+    named = [(call, name) for call in RIGHT for name, each in signature(call).parameters.items() if each.kind != each.VAR_KEYWORD]
     return named + [(call, "payload") for call in (weigh, calibrate, plan)]
 
 
@@ -189,11 +184,7 @@ def words_in(figure: Any) -> str:
     """All that is written in a figure, which can be drawn."""
     figure.savefig(io.BytesIO(), format="svg")
     axes = figure.axes
-    texts = [
-        text.get_text()
-        for axis in axes
-        for text in [*axis.texts, axis.title, axis.xaxis.label, *axis.get_yticklabels()]
-    ]
+    texts = [text.get_text() for axis in axes for text in [*axis.texts, axis.title, axis.xaxis.label, *axis.get_yticklabels()]]
     return " ".join([*texts, *(axis.get_title(loc="left") for axis in axes)])
 
 
@@ -304,17 +295,13 @@ def recorded(bag: Path) -> Recording:
 def test_what_is_in_a_bag() -> None:
     (good,) = check(BAG)
     assert good.state_topic == "/joint_states" and (good.input, good.input_unit) == ("/current_command", "A")
-    assert set(good.joints) >= {"joint1", "joint2", "joint3", "joint4"} and good.rate_Hz == pytest.approx(
-        40.0, rel=0.02
-    )
+    assert set(good.joints) >= {"joint1", "joint2", "joint3", "joint4"} and good.rate_Hz == pytest.approx(40.0, rel=0.02)
     assert good.gaps == 0 and not good.problem and {name for name, _, _ in good.topics} >= {"/joint_states"}
     (run,) = good.runs
     assert run.joint == "joint3" and run.current_A == pytest.approx(-0.301, abs=2e-3) and not run.problem
     assert run.duration_s == pytest.approx(0.6, abs=0.03) and run.name == weigh(BAG).estimate.run_fits[0].name
     both = check([BAG, STUCK])
-    assert "not usable: joint3 moved only" in both._repr_html_().replace(str(STUCK), "") and "usable" in words_in(
-        both.plot()
-    )
+    assert "not usable: joint3 moved only" in both._repr_html_().replace(str(STUCK), "") and "usable" in words_in(both.plot())
     assert both.usable == 1 and "moved only" in both[1].runs[0].problem and len(both.to_frame()) == 2
 
 

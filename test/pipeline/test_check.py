@@ -132,15 +132,11 @@ def test_a_motion_is_usable_where_replay_takes_it(tmp_path: Path, seconds: float
     joints = ("joint1", "joint2", "joint3", "joint4")  # the gripper was not recorded
     times_s = np.arange(0.0, seconds, 0.01)
     phase = 2.0 * np.minimum(times_s, moves_s)[:, None] + np.arange(4)
-    record = JointRecord(
-        (1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase)
-    )
+    record = JointRecord((1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase))
     write_recording(tmp_path / "bag", Recording("motion", record, None))
     times_s = np.arange(0.0, 15.0, 0.01)
     phase = 1.7 * times_s[:, None] + np.arange(4)
-    empty = JointRecord(
-        (1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase)
-    )
+    empty = JointRecord((1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase))
     write_recording(tmp_path / "empty", Recording("empty", empty, None))
     options = Options(effort_unit="N.m", baseline=(tmp_path / "empty",))
     check = looked_into(tmp_path / "bag", options)

@@ -46,9 +46,7 @@ def implied(robot: Robot, kind: str, factor: float) -> CalibrationEstimate:
         (1.1, Verdict.REJECTED, 1),
     ],
 )
-def test_a_reference_is_put_against_what_is_known(
-    robot: Robot, kind: str, factor: float, verdict: Verdict, reasons: int
-) -> None:
+def test_a_reference_is_put_against_what_is_known(robot: Robot, kind: str, factor: float, verdict: Verdict, reasons: int) -> None:
     """Of pushes, and of free responses. Torque to 5 % and weight to 2 % together are known to 1.86 %: five times that is 9.3 %."""
     answer = implied(robot, kind, factor)
     assert answer.verdict is verdict and len(answer.reasons) == reasons

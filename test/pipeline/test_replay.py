@@ -116,10 +116,7 @@ def test_an_empty_hand_reads_zero(recordings: Path) -> None:
 
 def test_both_storages_give_the_same_numbers(recordings: Path) -> None:
     folder = recordings / "friction_s00" / "fixed_heavy_cube_23g_joint3"
-    one, other = (
-        replay([folder / storage], Options(settings=stated(truth_of(folder))))
-        for storage in ("bag_mcap", "bag_sqlite3")
-    )
+    one, other = (replay([folder / storage], Options(settings=stated(truth_of(folder)))) for storage in ("bag_mcap", "bag_sqlite3"))
     assert one.values == other.values and one.fit == other.fit
 
 
@@ -199,9 +196,7 @@ def test_friction_that_the_robot_file_does_not_know_widens_the_interval(bags: Pa
 
 
 def test_several_bags_of_one_object_are_pooled(recordings: Path) -> None:
-    folders = [
-        recordings / "quantised_s00" / f"fixed_heavy_ball_50g_{probe}" for probe in ("joint3", "joint3_x1", "joint2")
-    ]
+    folders = [recordings / "quantised_s00" / f"fixed_heavy_ball_50g_{probe}" for probe in ("joint3", "joint3_x1", "joint2")]
     truth = truth_of(folders[0])
     settings = {**stated(truth), **known_drive_train(truth)}
     alone = [replay([bag_in(folder)], Options(settings=settings)).value("payload_mass").std for folder in folders]
@@ -251,8 +246,7 @@ def test_an_unknown_centre_of_mass_is_estimated_where_it_is_excited(bags: Path) 
     com = estimate.value("payload_com")
     assert com.unit == "m" and com.value[1] is None and "y" in com.reason
     assert (
-        estimate.value("payload_mass").std
-        > 5 * weighed(folder, known_drive_train(truth_of(folder))).value("payload_mass").std
+        estimate.value("payload_mass").std > 5 * weighed(folder, known_drive_train(truth_of(folder))).value("payload_mass").std
     )  # mass and lever are nearly one number
     assert error_and_hit(estimate, truth_of(folder))[1]
 
@@ -278,9 +272,7 @@ def test_no_command_topic(bags: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="--effort-unit"):
         replay([tmp_path / "bag"])
     truth = truth_of(folder)
-    options = Options(
-        settings={**stated(truth), **known_drive_train(truth), "robot.delay_s": {"value": 0.0, "std": 0.0}}
-    )
+    options = Options(settings={**stated(truth), **known_drive_train(truth), "robot.delay_s": {"value": 0.0, "std": 0.0}})
     estimate = replay([tmp_path / "bag"], replace(options, effort_unit="N.m"))
     error, hit = error_and_hit(estimate, truth)
     assert estimate.verdict is Verdict.ACCEPTED and abs(error) < 2e-3 and hit
@@ -331,9 +323,7 @@ def test_a_probe_that_starts_in_motion_is_rejected(bags: Path, tmp_path: Path) -
         joints, times_ns=joints.times_ns[rows], position=joints.position[rows], velocity=None, effort=None, current=None,
         reported_effort=None,
     )  # fmt: skip
-    inputs = replace(
-        original.inputs, times_ns=original.inputs.times_ns[rows], current_A=original.inputs.current_A[rows]
-    )
+    inputs = replace(original.inputs, times_ns=original.inputs.times_ns[rows], current_A=original.inputs.current_A[rows])
     write_recording(tmp_path / "bag", replace(original, joints=late, inputs=inputs))
     estimate = replay([tmp_path / "bag"])
     assert estimate.verdict is Verdict.REJECTED

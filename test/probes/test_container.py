@@ -92,9 +92,7 @@ def test_the_repositorys_own_recordings(realistic: Boxes) -> None:
         ("realistic_s01", 2.0, 1.0),  # of realistic_s00 are those of the repository
     ],
 )
-def test_every_recording(
-    recordings: Path, level_of: Callable[[Path, str], Boxes], name: str, worst_g: float, rms_g: float
-) -> None:
+def test_every_recording(recordings: Path, level_of: Callable[[Path, str], Boxes], name: str, worst_g: float, rms_g: float) -> None:
     level = level_of(recordings / name, "")
     results = []
     for folder in level.folders("container_*"):

@@ -36,9 +36,7 @@ def test_the_first_mode_is_that_of_the_books() -> None:
         0.06,
         0.1,
     ):  # Abramson: R / (2.2 h) tanh(1.84 h / R); all of a shallow liquid's motion is at its bottom
-        assert Slosh.of(0.035, np.array(fill)).share == pytest.approx(
-            0.035 / 2.2 / fill * np.tanh(1.84 * fill / 0.035), rel=0.01
-        )
+        assert Slosh.of(0.035, np.array(fill)).share == pytest.approx(0.035 / 2.2 / fill * np.tanh(1.84 * fill / 0.035), rel=0.01)
     assert Slosh.of(0.035, np.array(1e-4)).height == pytest.approx(0.0, abs=1e-5)
     # Mikishev and Dorozhkin, deep water: 0.79 over the root of R^1.5 g^0.5 / nu
     assert damping_ratio(0.035, 0.2, 1e-6) == pytest.approx(0.79 * np.sqrt(1e-6 / np.sqrt(0.035**3 * 9.81)), rel=1e-3)
@@ -52,16 +50,12 @@ def test_slopes_of_the_models_are_differences(model: str) -> None:
         for unknown in unknowns:
             step = 1e-6 * max(abs(float(at[unknown.kind][0])), 0.01)
 
-            def shifted(
-                by: complex, name: str = unknown.kind, at: dict[str, np.ndarray] = at
-            ) -> tuple[np.ndarray, ...]:
+            def shifted(by: complex, name: str = unknown.kind, at: dict[str, np.ndarray] = at) -> tuple[np.ndarray, ...]:
                 return inside_terms(model, FACTS, {**at, name: at[name] + by})
 
             for exact, up, down in zip(shifted(1e-30j), shifted(step), shifted(-step), strict=True):
                 slope = (up - down) / (2.0 * step)
-                np.testing.assert_allclose(
-                    exact.imag / 1e-30, slope, rtol=1e-5, atol=1e-7 * max(1.0, np.abs(slope).max())
-                )
+                np.testing.assert_allclose(exact.imag / 1e-30, slope, rtol=1e-5, atol=1e-7 * max(1.0, np.abs(slope).max()))
 
 
 def test_motion_is_no_more_probable_than_its_advantage_is_more_than_chance() -> None:
@@ -71,9 +65,7 @@ def test_motion_is_no_more_probable_than_its_advantage_is_more_than_chance() -> 
     # where neither has an advantage nothing is said, of what is rigid as little as of what moves
     np.testing.assert_allclose(weighted(np.log([1e-9, 0.2, 0.5, 0.3]), moves, 0.1), [0, 0.5, 0.3125, 0.1875], atol=1e-6)
     # nor of what is rigid and explains nothing
-    np.testing.assert_allclose(
-        weighted(np.log([1e-9, 0.98, 0.01, 0.01]), moves, 0.1, 0.5), [0, 0.5, 0.25, 0.25], atol=1e-6
-    )
+    np.testing.assert_allclose(weighted(np.log([1e-9, 0.98, 0.01, 0.01]), moves, 0.1, 0.5), [0, 0.5, 0.25, 0.25], atol=1e-6)
     # what is rigid may be out of the question beside what moves, in the digits that numbers have
     np.testing.assert_allclose(weighted(np.array([-1e5, -5e3, 0.0, -9e3]), moves, 0.99), [0.0, 0.01, 0.99, 0.0])
     np.testing.assert_allclose(weighted(np.array([0.0, -1.0, -5e3, -6e3]), moves, 0.5).sum(), 1.0)
@@ -85,16 +77,12 @@ def test_an_advantage_counts_by_the_stretches_that_have_it(won_by: int, more_tha
     other = residual.copy()
     other[: 8 * won_by] = 0.5
     mine, its = (SimpleNamespace(residual=each) for each in (residual, other))
-    assert more_than < surpassed(mine, its) <= at_most and surpassed(its, mine) == pytest.approx(
-        1 - surpassed(mine, its)
-    )
+    assert more_than < surpassed(mine, its) <= at_most and surpassed(its, mine) == pytest.approx(1 - surpassed(mine, its))
 
 
 def test_all_of_a_liquid_weighs_where_it_is() -> None:
     """Rigid and moving part together: its mass, with its centre at half of its height."""
-    unknowns = {
-        u.kind: np.array([0.2 if u.kind == "contents_mass" else u.value]) for u in inside_unknowns("liquid", FACTS)
-    }
+    unknowns = {u.kind: np.array([0.2 if u.kind == "contents_mass" else u.value]) for u in inside_unknowns("liquid", FACTS)}
     ten, moving = inside_terms("liquid", FACTS, unknowns)
     fill = 0.2 / (1000.0 * np.pi * 0.035**2)
     assert ten[0, 0] + moving[0, 0] == pytest.approx(0.2)

@@ -60,10 +60,7 @@ def travel(robot: Robot) -> float:
 
 
 def currents_A(robot: Robot, table: Response, modulus: float, ratio: float) -> list[float]:
-    return [
-        travel(robot) * modulus * EDGE**2 * float(table(squeeze, ratio)[0]) / DRIVE["torque_constant"]
-        for squeeze in SQUEEZES
-    ]
+    return [travel(robot) * modulus * EDGE**2 * float(table(squeeze, ratio)[0]) / DRIVE["torque_constant"] for squeeze in SQUEEZES]
 
 
 def explicit(robot: Robot, frames: int, current_A: float, moduli: np.ndarray, mass: float, substeps: int) -> np.ndarray:

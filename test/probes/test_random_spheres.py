@@ -202,9 +202,7 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
         (3.0, 4.1, None, "runs_contradict"),
     ],
 )
-def test_when_masses_contradict_each_other(
-    one_g: float, others_g: float, half_g: float | None, code: str | None
-) -> None:
+def test_when_masses_contradict_each_other(one_g: float, others_g: float, half_g: float | None, code: str | None) -> None:
     """Masses within 1 g or 10 % do not contradict each other, and half of the difference is uncertainty."""
     apart = compared("odd", 1e-3 * one_g, 1e-3 * others_g, 0.5e-3 * (one_g + others_g))
     assert getattr(apart.sentence, "code", None) == code

@@ -113,9 +113,7 @@ def test_in_the_moving_picture_everything_is_where_it_was_in_the_world(seed: int
     """The sphere's place, turned as the page turns it, is its place in the world as seen by one who looks along the joint."""
     rng = np.random.default_rng(seed)
     across = rng.normal(size=3)
-    path = rolled(
-        ("box", "cylinder", "sphere")[seed % 3], tuple(across), rotation(rng.normal(size=3), rng.uniform(0, 6))
-    )
+    path = rolled(("box", "cylinder", "sphere")[seed % 3], tuple(across), rotation(rng.normal(size=3), rng.uniform(0, 6)))
     [turn] = drawn(moving_figure(path, 1), "animateTransform")
     moves = {a.attrib["attributeName"]: numbers(a.attrib["values"]) for a in drawn(moving_figure(path, 1), "animate")}
     angle = np.radians(numbers(turn.attrib["values"]))
@@ -185,9 +183,7 @@ def test_the_band_is_two_standard_deviations_and_only_where_it_shows() -> None:
     assert sizes == [4.0, 2.0] and abs(turn) == pytest.approx(90.0), "longest upwards, along z; y is the line of sight"
     assert not drawn(path_figure(rolled(std_m=1e-6), 1), "ellipse")
     flat = replace(path, std=path.std * [1.0, 1.0, 0.0])
-    assert all(float(e.attrib["ry"]) > 0.0 for e in drawn(path_figure(flat, 1), "ellipse")), (
-        "without width it would vanish"
-    )
+    assert all(float(e.attrib["ry"]) > 0.0 for e in drawn(path_figure(flat, 1), "ellipse")), "without width it would vanish"
 
 
 def test_samples_that_are_no_numbers_are_left_out() -> None:

@@ -130,9 +130,7 @@ def test_a_stiff_block_that_is_pressed_by_a_fifth(
         assert ratio.value is None and ratio.reason.startswith("prior_dominated")
 
 
-def test_what_the_squeeze_does_not_determine_is_not_stated(
-    recordings: Path, calibrated: Callable[[str], Robot]
-) -> None:
+def test_what_the_squeeze_does_not_determine_is_not_stated(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     """With a prior that is narrower than what the recording determines, Poisson's ratio is the prior's, and lambda with it."""
     folder = recordings / "quantised_s00" / "squeeze_heavy"
     estimate = squeezed(calibrated("quantised_s00"), folder, poissons_ratio=Quantity(0.3, 0.03))
@@ -166,18 +164,14 @@ def test_uncalibrated_is_wide_and_says_so(recordings: Path) -> None:
 
 def test_an_empty_gripper_squeezes_nothing(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     robot = calibrated("realistic_s00")
-    estimate = find_softness(
-        robot, runs_of(recordings / "realistic_s00" / "squeeze_empty_1", robot), BlockFacts(np.full(3, 0.03))
-    )
+    estimate = find_softness(robot, runs_of(recordings / "realistic_s00" / "squeeze_empty_1", robot), BlockFacts(np.full(3, 0.03)))
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("youngs_modulus").value is None
 
 
 def test_only_fingers_squeeze(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     robot = calibrated("realistic_s00")
     with pytest.raises(RecordingError, match="slides no finger"):
-        find_softness(
-            robot, runs_of(recordings / "realistic_s00" / "empty_00_joint3", robot), BlockFacts(np.full(3, 0.03))
-        )
+        find_softness(robot, runs_of(recordings / "realistic_s00" / "empty_00_joint3", robot), BlockFacts(np.full(3, 0.03)))
 
 
 @pytest.mark.parametrize(
@@ -208,9 +202,7 @@ def test_facts_from_settings() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("modulus", [2e4, 1e5, 5e5])
 @pytest.mark.parametrize("baseline", [False, True])
-def test_gradient_of_the_cost(
-    recordings: Path, calibrated: Callable[[str], Robot], modulus: float, baseline: bool
-) -> None:
+def test_gradient_of_the_cost(recordings: Path, calibrated: Callable[[str], Robot], modulus: float, baseline: bool) -> None:
     """Every unknown, through simulator, gap, viscosity and the runs without a block, against finite differences."""
     robot = calibrated("realistic_s00")
     level = recordings / "realistic_s00"
@@ -280,9 +272,7 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
     meshio.write(path, meshio.Mesh(cube.points, [("tetra", cube.tets)]))
     bag = bag_in(bags / "realistic_s00_squeeze_heavy")  # not squeezed beyond 60 %, where the table of a mesh ends
     settings = {"block.mesh": str(path), "block.mesh_scale": 0.001}
-    told, boxed = (
-        replay([bag], Options(probe="softness", settings=given)).values[0] for given in (settings, {"block.size": 0.03})
-    )
+    told, boxed = (replay([bag], Options(probe="softness", settings=given)).values[0] for given in (settings, {"block.size": 0.03}))
     assert told.value == pytest.approx(boxed.value, rel=1e-3)
     with pytest.raises(ProprioError, match=r"block\.mesh_scale=0\.001"):
         replay([bag], Options(probe="softness", settings={"block.mesh": str(path)}))
@@ -290,9 +280,7 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
         replay([bag], Options(probe="softness", settings={"block.mesh": "nowhere.msh"}))
 
 
-def test_the_modulus_goes_with_the_fingers_travel(
-    recordings: Path, calibrated: Callable[[str], Robot], of_heavy: Estimate
-) -> None:
+def test_the_modulus_goes_with_the_fingers_travel(recordings: Path, calibrated: Callable[[str], Robot], of_heavy: Estimate) -> None:
     """A linkage that was measured: the same line as the ratio changes nothing, fingers that move less make the block stiffer."""
     robot, folder = calibrated("friction_s00"), recordings / "friction_s00" / "squeeze_heavy"
     drive = robot.drive_trains["gripper_left_joint"]

@@ -33,9 +33,7 @@ def test_the_order_of_joints_may_change_between_messages(tmp_path: Path) -> None
     messages = []
     for time_ns in times():
         order = generator.permutation(5)
-        messages.append(
-            state(time_ns, [positions(time_ns)[column] for column in order], [JOINTS[column] for column in order])
-        )
+        messages.append(state(time_ns, [positions(time_ns)[column] for column in order], [JOINTS[column] for column in order]))
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     for name, column in zip(JOINTS, range(5), strict=True):
         values = recording.joints.position[:, recording.joints.column(name)]

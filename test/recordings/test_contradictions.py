@@ -60,9 +60,7 @@ def test_a_unit_that_the_command_contradicts_is_refused() -> None:
 def test_a_torque_that_others_measure_may_lack_what_friction_takes(factor: float, refused: bool) -> None:
     push = bag_recording(PUSH, ARM)
     assert push.inputs is not None
-    inputs = replace(
-        push.inputs, source="/forward_effort_controller/commands", current_A=push.inputs.current_A / factor
-    )
+    inputs = replace(push.inputs, source="/forward_effort_controller/commands", current_A=push.inputs.current_A / factor)
     other = replace(push, inputs=inputs)
     with pytest.raises(RecordingError, match="times the current of /forward") if refused else nullcontext():
         refuse_other_current(other, Effort(None, ARM.effort_per_current), {"joint3": np.inf})
@@ -90,9 +88,7 @@ def test_stamps_of_another_clock_may_keep_their_own_pace(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("factor", [1000.0, 0.001])
 def test_stamps_in_another_unit_are_refused(tmp_path: Path, factor: float) -> None:
-    with pytest.raises(
-        RecordingError, match=r"header stamps run 1000 times (faster|slower) than the times of recording"
-    ):
+    with pytest.raises(RecordingError, match=r"header stamps run 1000 times (faster|slower) than the times of recording"):
         bag_runs(bent(tmp_path / "bag", stamps_times(factor), PUSH), ARM)
 
 

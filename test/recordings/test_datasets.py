@@ -121,9 +121,7 @@ def test_frames_without_a_position_are_left_out_and_counted(tmp_path: Path) -> N
     written.position[[5, 6, 40], 2] = np.nan
     recording = read(write(tmp_path, written))
     assert len(recording.joints.times_ns) == len(written.times_s) - 3
-    assert recording.notes == (
-        f"3 of {len(written.times_s)} frames have no finite position or no new time; they were left out.",
-    )
+    assert recording.notes == (f"3 of {len(written.times_s)} frames have no finite position or no new time; they were left out.",)
     written.position[3:] = np.nan
     with pytest.raises(RecordingError, match="only 3 frames are usable, at least 5 are needed"):
         read(write(tmp_path / "few", written))

@@ -74,9 +74,7 @@ class Message(NamedTuple):
 
 def state(time_ns: int, values: dict[str, tuple[float, float, float]], topic: str = "/joint_states") -> Message:
     """Position, velocity and effort by joint, in this order."""
-    time, header, kind = (
-        TYPES.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
-    )
+    time, header, kind = (TYPES.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
     seconds, nanoseconds = divmod(time_ns, 10**9)
     columns = np.array(list(values.values()), dtype=np.float64)
     content = kind(
@@ -159,9 +157,7 @@ def refused(pattern: str, error: type[ProprioError] = ConfigurationError) -> Ite
     assert "\n" not in str(caught.value) and re.search(pattern, str(caught.value)), str(caught.value)
 
 
-PUSHED_A = np.array(
-    [torque(time_ns)["joint3"] / ARM.drive_trains["joint3"].nominal_effort_per_current for time_ns in times()]
-)
+PUSHED_A = np.array([torque(time_ns)["joint3"] / ARM.drive_trains["joint3"].nominal_effort_per_current for time_ns in times()])
 
 # --- the files -------------------------------------------------------------------------------------------------------
 
@@ -274,8 +270,7 @@ def test_lerobot_states_degrees_and_names_of_its_own(tmp_path: Path) -> None:
             for topic, late_s in (("/joint_states", 0.1), ("/joint_command", 0.0)):
                 angles = per_rad * sizes * np.sin(2e-9 * (t - ONSET_NS) - 2.0 * late_s + phases)
                 columns = {
-                    joint_name.format(joint): (angle, np.nan, np.nan)
-                    for joint, angle in zip(arm.drive_trains, angles, strict=True)
+                    joint_name.format(joint): (angle, np.nan, np.nan) for joint, angle in zip(arm.drive_trains, angles, strict=True)
                 }
                 said.append(state(t, columns, topic))
         return write_bag(tmp_path / name, said)
@@ -292,9 +287,7 @@ def test_lerobot_states_degrees_and_names_of_its_own(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_ros2_control_under_a_trajectory_controller(tmp_path: Path, storage: str) -> None:
-    bag = write_bag(
-        tmp_path / "bag", [*push(), mark("control_msgs/msg/DynamicJointState", "/dynamic_joint_states")], storage
-    )
+    bag = write_bag(tmp_path / "bag", [*push(), mark("control_msgs/msg/DynamicJointState", "/dynamic_joint_states")], storage)
     recording = read(bag, driver="ros2_control")
     assert recording.inputs is not None and recording.inputs.source == MEASURED_EFFORT
     np.testing.assert_allclose(elbow_A(recording), PUSHED_A)
@@ -311,9 +304,7 @@ def test_the_order_of_a_controller_that_drives_some_joints_is_stated(tmp_path: P
     )
     mine = tmp_path / "mine.yaml"
     np.testing.assert_allclose(elbow_A(read(bag, driver=mine)), PUSHED_A)
-    with refused(
-        r"has 3 values but the robot has 5 joints .*file of your own \(extends: ros2_control\)", RecordingError
-    ):
+    with refused(r"has 3 values but the robot has 5 joints .*file of your own \(extends: ros2_control\)", RecordingError):
         read(bag, driver="ros2_control", command_topic=topic)
     mine.write_text(mine.read_text().replace("joint4, ", ""))
     with refused("has 3 values but --driver .* names 2 joints", RecordingError):
@@ -399,9 +390,7 @@ def test_ur_with_torques_without_gravity_is_refused(tmp_path: Path, ur: Robot, s
     with refused(why):
         api.weigh(bag, robot=ur.source, driver="ur_torque", effort_unit="N.m")
     (check,) = check_bags(bag, Options(robot=str(ur.source), driver="ur_torque"))[1]
-    assert (
-        "this effort lacks what holds the arm" in check.problem and not check.usable and check.moves == ("elbow_joint",)
-    )
+    assert "this effort lacks what holds the arm" in check.problem and not check.usable and check.moves == ("elbow_joint",)
 
 
 @pytest.mark.parametrize("storage", STORAGES)

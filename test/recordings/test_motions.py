@@ -122,9 +122,7 @@ def ur10e(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def replayed(
-    capsys: pytest.CaptureFixture[str], ur10e: Path, bag: str, *more: str, unit: str = "A"
-) -> tuple[int, dict]:
+def replayed(capsys: pytest.CaptureFixture[str], ur10e: Path, bag: str, *more: str, unit: str = "A") -> tuple[int, dict]:
     words = [
         "replay",
         str(REAL / bag),
@@ -190,9 +188,7 @@ def test_torque_constants_that_are_wrong_give_no_wrong_mass(
     """Stated as known exactly, and off by a quarter and more."""
     text = ur10e.read_text()
     for constant in set(UR10E_N_M_PER_A.values()):
-        text = text.replace(
-            f"torque_constant_N_m_per_A: {constant},", f"torque_constant_N_m_per_A: {factor * constant:.4f},"
-        )
+        text = text.replace(f"torque_constant_N_m_per_A: {constant},", f"torque_constant_N_m_per_A: {factor * constant:.4f},")
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(text)
     code, answer = replayed(capsys, wrong, "ur10e_loaded_14", "--baseline", str(REAL / "ur10e_empty_14"))
@@ -217,9 +213,7 @@ def test_a_real_arm_without_an_empty_run_is_refused(capsys: pytest.CaptureFixtur
 
 
 def test_other_probes_want_one_joint_at_a_time(capsys: pytest.CaptureFixture[str], ur10e: Path) -> None:
-    code = main(
-        ["replay", str(REAL / "ur10e_loaded_14"), "--probe", "softness", "--robot", str(ur10e), "--effort-unit", "A"]
-    )
+    code = main(["replay", str(REAL / "ur10e_loaded_14"), "--probe", "softness", "--robot", str(ur10e), "--effort-unit", "A"])
     assert code == 2 and "one at a time" in capsys.readouterr().err
 
 
@@ -235,9 +229,7 @@ def test_check_says_what_a_motion_is_good_for(capsys: pytest.CaptureFixture[str]
 
 def calibrated(ur10e: Path, output: Path, *bags: str, more: tuple[str, ...] = ()) -> int:
     words = [str(REAL / bag) for bag in bags]
-    return main(
-        ["calibrate", *words, "--robot", str(ur10e), "--effort-unit", "A", "--output", str(output), "--json", *more]
-    )
+    return main(["calibrate", *words, "--robot", str(ur10e), "--effort-unit", "A", "--output", str(output), "--json", *more])
 
 
 @pytest.fixture(scope="module")
@@ -255,9 +247,7 @@ def weighed(capsys: pytest.CaptureFixture[str], calibration: Path, bag: str, *mo
 
 
 @pytest.mark.long
-def test_a_real_arm_weighs_with_a_calibration_by_a_motion(
-    capsys: pytest.CaptureFixture[str], calibration_14: Path
-) -> None:
+def test_a_real_arm_weighs_with_a_calibration_by_a_motion(capsys: pytest.CaptureFixture[str], calibration_14: Path) -> None:
     code, answer = weighed(capsys, calibration_14, "ur10e_loaded_14")
     assert code == 0, answer["reasons"]
     mass = answer["estimates"][0]
@@ -280,17 +270,13 @@ def test_a_real_empty_hand_weighs_nothing_by_the_calibration(
 
 
 @pytest.mark.long
-def test_a_baseline_that_is_not_empty_contradicts_the_calibration(
-    capsys: pytest.CaptureFixture[str], calibration_14: Path
-) -> None:
+def test_a_baseline_that_is_not_empty_contradicts_the_calibration(capsys: pytest.CaptureFixture[str], calibration_14: Path) -> None:
     code, answer = weighed(capsys, calibration_14, "ur10e_empty_12", "--baseline", str(REAL / "ur10e_loaded_14"))
     assert code == 3 and answer["reason_codes"] == ["drift"]
 
 
 @pytest.mark.long
-def test_several_empty_motions_and_a_reference_calibrate(
-    capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path
-) -> None:
+def test_several_empty_motions_and_a_reference_calibrate(capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path) -> None:
     path = tmp_path / "all.yaml"
     empty = ("ur10e_empty_12", "ur10e_empty_14", "ur10e_empty_15")
     capsys.readouterr()
@@ -328,9 +314,7 @@ def test_what_a_reference_implies_is_told_and_put_against_its_prior(
     assert "far_from_prior" in told[3.4]["reason_codes"]
 
 
-def test_an_object_that_was_turned_between_two_recordings_is_told_apart(
-    capsys: pytest.CaptureFixture[str], ur10e: Path
-) -> None:
+def test_an_object_that_was_turned_between_two_recordings_is_told_apart(capsys: pytest.CaptureFixture[str], ur10e: Path) -> None:
     """The loads of these two sit on either side of the flange; "10 times what the URDF needs" was named, since nearly no torque is
     explained by a payload that cancels the arm's weight."""
     bags = [str(REAL / f"ur10e_{name}") for name in ("loaded_14", "loaded_15", "empty_14")]
@@ -349,10 +333,7 @@ def test_an_object_that_was_turned_between_two_recordings_is_told_apart(
     capsys.readouterr()
     assert main([*words, "--json"]) == 3
     reason = json.loads(capsys.readouterr().out)["reasons"][0]
-    assert (
-        reason.startswith("each motion is explained by itself, and together they are not")
-        and "times what" not in reason
-    )
+    assert reason.startswith("each motion is explained by itself, and together they are not") and "times what" not in reason
     robot = load_robot(ur10e)
     turned = bag_motion(REAL / "ur10e_loaded_15", Request(robot, Options(effort_unit="A")))
     assert torque_cause(robot, turned) == ""
@@ -361,9 +342,7 @@ def test_an_object_that_was_turned_between_two_recordings_is_told_apart(
     assert "degrees" not in torque_cause(wall, turned)
 
 
-def test_a_reference_without_an_empty_motion_is_refused(
-    capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path
-) -> None:
+def test_a_reference_without_an_empty_motion_is_refused(capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path) -> None:
     more = ("--reference", f"{REAL / 'ur10e_loaded_14'}=2.805")
     assert calibrated(ur10e, tmp_path / "none.yaml", more=more) == 2
     assert "one with an empty hand" in capsys.readouterr().err
@@ -381,9 +360,7 @@ def slow() -> Motion:
     if not (REAL / "omx_empty_1").exists():
         pytest.skip("needs the real recordings")
     options = Options(effort_unit="raw")
-    return bag_motion(
-        REAL / "omx_empty_1", Request(load_robot("open_manipulator_x"), options, locked={"gripper_left_joint": 0.0})
-    )
+    return bag_motion(REAL / "omx_empty_1", Request(load_robot("open_manipulator_x"), options, locked={"gripper_left_joint": 0.0}))
 
 
 def test_fingers_that_were_not_recorded_are_taken_to_stand_somewhere(slow: Motion) -> None:
@@ -428,9 +405,7 @@ def calibrated_slowly(learnt_slowly: MotionCalibration, tmp_path_factory: pytest
     return path
 
 
-def test_a_calibration_comes_back_from_its_file(
-    slow: Motion, learnt_slowly: MotionCalibration, calibrated_slowly: Path
-) -> None:
+def test_a_calibration_comes_back_from_its_file(slow: Motion, learnt_slowly: MotionCalibration, calibrated_slowly: Path) -> None:
     robot, given = load_robot("open_manipulator_x"), learnt_slowly
     read = load_robot(calibrated_slowly)
     back = read.motion_calibration
@@ -450,9 +425,7 @@ def test_torque_constants_that_changed_since_are_refused(slow: Motion, learnt_sl
         fit_payload(changed, [slow], learnt_slowly)
 
 
-def test_runs_and_motions_are_calibrated_apart(
-    capsys: pytest.CaptureFixture[str], slow: Motion, tmp_path: Path
-) -> None:
+def test_runs_and_motions_are_calibrated_apart(capsys: pytest.CaptureFixture[str], slow: Motion, tmp_path: Path) -> None:
     run = Path(__file__).resolve().parents[2] / "bags" / "realistic_s00_empty_00_joint3" / "bag_mcap"
     words = ["--set", "held.gripper_left_joint=0.0", "--effort-unit", "raw", "--output", str(tmp_path / "omx.yaml")]
     assert main(["calibrate", str(REAL / "omx_empty_1"), str(run), *words]) == 2

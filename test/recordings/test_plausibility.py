@@ -73,9 +73,7 @@ def test_velocity_that_lags_is_timed(lag_s: float) -> None:
     assert seen is not None and seen[0] == pytest.approx(lag_s, abs=0.003) and seen[1] == pytest.approx(1.0, abs=0.03)
     found = findings(recording(velocity=late))
     assert [finding.code for finding in found] == ["velocity_lags"] and found[0].joints == ("a",)
-    assert (
-        found[0].values["a"] == pytest.approx(1e3 * lag_s, abs=3.0) and f"{1e3 * lag_s:.0f}"[:-1] in found[0].sentence
-    )
+    assert found[0].values["a"] == pytest.approx(1e3 * lag_s, abs=3.0) and f"{1e3 * lag_s:.0f}"[:-1] in found[0].sentence
 
 
 def test_velocity_of_the_last_two_positions_is_not_said_to_lag() -> None:
@@ -163,12 +161,7 @@ def test_effort_is_compared_with_gravity(tmp_path: Path) -> None:
     assert [unit.unit for unit in effort_units(per_torque, {"b": 2.0}, 0.00269)] == ["N.m"]
     assert [unit.unit for unit in effort_units(per_torque, {}, 0.00269)] == ["N.m"]
     # noise alone, or a joint that gravity does not load, says nothing
-    assert (
-        effort_per_torque(
-            replace(recorded, joints=replace(recorded.joints, reported_effort=noise(1.0)[:, None])), robot
-        )
-        == {}
-    )
+    assert effort_per_torque(replace(recorded, joints=replace(recorded.joints, reported_effort=noise(1.0)[:, None])), robot) == {}
 
 
 def test_a_few_damaged_rows_are_left_out_and_many_are_not(tmp_path: Path) -> None:
@@ -216,9 +209,7 @@ def test_real_servos_whose_effort_is_of_no_use(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "p.urdf").write_text(PENDULUM.replace('name="a"', 'name="pendulum"'))
     robot = ("--robot", str(tmp_path / "p.urdf"), "--effort-unit", "raw")
     found = checked(capsys, str(REAL / "xl330_kp400_sin_sin"), *robot)
-    assert any("16-bit register that was read as unsigned" in note for note in found["notes"]), (
-        "mended when it was read"
-    )
+    assert any("16-bit register that was read as unsigned" in note for note in found["notes"]), "mended when it was read"
     found = checked(capsys, str(REAL / "sts3215_sin_sin_0.535kg"), *robot)
     assert {"effort_without_sign", "effort_stale"} <= {finding["code"] for finding in found["findings"]}
     # signed, and read as often as it is published
@@ -254,9 +245,7 @@ def test_a_motion_tells_about_what_came_out_of_it(tmp_path: Path) -> None:
     assert 0.05 < width_kg < 0.25 and per_kg == pytest.approx(1.96 * 0.1, rel=0.01)
     # from a quarter of the time it is less certain, whatever flowed
     short = whole.times_s < 0.25 * whole.times_s[-1]
-    quarter = replace(
-        whole, times_s=whole.times_s[short], position=whole.position[short], current_A=0.0 * whole.current_A[short]
-    )
+    quarter = replace(whole, times_s=whole.times_s[short], position=whole.position[short], current_A=0.0 * whole.current_A[short])
     assert mass_from_motion(robot, quarter)[0] > 1.3 * width_kg
 
 

@@ -104,9 +104,7 @@ def test_a_truncated_file_is_one_line_wherever_it_is_cut(tmp_path: Path, storage
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(data=st.data())
-def test_flipped_bytes_are_read_or_refused_and_never_crash(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_flipped_bytes_are_read_or_refused_and_never_crash(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     source = BAGS / "friction_s00_fixed_heavy_ball_50g_joint3" / data.draw(st.sampled_from(["bag_mcap", "bag_sqlite3"]))
     folder = tmp_path_factory.mktemp("flipped") / "bag"
     shutil.copytree(source, folder)

@@ -418,7 +418,5 @@ def test_a_joint_that_stands_or_creeps_repeats_its_position_rightly() -> None:
     creeping = 0.001534 * np.floor(12.0 * np.maximum(times_s, 0.0))
     still = {name: np.zeros_like(times_s) for name in JOINTS}
     for position in (np.zeros_like(times_s), creeping):
-        (run,) = cut_runs(
-            recording({"joint3": step(times_s)}, positions={**still, "joint3": position}), joints=ROBOT_JOINTS
-        )
+        (run,) = cut_runs(recording({"joint3": step(times_s)}, positions={**still, "joint3": position}), joints=ROBOT_JOINTS)
         assert len(run.times_s) == 25 and not run.notes

@@ -136,9 +136,7 @@ def test_lost_messages_are_reported(tmp_path: Path) -> None:
     messages = states()
     del messages[30:32], messages[12]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
-    assert notes(recording) == (
-        "/joint_states: messages were lost: 1 gaps of more than 2.5 periods (25.0 ms), the longest 75 ms."
-    )
+    assert notes(recording) == ("/joint_states: messages were lost: 1 gaps of more than 2.5 periods (25.0 ms), the longest 75 ms.")
 
 
 def test_without_header_stamps_the_time_of_recording_is_used(tmp_path: Path) -> None:
@@ -152,8 +150,7 @@ def test_another_clock_in_the_headers_moves_unstamped_messages_and_commands(tmp_
     simulated = 3_000_000_001
     offset = simulated - ONSET_NS
     messages = [
-        state(time_ns, positions(time_ns), stamp_ns=0 if row == 5 else time_ns + offset)
-        for row, time_ns in enumerate(times())
+        state(time_ns, positions(time_ns), stamp_ns=0 if row == 5 else time_ns + offset) for row, time_ns in enumerate(times())
     ]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert recording.joints.times_ns.tolist() == [time_ns + offset for time_ns in times()]
@@ -230,9 +227,7 @@ def test_the_meaning_of_effort_is_not_asked_where_a_command_gives_the_input(tmp_
 
 def test_joints_without_torque_constant(tmp_path: Path) -> None:
     some = {"joint3": 2.0}
-    measured = read(
-        write_bag(tmp_path / "measured", states(effort=[0.8] * 5)), effort_unit="N.m", nominal_torque_constants=some
-    )
+    measured = read(write_bag(tmp_path / "measured", states(effort=[0.8] * 5)), effort_unit="N.m", nominal_torque_constants=some)
     assert measured.inputs is not None
     assert measured.inputs.names == ("joint3",)
     assert measured.inputs.current_A[0, 0] == 0.4

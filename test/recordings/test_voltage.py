@@ -222,9 +222,7 @@ def test_the_delay_is_looked_for_where_it_was_stated() -> None:
 def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
     """Integrated here, under the law of a position servo; the file's torque constant and delay are off."""
     robot = robot_file(tmp_path)
-    references = {
-        write(tmp_path / f"known{seed}", driven(kg, seed)): kg for seed, kg in enumerate((*LOADS_KG, *LOADS_KG))
-    }
+    references = {write(tmp_path / f"known{seed}", driven(kg, seed)): kg for seed, kg in enumerate((*LOADS_KG, *LOADS_KG))}
     options = Options(robot=str(robot), settings=POINT)
     learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
@@ -262,9 +260,7 @@ STS_LAW = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_r
 STS_OBJECT = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0]}
 
 
-def weighed(
-    robot: Path, references: dict[Path, float], asked: Path, settings: dict[str, Any], output: Path
-) -> Estimate:
+def weighed(robot: Path, references: dict[Path, float], asked: Path, settings: dict[str, Any], output: Path) -> Estimate:
     learnt = calibrate_from_bags([], dict(references), Options(robot=str(robot), settings=settings), output, force=True)
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
     return replay(asked, Options(calibration=output, settings=settings))

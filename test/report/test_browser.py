@@ -72,9 +72,7 @@ def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pat
     empty = [*sorted(bags.glob("realistic_s00_empty_0[0-5]_*")), bags / "friction_s00_fixed_random_a_joint3"]
     calibration = calibrate_from_bags([each / "bag_mcap" for each in empty], {})
     write_calibration_report(calibration, folder / "calibration.html", sources=[LONG_NAME])
-    options = Options(
-        probe="container", baseline=[bags / "realistic_s00_container_no_sphere_joint4_100mA" / "bag_mcap"]
-    )
+    options = Options(probe="container", baseline=[bags / "realistic_s00_container_no_sphere_joint4_100mA" / "bag_mcap"])
     box = replay([bags / "realistic_s00_container_sphere_12g_joint4_100mA" / "bag_mcap"], options)
     write_report(box, folder / "container.html", command="proprio replay", sources=[LONG_NAME])
     bottle = bags / "contents_liquid_r35_h30_1mPas"
@@ -172,9 +170,7 @@ def test_nothing_is_wider_than_the_window(bright: Bright, name: str, width: int)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_bright_on_dark_where_the_reader_wants_that(
-    pages: dict[str, Path], bright: Bright, look: Look, name: str
-) -> None:
+def test_bright_on_dark_where_the_reader_wants_that(pages: dict[str, Path], bright: Bright, look: Look, name: str) -> None:
     light, dark = bright(name)[1400], look(pages[name], MEASURE, 1400, DARK)
     assert brightness(light["paper"]) > 0.95 and brightness(dark["paper"]) < 0.15
     assert max(map(brightness, light["inks"])) < 0.7
@@ -219,9 +215,7 @@ def test_held_out_runs_whose_names_end_alike_have_a_bar_each(pages: dict[str, Pa
     assert look(pages["swing_calibration"], words) == 2
 
 
-def test_the_policy_lets_the_page_s_own_script_run_and_no_other(
-    pages: dict[str, Path], look: Look, tmp_path: Path
-) -> None:
+def test_the_policy_lets_the_page_s_own_script_run_and_no_other(pages: dict[str, Path], look: Look, tmp_path: Path) -> None:
     copy = tmp_path / "copy.html"
     copy.write_text(pages["payload"].read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1))
     shown = look.shown(copy)

@@ -51,9 +51,7 @@ def estimate(weighed: Weighing) -> Estimate:
     return weighed.estimate
 
 
-def test_what_is_drawn_is_what_was_recorded_and_fitted(
-    estimate: Estimate, loaded: tuple[Motion, Motion], tmp_path: Path
-) -> None:
+def test_what_is_drawn_is_what_was_recorded_and_fitted(estimate: Estimate, loaded: tuple[Motion, Motion], tmp_path: Path) -> None:
     assert [fit.joint for fit in estimate.joint_fits] == list(SIX.joints)
     for fit in estimate.joint_fits:
         column = SIX.joints.index(fit.joint)
@@ -70,9 +68,7 @@ def test_what_is_drawn_is_what_was_recorded_and_fitted(
     drawn = curves((tmp_path / "page.html").read_text(), "explained")
     assert len(drawn) == 6
     most = max(estimate.joint_fits, key=lambda fit: fit.told.sum())
-    assert drawn[0] == pytest.approx(
-        np.stack([most.times_s, most.explained], axis=1), abs=2e-3 * np.ptp(most.explained)
-    )
+    assert drawn[0] == pytest.approx(np.stack([most.times_s, most.explained], axis=1), abs=2e-3 * np.ptp(most.explained))
 
 
 def test_the_torque_of_the_payload_is_apart(estimate: Estimate, folder: Path) -> None:
@@ -121,9 +117,7 @@ def test_a_terminal_has_the_digits_of_the_page(estimate: Estimate) -> None:
         assert f"{value.name}: {words}" in estimate_as_text(replace(estimate, values=(*estimate.values[:1], value)))
 
 
-def test_the_page_of_a_calibration_shows_what_the_arm_explains(
-    folder: Path, loaded: tuple[Motion, Motion], tmp_path: Path
-) -> None:
+def test_the_page_of_a_calibration_shows_what_the_arm_explains(folder: Path, loaded: tuple[Motion, Motion], tmp_path: Path) -> None:
     bag = write_bag(folder / "learnt", loaded[1], constants=SIX.constants)
     learnt = calibrate(bag, robot=write_robot(folder), effort_unit="N.m")
     fits = learnt.estimate.joint_fits
@@ -153,9 +147,7 @@ def test_the_ellipsoid_is_the_homogeneous_one(tmp_path: Path) -> None:
     inertia = mass / 5.0 * np.diag(square.sum() - square)
     still = Motion("still", SIX.joints, np.arange(80.0), np.zeros((80, 6)), np.zeros((80, 6)), {}, "")
     side, above = held_views(robot, still, (mass, CENTRE_M, inertia), "stated", 0.5 * half)
-    assert held_views(robot, still, (0.0, CENTRE_M, inertia), "assumed", 0.5 * half)[0].body is None, (
-        "nothing has no body"
-    )
+    assert held_views(robot, still, (0.0, CENTRE_M, inertia), "assumed", 0.5 * half)[0].body is None, "nothing has no body"
     assert (side.side, above.side) == ("from the side", "from above")
     for view, axes in ((side, [0, 2]), (above, [0, 1])):
         assert view.centre - view.hand == pytest.approx(CENTRE_M[axes])

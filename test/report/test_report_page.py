@@ -179,9 +179,7 @@ def test_numbers_have_the_digits_that_they_are_known_to() -> None:
 
 
 def test_dollar_signs_are_no_mathematics() -> None:
-    named = [
-        SqueezeCurve(name, 0.03, np.arange(3.0), np.arange(3.0) / 30.0, np.arange(3.0), ()) for name in ("$a_{1}$", "b")
-    ]
+    named = [SqueezeCurve(name, 0.03, np.arange(3.0), np.arange(3.0) / 30.0, np.arange(3.0), ()) for name in ("$a_{1}$", "b")]
     assert "$a_{1}$" in squeeze_figure(named)
     assert "$x^2$/run" in held_out_figure((HeldOutRun("$x^2$/run", "joint3", 1e-3, 1.0),))
 

@@ -21,12 +21,8 @@ TORQUE = {"effort_unit": "N.m"}
 
 def test_which_robots_are_topics() -> None:
     assert all(is_topic(name) for name in ("robot_description", "/robot_description", "/left/robot_description"))
-    assert not any(
-        is_topic(name) for name in ("open_manipulator_x", "robot_description.urdf", "robot_descriptions:ur10e")
-    )
-    assert (
-        topic_of("/left/robot_description") == "/left/robot_description" and topic_of("pendulum") == "robot_description"
-    )
+    assert not any(is_topic(name) for name in ("open_manipulator_x", "robot_description.urdf", "robot_descriptions:ur10e"))
+    assert topic_of("/left/robot_description") == "/left/robot_description" and topic_of("pendulum") == "robot_description"
 
 
 def test_the_robot_is_that_of_the_same_text_as_a_file(tmp_path: Path) -> None:

@@ -28,9 +28,7 @@ def kinetic_J(robot: Robot, pose: dict[str, float], joint: str) -> float:
     """Of all links, with one joint at 1 rad/s or 1 m/s: ``tr(Tdot P Tdot^T) / 2``, derivative by differences."""
     total = 0.0
     for link in robot.model.links:
-        ahead, behind = (
-            robot.model.frame_transform(link.name, {**pose, joint: pose[joint] + s}) for s in (STEP, -STEP)
-        )
+        ahead, behind = (robot.model.frame_transform(link.name, {**pose, joint: pose[joint] + s}) for s in (STEP, -STEP))
         rate = (ahead - behind) / (2.0 * STEP)
         total += 0.5 * float(np.trace(rate @ link.pseudo_inertia @ rate.T))
     return total
@@ -52,10 +50,7 @@ def test_what_the_hand_holds_pulls_where_the_hand_is() -> None:
     robot, held_kg = load_robot("open_manipulator_x"), 0.3
     empty, loaded = Loads(robot).at(POSE), Loads(robot).at(POSE, held_kg)
     for name, effort in empty.gravity.items():
-        heights = [
-            robot.model.frame_transform(robot.payload_frame, {**POSE, name: POSE[name] + s})[2, 3]
-            for s in (STEP, -STEP)
-        ]
+        heights = [robot.model.frame_transform(robot.payload_frame, {**POSE, name: POSE[name] + s})[2, 3] for s in (STEP, -STEP)]
         lever_m = (heights[0] - heights[1]) / (2.0 * STEP)
         assert loaded.per_kg[name] == pytest.approx(9.81 * lever_m, rel=1e-3, abs=1e-6)
         assert loaded.gravity[name] == pytest.approx(effort + held_kg * loaded.per_kg[name], abs=1e-9)

@@ -64,9 +64,7 @@ def test_until_then_all_that_is_missing_is_named(tmp_path: Path, capsys: pytest.
     written(tmp_path, slide)
     assert main(["plan", "--mass", "0.1", "--robot", str(tmp_path / "new.yaml")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(
-        "proprio: new.yaml: missing: motor.nominal_torque_constant_N_m_per_A of a, finger; transmission_m"
-    )
+    assert said.startswith("proprio: new.yaml: missing: motor.nominal_torque_constant_N_m_per_A of a, finger; transmission_m")
     assert "_per_rad (slide per rad of the motor) of finger; state each" in said
 
 
@@ -198,9 +196,7 @@ def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_u
             output = folder / f"new{len(flags)}.yaml"
             assert main(["robot", "new", source, "--output", str(output), *flags]) == 0
             if not flags and urdf == gripper:
-                with pytest.raises(
-                    RobotError, match=r"or `proprio robot new --effort-unit N\.m`, where torque was recorded"
-                ):
+                with pytest.raises(RobotError, match=r"or `proprio robot new --effort-unit N\.m`, where torque was recorded"):
                     load_robot(output)
                 continue
             assert ("# STATE THIS" in output.read_text()) is not bool(flags)
@@ -223,9 +219,7 @@ def test_in_ampere_the_filled_in_file_knows_what_the_urdf_with_its_constants_doe
     constant = "nominal_torque_constant_N_m_per_A"
     text = written(tmp_path, urdf.read_text())
     joints = [
-        key.split(".")[1]
-        for key in new_robot_file(str(urdf), tmp_path / "x.yaml", description_of).to_state
-        if constant in key
+        key.split(".")[1] for key in new_robot_file(str(urdf), tmp_path / "x.yaml", description_of).to_state if constant in key
     ]
     (tmp_path / "new.yaml").write_text(text.replace(MARKED, f"{constant}: 2.0"))
     stated = {f"joints.{each}.motor.{constant}": 2.0 for each in joints}

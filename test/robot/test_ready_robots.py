@@ -94,9 +94,7 @@ def test_a_franka_is_where_its_table_says(name: str) -> None:
         expected = np.eye(4)
         for (a, d, alpha), theta in zip(FRANKA_DH, angles, strict=True):
             expected = expected @ _about_x(alpha, a) @ _about_z(theta, d)
-        expected = expected @ _about_z(
-            -np.pi / 4, 0.107 + 0.1034
-        )  # the hand's manual: turned, its tip 103.4 mm before the flange
+        expected = expected @ _about_z(-np.pi / 4, 0.107 + 0.1034)  # the hand's manual: turned, its tip 103.4 mm before the flange
         pose = dict(zip(robot.model.independent_joints, angles, strict=True))
         np.testing.assert_allclose(robot.model.frame_transform(robot.payload_frame, pose), expected, atol=1e-5)
 
@@ -172,9 +170,7 @@ def test_the_so101_is_where_its_makers_drew_it(angles: list[float], grasp_m: lis
         ("gen3", [0.0] * 7, [0.0, -0.0249, 1.1873], 8.2),
     ],
 )
-def test_arms_are_where_their_makers_drew_them(
-    name: str, angles: list[float], hand_m: list[float], mass_kg: float
-) -> None:
+def test_arms_are_where_their_makers_drew_them(name: str, angles: list[float], hand_m: list[float], mass_kg: float) -> None:
     robot = load_robot(name)
     pose = dict(zip(robot.model.independent_joints, angles, strict=True))
     np.testing.assert_allclose(robot.model.frame_transform(robot.payload_frame, pose)[:3, 3], hand_m, atol=5e-4)
@@ -244,9 +240,7 @@ def test_a_ready_robot_weighs(
     }
     small = {"friction_N_m": 0.1, "rotor_kg_m2": 0.01} if driver == "interbotix" else {}
     bags = [
-        record_arm(
-            tmp_path / word, resource("urdf", name), constants, robot.payload_frame, load, seed, middle=middle, **small
-        )
+        record_arm(tmp_path / word, resource("urdf", name), constants, robot.payload_frame, load, seed, middle=middle, **small)
         for word, load, seed in (("empty", 0.0, 1), ("loaded", load_kg, 2))
     ]
     words = ["--robot", name, "--driver", driver, "--probe", "payload", "--json"]

@@ -257,9 +257,7 @@ def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Pat
 
 def test_links_that_move_without_mass_are_named(folder: Path) -> None:
     links = link("base") + link("one", "") + link("two") + link("three", "")
-    (folder / "arm.urdf").write_text(
-        chain(joint("a"), joint("b", "base", "two"), joint("c", "two", "three"), links=links)
-    )
+    (folder / "arm.urdf").write_text(chain(joint("a"), joint("b", "base", "two"), joint("c", "two", "three"), links=links))
     with pytest.raises(RobotError, match=r"arm\.urdf: no <inertial> in links that move: one, three; state mass"):
         load_robot(folder / "arm.urdf")
 
@@ -357,8 +355,7 @@ def test_extends_gives_only_what_differs(folder: Path) -> None:
     below = folder / "calibrations"
     below.mkdir()
     (below / "mine.yaml").write_text(
-        "extends: ../arm.yaml\ncalibrated: true\n"
-        "joints: {a: {drive_train: {coulomb_N_m: {std: 0.001}, load_friction: 0.1}}}\n"
+        "extends: ../arm.yaml\ncalibrated: true\njoints: {a: {drive_train: {coulomb_N_m: {std: 0.001}, load_friction: 0.1}}}\n"
     )
     robot, base = load_robot(below / "mine.yaml"), load_robot(folder / "arm.yaml")
     drive = robot.drive_trains["a"]

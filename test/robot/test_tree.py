@@ -23,9 +23,7 @@ GRAVITY = np.array([0.7, -1.9, -9.4])  # not along an axis, so that no component
 # ------------------------------------------------------------------------------ the reduced model's equations of motion
 
 
-def series(
-    reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def series(reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """base_T_body of every body, its derivative by each position, and its second one by time at constant rates."""
     count = len(reduced.joint_names)
     pose = np.zeros((count, 4, 4))
@@ -56,9 +54,7 @@ def series(
     return pose, by_position, bias
 
 
-def mass_matrix_and_bias(
-    reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def mass_matrix_and_bias(reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lagrange's equations of ``T = 1/2 sum tr(X' P X'^T)`` and ``V = -sum g . X (h, m)``."""
     _, by_position, bias = series(reduced, positions, velocities)
     mass = np.einsum("biuv,bvw,bjuw->ij", by_position, reduced.pseudo_inertia, by_position)
@@ -158,9 +154,7 @@ def test_equations_of_motion_and_frames_agree_with_mujoco(seed: int) -> None:
     positions, velocities = random_state(model.independent_joints, seed)
     reduced = model.lock(model.independent_joints, {}, GRAVITY)
     names = reduced.joint_names
-    mass, bias = mass_matrix_and_bias(
-        reduced, np.array([positions[n] for n in names]), np.array([velocities[n] for n in names])
-    )
+    mass, bias = mass_matrix_and_bias(reduced, np.array([positions[n] for n in names]), np.array([velocities[n] for n in names]))
     mujoco = Mujoco(urdf)
     expected_mass, expected_bias = mujoco.mass_matrix_and_bias(names, positions, velocities)
     # rounding of MuJoCo's principal axes and of its sums, relative to the largest entry
@@ -191,9 +185,7 @@ def test_holding_joints_leaves_their_rows_out(seed: int) -> None:
     expected_mass, expected_bias = Mujoco(urdf).mass_matrix_and_bias(reduced.joint_names, positions, velocities)
     np.testing.assert_allclose(mass, expected_mass, rtol=0.0, atol=1e-9 * np.abs(expected_mass).max())
     np.testing.assert_allclose(bias, expected_bias, rtol=0.0, atol=1e-9 * max(1.0, np.abs(expected_bias).max()))
-    pose, _, _ = series(
-        reduced, np.array([positions[n] for n in reduced.joint_names]), np.zeros(len(reduced.joint_names))
-    )
+    pose, _, _ = series(reduced, np.array([positions[n] for n in reduced.joint_names]), np.zeros(len(reduced.joint_names)))
     for part in model.links:
         body, body_from_link = reduced.frames[part.name]
         placed = body_from_link if body < 0 else pose[body] @ body_from_link
@@ -256,9 +248,7 @@ def test_a_follower_moves_with_its_source_through_others() -> None:
     assert model.independent_joints == ("a",)
     # all three turn about z: c = -0.5 a + 0.2, b = 2 c + 0.1
     angle = 0.6 + (2.0 * (-0.3 + 0.2) + 0.1) + (-0.3 + 0.2)
-    np.testing.assert_allclose(
-        model.frame_transform("three", {"a": 0.6})[:3, :3], rotation_from_rpy([0.0, 0.0, angle]), atol=1e-15
-    )
+    np.testing.assert_allclose(model.frame_transform("three", {"a": 0.6})[:3, :3], rotation_from_rpy([0.0, 0.0, angle]), atol=1e-15)
 
 
 def test_fingerprint_sees_mass_and_geometry_only() -> None:
@@ -321,9 +311,7 @@ BAD_LOCKS = {
 
 
 @pytest.mark.parametrize(("urdf", "active", "positions", "message"), BAD_LOCKS.values(), ids=BAD_LOCKS.keys())
-def test_bad_lock_is_refused_in_one_line(
-    urdf: str, active: list[str], positions: dict[str, float], message: str
-) -> None:
+def test_bad_lock_is_refused_in_one_line(urdf: str, active: list[str], positions: dict[str, float], message: str) -> None:
     model = RobotModel.from_urdf_string(urdf)
     with pytest.raises(RobotError) as caught:
         model.lock(active, positions)

@@ -103,9 +103,7 @@ BAD_URDF = {
 def test_a_frame_that_an_exporter_gave_a_speck_of_mass_has_none(mass: str) -> None:
     """As in the makers' own file of the SO-101, which is refused otherwise."""
     none = dict.fromkeys(("ixx", "iyy", "izz"), "0")
-    (link_one,) = (
-        each for each in RobotModel.from_urdf_string(inertial(mass=mass, **none)).links if each.name == "one"
-    )
+    (link_one,) = (each for each in RobotModel.from_urdf_string(inertial(mass=mass, **none)).links if each.name == "one")
     assert not link_one.pseudo_inertia.any()
 
 
@@ -128,9 +126,7 @@ def test_rounded_inertia_on_the_edge_is_accepted() -> None:
 
 
 def test_defaults_of_the_format() -> None:
-    model = RobotModel.from_urdf_string(
-        chain(joint("a", kind="continuous", limit="").replace('<axis xyz="0 0 1"/>', ""))
-    )
+    model = RobotModel.from_urdf_string(chain(joint("a", kind="continuous", limit="").replace('<axis xyz="0 0 1"/>', "")))
     turning = model.joint("a")
     np.testing.assert_array_equal(turning.axis, [1.0, 0.0, 0.0])
     np.testing.assert_array_equal(turning.origin, np.eye(4))
@@ -140,6 +136,4 @@ def test_defaults_of_the_format() -> None:
 
 
 def test_axis_is_made_a_unit_vector() -> None:
-    np.testing.assert_allclose(
-        RobotModel.from_urdf_string(chain(joint("a", axis="0 3 4"))).joint("a").axis, [0, 0.6, 0.8]
-    )
+    np.testing.assert_allclose(RobotModel.from_urdf_string(chain(joint("a", axis="0 3 4"))).joint("a").axis, [0, 0.6, 0.8])

@@ -142,8 +142,7 @@ def test_integrator_orders() -> None:
     exact = JointSimulator([constant_run(times, step_s=1e-4)]).rollout(ONE, law)[0][0, 0]
     for integrator, ratio in (("rk4", 16.0), ("semi_implicit", 2.0)):
         errors = [
-            JointSimulator([constant_run(times, step_s=step, fine_step_s=step)], integrator).rollout(ONE, law)[0][0, 0]
-            - exact
+            JointSimulator([constant_run(times, step_s=step, fine_step_s=step)], integrator).rollout(ONE, law)[0][0, 0] - exact
             for step in (1 / 400, 1 / 800)
         ]
         assert errors[0] / errors[1] == pytest.approx(ratio, rel=0.2)

@@ -134,13 +134,9 @@ def test_sensitivities_against_central_differences(law: str, contact: str, mu: f
     for name, difference in {
         "by_mu": (solver.curve(squeeze, mu * (1 + step), lam).force - solver.curve(squeeze, mu * (1 - step), lam).force)
         / (2 * step * mu),
-        "by_lambda": (
-            solver.curve(squeeze, mu, lam * (1 + step)).force - solver.curve(squeeze, mu, lam * (1 - step)).force
-        )
+        "by_lambda": (solver.curve(squeeze, mu, lam * (1 + step)).force - solver.curve(squeeze, mu, lam * (1 - step)).force)
         / (2 * step * lam),
-        "by_squeeze": (
-            solver.curve(squeeze + step * 0.03, mu, lam).force - solver.curve(squeeze - step * 0.03, mu, lam).force
-        )
+        "by_squeeze": (solver.curve(squeeze + step * 0.03, mu, lam).force - solver.curve(squeeze - step * 0.03, mu, lam).force)
         / (2 * step * 0.03),
     }.items():
         exact = getattr(curve, name)

@@ -32,9 +32,7 @@ def coarse() -> Response:
     return build(CUBE, cells=2)
 
 
-@pytest.mark.parametrize(
-    "law", ["smith", *(pytest.param(law, marks=pytest.mark.long) for law in ("log", "linear", "warp_compat"))]
-)
+@pytest.mark.parametrize("law", ["smith", *(pytest.param(law, marks=pytest.mark.long) for law in ("log", "linear", "warp_compat"))])
 def test_between_the_nodes_it_is_the_finite_elements(law: str) -> None:
     """Force to 2e-4 and stiffness to 1e-2, at places in the middle of the table's cells."""
     table = build(SLAB, law, cells=2)

@@ -85,9 +85,7 @@ def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
         return done.stderr.splitlines()
 
     lines = said()
-    assert (
-        lines == [f"proprio: compiling kernel {number}, {COMPILING}" for number in range(1, len(lines) + 1)] and lines
-    )
+    assert lines == [f"proprio: compiling kernel {number}, {COMPILING}" for number in range(1, len(lines) + 1)] and lines
     assert said() == []
 
 

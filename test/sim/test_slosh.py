@@ -51,9 +51,7 @@ def test_tangents_are_the_slopes_of_the_rollout(others: dict[str, float]) -> Non
         step = 1e-5 * max(abs(p[0, row]), 0.1)
         ends = [rolled.rollout(world, p + sign * step * every[:, row])[0] for sign in (1.0, -1.0)]
         slope = (ends[0] - ends[1])[0] / (2.0 * step)
-        np.testing.assert_allclose(
-            dq[0, :, row], slope, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(slope).max()), err_msg=name
-        )
+        np.testing.assert_allclose(dq[0, :, row], slope, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(slope).max()), err_msg=name)
 
 
 def test_the_rollout_is_lagranges_by_scipy() -> None:

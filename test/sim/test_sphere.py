@@ -133,9 +133,7 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
     """A joint so heavy that it hardly moves feels the sphere's weight at the sphere's place; a light one a rigid load."""
     start, mass = resting_on(GRAVITY, BOX, HARD), 0.05
     heavy, time = 1e4, 0.2
-    _, v, *_ = states_of(
-        simulator(np.array([time]), kind=kind), ONE, parameters(start=start, inertia=heavy, sphere_mass=mass)
-    )
+    _, v, *_ = states_of(simulator(np.array([time]), kind=kind), ONE, parameters(start=start, inertia=heavy, sphere_mass=mass))
     load = AXIS @ np.cross(start - ORIGIN, mass * GRAVITY) if kind == "revolute" else mass * AXIS @ GRAVITY
     assert v[0, 0] == pytest.approx(load / heavy * time, rel=1e-5)
 
@@ -211,9 +209,7 @@ def energy(kind: str, inside: Enclosure, p: np.ndarray, states: tuple[np.ndarray
     value = {name: p[0, row] for name, row in SPHERE_INDEX.items()}
     inertia = inside.inertia_factor * inside.radius**2
     height = -world_place(kind, q, x) @ GRAVITY
-    sphere = (
-        0.5 * (u**2).sum(1) + 0.5 * inertia * (spin**2).sum(1) + height + spring_energy(inside, x, value["stiffness"])
-    )
+    sphere = 0.5 * (u**2).sum(1) + 0.5 * inertia * (spin**2).sum(1) + height + spring_energy(inside, x, value["stiffness"])
     joint = 0.5 * value["inertia"] * v**2 + value["gravity_cos"] * np.sin(q) - value["gravity_sin"] * np.cos(q)
     return joint + value["gravity_constant"] * q + value["sphere_mass"] * sphere
 
@@ -283,9 +279,7 @@ def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, l
     if kind == "revolute":
         place, turned = world_place(kind, q, x), Rotation.from_rotvec(q[:, None] * AXIS)
         # a force at the touch has no moment about it: spin and flight together exchange with the joint
-        momentum = (
-            0.02 * v + 0.1 * (np.cross(place, turned.apply(u)) + 0.4 * inside.radius**2 * turned.apply(spin)) @ AXIS
-        )
+        momentum = 0.02 * v + 0.1 * (np.cross(place, turned.apply(u)) + 0.4 * inside.radius**2 * turned.apply(spin)) @ AXIS
         torque = 0.1 * np.cross(place, GRAVITY) @ AXIS - load
     else:
         momentum = 0.3 * v + 0.1 * u @ AXIS
@@ -299,9 +293,7 @@ def test_walls_of_a_corner_push_at_once() -> None:
     depths = np.array([1e-4, 2e-4, 3e-4])
     signs = np.array([1.0, -1.0, 1.0])
     time = 1e-5
-    states = states_of(
-        simulator(np.array([time]), step=time), ONE, parameters(start=signs * (BOX.room + depths), inertia=HELD)
-    )
+    states = states_of(simulator(np.array([time]), step=time), ONE, parameters(start=signs * (BOX.room + depths), inertia=HELD))
     np.testing.assert_allclose(states[3][0, 0] / time, GRAVITY - HARD.stiffness * signs * depths, rtol=1e-2)
 
 
@@ -364,9 +356,7 @@ def test_what_cannot_be_simulated_is_said() -> None:
         Enclosure("box", np.array([0.06, 0.04, 0.02]), 0.01)
 
 
-def in_world_coordinates(
-    inside: Enclosure, p: np.ndarray, kind: str, current: float, times: np.ndarray
-) -> tuple[np.ndarray, ...]:
+def in_world_coordinates(inside: Enclosure, p: np.ndarray, kind: str, current: float, times: np.ndarray) -> tuple[np.ndarray, ...]:
     """The same box, sphere and joint written down in the world's frame and integrated to 1e-10: q, v (T,), three of (T, 3).
 
     These are the sphere's place in the container, its velocity and its spin against the ground along the container's axes.
@@ -403,9 +393,7 @@ def in_world_coordinates(
                 normal = max(k * depth - c * min(depth / inside.ramp_depth, 1.0) * leaving, 0.0)
                 push = mass * normal * inward
                 if normal > 0.0:
-                    push = push - mass * kf * mu * normal * slip / np.sqrt(
-                        (kf * slip) @ (kf * slip) + (mu * normal) ** 2
-                    )
+                    push = push - mass * kf * mu * normal * slip / np.sqrt((kf * slip) @ (kf * slip) + (mu * normal) ** 2)
                 force = force + push
                 moment = moment + np.cross(at - place, push)
                 on_joint -= push @ (np.cross(AXIS, at) if kind == "revolute" else AXIS)

@@ -162,9 +162,7 @@ def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str)
         difference = (-3.0 * values[0] + 4.0 * values[1] - values[2]) / (2.0 * step)
         np.testing.assert_allclose(difference, wanted, atol=3e-6 * np.abs(wanted).max())
     weights = np.random.default_rng(2).normal(size=(1, 5))
-    assert taped_sphere(sim, ONE, p).gradient(weights)[0, column] == pytest.approx(
-        (weights[0] * exact).sum(), rel=1e-10
-    )
+    assert taped_sphere(sim, ONE, p).gradient(weights)[0, column] == pytest.approx((weights[0] * exact).sum(), rel=1e-10)
 
 
 def test_few_directions_equal_all_of_them() -> None:

@@ -97,9 +97,7 @@ def point(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", BENDS)
-def test_sensitivities_against_central_differences(
-    bonded: Response, integrator: str, seed: int, bend: tuple[float, float]
-) -> None:
+def test_sensitivities_against_central_differences(bonded: Response, integrator: str, seed: int, bend: tuple[float, float]) -> None:
     """Where the fingers touch within a step, the rollout has a kink: differences see it, by 1e-4 of the largest."""
     sim, p = simulator(bonded, integrator, bend), point(seed)
     q, _, exact = (array.copy() for array in sim.jacobian(ONE, p, np.eye(len(SCALES))[None]))
@@ -169,9 +167,7 @@ def test_against_another_integrator_and_the_closed_form(sliding: Response, bend:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("modulus", "ratio", "mass", "counts"), [(1694.6, 0.130, 0.010, 0.015), (12824.6, 0.258, 0.023, 0.1)]
-)
+@pytest.mark.parametrize(("modulus", "ratio", "mass", "counts"), [(1694.6, 0.130, 0.010, 0.015), (12824.6, 0.258, 0.023, 0.1)])
 def test_the_explicit_block_moves_the_gripper_the_same_way(
     bonded: Response, modulus: float, ratio: float, mass: float, counts: float
 ) -> None:

@@ -330,6 +330,4 @@ class Twin:
                 true[-1][2] = data.qacc.copy()
         self.truths[name] = Truth(*np.swapaxes(true, 0, 1), warm)
         times_s = np.array(times)
-        return Motion(
-            name, build.joints, times_s - times_s[0], np.array(positions), np.array(currents), {}, "measured current"
-        )
+        return Motion(name, build.joints, times_s - times_s[0], np.array(positions), np.array(currents), {}, "measured current")

@@ -81,9 +81,7 @@ class Look:
         text, frames = re.sub(r"default-src 'none'[^\"]*", "", page.read_text(), count=1), ""
         for number, (width, style) in enumerate(copies):
             copy = style(text)
-            copy += (
-                f"<script>parent.document.body.dataset.said{number} = JSON.stringify((() => {{{script}}})())</script>"
-            )
+            copy += f"<script>parent.document.body.dataset.said{number} = JSON.stringify((() => {{{script}}})())</script>"
             # a window cannot be as narrow as a telephone, a frame can
             frames += f'<iframe style="width:{width}px; height:900px; border:0" srcdoc="{html.escape(copy)}"></iframe>'
         outer = self._folder / "outer.html"

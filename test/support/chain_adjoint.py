@@ -320,8 +320,7 @@ def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDAr
         capacity = int(written[3].numpy().max())
         if capacity > MAX_STEPS:
             raise SimulationError(
-                f"{capacity} steps are too many for a tape (at most {MAX_STEPS}): use a longer step, or the forward "
-                "sensitivities"
+                f"{capacity} steps are too many for a tape (at most {MAX_STEPS}): use a longer step, or the forward sensitivities"
             )
     step, by_delay, segment, steps, sample_step = written
     p_array = doubles(p, FLOAT, requires_grad=True)

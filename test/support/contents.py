@@ -65,11 +65,7 @@ def library() -> ctypes.CDLL:
         ("grains_new", (whole, pointer, real, real, real, real, pointer), pointer),
         ("grains_step", (pointer, pointer, real, whole, pointer), None),
         ("grains_free", (pointer,), None),
-        *(
-            (f"{kind}_{what}", (pointer,), pointer)
-            for kind in ("liquid", "grains")
-            for what in ("places", "velocities")
-        ),
+        *((f"{kind}_{what}", (pointer,), pointer) for kind in ("liquid", "grains") for what in ("places", "velocities")),
         ("liquid_gradients", (pointer,), pointer),
     ):
         getattr(found, name).argtypes, getattr(found, name).restype = takes, gives
@@ -129,9 +125,7 @@ class Liquid(_Particles):
         x[:, 0] += 0.5 * slope * (cylinder.radius**2 - x[:, 1] ** 2 - x[:, 0] ** 2)
         self.kg = KG_M3 * np.pi * cylinder.radius**2 * fill
         each = self.kg / len(x)
-        self.handle = library().liquid_new(
-            len(x), _at(x), cylinder.radius, cylinder.height, layers, viscosity / KG_M3, each
-        )
+        self.handle = library().liquid_new(len(x), _at(x), cylinder.radius, cylinder.height, layers, viscosity / KG_M3, each)
         self._view("liquid", len(x))
 
     def __del__(self) -> None:
@@ -152,9 +146,7 @@ class Grains(_Particles):
         friction: Coefficient.
     """
 
-    def __init__(
-        self, cylinder: Cylinder, fill: float, diameter: float, density: float, friction: float, seed: int = 0
-    ) -> None:
+    def __init__(self, cylinder: Cylinder, fill: float, diameter: float, density: float, friction: float, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)
         self.cylinder, self.diameter = cylinder, diameter
         ball = 0.5 * diameter
@@ -164,9 +156,7 @@ class Grains(_Particles):
         flat = pitch * np.stack(np.meshgrid(*[np.arange(-wide, wide + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
         flat = flat[np.hypot(flat[:, 0], flat[:, 1]) < reach]
         layers = -(-count // len(flat))
-        x = np.concatenate([np.column_stack([flat, np.full(len(flat), ball + pitch * n)]) for n in range(layers)])[
-            :count
-        ]
+        x = np.concatenate([np.column_stack([flat, np.full(len(flat), ball + pitch * n)]) for n in range(layers)])[:count]
         x[:, :2] += rng.uniform(-0.005, 0.005, (count, 2)) * diameter
         each = density * np.pi * diameter**3 / 6.0
         touch = np.array([each * 5e6, 0.2, friction, 0.02])  # a touch lasts some 1.4 ms

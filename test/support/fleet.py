@@ -76,9 +76,7 @@ class Arm:
             self._models[mass_kg] = model
         return self._models[mass_kg]
 
-    def record(
-        self, seed: int, seconds: float, mass_kg: float = 0.0, changes: Sequence[tuple[float, float]] = ()
-    ) -> Motion:
+    def record(self, seed: int, seconds: float, mass_kg: float = 0.0, changes: Sequence[tuple[float, float]] = ()) -> Motion:
         """One episode.
 
         Args:
@@ -118,18 +116,14 @@ class Arm:
         return Motion(f"{seed}", build.joints, times_s, position, current, {}, "measured current")
 
 
-def _stretches(
-    mass_kg: float, changes: Sequence[tuple[float, float]], seconds: float
-) -> list[tuple[float, float, float]]:
+def _stretches(mass_kg: float, changes: Sequence[tuple[float, float]], seconds: float) -> list[tuple[float, float, float]]:
     """Begin, mass in the hand and end of each stretch [s, kg, s]."""
     begins = [(0.0, mass_kg), *changes]
     ends = [at for at, _ in changes] + [seconds]
     return [(at, mass, end) for (at, mass), end in zip(begins, ends, strict=True)]
 
 
-def write_bag(
-    folder: Path, motion: Motion, begin_ns: int = BEGIN_NS, constants: Sequence[float] = FOUR.constants
-) -> Path:
+def write_bag(folder: Path, motion: Motion, begin_ns: int = BEGIN_NS, constants: Sequence[float] = FOUR.constants) -> Path:
     """A motion as a bag with effort in N m."""
     times_ns = begin_ns + np.rint(1e9 * motion.times_s).astype(np.int64)
     record = JointRecord(times_ns, motion.joints, motion.position, effort=motion.current_A * np.array(constants))

@@ -128,9 +128,7 @@ class ForeignArm:
             return
         wanted = np.zeros(len(JOINTS))
         wanted[self._columns] = values
-        self._last_s = max(
-            self._last_s, now_s + self.busy.delay_s + self.busy.jitter_s * self._random.uniform(-0.5, 0.5)
-        )
+        self._last_s = max(self._last_s, now_s + self.busy.delay_s + self.busy.jitter_s * self._random.uniform(-0.5, 0.5))
         self._coming.append((self._last_s, wanted))
 
     def stalled(self, now_s: float, thread: str) -> float:

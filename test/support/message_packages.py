@@ -103,9 +103,7 @@ def _build(package: Path, prefix: Path) -> None:
     GenerateC("c").generate(name, idl, shares, folders[PARTS[0]], type_description_files=hashes)
     GenerateFastRTPSCTypesupport("fastrtps_c").generate(name, idl, shares, folders[PARTS[1]])
     GenerateIntrospectionCTypesupport("introspection_c").generate(name, idl, shares, folders[PARTS[2]])
-    GenerateCTypesupport("c", typesupport_implementations=list(PARTS[1:3])).generate(
-        name, idl, shares, folders[PARTS[3]]
-    )
+    GenerateCTypesupport("c", typesupport_implementations=list(PARTS[1:3])).generate(name, idl, shares, folders[PARTS[3]])
     GeneratePython("py", typesupport_implementations=list(PARTS[3:])).generate(name, idl, shares, module)
     # the wheels put their headers into include/<package>/<package>
     headers = [ROS / "include", *(path for path in (ROS / "include").iterdir() if (path / path.name).is_dir())]
@@ -123,9 +121,7 @@ def _build(package: Path, prefix: Path) -> None:
 
     def link(folder: Path, target: Path) -> None:
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            objects = list(
-                pool.map(compiled, sorted(path for path in folder.rglob("*.c*") if path.suffix in (".c", ".cpp")))
-            )
+            objects = list(pool.map(compiled, sorted(path for path in folder.rglob("*.c*") if path.suffix in (".c", ".cpp"))))
         mine = [f"-l:{path.name}" for path in libraries.iterdir()]
         # rosidl_typesupport_c looks for the others by name: they must be loaded, whether they are called directly or not
         options = ["-Wl,--no-as-needed", f"-Wl,-soname,{target.name}", *paths]

@@ -83,9 +83,7 @@ def record_arm(
     data.qpos[dofs], data.qvel[dofs], _ = wanted(0.0)
     inertia, per_effort = np.zeros((model.nv, model.nv)), np.array(list(constants.values()))
     types: Any = message_types()
-    time, header, state = (
-        types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
-    )
+    time, header, state = (types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
     messages, every = [], round(1.0 / (rate_hz * STEP_S))
     for step in range(round(seconds / STEP_S)):
         position, velocity = data.qpos[dofs].copy(), data.qvel[dofs].copy()

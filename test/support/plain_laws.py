@@ -53,9 +53,7 @@ from support.taped import PlainLaw, TapedRollout, forward, plain_joint_law, tape
 
 
 @wp.func
-def plain_squeeze_rate(
-    q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: SqueezeData, r: wp.int32
-):
+def plain_squeeze_rate(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: SqueezeData, r: wp.int32):
     load, _by_q, _by_v, _by_p = excitation_of_block(q, v, p, w, data, r)
     return acceleration(q, v, command, extra + load, p, w, data.constants, r)
 
@@ -72,9 +70,7 @@ def _ramped(depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, k
 
 
 @wp.func
-def _as_in_the_paper(
-    depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, kf: FLOAT, mu: FLOAT, ramp_depth: FLOAT
-):
+def _as_in_the_paper(depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, kf: FLOAT, mu: FLOAT, ramp_depth: FLOAT):
     normal = k * depth - c * v_n
     speed = wp.length(slip)
     force = normal * n

@@ -14,9 +14,7 @@ from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import FloatArray, JointRecord, Recording
 
 
-def write_recording(
-    path: str | Path, recording: Recording, storage: str = "mcap", effort_per_A: float | None = None
-) -> None:
+def write_recording(path: str | Path, recording: Recording, storage: str = "mcap", effort_per_A: float | None = None) -> None:
     """Write /joint_states (position, velocity, effort) and, if there is an input, /current_command with labels.
 
     With ``effort_per_A`` [N m/A] the input is written as a driver does, to /applied_effort.
@@ -47,8 +45,7 @@ def write_recording(
             for time_ns, current in zip(inputs.times_ns, inputs.current_A, strict=True)
         ]  # fmt: skip
     messages += [
-        ("/joint_states", JOINT_STATE, time_ns, _joint_state(types, record, row))
-        for row, time_ns in enumerate(record.times_ns)
+        ("/joint_states", JOINT_STATE, time_ns, _joint_state(types, record, row)) for row, time_ns in enumerate(record.times_ns)
     ]
     write_messages(
         path,
@@ -61,9 +58,7 @@ def write_recording(
 
 
 def _joint_state(types: Any, record: JointRecord, row: int) -> Any:
-    time, header, state = (
-        types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
-    )
+    time, header, state = (types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
     seconds, nanoseconds = divmod(int(record.times_ns[row]), 1_000_000_000)
     empty = np.zeros(0)
     return state(

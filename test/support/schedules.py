@@ -73,9 +73,7 @@ LIFT = """
 CAREFUL = """
     - {joint: joint3, current_A: -0.36, duration_s: 0.6, start: {joint2: -1.4, joint3: 0.8, joint4: 0.0},
        min_travel: 0.3, max_travel: 0.6, raise_by: 1.15, max_current_A: 0.70}"""
-SEQUENCE = (
-    "excitation:\n  hand: {hand}\n  settle_s: {settle}\n  brake_s: 0.2\n  approach_velocity: 1.5\n  runs:{runs}\n"
-)
+SEQUENCE = "excitation:\n  hand: {hand}\n  settle_s: {settle}\n  brake_s: 0.2\n  approach_velocity: 1.5\n  runs:{runs}\n"
 PUSH = SEQUENCE.format(hand="any", settle=0.3, runs=LIFT)
 WEIGH = SEQUENCE.format(hand="payload", settle=1.1, runs=CAREFUL)
 
@@ -152,9 +150,7 @@ def drawn(seed: int) -> Drawn:
         if kind in ("overheat", "jump", "stranger", "late"):
             whom = draw.choice(JOINTS)
         elif kind == "call":
-            whom = draw.choice(
-                ("/driver/stop", "/excitation/abort", "/identifier/cancel", "/excitation/run", "/identifier/weigh")
-            )
+            whom = draw.choice(("/driver/stop", "/excitation/abort", "/identifier/cancel", "/excitation/run", "/identifier/weigh"))
         elif kind in ("unplug", "drop", "clock", "double", "disk"):
             whom = ""
         lasts_s = 10.0 ** draw.uniform(-3.0, 1.0) if kind in LASTING else 0.0
@@ -507,9 +503,7 @@ def standing(plan: str, folder: Path, calibration: Path) -> Iterator[World]:
         os.chdir(before)
 
 
-def played(
-    seeds: Sequence[int], folder: Path, calibration: Path, digest: bool = False, together: int = 2
-) -> Iterator[Outcome]:
+def played(seeds: Sequence[int], folder: Path, calibration: Path, digest: bool = False, together: int = 2) -> Iterator[Outcome]:
     """Play schedules: those of a plan together, each from a world of that plan that stands."""
 
     def live(made: World, seed: int) -> Outcome:

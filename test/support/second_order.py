@@ -61,9 +61,7 @@ def bonded_force(edge: float, elements: int, squeezes: np.ndarray, mu: float, la
         inverse = np.linalg.inv(f).swapaxes(-1, -2)  # F^-T
         log_j = np.log(np.linalg.det(f))[..., None, None]
         p = mu * (f - inverse) + lam * log_j * inverse
-        tangent = mu * np.einsum("ac,bd->abcd", identity, identity) + lam * np.einsum(
-            "eqab,eqcd->eqabcd", inverse, inverse
-        )
+        tangent = mu * np.einsum("ac,bd->abcd", identity, identity) + lam * np.einsum("eqab,eqcd->eqabcd", inverse, inverse)
         tangent = tangent + np.einsum("eq,eqad,eqcb->eqabcd", mu - lam * log_j[..., 0, 0], inverse, inverse)
         force = np.einsum("q,eqab,qkb->eka", weight, p, grad)
         half = np.einsum("q,eqabcd,qkb->eqkacd", weight, tangent, grad)

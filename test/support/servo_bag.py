@@ -34,9 +34,7 @@ def write(
         if "voltage" in topics:
             volts = float(rows["voltage"][row])
             numbers = np.zeros(0, dtype=np.float32)
-            said.append(
-                ("/battery_state", battery(stamp, volts, 30.0, *[0.0] * 5, 0, 0, 0, True, numbers, numbers, "", ""))
-            )
+            said.append(("/battery_state", battery(stamp, volts, 30.0, *[0.0] * 5, 0, 0, 0, True, numbers, numbers, "", "")))
         for topic, message in said:
             kind = BATTERY if topic == "/battery_state" else JOINT_STATE
             messages.append(RawMessage(topic, kind, time_ns, bytes(types.serialize_cdr(message, kind))))

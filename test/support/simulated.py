@@ -54,11 +54,7 @@ def empty_runs(level: Path, robot: Robot, pattern: str = "empty_*") -> list[Load
 
 def reference_runs(level: Path, robot: Robot) -> list[LoadedRun]:
     """Runs with the reference of 100 g."""
-    return [
-        LoadedRun(run, KnownLoad(0.1, facts_of(level / name)))
-        for name in REFERENCES
-        for run in runs_of(level / name, robot)
-    ]
+    return [LoadedRun(run, KnownLoad(0.1, facts_of(level / name))) for name in REFERENCES for run in runs_of(level / name, robot)]
 
 
 # --- fixed objects ------------------------------------------------------------------------------------------------------
@@ -144,9 +140,7 @@ class Boxes:
         return sorted(self.folder.glob(f"{self.prefix}{pattern}"))
 
     def baseline(self, but: str = "") -> list[Run]:
-        return [
-            run for folder in self.folders("container_no_sphere_*") if folder.name != but for run in self.runs(folder)
-        ]
+        return [run for folder in self.folders("container_no_sphere_*") if folder.name != but for run in self.runs(folder)]
 
     def find(self, folders: list[Path], **settings: Any) -> Estimate:
         facts = container_facts(Settings({**stated_of_box(folders[0]), **settings}), probe_file("container"))

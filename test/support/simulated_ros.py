@@ -152,9 +152,7 @@ def _read(data: bytes, kind: type) -> Any:
 
 
 class Subscription:
-    def __init__(
-        self, node: SimulatedNode, kind: type, topic: str, callback: Any, qos: Any, raw: bool, polled: bool
-    ) -> None:
+    def __init__(self, node: SimulatedNode, kind: type, topic: str, callback: Any, qos: Any, raw: bool, polled: bool) -> None:
         self._node, self.msg_type, self.topic_name, self.topic = node, kind, topic, topic
         self.callback, self.raw, self.polled = callback, raw, polled
         self.depth = qos.depth if isinstance(qos, QoSProfile) else int(qos)

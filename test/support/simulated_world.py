@@ -193,9 +193,7 @@ class World:
         # what has to be compiled is said, so that a world would go another way on a computer that has no kernels yet
         kernels.progress = SimpleNamespace(say=lambda _words: None)  # type: ignore[assignment]
         virtual_robot.PtyPort = SimulatedPort  # type: ignore[assignment,misc]
-        ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(
-            port, *rest, connect=partial(Wire, self.clock, port)
-        )
+        ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(port, *rest, connect=partial(Wire, self.clock, port))
         ROOM["virtual"].VirtualRobot = type("HandledRobot", (HandledRobot,), {"coarse": coarse})
         ROOM["excitation"].LastWords = Speaker
         self._needed: dict[str, dict[str, Any]] = {
@@ -211,10 +209,7 @@ class World:
 
     def start(self, name: str, values: dict[str, Any], namespace: str = "", called: str = "") -> Process:
         """Start a node; what is not a word, a number or a list becomes a word. ``called``: its process, where names would clash."""
-        plain = {
-            key: str(value) if isinstance(value, Path) else value
-            for key, value in {**self._needed[name], **values}.items()
-        }
+        plain = {key: str(value) if isinstance(value, Path) else value for key, value in {**self._needed[name], **values}.items()}
         overrides = [Parameter(key, value=value) for key, value in plain.items()]
         kind = getattr(ROOM[name], NODES[name])
         make = partial(kind, parameter_overrides=overrides, **({"namespace": namespace} if namespace else {}))

@@ -43,9 +43,7 @@ def state(
     topic: str = "/joint_states",
     stamp_ns: int | None = None,
 ) -> Message:
-    time, header, joint_state = (
-        TYPES.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
-    )
+    time, header, joint_state = (TYPES.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
     seconds, nanoseconds = divmod(time_ns if stamp_ns is None else stamp_ns, 10**9)
     content = joint_state(
         header=header(stamp=time(sec=seconds, nanosec=nanoseconds), frame_id=""),

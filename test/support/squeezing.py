@@ -41,9 +41,7 @@ def made(sequence: ExcitationSequence, hand: Hand) -> tuple[ExcitationMachine, t
         closed = min(closed, hand.arm.position()[GRIPPER])
     stamps = np.array(times)
     inputs = InputRecord(stamps, JOINTS, np.array(currents), "/applied_effort")
-    runs = cut_runs(
-        Recording(sequence.name, JointRecord(stamps, JOINTS, np.array(places)), inputs), joints=list(JOINTS)
-    )
+    runs = cut_runs(Recording(sequence.name, JointRecord(stamps, JOINTS, np.array(places)), inputs), joints=list(JOINTS))
     return machine, runs, began - closed
 
 

@@ -68,9 +68,7 @@ def drive(arm: VirtualArm, current_A: float, duration_s: float) -> None:
         arm.step(np.array([current_A]))
 
 
-def potential(
-    robot: Robot, position: Mapping[str, float], carried: list[tuple[float, tuple[float, float, float]]]
-) -> float:
+def potential(robot: Robot, position: Mapping[str, float], carried: list[tuple[float, tuple[float, float, float]]]) -> float:
     """Potential energy [J]; carried: masses [kg] and places in the payload frame [m]."""
     energy = 0.0
     for link in robot.model.links:
@@ -151,9 +149,7 @@ def test_a_resting_sphere_weighs(robot: Robot) -> None:
     # the hand sags, the sphere rolls to the front and rests on the floor; contacts give way by some 10 um
     assert place == pytest.approx((0.018, 0.0, -0.008), abs=5e-5)
     spot = (0.01 + place[0], place[1], 0.005 + place[2])
-    assert torque == pytest.approx(
-        holding_torque(robot, arm.position(), [(0.03, box.centre_m), (0.05, spot)]), abs=2e-5
-    )
+    assert torque == pytest.approx(holding_torque(robot, arm.position(), [(0.03, box.centre_m), (0.05, spot)]), abs=2e-5)
 
 
 # -------------------------------------------------------------------------------------------------------------- dynamics
@@ -320,9 +316,7 @@ def test_a_sphere_rolls_down_a_slope(robot: Robot) -> None:
 def test_a_point_in_the_hand(robot: Robot) -> None:
     arm = VirtualArm(robot, truth_of(robot, SMOOTH))
     arm.hold(Payload(0.1, size_m=0.0))
-    assert 1.8 * settled(arm) == pytest.approx(
-        holding_torque(robot, arm.position(), [(0.1, (0.0, 0.0, 0.0))]), abs=2e-6
-    )
+    assert 1.8 * settled(arm) == pytest.approx(holding_torque(robot, arm.position(), [(0.1, (0.0, 0.0, 0.0))]), abs=2e-6)
 
 
 def test_a_shaken_sphere_stays_inside(robot: Robot) -> None:

@@ -62,9 +62,7 @@ def test_what_is_no_position_servo_is_refused() -> None:
 
 
 def test_servos_of_one_arm_are_alike() -> None:
-    constants = np.array(
-        [[joint.torque_constant for joint in Truth.draw(ROBOT, seed).joints.values()] for seed in range(40)]
-    )
+    constants = np.array([[joint.torque_constant for joint in Truth.draw(ROBOT, seed).joints.values()] for seed in range(40)])
     means = constants.mean(axis=1)
     assert 0.06 < means.std() / 1.21 < 0.14, "off together: 0.3 of 33 %"
     assert (constants / means[:, None]).std() == pytest.approx(ALIKE, rel=0.2)

@@ -63,9 +63,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     ) as client:
         held: list[str] = []
         markers: list[MarkerArray] = []
-        client.node.create_subscription(
-            DiagnosticStatus, "/virtual/status", lambda message: held.append(message.message), HEARD
-        )
+        client.node.create_subscription(DiagnosticStatus, "/virtual/status", lambda message: held.append(message.message), HEARD)
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, HEARD)
         refused = client.call("/identifier/calibrate_container")
         recorded = list((folder / "data").glob("*"))
@@ -111,9 +109,7 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     assert answer.success, answer.message
 
     def told() -> bool:
-        return bool(
-            client.masses and math.isfinite(client.masses[-1]) and arm.markers and len(arm.markers[-1].markers) > 1
-        )
+        return bool(client.masses and math.isfinite(client.masses[-1]) and arm.markers and len(arm.markers[-1].markers) > 1)
 
     assert client.wait_for(lambda: told() and bool(client.estimates) and client.estimates[-1]["probe"] == "container")
     final = client.estimates[-1]

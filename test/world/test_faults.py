@@ -50,9 +50,7 @@ def push_file(folder: Path, *durations_s: float) -> Path:
     """A sequence that lifts the elbow slowly: 0.3 rad in a second."""
     path = folder / f"push_{'_'.join(f'{duration_s:g}' for duration_s in durations_s)}.yaml"
     runs = "\n".join("    - " + RUN.format(duration_s=duration_s) for duration_s in durations_s)
-    path.write_text(
-        f"excitation:\n  hand: any\n  settle_s: 0.3\n  brake_s: 0.2\n  approach_velocity: 1.5\n  runs:\n{runs}\n"
-    )
+    path.write_text(f"excitation:\n  hand: any\n  settle_s: 0.3\n  brake_s: 0.2\n  approach_velocity: 1.5\n  runs:\n{runs}\n")
     return path
 
 
@@ -440,16 +438,11 @@ def test_a_push_into_a_limit(arm: Arm) -> None:
     thread.start()
     try:
         assert client.wait_for(lambda: client.position(joint) > limit_rad - 0.2)
-        assert client.wait_for(lambda: at_rest(client) and not any(client.applied[-1].effort)), (
-            "held, although the commands go on"
-        )
+        assert client.wait_for(lambda: at_rest(client) and not any(client.applied[-1].effort)), "held, although the commands go on"
     finally:
         ended.set()
         thread.join()
-    assert (
-        max(client.position(joint), *(m.position[list(m.name).index(joint)] for m in since(client.motors, begun_s)))
-        < limit_rad
-    )
+    assert max(client.position(joint), *(m.position[list(m.name).index(joint)] for m in since(client.motors, begun_s))) < limit_rad
     assert client.position(joint) > limit_rad - 0.2
     assert f"{joint} is at its upper limit; held" in arm.log("driver")
 
@@ -549,9 +542,7 @@ def test_stop_in_mid_probe(arm: Arm) -> None:
     client.push({ELBOW: -0.3})
     for service in ("/excitation/run", "/identifier/calibrate_payload"):
         answer = client.call(service)
-        assert (
-            not answer.success and "the driver is stopped" in answer.message and "/driver/torque true" in answer.message
-        )
+        assert not answer.success and "the driver is stopped" in answer.message and "/driver/torque true" in answer.message
     assert_zero(client, begun_s, within_s)
     assert not any(client.applied[-1].effort)
     assert torque_is_on(client)
@@ -583,9 +574,7 @@ def test_one_probe_at_a_time(arm: Arm) -> None:
     answer = client.call("/excitation/abort")
     assert answer.success and "held" in answer.message
     assert_braked(client, begun_s, now_s(client) - begun_s + COMMAND_TIMEOUT_S)
-    assert (
-        client.call("/excitation/abort").message == client.call("/identifier/cancel").message == "nothing was under way"
-    )
+    assert client.call("/excitation/abort").message == client.call("/identifier/cancel").message == "nothing was under way"
 
 
 def torque_constants() -> dict[str, float]:

@@ -42,8 +42,4 @@ def test_a_virtual_arm_is_calibrated_by_its_own_free_swings(tmp_path: Path) -> N
     assert isinstance(calibration, Calibration) and calibration.swing_error > 0.0
     for kind in ("coulomb", "armature"):
         found = calibration.quantities[kind, WRIST]
-        assert (
-            abs(found.value - getattr(wrist, kind))
-            < 3.0 * found.std
-            < 0.75 * getattr(ROBOT.drive_trains[WRIST], kind).std
-        ), kind
+        assert abs(found.value - getattr(wrist, kind)) < 3.0 * found.std < 0.75 * getattr(ROBOT.drive_trains[WRIST], kind).std, kind

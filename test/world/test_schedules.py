@@ -32,9 +32,7 @@ def test_every_kind_is_among_them() -> None:
     kinds = Counter((each.plan, fault.kind) for each in plans for fault in each.faults)
     assert {plan for plan, _ in kinds} == set(PLANS) and {kind for _, kind in kinds} == set(KINDS)
     assert min(sum(kinds[plan, kind] for plan in PLANS) for kind in KINDS) >= 5
-    assert (
-        min(kinds["push", kind] for kind in KINDS if kind != "disk") > 50 < sum(each.plan == "weigh" for each in plans)
-    )
+    assert min(kinds["push", kind] for kind in KINDS if kind != "disk") > 50 < sum(each.plan == "weigh" for each in plans)
     ended = {(fault.kind, fault.whom) for each in plans for fault in each.faults}
     assert {(kind, whom) for kind in ("kill", "restart", "end", "stall") for whom in FAULTY} <= ended
     assert any(fault.kind == "unplug" and fault.lasts_s > 1.0 for each in plans for fault in each.faults), (

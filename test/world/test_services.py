@@ -111,9 +111,7 @@ def test_what_the_driver_publishes_is_the_contract(arm: Calibrated) -> None:
     state_stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.states[-60:-20]]
     # two topics are heard one after the other: of the newest only one may have come
     assert client.wait_for(
-        lambda: (
-            len({(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.applied[-200:]} & {*state_stamps}) >= 35
-        )
+        lambda: len({(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.applied[-200:]} & {*state_stamps}) >= 35
     ), "both carry the same stamps"
     # effort is torque: present current times the nominal torque constant
     constant = load_robot("open_manipulator_x").drive_trains["joint2"].nominal_torque_constant

@@ -175,9 +175,7 @@ def test_cancelled_in_the_middle_of_a_squeeze(arm: Calibrated) -> None:
     assert client.wait_for(lambda: client.excitation.get("busy") == "false")
     # held where it is: the current that flows in the gripper is the holder's, and it does not go on closing
     heard = len(client.motors)
-    assert client.wait_for(lambda: len(client.motors) > heard + 25), (
-        "half a second: the position may be heard after the status"
-    )
+    assert client.wait_for(lambda: len(client.motors) > heard + 25), "half a second: the position may be heard after the status"
     place = client.position(GRIPPER)
     assert not client.wait_for(lambda: client.position(GRIPPER) < place - 0.002, 1.0)
     assert list((arm.folders()[-1] / "bag").glob("*.mcap")), "what was recorded is kept"

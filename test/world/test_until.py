@@ -108,9 +108,7 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
     success, words = refreshed()
     assert success and "brought up to date by 1 of 1 runs" in words, words
     assert workspace.calibration == bag.parent / "calibration.yaml" == workspace.newest_calibration.resolve()
-    assert said == [
-        "pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"
-    ]
+    assert said == ["pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"]
     (asked,) = recorded
     sequence = load_sequence(asked, load_robot("open_manipulator_x"))
     assert sequence.hand == "empty" and len(sequence.runs) == 1 and sequence.approach_velocity == 1.2

@@ -86,8 +86,7 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
     drawn = Truth.draw(robot, 3, links=True)
     # nobody has measured the torque constants, so a mass errs as they do: here they are what the file says
     joints = {
-        name: replace(joint, torque_constant=robot.drive_trains[name].torque_constant.value)
-        for name, joint in drawn.joints.items()
+        name: replace(joint, torque_constant=robot.drive_trains[name].torque_constant.value) for name, joint in drawn.joints.items()
     }
     (tmp_path / "truth.json").write_text(replace(drawn, joints=joints).as_json())
     virtual: dict[str, Any] = {"truth": tmp_path / "truth.json"}
@@ -115,24 +114,18 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
                 return next((told for told in reversed(client.estimates) if told.get("running") == "true"), {})
 
             def weighs(mass_kg: float) -> bool:
-                return (
-                    bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.005 and newest()["changed"] == "false"
-                )
+                return bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.005 and newest()["changed"] == "false"
 
             holding: list[bool] = []
-            client.world.user.create_subscription(
-                Bool, "/identifier/holding", lambda said: holding.append(said.data), LATCHED
-            )
+            client.world.user.create_subscription(Bool, "/identifier/holding", lambda said: holding.append(said.data), LATCHED)
             assert client.wait_for(newest), client.log("identifier")
-            assert client.wait_for(lambda: float(newest()["seconds_of_motion"]) > 3.0 and weighs(0.0), LATEST_S), (
-                newest()
-            )
+            assert client.wait_for(lambda: float(newest()["seconds_of_motion"]) > 3.0 and weighs(0.0), LATEST_S), newest()
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "0.05").successful
             picked_s = client.clock.now()
-            assert client.wait_for(
-                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S
-            ), newest()
+            assert client.wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S), (
+                newest()
+            )
             assert client.wait_for(lambda: weighs(0.05), LATEST_S), newest()
             assert holding == [False, True] and newest()["holding"] == "true", newest()
             efforts: list[JointState] = []
@@ -157,9 +150,9 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
             assert abs(told["value"] - 0.05) < 0.005, told
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "none").successful
-            assert client.wait_for(
-                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S
-            ), newest()
+            assert client.wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S), (
+                newest()
+            )
             assert client.wait_for(lambda: weighs(0.0), LATEST_S), newest()
             # the service began anew, and found what it is asked for
             assert holding == [False, True, False] and float(newest()["holding.probability"]) < 0.01, newest()

@@ -57,9 +57,7 @@ class Stances:
         """Those of a recording, of some of its joints."""
         columns = [motion.joints.index(name) for name in joints]
         position, current, times_s = motion.position[:, columns], motion.current_A[:, columns], motion.times_s
-        band = np.maximum(
-            STILL_COUNTS * np.array([robot.drive_trains[n].encoder_resolution for n in joints]), STILL_RAD
-        )
+        band = np.maximum(STILL_COUNTS * np.array([robot.drive_trains[n].encoder_resolution for n in joints]), STILL_RAD)
         found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         width = round(SHORTEST_S / float(np.median(np.diff(times_s)))) + 1
         if len(times_s) < width:
@@ -146,9 +144,7 @@ def _in_motion(
 ) -> RestFit | None:
     """As the running estimate has it at the end; None where nothing moved, or something was picked up or put down meanwhile."""
     std_m = float(max(np.max(centre_std_m), 1e-3))
-    running = OnlineEstimator(
-        robot, calibration, centre_m=centre_m.tolist(), centre_std_m=std_m, held=dict(motion.held)
-    )
+    running = OnlineEstimator(robot, calibration, centre_m=centre_m.tolist(), centre_std_m=std_m, held=dict(motion.held))
     columns = [motion.joints.index(name) for name in calibration.joints]
     rows = zip(motion.times_s.tolist(), motion.position[:, columns], motion.current_A[:, columns], strict=True)
     changes = 0
@@ -182,9 +178,7 @@ def _by_stances(
     lever, shift = per_kg.ravel() * given, axes.reshape(size, 3) * given[:, None] * centre_std_m
     for _ in range(ROUNDS):
         whole = pull + mass * per_kg.ravel()
-        friction = np.abs(values[coulomb])[joint] + (np.abs(values[gears])[joint] + LOAD_FRICTION_SPREAD) * np.abs(
-            whole
-        )
+        friction = np.abs(values[coulomb])[joint] + (np.abs(values[gears])[joint] + LOAD_FRICTION_SPREAD) * np.abs(whole)
         follows = np.zeros((size, len(values)))
         follows[:, bodies] = by_body.reshape(size, -1) * given[:, None]
         follows[row, gears[joint]] = ARRIVED * way * np.abs(whole)

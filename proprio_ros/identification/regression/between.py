@@ -86,9 +86,7 @@ class Between:
     def kinds(self) -> NDArray[np.str_]:
         """Of the own terms, shape (5 n + 1,)."""
         count = len(self.friction) // 3
-        return np.repeat(
-            ["friction", "offset", "own_scale", "zero", "common_scale"], [2 * count, count, count, count, 1]
-        )
+        return np.repeat(["friction", "offset", "own_scale", "zero", "common_scale"], [2 * count, count, count, count, 1])
 
     @property
     def by_word(self) -> dict[str, float]:

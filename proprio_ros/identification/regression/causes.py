@@ -110,9 +110,7 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
     except (ProprioError, np.linalg.LinAlgError):
         return ""
     # a torque of nothing is explained by a payload that cancels the arm's weight
-    sure = least < min(EXPLAINED, nothing / 2.0) and as_it_is > max(
-        BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST
-    )
+    sure = least < min(EXPLAINED, nothing / 2.0) and as_it_is > max(BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST)
     other = next((left for left, said in others if said != words), np.inf)
     return words if sure and CLEARER * least < other else ""
 
@@ -169,9 +167,7 @@ def _thinned(motion: Motion) -> Motion:
     kept = slice(first, last, max(1, int(len(times_s) / (2.0 * middle_s * RATE_HZ))))
     position, current_A = motion.position[kept], motion.current_A[kept]
     beside = {name: values[kept] for name, values in motion.beside.items()}
-    return replace(
-        motion, times_s=times_s[kept] - times_s[first], position=position, current_A=current_A, beside=beside
-    )
+    return replace(motion, times_s=times_s[kept] - times_s[first], position=position, current_A=current_A, beside=beside)
 
 
 def _rms(values: FloatArray) -> float:

@@ -109,8 +109,7 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
     prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
     # the prior has what a joint's torque repeats to; what its file leaves open is more, most of it in common with the others
     open_yet = [
-        OWN_SHARE * relative_torque_std(robot, joint) if kind == "torque_share" else 0.0
-        for kind, joint in calibration.keys
+        OWN_SHARE * relative_torque_std(robot, joint) if kind == "torque_share" else 0.0 for kind, joint in calibration.keys
     ]
     std = np.hypot(np.sqrt(np.diag(prior.covariance)), open_yet)
     yield from refusals.far_from_prior(calibration.keys, calibration.values, prior.values, std, "robot file")

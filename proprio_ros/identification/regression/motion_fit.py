@@ -159,9 +159,7 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
     # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
     limit = motion_prior.URDF_SHARE
     if robot.arm_scale.std > 0.0:
-        limit = min(
-            2.0 * float(np.hypot(robot.arm_scale.std, scale_std)), max(motion_prior.URDF_SHARE, 2.0 * scale_std)
-        )
+        limit = min(2.0 * float(np.hypot(robot.arm_scale.std, scale_std)), max(motion_prior.URDF_SHARE, 2.0 * scale_std))
     if abs(over_urdf - 1.0) > limit:
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
     learnt = MotionCalibration(
@@ -276,8 +274,7 @@ def fit_payload(
             mine = problem.motion == number
             late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
         first, second = (
-            solve(problem.only(kept), known, between, per_kg, calibration).mass_and_std()
-            for kept in (~late, late | ~carrying)
+            solve(problem.only(kept), known, between, per_kg, calibration).mass_and_std() for kept in (~late, late | ~carrying)
         )
         halves = (first, second)
     followed, rows = np.nonzero(terms)

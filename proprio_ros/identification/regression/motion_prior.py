@@ -66,9 +66,7 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
     count = len(together)
     values = np.zeros(len(stds))
     values[:count] = together
-    values[count : count + 2 * len(drives)] = [d.armature.value for d in drives] + [
-        d.load_friction.value for d in drives
-    ]
+    values[count : count + 2 * len(drives)] = [d.armature.value for d in drives] + [d.load_friction.value for d in drives]
     covariance = np.diag(np.square(stds))
     covariance[:count, :count] += URDF_SHARE**2 * np.outer(together, together)
     return Prior(values, covariance)

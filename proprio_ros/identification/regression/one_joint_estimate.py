@@ -23,9 +23,7 @@ DELAY_SIGMAS, DELAY_STEPS = 2.0, 17
 LATEST_S = 0.2
 
 
-def calibrate_joint(
-    robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts
-) -> CalibrationEstimate:
+def calibrate_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts) -> CalibrationEstimate:
     """Learn a joint from motions with known loads.
 
     ``robot``: of one joint that turns; ``motions``: three or more; ``loads_kg``: what was held in each; ``facts``:

@@ -196,9 +196,7 @@ def without(parts: Sequence[Table], number: int, label: int) -> list[Table]:
     return [*parts[:number], *([rest] if kept.any() else []), *parts[number + 1 :]]
 
 
-def table_of(
-    robot: Robot, motion: Motion, joint: str, hinge: Hinge, window_s: float, slow_rad_s: float = SLOW_RAD_S
-) -> Table:
+def table_of(robot: Robot, motion: Motion, joint: str, hinge: Hinge, window_s: float, slow_rad_s: float = SLOW_RAD_S) -> Table:
     """What one motion says in windows of ``window_s``; where the joint is slower than ``slow_rad_s`` it does not count.
 
     Raises `RecordingError`: It does not move for long enough.
@@ -271,9 +269,7 @@ def _by_torque(parts: Sequence[Table]) -> _Solution:
         matrix[:, -1] = np.abs(load @ values[:3]) * direction
         noise = max(rms(weight * (torque - matrix @ values)), 1e-12)
         prior[-1] = noise / LOAD_FRICTION_STD
-        values = np.linalg.lstsq(
-            np.vstack([matrix * weight[:, None], prior]), np.append(torque * weight, 0.0), rcond=None
-        )[0]
+        values = np.linalg.lstsq(np.vstack([matrix * weight[:, None], prior]), np.append(torque * weight, 0.0), rcond=None)[0]
         residual = torque - matrix @ values
         each = np.array([max(rms(residual[number == n]), 1e-12) for n in range(len(parts))])
         weight = (each.min() / each)[number]

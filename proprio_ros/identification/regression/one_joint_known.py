@@ -88,9 +88,7 @@ def _design(table: Table, load: FloatArray, share: float) -> FloatArray:
     return np.column_stack([true, table.columns[:, 0], table.columns[:, 3], direction, lost, lost * np.abs(true)])
 
 
-def terms_of(
-    tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carried: Carried
-) -> tuple[FloatArray, float]:
+def terms_of(tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carried: Carried) -> tuple[FloatArray, float]:
     """The terms that motions with known loads show, shape (6,), and rms of the torque that is left over, in true torque [N m].
 
     ``tables``: of each motion, by the length of the windows; ``loads_kg``: of each; ``carried``: what hangs on the
@@ -123,9 +121,7 @@ def terms_of(
             solution = lsq_linear(root[:, :-1], root[:, -1], bounds=(lowest, np.inf), method="bvls").x
             values = solution[: len(TERMS)]
         found.append(values)
-        left.append(
-            float(np.sqrt(np.sum(np.square(right - matrix @ solution)) / len(parts))) / max(abs(values[0]), 1e-9)
-        )
+        left.append(float(np.sqrt(np.sum(np.square(right - matrix @ solution)) / len(parts))) / max(abs(values[0]), 1e-9))
     return np.mean(found, axis=0), float(np.mean(left))
 
 
@@ -171,9 +167,7 @@ def reach_of(loads_kg: FloatArray) -> tuple[float, float]:
     return -0.5 * heaviest, HEAVIEST * heaviest
 
 
-def learn_joint(
-    robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts
-) -> JointCalibration:
+def learn_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts) -> JointCalibration:
     """What motions with known loads say about their joint.
 
     Args:
@@ -226,9 +220,7 @@ def _spread_by(calibration: JointCalibration, mass: float | None = None) -> Floa
     return spread_posterior(errors / scale, np.square(stds / scale))
 
 
-def identify_by_joint(
-    robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts
-) -> KnownJointFit:
+def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts) -> KnownJointFit:
     """The mass that all motions share.
 
     ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of the same joint; ``facts``: where
@@ -246,9 +238,7 @@ def identify_by_joint(
     reach_kg = reach_of(loads)
     mass, by_stretches, stretches = _by_stretches(tables, calibration.values, carried, reach_kg)
     by_window = list(zip(*tables, strict=True))
-    others = np.array(
-        [np.mean([_mass(parts, terms, carried, reach_kg) for parts in by_window]) for terms in calibration.without]
-    )
+    others = np.array([np.mean([_mass(parts, terms, carried, reach_kg) for parts in by_window]) for terms in calibration.without])
     count = len(others)
     by_calibration = (count - 1) / count * float(np.sum(np.square(others - others.mean())))
     lever = float(np.linalg.norm(carried.per_kg[1:]))

@@ -127,9 +127,7 @@ class OnlineEstimator:
         if tuple(names) != tuple(self.joints):
             raise RobotError(f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(names)}")
         told = calibration.referenced
-        self._apart_std = np.array(
-            [LEAST_TORQUE_STD if told else relative_torque_std(robot, name) for name in self.joints]
-        )
+        self._apart_std = np.array([LEAST_TORQUE_STD if told else relative_torque_std(robot, name) for name in self.joints])
         self._calibration = calibration
         self._least_rad = COUNTS * np.array([robot.drive_trains[name].encoder_resolution for name in self.joints])
         self.centre_m = tuple(float(axis) for axis in centre_m)
@@ -400,9 +398,7 @@ class _Filter:
     def step(self, window: _Window) -> None:
         """Go on by one window."""
         start_s, hop_s = window.start_s, 0.5 * self._window_s
-        self._past.append(
-            (window, self._state[:, : 1 + self._knows.count], self._covariance, self._time_s, self._misfit)
-        )
+        self._past.append((window, self._state[:, : 1 + self._knows.count], self._covariance, self._time_s, self._misfit))
         while len(self._past) * hop_s > LATEST_STEP_S:
             self._past.popleft()
             self._onsets, self._state = self._onsets[1:], np.delete(self._state, 1 + self._knows.count, axis=1)

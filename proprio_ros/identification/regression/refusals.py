@@ -80,9 +80,7 @@ def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
         )
 
 
-def far_from_prior(
-    keys: Sequence[Key], values: FloatArray, prior: FloatArray, std: FloatArray, known: str
-) -> Iterator[Refusal]:
+def far_from_prior(keys: Sequence[Key], values: FloatArray, prior: FloatArray, std: FloatArray, known: str) -> Iterator[Refusal]:
     """Where the worst of an arm's terms is not what ``known`` has it to be.
 
     ``keys``: kind and joint of each term; ``values``: that came out; ``prior``: what should have come out; ``std``: how

@@ -211,9 +211,7 @@ def solve(
     weight, scaled, information, values, covariance = solved()
     deviations = scores(scaled, right * weight - scaled @ values, problem.stretch) @ covariance
     left_over = right - matrix @ values
-    return Solution(
-        values, covariance, information, deviations, left_over, rms, correlation, prior, between, scaled, weight
-    )
+    return Solution(values, covariance, information, deviations, left_over, rms, correlation, prior, between, scaled, weight)
 
 
 def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> float:

@@ -31,9 +31,7 @@ class Explained:
     # torque per kilogram at the payload's place, over the standard deviation of what is left over of that joint, (E,)
     by_mass: FloatArray
 
-    def joint_fits(
-        self, names: Sequence[str], joints: Sequence[str], usual: FloatArray | Sequence[float]
-    ) -> tuple[JointFit, ...]:
+    def joint_fits(self, names: Sequence[str], joints: Sequence[str], usual: FloatArray | Sequence[float]) -> tuple[JointFit, ...]:
         """Each joint of each motion that moved, thinned for a picture.
 
         Args:

@@ -84,8 +84,7 @@ class Container(
         container = container_facts(settings, defaults)
         solving = settings.options(ContainerOptions, "solver.", defaults["solver"])
         camera, std = (
-            settings.take(f"sphere.{key}", defaults["sphere"].get(key), FORMS[f"sphere.{key}"])
-            for key in ("camera", "camera_std")
+            settings.take(f"sphere.{key}", defaults["sphere"].get(key), FORMS[f"sphere.{key}"]) for key in ("camera", "camera_std")
         )
         return ContainerJob(container, solving, camera, std)
 
@@ -110,9 +109,7 @@ class Container(
         shape, law = facts.container.enclosure.shape, facts.container.law
         compile_kernels(shape, law, facts.solving.integrator, rises=robot.friction_rises)
 
-    def chooser(
-        self, robot: Robot, facts: ContainerJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
-    ) -> Chooser:
+    def chooser(self, robot: Robot, facts: ContainerJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
         from proprio_ros.probes.container.choosing import SphereUntilSure
         from proprio_ros.probes.container.identify import find_sphere, half_of
 

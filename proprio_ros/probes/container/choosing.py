@@ -89,8 +89,7 @@ class SphereUntilSure(CatalogueChooser):
         self._search = replace(search, facts=facts)
         rest = bent_pose(robot)
         still = tuple(
-            prepare_run(robot, candidates.still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell)
-            for joint in joints
+            prepare_run(robot, candidates.still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell) for joint in joints
         )
         every = self._problem(still)
         self._shared = SharedUnknowns(every)

@@ -232,9 +232,7 @@ def _band(path: SpherePath, plane: np.ndarray, scale: float) -> str:
             across = max(across, 0.5 / scale)  # an ellipse without width is not drawn
             x, y = MM * plane @ position
             turn = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
-            parts.append(
-                f'<ellipse rx="{_n(along)}" ry="{_n(across)}" transform="translate({_n(x)} {_n(y)}) rotate({_n(turn)})"/>'
-            )
+            parts.append(f'<ellipse rx="{_n(along)}" ry="{_n(across)}" transform="translate({_n(x)} {_n(y)}) rotate({_n(turn)})"/>')
     return "".join(parts)
 
 

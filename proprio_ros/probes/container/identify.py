@@ -261,9 +261,7 @@ class WeighedSphere(Conclusion):
         mass, std = self.assessed.value, self.assessed.std
         moved = max(path.moved for path in self.paths)
         if mass - Z95 * std <= 0.0:
-            yield (
-                f"the container may as well be empty: a sphere of up to {1e3 * not_negative(mass, std)[1]:.1f} g would not show"
-            )
+            yield (f"the container may as well be empty: a sphere of up to {1e3 * not_negative(mass, std)[1]:.1f} g would not show")
         elif moved < STILL_M:
             by = f" by more than {1e3 * moved:.1f} mm" if moved >= 5e-5 else ""
             fixed = "it was weighed like a fixed load: that it rolls is not confirmed; tilt further to see it roll"
@@ -298,9 +296,7 @@ class WeighedSphere(Conclusion):
         inside = enclosure.shape, enclosure.inner_size, enclosure.radius
         shown, _, _ = problem.simulate(self.fit.values[None], free[:1])
         paths = []
-        for row, (x, dx), run in zip(
-            self.rolling, problem.path(self.fit.values, free), special.sphere_runs, strict=True
-        ):
+        for row, (x, dx), run in zip(self.rolling, problem.path(self.fit.values, free), special.sphere_runs, strict=True):
             prepared = problem.runs[row]
             model = reduced_model(self.robot, prepared.run, {})
             world_from_base = model.placement[0][:3, :3]

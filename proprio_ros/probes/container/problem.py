@@ -142,9 +142,7 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
             lower[2], upper[2] = min(lower[2], mean[2]), max(upper[2], mean[2])
     guesses = [mean]
     for axis in np.flatnonzero(free & matters):
-        guesses = [
-            np.where(np.arange(3) == axis, share * room, guess) for guess in guesses for share in (0.0, -0.9, 0.9)
-        ]
+        guesses = [np.where(np.arange(3) == axis, share * room, guess) for guess in guesses for share in (0.0, -0.9, 0.9)]
     return StartPrior(mean, std, lower, upper, np.array(guesses))
 
 
@@ -181,8 +179,7 @@ def container_unknowns(
     for row, prior in zip(np.flatnonzero(rolling).tolist(), priors, strict=True):
         ranges = np.stack([prior.mean, prior.std, prior.lower, prior.upper], axis=1).tolist()
         unknowns += [
-            Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.FREE)
-            for axis, known in zip("xyz", ranges, strict=True)
+            Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.FREE) for axis, known in zip("xyz", ranges, strict=True)
         ]
     return unknowns
 
@@ -300,9 +297,7 @@ class ContainerProblem(Problem):
                 p[:, row, to["traction"]] = facts.traction
         return p, dp
 
-    def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cost, gradient, matrix = super().linearise(internal, counts)
         if not self._seen:
             return cost, gradient, matrix

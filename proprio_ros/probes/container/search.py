@@ -170,9 +170,7 @@ def _distinct(fit: FitResult) -> list[int]:
     return kept or [fit.solution.best]
 
 
-def fit_empty(
-    robot: Robot, empty: Sequence[PreparedRun], facts: ContainerFacts, options: ContainerOptions
-) -> FitResult:
+def fit_empty(robot: Robot, empty: Sequence[PreparedRun], facts: ContainerFacts, options: ContainerOptions) -> FitResult:
     """Weigh the empty container."""
     weighing = SearchOptions(integrator=options.integrator, step_s=options.step_s)
     return fit_both(partial(solve_load, robot, empty, facts.shell, weighing), unexplained)[1]

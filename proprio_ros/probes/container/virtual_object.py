@@ -65,10 +65,7 @@ class Container(objects.HandObject):
         side = self.inner_size_m
         areas = (side[1] * side[2], side[0] * side[2], side[0] * side[1])  # of the walls across x, y and z
         # along an axis the two walls across it lie at its ends, the other four are spread over it
-        x, y, z = (
-            self.mass_kg * side[i] ** 2 * (areas[i] / 4.0 + (sum(areas) - areas[i]) / 12.0) / sum(areas)
-            for i in range(3)
-        )
+        x, y, z = (self.mass_kg * side[i] ** 2 * (areas[i] / 4.0 + (sum(areas) - areas[i]) / 12.0) / sum(areas) for i in range(3))
         return (y + z, x + z, x + y, 0.0, 0.0, 0.0)
 
     @property
@@ -88,9 +85,7 @@ class Container(objects.HandObject):
                 centre, size = np.zeros(3), half + WALL_M
                 size[axis], centre[axis] = 0.5 * WALL_M, side * (half[axis] + 0.5 * WALL_M)
                 # walls meet the sphere, and nothing else anything
-                box.add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=centre, contype=1, conaffinity=0, **touching
-                )
+                box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=centre, contype=1, conaffinity=0, **touching)
         ball = spec.worldbody.add_body(name=SPHERE)
         ball.add_freejoint(name=SPHERE)
         inertia = 0.4 * self.sphere_mass_kg * self.sphere_radius_m**2

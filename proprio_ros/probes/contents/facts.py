@@ -17,9 +17,7 @@ _NEAR_HAND = Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from
 FORMS: dict[str, Form] = {
     "contents.radius": Number("of the inside of the upright cylinder", "m", 0.002, 0.5, hint=_LENGTH),
     "contents.height": Number("of its inside", "m", 0.005, 1.0, hint=_LENGTH),
-    "contents.bottom": Numbers(
-        "middle of the inside bottom in `payload.frame`", _NEAR_HAND, 3, example="[x, y, z] in m"
-    ),
+    "contents.bottom": Numbers("middle of the inside bottom in `payload.frame`", _NEAR_HAND, 3, example="[x, y, z] in m"),
     "contents.rpy": Numbers(
         "how the cylinder is turned against that frame",
         Number(unit="rad", lowest=-7.0, highest=7.0),

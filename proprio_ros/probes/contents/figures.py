@@ -20,9 +20,7 @@ def sections(estimate: Estimate) -> list[str]:
     ]
     parts = ["<h2>What is inside</h2>", bars(rows)]
     if detail.moved:
-        caption = (
-            "As the most probable model has it: how far the moving part of the contents is from the container's axis."
-        )
+        caption = "As the most probable model has it: how far the moving part of the contents is from the container's axis."
         parts += ["<h3>What moved</h3>", framed(moved_figure(detail), caption, "small-one")]
     return parts
 

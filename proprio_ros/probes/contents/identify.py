@@ -86,9 +86,7 @@ def weighted(logs: np.ndarray, of_group: np.ndarray, most: float, least: float =
     return share * within + (1.0 - share) * beside
 
 
-def fitted(
-    robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str
-) -> Modelled:
+def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str) -> Modelled:
     """A model fitted with the robot as it is stated, and from its best end with all that is open."""
     fits: list[FitResult] = []
     for role in (Role.FROZEN, Role.FREE):
@@ -274,9 +272,7 @@ class ContentsFound(Conclusion):
 
     def solver(self) -> SolverSummary:
         used = self.nominal.solution.iterations + self.fit.solution.iterations
-        return summary(
-            self.nominal, self.name, STARTS_KG, max(2e-3, self.assessed.std), used, SearchOptions(), final=self.fit
-        )
+        return summary(self.nominal, self.name, STARTS_KG, max(2e-3, self.assessed.std), used, SearchOptions(), final=self.fit)
 
     def assumptions(self) -> tuple[str, ...]:
         facts = self.facts

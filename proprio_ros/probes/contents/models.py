@@ -192,9 +192,7 @@ class ContentsProblem(Problem):
         self._prepared, self._turns = tuple(runs), [turning_with(robot, run) for run in runs]
         self._now: tuple[np.ndarray, ...] = ()
         known = load_unknowns(robot, runs, facts.shell, role, facts.mass)
-        known[0] = replace(known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG).at_role(
-            Role.FREE
-        )
+        known[0] = replace(known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG).at_role(Role.FREE)
         super().__init__(robot, runs, facts.shell, [*self.inside, *known])
         self._affine &= model == "nothing"
 
@@ -202,9 +200,7 @@ class ContentsProblem(Problem):
         if self.model not in MOVING:
             return JointSimulator(runs, integrator)
         rows = np.flatnonzero(self.filled).tolist()
-        moving = [
-            replace(container_seen(self.robot, self._prepared[r], self.container)[1], joint=runs[r]) for r in rows
-        ]
+        moving = [replace(container_seen(self.robot, self._prepared[r], self.container)[1], joint=runs[r]) for r in rows]
         plain = [runs[row] for row in np.flatnonzero(~self.filled)]
         return MixedSimulator(SloshSimulator(moving, integrator), plain, self.filled, integrator)
 

@@ -53,9 +53,7 @@ class Filled(HandObject):
         check_lengths("bottom", self.bottom_m, -LONGEST_M)
         if self.fill_m > self.height_m:
             full = 1e3 * self.height_m * self.liquid_kg / self.fill_m
-            raise ConfigurationError(
-                f"liquid={self.liquid_kg:g}: the cylinder is full with {full:.0f} g; give less, in kg"
-            )
+            raise ConfigurationError(f"liquid={self.liquid_kg:g}: the cylinder is full with {full:.0f} g; give less, in kg")
 
     @property
     def fill_m(self) -> float:
@@ -66,9 +64,7 @@ class Filled(HandObject):
     def emptied(self) -> Payload:
         """The cylinder with nothing in it."""
         x, y, z = self.bottom_m
-        return Payload(
-            self.mass_kg, (x, y, z + 0.5 * self.height_m), inertia_kg_m2=self._solid(self.mass_kg, self.height_m, 2.0)
-        )
+        return Payload(self.mass_kg, (x, y, z + 0.5 * self.height_m), inertia_kg_m2=self._solid(self.mass_kg, self.height_m, 2.0))
 
     def _solid(self, mass: float, tall: float, hollow: float = 1.0) -> SixOfInertia:
         across = mass * (hollow * self.radius_m**2 / 4.0 + tall**2 / 12.0)

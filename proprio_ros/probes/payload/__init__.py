@@ -127,9 +127,7 @@ class Payload(
 
         return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
 
-    def chooser(
-        self, robot: Robot, facts: PayloadJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
-    ) -> Chooser:
+    def chooser(self, robot: Robot, facts: PayloadJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
         from proprio_ros.experiment_design.until import UntilSure
         from proprio_ros.quantity import Z95
 

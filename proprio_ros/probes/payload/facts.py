@@ -17,9 +17,7 @@ _NEAR_HAND = Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from
 _LENGTH = Number(unit="m", lowest=0.0, highest=1.0, hint="lengths are in m")
 FORMS: dict[str, Form] = {
     "payload.com": Numbers("centre of mass in `payload.frame`", _NEAR_HAND, 3, example=_PLACE),
-    "payload.com_std": Numbers(
-        "how far the true centre may lie from it; above 0 it is estimated, too", _LENGTH, 3, example=_PLACE
-    ),
+    "payload.com_std": Numbers("how far the true centre may lie from it; above 0 it is estimated, too", _LENGTH, 3, example=_PLACE),
     "payload.shape": Choice("of uniform density", SHAPES),
     "payload.size_std_relative": Number(
         "of the mass's spread (size squared); counts only while shape and size are not stated", "", 0.0, 10.0

@@ -146,9 +146,7 @@ def _weigh(
     estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
         return estimate, None
-    stamped = tuple(
-        f"{reason.split(': ')[0]}: " for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off"
-    )
+    stamped = tuple(f"{reason.split(': ')[0]}: " for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off")
     rows = [row for row, run in enumerate(usable) if stamped and f"{run.run.name}: ".startswith(stamped)]
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
@@ -221,9 +219,7 @@ def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[
     return tuple(doubling * share for share in SWING_STARTS)
 
 
-def _drift(
-    robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
-) -> list[Refusal]:
+def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions) -> list[Refusal]:
     """What an empty hand that does not weigh nothing says against the calibration."""
     if not baseline:
         return []
@@ -315,9 +311,7 @@ class Weighed(Conclusion):
             yield rejected("stood_still", "a joint stood still that should have moved", sticks)
         if mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6):
             bound = "the mass ended on a bound of the search"
-            yield rejected(
-                "on_bound", bound, f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?"
-            )
+            yield rejected("on_bound", bound, f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?")
         if moving := [] if fit.explains or self.swings else self._moving_starts():
             yield self.misfit_of(*moving)
         yield from self.misfit()
@@ -336,9 +330,7 @@ class Weighed(Conclusion):
         if self.swings and loads and COVERED * mass < min(loads):
             said = f"{self.runs[0].run.joint} swings as with {shown('kg', mass, spec='.0f')}, and no load of its calibration was "
             said += f"lighter than {shown('kg', min(loads), spec='.0f')}; a swing does not tell whose it is: another servo or arm "
-            said += (
-                "than the one that was calibrated reads like that. If it is this one, calibrate with such a load, too"
-            )
+            said += "than the one that was calibrated reads like that. If it is this one, calibrate with such a load, too"
             yield not_identifiable("not_covered", "the calibration does not cover so light a load", said)
 
     def _all_refusals(self) -> Iterator[Refusal]:
@@ -386,9 +378,7 @@ class Weighed(Conclusion):
         """What each mistake is called, and the fit without it where that is of a payload."""
         for mistake in mistakes:
             try:
-                undone = [
-                    prepare_run(self.robot, mistake.undone(each.run), each.load, self.facts) for each in self.runs
-                ]
+                undone = [prepare_run(self.robot, mistake.undone(each.run), each.load, self.facts) for each in self.runs]
                 fit = fit_opened(partial(solve_load, self.robot, undone, self.facts, self.options))
             except (RecordingError, np.linalg.LinAlgError):
                 continue
@@ -480,8 +470,7 @@ def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], wit
     silent = (priors > 0.0) & (stds > 0.7 * priors) | bool(withheld)
     intervals = np.stack([values - Z95 * stds, values + Z95 * stds], axis=1)
     value, std, interval = (
-        [None if off else each for each, off in zip(of.tolist(), silent, strict=True)]
-        for of in (values, stds, intervals)
+        [None if off else each for each, off in zip(of.tolist(), silent, strict=True)] for of in (values, stds, intervals)
     )
     unexcited = ", ".join(axis for axis, off in zip("xyz", silent, strict=True) if off)
     reason = f"{unexcited} not excited: the probe adds nothing to the prior" if unexcited else ""

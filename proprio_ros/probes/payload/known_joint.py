@@ -26,9 +26,7 @@ MISFIT_RATIO = 5.0
 """A motion may be explained so much worse than those of the calibration, which may have been gentler."""
 
 
-def identify_known_joint(
-    robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts
-) -> Estimate:
+def identify_known_joint(robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts) -> Estimate:
     """Identify the payload that all ``motions`` share.
 
     ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of this very joint; ``facts``: where

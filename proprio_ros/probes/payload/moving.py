@@ -128,9 +128,7 @@ def identify_in_motion(
     named = refusal
     if len(motions) > 1 and refusal.verdict is Verdict.REJECTED:
         with suppress(RecordingError):  # one is too short by itself
-            named = _apart(
-                refusal, motions, [fit_payload(robot, [m], calibration, empty=beside) for m in motions], known
-            )
+            named = _apart(refusal, motions, [fit_payload(robot, [m], calibration, empty=beside) for m in motions], known)
     if named is refusal:
         named = with_cause(refusal, robot, (*motions, *baseline))
     if centre is not None and named is refusal:
@@ -171,9 +169,7 @@ def _apart(refusal: Refusal, motions: Sequence[Motion], alone: Sequence[MotionFi
     return replace(refusal, reasons=(Reason("runs_contradict", f"{said}: {cure}"), *refusal.reasons))
 
 
-def _elsewhere(
-    refusal: Refusal, motions: Sequence[Motion], stated: Centre, fit: MotionFit, free: MotionFit, known: str
-) -> Refusal:
+def _elsewhere(refusal: Refusal, motions: Sequence[Motion], stated: Centre, fit: MotionFit, free: MotionFit, known: str) -> Refusal:
     """The refusal, with what a fit that looks for the payload's centre says of the one that was stated, where that explains all."""
     place = _place(free)[0].value
     if not isinstance(place, list) or None in place or judge(_refusals(motions, free, known)) is not ACCEPTED:
@@ -302,9 +298,7 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     names = [name for name, told in zip(("xx", "xy", "xz", "yy", "yz", "zz"), seen, strict=True) if not told]
     reason = ""
     if names:
-        reason = (
-            f"{', '.join(names)} not determined by this motion: turn the hand faster about the axes that it is about"
-        )
+        reason = f"{', '.join(names)} not determined by this motion: turn the hand faster about the axes that it is about"
     return Value(
         "payload_inertia",
         "kg m^2",

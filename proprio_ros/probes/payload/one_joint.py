@@ -72,9 +72,7 @@ def torque_std(robot: Robot, joint: str) -> float:
     return UNSTATED_TORQUE_STD
 
 
-def identify_one_joint(
-    robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts
-) -> Estimate:
+def identify_one_joint(robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts) -> Estimate:
     """Identify how the joint swings, and the payload that all ``motions`` share.
 
     Args:
@@ -171,9 +169,7 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
             "little about the load: record a motion in which the motor lifts, holds back and turns the load round",
         )
     inertia, inertia_std = float(fit.values[1]), float(fit.std[1])
-    unseen = (
-        abs(inertia) < fit.quantile * inertia_std or 0.0 < float(fit.values[0]) < LEAST_LENGTH_SHARE * weighed.lever_m
-    )
+    unseen = abs(inertia) < fit.quantile * inertia_std or 0.0 < float(fit.values[0]) < LEAST_LENGTH_SHARE * weighed.lever_m
     if unexplained <= UNEXPLAINED_SHARE and unseen:
         yield not_identifiable(
             "says_too_little",
@@ -280,11 +276,7 @@ def _estimate(
         value, std = float(fit.values[0]), float(fit.std[0])
         bounds = [value - fit.quantile * std, value + fit.quantile * std]
         length = Value("equivalent_pendulum_length", "m", value, std, bounds)
-    arm = (
-        "an empty hand in the same motion"
-        if empty is not None
-        else f"the bodies of the URDF, to {100.0 * URDF_SHARE:.0f} %"
-    )
+    arm = "an empty hand in the same motion" if empty is not None else f"the bodies of the URDF, to {100.0 * URDF_SHARE:.0f} %"
     mass = positive("payload_mass", "kg", weighed.mass, weighed.std, mass_refusal.withheld, quantile=fit.quantile)
     return motion_answer(
         robot,

@@ -69,9 +69,7 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
         RecordingError: See ``weigh``.
     """
     if len(runs) != 1:
-        raise ConfigurationError(
-            f"profile paper fits one run at a time, not {len(runs)}: choose one bag, or the default profile"
-        )
+        raise ConfigurationError(f"profile paper fits one run at a time, not {len(runs)}: choose one bag, or the default profile")
     run = runs[0]
     honest = weigh(robot, runs, facts, WeighingOptions())
     if honest.fit is None:  # the joint did not move, or nothing of the run is usable: there is nothing to fit
@@ -135,15 +133,11 @@ def last_frame_loss(robot: Robot, run: Run, facts: PayloadFacts, options: PaperO
         ConfigurationError: The loss wants a sample that the run does not have.
         RecordingError: See ``prepare_run``.
     """
-    prepared = prepare_run(
-        robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0), held_position={})
-    )
+    prepared = prepare_run(robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0), held_position={}))
     last = (len(run.times_s) - 1) if options.loss_sample is None else options.loss_sample
     loss_time = float(run.times_s[last]) if options.loss_time_s is None else options.loss_time_s
     if not 0 <= last < len(run.times_s) or loss_time <= 0.0:
-        raise ConfigurationError(
-            f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples"
-        )
+        raise ConfigurationError(f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples")
     step = FRAME_S / options.substeps
     return LastFrame(robot, prepared, facts, step, loss_time, float(run.position[last]))
 
@@ -152,9 +146,7 @@ def _without_interval(reason: str) -> str:
     """A reason of the default profile; where that speaks of its interval, it is said whose interval that is."""
     match getattr(reason, "code", "other"):
         case "not_calibrated":
-            return Reason(
-                "not_calibrated", "the robot has not been calibrated: the method takes its file's numbers as exact"
-            )
+            return Reason("not_calibrated", "the robot has not been calibrated: the method takes its file's numbers as exact")
         case "coarse_fit" | "guessed_facts" | "too_wide" as code:
             return Reason(code, f"default profile: {reason}")
     return reason
@@ -189,9 +181,7 @@ class LastFrame:
         whole: The same robot and run with all samples, to see how the rest of the trajectory fits.
     """
 
-    def __init__(
-        self, robot: Robot, run: PreparedRun, facts: PayloadFacts, step_s: float, time_s: float, target: float
-    ) -> None:
+    def __init__(self, robot: Robot, run: PreparedRun, facts: PayloadFacts, step_s: float, time_s: float, target: float) -> None:
         self._target = target
         self.prepared, self.step_s, self.time_s = run, step_s, time_s
         last = replace(run.run, times_s=np.array([time_s]), position=np.array([target]))

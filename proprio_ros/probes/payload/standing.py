@@ -52,9 +52,7 @@ def identify_standing(
         centre = None if centre_std_m is None else (centre_m, centre_std_m)
         moving = fit_payload(robot, motions, learnt, centre=centre, least=1)
     arm_kg = Arm.of(robot, learnt.joints, dict(motions[0].held)).kg
-    refusal = judge(
-        chain(of_arm, _refusals(motions[0].name, fit, moving, learnt.arm_over_urdf), _too_wide(fit, arm_kg))
-    )
+    refusal = judge(chain(of_arm, _refusals(motions[0].name, fit, moving, learnt.arm_over_urdf), _too_wide(fit, arm_kg)))
     how = (
         f"{fit.moved_s:.1f} s of motion, each under the friction of the calibration"
         if fit.moved_s

@@ -91,9 +91,7 @@ class Softness(
         block = block_facts(settings, defaults["block"])
         return SoftnessJob(block, settings.options(SqueezeOptions, "solver.", defaults["solver"]))
 
-    def check(
-        self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, limits: Mapping[str, float]
-    ) -> None:
+    def check(self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, limits: Mapping[str, float]) -> None:
         joint, *others = {run.joint for run in sequence.runs}
         if others or robot.model.joint(joint).kind != "prismatic":
             raise ConfigurationError(
@@ -139,9 +137,7 @@ class Softness(
             lines.append(f"  Poisson's ratio {ratio:<12g}" + "".join(f"{value:10.4f}" for value in row))
         return content, "\n".join(lines)
 
-    def chooser(
-        self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
-    ) -> Chooser:
+    def chooser(self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
         from proprio_ros.probes.softness.choosing import SqueezesUntilSure
         from proprio_ros.quantity import Z95
 

@@ -54,9 +54,7 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     if mesh is not None:
         size = mesh.size.tolist()
         if max(size) > 0.5:
-            raise ConfigurationError(
-                f"block.mesh={path}: is {max(size):g} m long; if it is in mm, state block.mesh_scale=0.001"
-            )
+            raise ConfigurationError(f"block.mesh={path}: is {max(size):g} m long; if it is in mm, state block.mesh_scale=0.001")
     three = size if isinstance(size, list) else [size] * 3
     edges = np.array(read("block.size", three, Numbers("", _SIZE, 3, example="[x, y, z] in m")))
     take("mass")  # a block's weight changes its squeeze by less than a thousandth; stated or not, it is not used

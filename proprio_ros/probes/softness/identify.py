@@ -298,14 +298,11 @@ class Squeezed(Conclusion):
         if not 1e-3 < ratio < HIGHEST_RATIO - 1e-3:
             # the fit could go no further, so it gives no interval either: what is known is the prior
             known = np.diag([both[0, 0], prior.std**2])
-            undetermined = (
-                f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not determine it; {better}"
-            )
+            undetermined = f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not determine it; {better}"
             return modulus, prior.value, known, undetermined
         if RATIO_SPREAD * std > PRIOR_DOMINATED * prior.std:
             undetermined = (
-                f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; "
-                f"{better}"
+                f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; {better}"
             )
             return modulus, ratio, both, undetermined
         spread = np.array([1.0, RATIO_SPREAD])
@@ -368,9 +365,7 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
         return ()
     moduli = lame_of_small_strain(facts.law, *lame(1.0, ratio))
     try:
-        squeezed = QuasiStatic(mesh, facts.law, facts.contact).curve(
-            mesh.length * np.maximum(squeeze[at], 0.0), *moduli
-        )
+        squeezed = QuasiStatic(mesh, facts.law, facts.contact).curve(mesh.length * np.maximum(squeeze[at], 0.0), *moduli)
     except SimulationError:
         return ()
     places = squeezed.points
@@ -378,8 +373,7 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
     middle[..., 0] = 0.5 * (places[..., 0].min(axis=1) + places[..., 0].max(axis=1))[:, None]
     scaled = (places - middle) / mesh.length
     return tuple(
-        BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.surface)
-        for row, points in zip(at, scaled, strict=True)
+        BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.surface) for row, points in zip(at, scaled, strict=True)
     )
 
 

@@ -67,9 +67,7 @@ class SoftBlock(HandObject):
 
     def check(self, arm: VirtualArm) -> None:
         if arm.finger is None:
-            raise ConfigurationError(
-                f"{arm.robot.name} drives no sliding finger that could press a block; hold a payload instead"
-            )
+            raise ConfigurationError(f"{arm.robot.name} drives no sliding finger that could press a block; hold a payload instead")
 
     def act(self, arm: VirtualArm, force: FloatArray) -> None:
         """Presses the driven finger, with what those that follow it pass on; positive opens."""

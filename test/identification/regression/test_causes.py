@@ -88,9 +88,7 @@ def test_a_centre_that_is_stated_wrongly_is_named(robot: Robot) -> None:
     right, wrong = (PayloadFacts(com=com, com_std=(0.003, 0.003, 0.003)) for com in (tuple(held[1]), (0.25, 0.0, 0.0)))
     assert identify_in_motion(robot, [loaded], [empty], right, True).verdict is Verdict.ACCEPTED
     answer = identify_in_motion(robot, [loaded], [empty], wrong, True)
-    assert answer.verdict is Verdict.REJECTED and answer.reasons[0].startswith(
-        "loaded: payload.com is stated as [0.25, 0, 0]"
-    )
+    assert answer.verdict is Verdict.REJECTED and answer.reasons[0].startswith("loaded: payload.com is stated as [0.25, 0, 0]")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         answer = identify_in_motion(robot, [efforts(0.0, LIFT)(loaded)], [empty], right)

@@ -141,9 +141,7 @@ def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) ->
     early = problem.only(problem.carrying & (problem.stretch < 2))
     np.testing.assert_array_equal(early.torque, parts[0].torque[parts[0].stretch < 2])
     assert problem.stretches_of(problem.carrying, "loaded", 15.0) >= 4
-    with pytest.raises(
-        RecordingError, match=r"empty: only \d+ s of motion can be used; record 10 s at least, better 50"
-    ):
+    with pytest.raises(RecordingError, match=r"empty: only \d+ s of motion can be used; record 10 s at least, better 50"):
         problem.stretches_of(~problem.carrying, "empty", 50.0)
 
 

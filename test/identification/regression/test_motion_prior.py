@@ -52,9 +52,7 @@ def test_windows_that_share_an_error_count_less() -> None:
 
 @pytest.fixture(scope="module")
 def robots(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Robot]:
-    return {
-        len(build.axes): load_robot(write_robot(tmp_path_factory.mktemp("twin"), build=build)) for build in (SIX, FOUR)
-    }
+    return {len(build.axes): load_robot(write_robot(tmp_path_factory.mktemp("twin"), build=build)) for build in (SIX, FOUR)}
 
 
 @pytest.fixture(scope="module")
@@ -84,9 +82,7 @@ def test_torques_in_another_unit_than_the_empty_ones_are_no_payload(
     factor[1] *= 0.7 if torque == "one joint" else 1.0
     loaded = replace(loaded, current_A=loaded.current_A * factor)
     if calibrated:
-        estimate = identify_in_motion(
-            replace(robot, motion_calibration=fit_empty(robot, [empty])), [loaded], [], PayloadFacts()
-        )
+        estimate = identify_in_motion(replace(robot, motion_calibration=fit_empty(robot, [empty])), [loaded], [], PayloadFacts())
     else:
         estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
     if not codes:
@@ -185,9 +181,7 @@ def test_what_is_too_short_or_of_another_arm_is_refused(robots: dict[int, Robot]
     motion = arm.record("empty", 11.0)
     known = fit_empty(robot, [motion])
     rows = motion.times_s < 6.0
-    short = replace(
-        motion, times_s=motion.times_s[rows], position=motion.position[rows], current_A=motion.current_A[rows]
-    )
+    short = replace(motion, times_s=motion.times_s[rows], position=motion.position[rows], current_A=motion.current_A[rows])
     with pytest.raises(RecordingError, match="record 10 s"):
         fit_empty(robot, [short])
     with pytest.raises(RecordingError, match="record 10 s"):

@@ -155,9 +155,7 @@ def test_what_must_be_refused(twin: Recorded) -> None:
 def test_too_short_a_motion_is_said(twin: Recorded) -> None:
     robot, empty, loaded, _ = twin
     kept = loaded.times_s < 6.0
-    short = replace(
-        loaded, times_s=loaded.times_s[kept], position=loaded.position[kept], current_A=loaded.current_A[kept]
-    )
+    short = replace(loaded, times_s=loaded.times_s[kept], position=loaded.position[kept], current_A=loaded.current_A[kept])
     with pytest.raises(RecordingError, match="record 10 s"):
         fit_payload(robot, [short], fit_empty(robot, [empty]))
 
