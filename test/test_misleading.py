@@ -331,6 +331,26 @@ def test_commands_stamped_by_another_clock_are_refused_without_a_calibration(
         assert low <= 0.023 <= high
 
 
+@pytest.mark.long
+def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot: Robot) -> None:
+    """A computer that is busy elsewhere; two of four are no minority, and nobody knows which are right."""
+    folders = sorted(bags.glob("realistic_s00_empty_*_joint[23]"))
+    learnt = calibrate(robot, [LoadedRun(run) for f in folders for run in bag_runs(bag_in(f), Request(robot))]).calibration
+    assert learnt is not None
+    known = robot.with_calibration(learnt)
+    folders = sorted(bags.glob("realistic_s00_fixed_reference_100g_*"))
+    good = [run for folder in folders for run in stamped_off(folder, known, 0.0)]
+    late = [replace(run, name=f"late {run.name}") for folder in folders for run in stamped_off(folder, known, -0.08)]
+    assert len(good) == 3
+    facts = PayloadFacts(shape=PayloadShape.of("cube", 0.03))
+    alone, beside = (weigh(known, runs, facts) for runs in (good, [*good, late[-1]]))
+    assert alone.verdict is beside.verdict is Verdict.ACCEPTED, (alone.reasons, beside.reasons)
+    assert beside.values[0].ci95 == pytest.approx(alone.values[0].ci95, rel=1e-6)
+    said = " ".join(beside.reasons)
+    assert late[-1].name in said and "1 of 4" in said and beside.runs == 4
+    assert weigh(known, [*good[:2], *late[:2]], facts).verdict is Verdict.REJECTED
+
+
 # --- facts that nobody stated ------------------------------------------------------------------------------------------
 
 

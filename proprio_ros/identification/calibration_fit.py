@@ -36,7 +36,7 @@ must go on with shorter ones, or it ends where it has not arrived, and takes wha
 PSEUDO_RUNS = 2.0  # weight of the robot file's word on run-to-run torque, in runs
 PSEUDO_SAMPLES = 10.0  # weight of the robot file's word on encoder noise and stamp jitter, in samples
 FINEST_RAD = 4e-4
-"""No model of a joint is finer, whatever its encoder is: believed to 0.05 mrad, what friction does otherwise than its law was taken
+"""No model of a joint is finer, whatever its encoder is: believed to 0.06 mrad, what friction does otherwise than its law was taken
 for torque that comes and goes, ten times what there was, and honest runs of an arm of 15 bits contradicted each other."""
 RISE_STEPS = (0.1, 0.3, 1.0)
 """Of the standard deviation of a term of the rise of friction, one after the other: a joint that sticks has no gradient."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate, EmptyHand, HeldOutRun
 from proprio_ros.identification.calibration_fit import Fitted, fit, of_runs, spread_of_runs, with_another_rise
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
@@ -48,6 +49,7 @@ UNLEARNT = 0.7  # posterior over prior standard deviation above which the runs h
 INSEPARABLE = 0.95  # correlation above which two unknowns are determined only together
 MAYBE_NOT_EMPTY = 3.0  # standard deviations of a mass in the empty hand beyond which that is said
 SAID_AT_MOST = 6
+HIDDEN_STARTS, HIDDEN_ITERATIONS = 3, 20
 HIDDEN_STEP_KG = 1e-4  # with which the sensitivity to a mass in the empty hand is taken by difference
 
 
@@ -215,28 +217,39 @@ def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior, reference
     """The mass with which the hand of all empty runs would fit best: one step from the fit, everything else moving with it.
 
     A score test (Rao 1948): the fit's gradient by a mass that it does not have, over the information that no other unknown takes.
-    With ``references`` the same of them: by how much they are heavier than stated.
+    A joint that sticks has a gradient of its own at every step; so the mass counts for as many standard deviations as the runs are
+    explained better with it, and no more. With ``references`` the same of them: by how much they are heavier than stated.
     """
 
-    def hiding(run: PreparedRun) -> PreparedRun:
+    def hiding(run: PreparedRun, more_kg: float) -> PreparedRun:
         load = run.load or KnownLoad()
         if (load.mass > 0.0) is not references or not run.coefficients.payload.any():
             return run
-        return replace(run, load=replace(load, mass=load.mass + HIDDEN_STEP_KG))
+        return replace(run, load=replace(load, mass=load.mass + more_kg))
 
-    runs = [hiding(run) for run in problem.runs]
-    if all(run is was for run, was in zip(runs, problem.runs, strict=True)):
+    def hiding_all(more_kg: float) -> Problem:
+        runs = [hiding(run, more_kg) for run in problem.runs]
+        return Problem(problem.robot, runs, problem.facts, problem.unknowns)
+
+    if all(hiding(run, 1.0) is run for run in problem.runs):
         return None
-    loaded = Problem(problem.robot, runs, problem.facts, problem.unknowns)
-    some = problem.free[:1]
-    change = loaded.simulate(at[None], some)[0] - problem.simulate(at[None], some)[0]
-    seen = problem.weight > 0.0
+    some, seen = problem.free[:1], problem.weight > 0.0
+    change = hiding_all(HIDDEN_STEP_KG).simulate(at[None], some)[0] - problem.simulate(at[None], some)[0]
     slope = change[0][seen] / HIDDEN_STEP_KG * problem.weight[seen]
     across = posterior.sensitivity.T @ slope
     information = float(slope @ slope - across @ posterior.covariance @ across)
     if information <= 0.0:
         return None
-    return EmptyHand(float(slope @ posterior.residual) / information, information**-0.5)
+    mass, std = float(slope @ posterior.residual) / information, information**-0.5
+    if abs(mass) > MAYBE_NOT_EMPTY * std:
+        follows = posterior.covariance @ across * mass
+        open_to = [problem.unknowns[row] for row in problem.free]
+        places = at[problem.free] - np.linspace(0.0, 1.0, HIDDEN_STARTS)[:, None] * follows
+        starts = problem.coordinates.internal(np.clip(places, [u.lower for u in open_to], [u.upper for u in open_to]))
+        before = problem.linearise(starts[:1])[0]
+        after = solvers.levenberg_marquardt(hiding_all(mass), starts, None, iterations=HIDDEN_ITERATIONS).cost
+        std = max(std, abs(mass) / max(2.0 * float(before[0] - after.min()), 1e-6) ** 0.5)
+    return EmptyHand(mass, std)
 
 
 def not_empty(hand: EmptyHand | None, beyond: float, up_to: float = np.inf) -> list[str]:

@@ -99,11 +99,17 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
 
 
 def onset_std(robot: Robot, run: PreparedRun) -> float:
-    """How the delay differs from run to run; where the input is measured effort, its onset is only known to one period."""
+    """How the delay differs from run to run.
+
+    Where the input is measured effort, its onset is only known to one period. Where joint states pause around it, whoever takes
+    commands may have paused, too, or not: then it may be anywhere in the pause.
+    """
     if run.run.free:  # no command begins it
         return 0.0
-    period = float(np.median(np.diff(run.run.times_s))) if run.run.source == MEASURED_EFFORT else 0.0
-    return float(np.hypot(robot.onset_jitter_s, period / 2.0))
+    period = float(np.median(np.diff(run.run.times_s)))
+    pause = float(run.run.times_s[0] - run.run.before_times_s[-1]) if len(run.run.before_times_s) else 0.0
+    known_to = (period / 2.0 if run.run.source == MEASURED_EFFORT else 0.0, pause / 12.0**0.5 if pause > 2.5 * period else 0.0)
+    return float(np.hypot(np.hypot(robot.onset_jitter_s, known_to[0]), known_to[1]))
 
 
 def _from_quantity(kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf) -> Unknown:

@@ -88,47 +88,49 @@ def weigh(
 
     Of four runs or more, one in four at most is left out that contradicts the others, or is not stamped as its joint moved: a
     computer that is busy elsewhere pushes late now and then. What is left must agree. The baseline is runs with nothing in the
-    hand, fitted together with the others; they show whether the robot has changed since
-    its calibration.
+    hand, fitted together with the others; they show whether the robot has changed since its calibration.
 
     Raises:
         RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
     kept, left_out = list(runs), list[str]()
-    estimate, spoilt = first = _weigh(robot, kept, facts, options, baseline)
+    estimate, weighed, spoilt = first = _weigh(robot, kept, facts, options, baseline)
     while spoilt is not None and len(left_out) + 1 <= gates.LEFT_OUT_AT_MOST * len(runs):
         left_out.append(spoilt.name)
         kept = [run for run in kept if run is not spoilt]
-        estimate, spoilt = _weigh(robot, kept, facts, options, baseline)
-    if not left_out or estimate.verdict is Verdict.REJECTED:
-        return first[0]
-    left = Reason(
-        "runs_differ",
-        gates.said_left_out(left_out, len(runs), "was the object held as in the others, and nothing in the way?"),
-    )
-    return replace(estimate, reasons=(*estimate.reasons, left), runs=len(runs))
+        estimate, _, spoilt = _weigh(robot, kept, facts, options, baseline)
+    if estimate.verdict is Verdict.REJECTED:
+        cause = () if weighed is None else weighed.cause
+        return replace(first[0], reasons=(*cause, *first[0].reasons))
+    if not left_out:
+        return estimate
+    question = "was the object held as in the others, and nothing in the way?"
+    said = Reason("runs_differ", gates.said_left_out(left_out, len(runs), question))
+    return replace(estimate, reasons=(*estimate.reasons, said), runs=len(runs))
 
 
 def _weigh(
     robot: Robot, runs: Sequence[Run], facts: PayloadFacts | None, options: WeighingOptions | None, baseline: Sequence[Run]
-) -> tuple[Estimate, Run | None]:  # fmt: skip
-    """The answer, and the run that stands in its way, where there is one."""
+) -> tuple[Estimate, Weighed | None, Run | None]:  # fmt: skip
+    """The answer, what may tell the cause of a refusal, and the run that stands in its way, where there is one."""
     facts = facts or PayloadFacts()
     options = options or WeighingOptions()
     found, weighing = gates.Findings(), 0
     usable: list[PreparedRun] = []
+    given: list[Run] = []  # what these were made from
     still: list[PreparedRun] = []
     for run, load in [*((run, None) for run in runs), *((run, KnownLoad()) for run in baseline)]:
         prepared = prepare_run(robot, run, load, facts)
         if gates.admitted(robot, prepared, found):
             usable.append(prepared)
+            given.append(run)
             weighing += load is None
         elif prepared.used >= gates.MIN_USED:
             still.append(prepared)
     if not weighing:
-        return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes), None
+        return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes), None, None
     if swings.are_free_responses(usable):
-        return _weigh_swings(robot, usable, facts, options, found, len(runs)), None
+        return _weigh_swings(robot, usable, facts, options, found, len(runs)), None, None
     drift = _drift(robot, usable[weighing:], facts, options)
     known = robot.is_calibrated(joints_of(usable))
 
@@ -145,13 +147,13 @@ def _weigh(
     weighed = Weighed(nominal, opened, found, len(runs), facts, options, still, against=drift)
     estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
-        return estimate, None
+        return estimate, weighed, None
     stamped = tuple(f"{reason.split(': ')[0]}: " for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off")
     rows = [row for row, run in enumerate(usable) if stamped and f"{run.run.name}: ".startswith(stamped)]
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
-    spoilt = next((usable[row].run for row in rows if usable[row].load is None), None)
-    return replace(estimate, reasons=(*weighed.cause, *estimate.reasons)), spoilt
+    spoilt = next((given[row] for row in rows if usable[row].load is None), None)
+    return estimate, weighed, spoilt
 
 
 def _weigh_swings(
