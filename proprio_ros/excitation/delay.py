@@ -23,37 +23,42 @@ LONGEST_S = 0.08  # is assumed until the joints have shown the delay
 KEPT, LONG_AGO_S = 512, -1e9  # commands and positions; before the first one
 GAP_S = 0.075  # across a longer one positions say nothing of accelerations
 SLOW_S = 0.3  # what changes more slowly than this is no effect of an effort: it rubs, or hangs there
-REMEMBERED_S = 20.0
+REMEMBERED_S = 1.0  # a stall in mid-nudge is soon forgotten
 ASKED_RAD_S2 = 2.0  # efforts that ask for less say nothing beside an encoder's noise
-LEAST_RAD_S2 = 1.4  # nor do accelerations whose root mean square over a second, with zero beyond, is less
+LEAST_RAD_S2 = 2.2  # nor do accelerations whose root mean square over a second, with zero beyond, is less
 SURE = 0.75  # least squared correlation of efforts and accelerations; at the right lag, nudges had 0.8 to 0.99
 NUDGE_S, NUDGE_REST_S, NUDGES = 0.05, 0.12, 8
 NUDGE_RAD_S2, NUDGE_RAISED = 5.0, 1.5
+NUDGED_RAD = 0.01  # a joint that moves so far is nudged no harder
 
 
 class Nudge:
-    """Short jerks to and fro of one joint, by which an arm that stands shows the delay: begun with little and raised."""
+    """Short jerks to and fro of one joint, by which an arm that stands shows the delay: begun with little, raised till it moves."""
 
     def __init__(self) -> None:
         self._begun_s: float | None = None
-        self._made = 0
+        self._made = self._raised = 0
+        self._from_rad = self._moved_rad = 0.0
 
     @property
     def over(self) -> bool:
         """Whether all were made."""
         return self._made >= NUDGES
 
-    def at(self, now_s: float) -> float:
-        """Acceleration now [rad/s^2]."""
+    def at(self, now_s: float, position_rad: float) -> float:
+        """Acceleration now, of a joint that is there [rad/s^2]."""
         if self._begun_s is None:
-            self._begun_s = now_s + NUDGE_REST_S
+            self._begun_s, self._from_rad = now_s + NUDGE_REST_S, position_rad
         elapsed_s = now_s - self._begun_s
+        self._moved_rad = max(self._moved_rad, abs(position_rad - self._from_rad))
         if elapsed_s >= 2.0 * NUDGE_S + NUDGE_REST_S:
             self._made, self._begun_s, elapsed_s = self._made + 1, now_s, 0.0
+            self._raised += self._moved_rad < NUDGED_RAD
+            self._from_rad, self._moved_rad = position_rad, 0.0
         if self.over or not 0.0 <= elapsed_s < 2.0 * NUDGE_S:
             return 0.0
         first = 1.0 if elapsed_s < NUDGE_S else -1.0
-        return first * (-1.0) ** self._made * NUDGE_RAD_S2 * NUDGE_RAISED**self._made
+        return first * (-1.0) ** self._made * NUDGE_RAD_S2 * NUDGE_RAISED**self._raised
 
 
 class Delay:
@@ -65,14 +70,22 @@ class Delay:
 
     def __init__(self, joints: int) -> None:
         self.delay_s: float | None = None
-        self._sent_s = np.full(KEPT, LONG_AGO_S)  # in order of time, the newest last
-        self._sent = np.zeros((KEPT, 3, joints))  # effort, its integral, and that one's integral, at that time
-        self._seen_s = np.full(KEPT, LONG_AGO_S)
-        self._seen = np.zeros((KEPT, joints))
+        self._joints = joints
+        self._restart()
         self._slow_effort, self._slow_inertial = np.zeros((len(LAGS_S), joints)), np.zeros(joints)
-        self._seen_for_s = 0.0
         # of effort by effort, effort by acceleration, for each lag, and acceleration by acceleration, over time
         self._xx, self._xy, self._yy = np.zeros(len(LAGS_S)), np.zeros(len(LAGS_S)), 0.0
+
+    def _restart(self) -> None:
+        self._sent_s = np.full(KEPT, LONG_AGO_S)  # in order of time, the newest last
+        self._sent = np.zeros((KEPT, 3, self._joints))  # effort, its integral, and that one's integral, at that time
+        self._seen_s = np.full(KEPT, LONG_AGO_S)
+        self._seen = np.zeros((KEPT, self._joints))
+        self._seen_for_s = 0.0
+
+    def slipped(self) -> None:
+        """An encoder has: positions before the next reading are other places."""
+        self._seen_for_s = -math.inf
 
     @property
     def assumed_s(self) -> float:
@@ -86,6 +99,8 @@ class Delay:
 
     def sent(self, time_s: float, effort: Sequence[float]) -> None:
         """Efforts are commanded from a time on, that of the latest reading [N m or N]."""
+        if time_s < self.last_s - GAP_S:  # a clock was set back
+            self._restart()
         if time_s <= self.last_s:
             self._sent[-1, 0] = effort
             return
@@ -105,11 +120,14 @@ class Delay:
             The inertial efforts of late, and the efforts behind them, weighed alike, shape (J,); None while too little was seen.
         """
         step_s = time_s - self._seen_s[-1]
+        if step_s < -GAP_S:
+            self._restart()
+            return None
         if step_s <= 0.0:
             return None
         self._seen_s[:-1], self._seen[:-1] = self._seen_s[1:], self._seen[1:]
         self._seen_s[-1], self._seen[-1] = time_s, position
-        self._seen_for_s = self._seen_for_s + step_s if step_s <= GAP_S else 0.0
+        self._seen_for_s = self._seen_for_s + step_s if step_s <= GAP_S and self._seen_for_s >= 0.0 else 0.0
         if self._seen_for_s < 2.0 * WINDOW_S:
             return None
         places_s = time_s - WINDOW_S * np.arange(3)

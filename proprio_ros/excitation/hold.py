@@ -179,6 +179,7 @@ class Hold:
             if abs(value - before) > self.gains.jump_rad * self._per_rad[name]:
                 # the arm is where it was: only what it reads has changed
                 self._velocity[name] = 0.0
+                self.delay.slipped()
                 if name in self._goal:
                     self._goal[name] += value - before
             elif not 0.0 < step_s <= GAP_S:
@@ -276,7 +277,7 @@ class Hold:
         nudged, nudge = "", 0.0
         if self.nudging:
             nudged = max(self.joints, key=lambda name: self._inertia[name] * self._per_rad[name] / self.largest[name])
-            nudge = self._nudge.at(now_s) * self._per_rad[nudged]
+            nudge = self._nudge.at(now_s, self._position[nudged] / self._per_rad[nudged]) * self._per_rad[nudged]
         for name in self.joints:
             if name in pushed:
                 self._leaning[name] = 0.0

@@ -52,7 +52,8 @@ class Joints:
 def test_a_nudge_shows_the_delay(delay_s: float, count_rad: float) -> None:
     joints = Joints(delay_s, count_rad)
     assert joints.delay.delay_s is None and joints.delay.assumed_s == LONGEST_S
-    joints.nudge(np.array([4.0, 0.0]))
+    for sign in (1.0, -1.0):
+        joints.nudge(np.array([4.0 * sign, 0.0]))
     assert joints.delay.delay_s == pytest.approx(delay_s, abs=0.003)
 
 
@@ -90,10 +91,36 @@ def test_positions_are_carried_on_to_where_an_effort_that_is_sent_now_works() ->
 
 def test_nudges_go_to_and_fro_begin_with_little_and_end() -> None:
     nudge, step_s = Nudge(), 1e-3
-    asked = [nudge.at(100.0 + step_s * step) for step in range(4000)]
+    asked = [nudge.at(100.0 + step_s * step, 0.2) for step in range(4000)]
     assert sum(asked) * step_s == pytest.approx(0.0, abs=0.03 * NUDGE_RAISED**NUDGES)
     assert max(map(abs, asked[:200])) == NUDGE_RAD_S2
     assert nudge.over and asked[-1] == 0.0
+
+
+def test_a_joint_that_moves_is_nudged_no_harder() -> None:
+    nudge, hardest, position, velocity, step_s = Nudge(), 0.0, 0.2, 0.0, 1e-3
+    for step in range(4000):
+        acceleration = nudge.at(100.0 + step_s * step, position)
+        hardest = max(hardest, abs(acceleration))
+        velocity += acceleration * step_s
+        position += velocity * step_s
+    assert nudge.over and hardest == NUDGE_RAD_S2
+
+
+def test_an_encoder_that_slips_and_a_clock_that_is_set_back_pull_at_nothing() -> None:
+    joints = Joints(0.01)
+    joints.nudge(np.array([4.0, 0.0]))
+    joints.run(0.2, np.zeros(2))
+    joints.told.clear()
+    joints.position = joints.position + 1.0
+    joints.delay.slipped()
+    joints.run(0.3, np.zeros(2))
+    joints.time_s -= 1000.0
+    joints._coming.clear()
+    joints.run(0.3, np.zeros(2))
+    assert len(joints.told) > 150
+    assert max(np.abs(inertial - effort).max() for inertial, effort in joints.told) < 0.05
+    assert joints.delay.delay_s == pytest.approx(0.01, abs=0.003)
 
 
 def arm_of(name: str) -> Robot:
