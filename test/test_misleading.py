@@ -339,8 +339,10 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot:
     assert learnt is not None
     known = robot.with_calibration(learnt)
     folders = sorted(bags.glob("realistic_s00_fixed_reference_100g_*"))
-    good = [run for folder in folders for run in stamped_off(folder, known, 0.0)]
-    late = [replace(run, name=f"late {run.name}") for folder in folders for run in stamped_off(folder, known, -0.08)]
+    good, late = (
+        [replace(run, name=f"bag#{first + row}") for row, folder in enumerate(folders) for run in stamped_off(folder, known, off_s)]
+        for first, off_s in ((1, 0.0), (4, -0.08))
+    )
     assert len(good) == 3
     facts = PayloadFacts(shape=PayloadShape.of("cube", 0.03))
     alone, beside = (weigh(known, runs, facts) for runs in (good, [*good, late[-1]]))
@@ -349,6 +351,8 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot:
     said = " ".join(beside.reasons)
     assert late[-1].name in said and "1 of 4" in said and beside.runs == 4
     assert weigh(known, [*good[:2], *late[:2]], facts).verdict is Verdict.REJECTED
+    other = replace(late[-1], name="another bag#1")
+    assert weigh(known, [*good, other], facts).verdict is Verdict.REJECTED, "it may be of another object"
 
 
 # --- facts that nobody stated ------------------------------------------------------------------------------------------

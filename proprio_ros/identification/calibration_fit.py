@@ -35,9 +35,9 @@ SWING_ITERATIONS = 60
 must go on with shorter ones, or it ends where it has not arrived, and takes what it misses for the swings' noise."""
 PSEUDO_RUNS = 2.0  # weight of the robot file's word on run-to-run torque, in runs
 PSEUDO_SAMPLES = 10.0  # weight of the robot file's word on encoder noise and stamp jitter, in samples
-FINEST_RAD = 4e-4
-"""No model of a joint is finer, whatever its encoder is: believed to 0.06 mrad, what friction does otherwise than its law was taken
-for torque that comes and goes, ten times what there was, and honest runs of an arm of 15 bits contradicted each other."""
+FINEST_RAD, COMES_AND_GOES = 4e-4, 2.0
+"""An arm of 15 bits was believed to 0.06 mrad: what friction does otherwise than its law was taken for torque that comes and goes,
+ten times what there was, and honest runs contradicted each other."""
 RISE_STEPS = (0.1, 0.3, 1.0)
 """Of the standard deviation of a term of the rise of friction, one after the other: a joint that sticks has no gradient."""
 
@@ -71,7 +71,19 @@ class Fitted:
 
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
-    """Maximum a posteriori of all unknowns, the noise by its evidence."""
+    """Maximum a posteriori of all unknowns, the noise by its evidence.
+
+    Where runs that are believed to less than `FINEST_RAD` need more torque that comes and goes than the robot file expects, the law
+    of friction is coarser than the encoder, and they are believed to that.
+    """
+    fitted = _fit(robot, runs, 0.0)
+    finest = min(fitted.noise.residual_scale * run.drive.reading_std for run in runs)
+    if not runs[0].run.free and finest < FINEST_RAD and fitted.noise.torque_disturbance > COMES_AND_GOES * robot.torque_disturbance:
+        return _fit(robot, runs, FINEST_RAD)
+    return fitted
+
+
+def _fit(robot: Robot, runs: Sequence[PreparedRun], finest_rad: float) -> Fitted:
     noise = Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity, robot.friction_spread)
     swings = runs[0].run.free
     if swings:
@@ -83,6 +95,8 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         before, noise = noise, (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
+        finest = max(finest_rad / run.drive.reading_std for run in runs)
+        noise = replace(noise, residual_scale=max(noise.residual_scale, finest))
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
         values = FitResult.of(problem, solvers.levenberg_marquardt(problem, start, None, iterations=again_most)).values
@@ -188,8 +202,7 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
         disturbance = spread_of_runs(robot.torque_disturbance, found, learnt)
     found, learnt = of_runs("v0", problem, posterior, noise.start_velocity)
     start_velocity = spread_of_runs(robot.start_velocity, found, learnt)
-    scale = max(float(np.sqrt(scale2)), *(FINEST_RAD / run.drive.reading_std for run in problem.runs))
-    return Noise(scale, float(np.sqrt(jitter2)), disturbance, start_velocity)
+    return Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, start_velocity)
 
 
 def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:

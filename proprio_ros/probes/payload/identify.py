@@ -86,16 +86,18 @@ def weigh(
 ) -> Estimate:
     """Identify the payload that all ``runs`` share; without facts it is a ball of unknown size at the payload frame.
 
-    Of four runs or more, one in four at most is left out that contradicts the others, or is not stamped as its joint moved: a
-    computer that is busy elsewhere pushes late now and then. What is left must agree. The baseline is runs with nothing in the
-    hand, fitted together with the others; they show whether the robot has changed since its calibration.
+    Of four runs or more of one recording, one in four at most is left out that contradicts the others, or is not stamped as its
+    joint moved: a computer that is busy elsewhere pushes late now and then. What is left must agree. Another recording may be of
+    another object. The baseline is runs with nothing in the hand, fitted together with the others; they show whether the robot
+    has changed since its calibration.
 
     Raises:
         RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
     kept, left_out = list(runs), list[str]()
     estimate, weighed, spoilt = first = _weigh(robot, kept, facts, options, baseline)
-    while spoilt is not None and len(left_out) + 1 <= gates.LEFT_OUT_AT_MOST * len(runs):
+    one = len({run.name.rpartition("#")[0] or run.name for run in runs}) == 1
+    while one and spoilt is not None and len(left_out) + 1 <= gates.LEFT_OUT_AT_MOST * len(runs):
         left_out.append(spoilt.name)
         kept = [run for run in kept if run is not spoilt]
         estimate, _, spoilt = _weigh(robot, kept, facts, options, baseline)
