@@ -22,10 +22,8 @@ from proprio_ros.robot.drives import PositionServo
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.loads import Loads
 
-BRISK_RAD_S, NUDGING_PACE = (
-    15.0,
-    0.1,
-)  # a hold as stiff as this follows as fast as a sequence says; the arm is asked for its delay
+BRISK_RAD_S = 15.0  # a hold as stiff as this follows as fast as a sequence says
+NUDGING_PACE = 0.1  # while the arm is asked for its delay
 UNITS = ("N.m", "A")  # what the drive takes an effort for: torque (N of a slide), or the motor's current
 DRIFT = 1e-4  # two clocks may run apart by so much
 CLOCK_SET_S = 0.5  # a clock that is off by more has been set

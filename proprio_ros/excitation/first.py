@@ -86,17 +86,17 @@ def _push(robot: Robot, name: str, start: Mapping[str, float], up: float, lifts:
     per_A = drive.nominal_effort_per_current
     rotor = (drive.armature.value or drive.armature.std) / drive.transmission**2
     weight_A, slow_A = load.gravity[name] / per_A, ACCELERATION_RAD_S2 * (load.inertia[name] + rotor) / abs(per_A)
-    most_A = plans.largest_current_A(robot, name)
+    most_A = 0.9 * plans.largest_current_A(robot, name)
     limits = {"min_travel": LEAST_TRAVEL_RAD, "max_travel": TRAVEL_RAD}
     if not lifts and abs(weight_A) > 4.0 * slow_A:
-        lowered = max(-0.9 * most_A, min(0.9 * most_A, SUPPORT * weight_A))
-        return plans.ExcitationRun(name, lowered, DURATION_S, start, raise_by=0.7, **limits)
+        lowered_A = max(-most_A, min(SUPPORT * weight_A, most_A))
+        return plans.ExcitationRun(name, lowered_A, DURATION_S, start, raise_by=0.7, **limits)
     current_A = weight_A + up * math.copysign(slow_A, per_A)
     if abs(current_A) < plans.LEAST_CURRENT_A:
         current_A = up * math.copysign(plans.LEAST_CURRENT_A, per_A)
     raised = min(max(1.0 + slow_A / abs(current_A), 1.15), 1.6)
-    bounded = math.copysign(min(abs(current_A), 0.9 * most_A), current_A)
-    return plans.ExcitationRun(name, bounded, DURATION_S, start, raise_by=raised, max_current_A=0.9 * most_A, **limits)
+    bounded_A = max(-most_A, min(current_A, most_A))
+    return plans.ExcitationRun(name, bounded_A, DURATION_S, start, raise_by=raised, max_current_A=most_A, **limits)
 
 
 def lever_m(robot: Robot, joint: str, pose: Mapping[str, float]) -> float:

@@ -126,6 +126,11 @@ class Hold:
         return 1.0 / self._period_s if self._period_s > 0.0 else 0.0
 
     @property
+    def _now_s(self) -> float:
+        """Of the latest reading; 0 before there is one."""
+        return max(self._time_s.values(), default=0.0)
+
+    @property
     def frequency_rad_s(self) -> float:
         """How stiff it is now: as stated, and less where joint states come slowly or efforts late."""
         slow_s = max(self._period_s, self.wait_s)
@@ -212,9 +217,8 @@ class Hold:
 
     def _weigh(self) -> None:
         """What hangs at all joints as something in the hand would, hangs in the hand, and pulls otherwise in another pose."""
-        weights = {
-            name: self._per_kg[name] / self.largest[name] ** 2 for name in self.joints
-        }  # friction grows with what a joint can
+        # friction, and with it what is not known, grows with what a joint can
+        weights = {name: self._per_kg[name] / self.largest[name] ** 2 for name in self.joints}
         squares = sum(weight * self._per_kg[name] for name, weight in weights.items())
         if squares <= 0.0:
             return
@@ -228,7 +232,7 @@ class Hold:
 
     def aim(self, goal: Mapping[str, float]) -> None:
         """Hold joints there from now on [rad or m]; goals that move from call to call are followed with their velocity."""
-        now_s = max(self._time_s.values(), default=0.0)
+        now_s = self._now_s
         step_s = 0.0 if self._goal_time_s is None else now_s - self._goal_time_s
         if self._goal_time_s is not None and step_s == 0.0 and all(self._goal.get(n) == q for n, q in goal.items()):
             return
@@ -262,7 +266,9 @@ class Hold:
 
         Zeros once a joint is lost.
         """
-        self._look_for_lost(pushed)
+        now_s = self._now_s
+        self._pushed_s |= dict.fromkeys(pushed, now_s)
+        self._look_for_lost(pushed, now_s)
         if self.lost:
             return dict.fromkeys(self.joints, 0.0)
         self._update_loads()
@@ -271,7 +277,6 @@ class Hold:
         ahead = self._ahead()
         efforts = {}
         reaction = self._reaction(pushed)
-        now_s = max(self._time_s.values(), default=0.0)
         if self._goal_time_s is not None and now_s - self._goal_time_s > GAP_S:  # nobody moves them any more
             self._goal_velocity = dict.fromkeys(self.joints, 0.0)
         nudged, nudge = "", 0.0
@@ -296,8 +301,8 @@ class Hold:
             steady = self._gravity[name] + self._sum[name] + reaction.get(name, 0.0)
             wanted = steady + max(-most, min(most, correcting))
             if name == nudged:
-                hardest = NUDGE_SHARE * self.largest[name]
-                wanted += max(-hardest, min(hardest, nudge * inertia))
+                jerk = NUDGE_SHARE * self.largest[name]
+                wanted += max(-jerk, min(jerk, nudge * inertia))
             efforts[name] = self._bounded(name, wanted)
             if not pushed:
                 leaning = max(-most, min(most, spring * bounded_off)) if slow == 0.0 else 0.0
@@ -322,7 +327,7 @@ class Hold:
 
     def sent(self, efforts: Mapping[str, float]) -> None:
         """These are commanded [N m or N]; what `efforts` gives is."""
-        self.delay.sent(max(self._time_s.values(), default=0.0), [efforts[n] - self._gravity[n] for n in self.joints])
+        self.delay.sent(self._now_s, [efforts[n] - self._gravity[n] for n in self.joints])
 
     def _ahead(self) -> dict[str, tuple[float, float]]:
         """Where joints will be, and how fast, when what is sent now comes into effect."""
@@ -349,9 +354,7 @@ class Hold:
                 reaction[other] = reaction.get(other, 0.0) + by_acceleration * acceleration + by_speed * velocity**2
         return reaction
 
-    def _look_for_lost(self, pushed: Mapping[str, float]) -> None:
-        now_s = max(self._time_s.values(), default=0.0)
-        self._pushed_s |= dict.fromkeys(pushed, now_s)
+    def _look_for_lost(self, pushed: Mapping[str, float], now_s: float) -> None:
         for name in self.joints:
             if self.lost or name in pushed:
                 continue

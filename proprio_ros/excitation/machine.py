@@ -97,11 +97,10 @@ class ExcitationMachine:
         outcomes: What became of each push of the present or last sequence.
         attempt: How many times the present run was begun.
         fraction: How much of the sequence is behind us by expected time, 0 to 1; it never falls.
+        pace: How fast joints follow, 1 or less: ways take so much longer, and joints have so much longer to come to rest.
         message: One sentence on what is going on, or how it ended.
         abort_reason, aborted_by: Why the last sequence was ended, and what ended it, as in `RunOutcome.ended_by`; else empty.
     """
-
-    pace = 1.0  # of ways; less than 1 is slower
 
     def __init__(self, robot: Robot, guards: Guards | None = None) -> None:
         self.robot = robot
@@ -114,6 +113,7 @@ class ExcitationMachine:
         self.command = Command()
         self.outcomes: list[RunOutcome] = []
         self.attempt = 1
+        self.pace = 1.0
         self.fraction = 0.0
         self.message = "waiting for a sequence"
         self.abort_reason = self.aborted_by = ""

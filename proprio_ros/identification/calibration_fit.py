@@ -92,10 +92,10 @@ def _fit(robot: Robot, runs: Sequence[PreparedRun], finest_rad: float) -> Fitted
     most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
     solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=most)
     values = FitResult.of(problem, solution).values
+    finest = max(finest_rad / run.drive.reading_std for run in runs)
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         before, noise = noise, (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
-        finest = max(finest_rad / run.drive.reading_std for run in runs)
         noise = replace(noise, residual_scale=max(noise.residual_scale, finest))
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -108,8 +109,9 @@ def onset_std(robot: Robot, run: PreparedRun) -> float:
         return 0.0
     period = float(np.median(np.diff(run.run.times_s)))
     pause = float(run.run.times_s[0] - run.run.before_times_s[-1]) if len(run.run.before_times_s) else 0.0
-    known_to = (period / 2.0 if run.run.source == MEASURED_EFFORT else 0.0, pause / 12.0**0.5 if pause > 2.5 * period else 0.0)
-    return float(np.hypot(np.hypot(robot.onset_jitter_s, known_to[0]), known_to[1]))
+    of_measured = period / 2.0 if run.run.source == MEASURED_EFFORT else 0.0
+    of_pause = pause / 12.0**0.5 if pause > 2.5 * period else 0.0
+    return math.hypot(robot.onset_jitter_s, of_measured, of_pause)
 
 
 def _from_quantity(kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf) -> Unknown:

@@ -254,7 +254,8 @@ class ExcitationNode(ManagedNode):
         machine = self._machine
         if not machine.busy:
             return
-        machine.pace = 1.0 if self._output.controller is None else self._output.controller.pace
+        if self._output.controller is not None:
+            machine.pace = self._output.controller.pace
         command = machine.tick(now, self._sample)
         self._send(command)
         if not machine.busy:
@@ -282,10 +283,6 @@ class ExcitationNode(ManagedNode):
         """However a sequence ended, controllers are what they were."""
         if self._switched is not None:
             self._switched.back()
-
-    @property
-    def _held_kg(self) -> float:
-        return 0.0 if self._output.controller is None else self._output.controller.held_kg
 
     @property
     def busy(self) -> bool:
@@ -329,7 +326,9 @@ class ExcitationNode(ManagedNode):
             return False, why
         assert self._sample is not None
         try:
-            sequence = load_sequence(value_of(self, "probe"), self._robot, self._held_kg)
+            controller = self._output.controller
+            held_kg = 0.0 if controller is None else controller.held_kg
+            sequence = load_sequence(value_of(self, "probe"), self._robot, held_kg)
             self._machine.start(sequence, self._sample)
             self._output.begin()
         except ProprioError as error:

@@ -65,14 +65,14 @@ class Loads:
             places.append(frame @ motion(joint.kind, joint.axis, multiplier * pose[name] + offset))
             moving.append(multiplier * _velocity(joint.kind, frame, joint.axis))
         beyond = [place @ pseudo @ place.T for place, pseudo in zip(places, self._pseudo, strict=True)]
-        held = places[self._hand] @ self._held_at if self._hand >= 0 else np.zeros(4)
-        if self._hand >= 0:
-            beyond[self._hand] = beyond[self._hand] + held_kg * np.outer(held, held)
         per_kg = dict.fromkeys(self.joints, 0.0)
-        row = self._hand
-        while row >= 0:
-            per_kg[self._driving[row][0]] -= float(self._gravity @ (moving[row] @ held)[:3])
-            row = parents[row]
+        if self._hand >= 0:
+            held = places[self._hand] @ self._held_at
+            beyond[self._hand] = beyond[self._hand] + held_kg * np.outer(held, held)
+            row = self._hand
+            while row >= 0:
+                per_kg[self._driving[row][0]] -= float(self._gravity @ (moving[row] @ held)[:3])
+                row = parents[row]
         for row in range(len(places) - 1, 0, -1):
             if parents[row] >= 0:
                 beyond[parents[row]] = beyond[parents[row]] + beyond[row]

@@ -11,7 +11,7 @@ import pytest
 from proprio_ros.excitation.controllers import EffortController
 from proprio_ros.excitation.delay import LONGEST_S, NUDGE_RAD_S2, NUDGE_RAISED, NUDGES, Delay, Nudge
 from proprio_ros.excitation.first import first_sequence
-from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot import load_robot
 
 INERTIA = np.array([[0.4, 0.1], [0.1, 0.05]])
 PERIOD_S = 0.002
@@ -123,12 +123,8 @@ def test_an_encoder_that_slips_and_a_clock_that_is_set_back_pull_at_nothing() ->
     assert joints.delay.delay_s == pytest.approx(0.01, abs=0.003)
 
 
-def arm_of(name: str) -> Robot:
-    return load_robot(name)
-
-
 def test_what_hangs_in_the_hand_is_pushed_against_with_as_much_more() -> None:
-    robot = arm_of("ur10e")
+    robot = load_robot("ur10e")
     empty, loaded = (first_sequence(robot, "payload", held_kg) for held_kg in (0.0, 5.0))
     assert len(empty.runs) == len(loaded.runs)
     more = [abs(other.current_A) - abs(run.current_A) for run, other in zip(empty.runs, loaded.runs, strict=True)]
@@ -136,7 +132,7 @@ def test_what_hangs_in_the_hand_is_pushed_against_with_as_much_more() -> None:
 
 
 def test_whoever_commands_says_how_late_and_how_fast() -> None:
-    robot = arm_of("open_manipulator_x")
+    robot = load_robot("open_manipulator_x")
     controller = EffortController(robot, tuple(robot.drive_trains), "N.m")
     assert controller.late_s == 0.0 and controller.held_kg == 0.0
     assert 0.0 < controller.pace < 0.5, "until the arm has shown its delay it is slow"

@@ -150,8 +150,8 @@ def _weigh(
     estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
         return estimate, weighed, None
-    stamped = tuple(f"{reason.split(': ')[0]}: " for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off")
-    rows = [row for row, run in enumerate(usable) if stamped and f"{run.run.name}: ".startswith(stamped)]
+    off = [reason for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off"]
+    rows = [row for row, run in enumerate(usable) if any(reason.startswith(f"{run.run.name}: ") for reason in off)]
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
     spoilt = next((given[row] for row in rows if usable[row].load is None), None)
