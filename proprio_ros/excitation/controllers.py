@@ -216,7 +216,8 @@ class EffortController(Controller):
         """The same; nothing is pushed any more."""
         self.pushed_A = {}
         efforts = self._hold.steady()
-        self._hold.sent(efforts)
+        if not self.lost:
+            self._hold.sent(efforts)
         return self._listed(efforts)
 
     def release(self) -> list[float]:

@@ -68,6 +68,7 @@ def test_a_push_ends_when_the_arm_is_lost() -> None:
         controller.observe(2.0 + 0.1 * step, {**POSE, "joint1": 0.01 * step})
     assert controller.commands() == [0.0] * len(ORDER)
     assert controller.lost and not any(controller.record.values())
+    assert controller.steady() == [0.0] * len(ORDER), "also where it was lost before it was held"
     controller.begin()
     assert not controller.lost and any(controller.commands())
 
