@@ -14,16 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.records import Run
-from proprio_ros.robot import ReducedModel, Robot
+from proprio_ros.robot import DriveTrain, ReducedModel, Robot
 from proprio_ros.sim.payload import PayloadFacts, pseudo_inertia_basis
 
-KNOT_S = 0.025  # spacing of the accelerations that describe a motion; the joint states come no faster
-SEGMENT_S = 0.0125  # the torque is constant over so long, at its value in the middle; its bends are ten times slower
+FINEST_KNOT_S, KNOT_S = 0.005, 0.025  # spacing of the accelerations that describe a motion
+MUCH_FINER, FINER_STEPS = 30.0, 6
+"""So much finer than they are said to be readings may be, and so many steps to there are tried."""
 MOVED_EVIDENCE = 5.0
 """Natural logarithm of how much more probable the readings must be with a motion than without: else the joint stood still."""
 LOCKED_SCALES = np.geomspace(0.02, 10.0, 10)
 """Accelerations [rad/s^2] that a yielding joint is tried with; 0.02 moves it by 1 mrad in 0.3 s."""
 DRIVEN_SCALES = np.geomspace(1.0, 300.0, 8)
+REST_S = 0.2  # where a joint rests is determined from so much of what was recorded before the onset [s]
+AWAY_READINGS = 4.0  # farther from there than this, in counts with their noise, it was still on its way
 
 
 @dataclass(frozen=True)
@@ -64,34 +67,61 @@ def _basis(times_s: np.ndarray, knots_s: np.ndarray) -> tuple[np.ndarray, np.nda
 def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.ndarray) -> Motion:
     """The motion that readings show: acceleration as a random walk, how large by the evidence (Kimeldorf & Wahba 1970).
 
+    Readings may be finer than they are said to be, down to their rounding: how fine they are, the evidence decides, too.
+
     Args:
         times_s: Increasing; before 0 the joint is at rest, shape (T,).
         position: Readings [rad], shape (T,).
-        sigma: Standard deviation of a reading [rad].
+        sigma: Standard deviation of a reading at most [rad].
         scales: Accelerations that the walk reaches by the end, to be tried [rad/s^2].
     """
-    end = float(times_s[-1])
-    count = max(int(np.ceil(end / KNOT_S)), 1) + 1
-    knots = np.linspace(0.0, max(end, KNOT_S), count)
+    knots = _knots(times_s)
     shape, _, _ = _basis(times_s, knots)
     # a walk from a free start: covariance of its values at the knots, for scale 1
-    walk = (np.minimum.outer(knots, knots) + knots[-1]) / (2.0 * knots[-1])
-    middle = float(np.mean(position))
-    off = position - middle
-    ones = np.ones((len(off), len(off))) * np.pi**2  # where the joint rests is not known beforehand
-    noise = sigma**2 * np.eye(len(off))
+    walk = np.linalg.cholesky((np.minimum.outer(knots, knots) + knots[-1]) / (2.0 * knots[-1]))
+    # where the joint rests is not known beforehand
+    middle, off = float(np.mean(position)), position - np.mean(position)
+    spread = shape @ walk
+    left, size, right = np.linalg.svd(spread - spread.mean(axis=0), full_matrices=False)
+    along = left.T @ off
+    across, more = max(float(off @ off - along @ along), 0.0), len(off) - 1 - len(size)
+    noise = np.unique(np.append(np.geomspace(max(_rounding(position), sigma / MUCH_FINER), sigma, FINER_STEPS), sigma))
+    noise = noise[noise <= sigma][:, None] ** 2
+    variance = noise[..., None] + (scales[:, None] * size) ** 2  # shape (N, S, K)
+    evidence = -0.5 * (np.sum(along**2 / variance + np.log(variance), axis=2) + across / noise + more * np.log(noise))
+    still = -0.5 * ((along @ along + across) / noise + (len(size) + more) * np.log(noise))
+    fine, best = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
+    acceleration = walk @ (right.T @ (scales[best] ** 2 * size * along / variance[fine, best]))
+    start = middle - float(np.mean(shape @ acceleration))
+    return Motion(start, knots, acceleration, float(evidence[fine, best] - still.max()))
 
-    def evidence(covariance: np.ndarray) -> tuple[float, np.ndarray]:
-        factor = np.linalg.cholesky(covariance)
-        solved = np.linalg.solve(covariance, off)
-        return float(-0.5 * off @ solved - np.log(np.diag(factor)).sum()), solved
 
-    still, _ = evidence(noise + ones)
-    spread = shape @ walk @ shape.T
-    tried = [(*evidence(noise + ones + scale**2 * spread), scale) for scale in scales]
-    best, solved, scale = max(tried, key=lambda entry: entry[0])
-    start = middle + float(np.pi**2 * solved.sum())
-    return Motion(start, knots, scale**2 * (walk @ (shape.T @ solved)), best - still)
+def _knots(times_s: np.ndarray) -> np.ndarray:
+    """Where accelerations are, twice as far apart as readings, as far as that makes sense."""
+    apart, end = float(np.clip(2.0 * np.median(np.diff(times_s)), FINEST_KNOT_S, KNOT_S)), float(times_s[-1])
+    return np.linspace(0.0, max(end, apart), max(int(np.ceil(end / apart)), 1) + 1)
+
+
+def _rounding(position: np.ndarray) -> float:
+    """Standard deviation of the error of rounding to counts, as the smallest step between readings says [rad]."""
+    steps = np.diff(np.sort(position))
+    steps = steps[steps > 1e-9]
+    return float(steps.min()) / math.sqrt(12.0) if len(steps) else 0.0
+
+
+def rests_from(before_times_s: np.ndarray, before: np.ndarray, drive: DriveTrain) -> int:
+    """Row of what was recorded before the onset from which on a joint had come to rest; the first where it had not.
+
+    A recording holds up to a second of it, and an excitation may settle for less after its way there, or a held joint slip.
+    """
+    last = before[before_times_s >= -REST_S]
+    if len(last) == 0:
+        return 0
+    reading = float(np.hypot(drive.encoder_resolution, drive.encoder_noise))
+    if (steps := np.abs(np.diff(before))).any():  # an encoder that is finer than it is said to be
+        reading = min(reading, float(np.hypot(steps[steps > 0.0].min(), np.median(steps))))
+    off = np.abs(before - np.median(last)) > AWAY_READINGS * reading
+    return 0 if off[-len(last) :].any() or not off.any() else int(np.flatnonzero(off)[-1]) + 1
 
 
 def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str, Motion]:
@@ -102,7 +132,8 @@ def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str,
         drive, readings = robot.drive_trains.get(name), run.held_position.get(name)
         if drive is None or readings is None or np.ptp(readings) == 0.0 or robot.model.joint(name).kind == "prismatic":
             continue
-        motion = smooth(times_s, readings, drive.reading_std, LOCKED_SCALES)
+        rests = rests_from(run.before_times_s, readings[: len(run.before_times_s)], drive)
+        motion = smooth(times_s[rests:], readings[rests:], drive.reading_std, LOCKED_SCALES)
         if motion.evidence > MOVED_EVIDENCE:
             found[name] = motion
     return found
@@ -121,14 +152,17 @@ def loads_of_yielding(
     """
     held = {**run.held, **{name: motion.start for name, motion in motions.items()}}
     model = robot.model.lock([run.joint, *motions], held, robot.gravity)
-    times_s = np.concatenate([run.before_times_s, run.times_s])
-    driven = smooth(times_s, np.concatenate([run.before_position, run.position]), noise, DRIVEN_SCALES)
-    begins = np.arange(0.0, float(run.times_s[-1]), SEGMENT_S)
+    rests = rests_from(run.before_times_s, run.before_position, robot.drive_trains[run.joint])
+    times_s = np.concatenate([run.before_times_s, run.times_s])[rests:]
+    driven = smooth(times_s, np.concatenate([run.before_position, run.position])[rests:], noise, DRIVEN_SCALES)
+    # the torque is constant over half of what is between two knots, at its value in the middle; its bends are ten times slower
+    segment_s = 0.5 * float(driven.knots_s[1])
+    begins = np.arange(0.0, float(run.times_s[-1]), segment_s)
     rest = np.zeros(len(begins))
     still, moving = [], []
     for name in model.joint_names:
         motion = driven if name == run.joint else motions[name]
-        away, velocity, acceleration = motion.at(begins + 0.5 * SEGMENT_S)
+        away, velocity, acceleration = motion.at(begins + 0.5 * segment_s)
         moving.append((motion.start + away, velocity, acceleration))
         still.append(moving[-1] if name == run.joint else (rest + motion.start, rest, rest))
     body, body_from_payload = model.frames[robot.payload_frame]

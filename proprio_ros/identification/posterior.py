@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from proprio_ros.identification.estimate import RunFit
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.solvers import bounded_step
 
 
 class Posterior:
@@ -42,6 +44,18 @@ class Posterior:
         self.covariance = (vectors / kept) @ vectors.T * scale[:, None] * scale[None, :]
         self.condition = float(values_of[-1] / max(values_of[0], 1e-300))
 
+    @functools.cached_property
+    def step(self) -> np.ndarray:
+        """To where the linearised problem, without the inflation, has its least cost inside the bounds, shape (F,).
+
+        A fit ends near a kink of friction and not in it; of what only one run determines, that little would make a run that all
+        others contradict.
+        """
+        coordinates = self.problem.coordinates
+        internal = coordinates.internal(self.values[self.problem.free])[None]
+        _, downhill, matrix = self.problem.linearise(internal)
+        return (bounded_step(internal, downhill, matrix, np.zeros(1), coordinates) * coordinates.slope(internal))[0]
+
     def whole_covariance(self) -> np.ndarray:
         """Covariance of all unknowns, shape (N, N); zero where an unknown is not free."""
         covariance = np.zeros((len(self.problem.unknowns),) * 2)
@@ -71,8 +85,9 @@ class Posterior:
         rows = self.run == run
         own = self.sensitivity[rows]
         kept = np.eye(int(rows.sum())) - own @ self.covariance @ own.T
-        whitened = np.linalg.solve(kept, self.residual[rows])
-        return whitened / self._weight[rows], float(self.residual[rows] @ whitened)
+        residual = self.residual[rows] - own @ self.step
+        whitened = np.linalg.solve(kept, residual)
+        return whitened / self._weight[rows], float(residual @ whitened)
 
 
 def run_fits(problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]) -> tuple[tuple[RunFit, ...], float, float]:

@@ -14,14 +14,12 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.coefficients import Coefficients, arm_coefficients, slide_coefficients
-from proprio_ros.identification.locked_joints import Motion, loads_of_yielding, locked_motions
+from proprio_ros.identification.locked_joints import Motion, loads_of_yielding, locked_motions, rests_from
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
 from proprio_ros.sim.payload import PayloadFacts, payload_parameters
 
-REST_S = 0.2  # where a joint rests is determined from so much of what was recorded before the onset [s]
-AWAY_READINGS = 4.0  # farther from there than this, in counts with their noise, it was still on its way
 START_STD = 0.1  # how far off a free swing's first reading may be: next to nothing is assumed [rad]
 SLOPE_S = 0.08  # over which the velocity is taken with which a free swing begins [s]
 FIRST_SWING_ERROR = 0.02  # what is taken for the error of a simulated swing until the swing shows it [rad]
@@ -213,7 +211,7 @@ def _rest(robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
     """Where the joint was before the onset; of a free swing, where it begins."""
     if run.free:
         return Quantity(float(run.position[0]), START_STD)
-    resting = _at_rest(run, drive)
+    resting = run.before_position[rests_from(run.before_times_s, run.before_position, drive) :]
     if len(resting) == 0:
         return Quantity(float(run.position[0]), 3.0 * (robot.residual_scale * drive.reading_std))
     # at rest the rounding error repeats, so only the noise averages out
@@ -258,22 +256,6 @@ def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
     off = np.abs(run.reported_effort / unit - command)
     noise = 1.4826 * float(np.median(off[slow]))
     return off <= np.maximum(0.05 * np.abs(command), 4.0 * noise)
-
-
-def _at_rest(run: Run, drive: DriveTrain) -> np.ndarray:
-    """Positions before the onset from where the joint had come to rest; all of them where it had not.
-
-    A recording holds up to a second of what was before, and an excitation may settle for less after its way there.
-    """
-    position = run.before_position
-    last = position[run.before_times_s >= -REST_S]
-    if len(last) == 0:
-        return position
-    reading = float(np.hypot(drive.encoder_resolution, drive.encoder_noise))
-    off = np.abs(position - np.median(last)) > AWAY_READINGS * reading
-    if off[-len(last) :].any() or not off.any():
-        return position
-    return position[np.flatnonzero(off)[-1] + 1 :]
 
 
 def _usable_window(

@@ -240,7 +240,7 @@ def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior, reference
     information = float(slope @ slope - across @ posterior.covariance @ across)
     if information <= 0.0:
         return None
-    mass, std = float(slope @ posterior.residual) / information, information**-0.5
+    mass, std = float(slope @ posterior.residual - across @ posterior.step) / information, information**-0.5
     if abs(mass) > MAYBE_NOT_EMPTY * std:
         follows = posterior.covariance @ across * mass
         open_to = [problem.unknowns[row] for row in problem.free]

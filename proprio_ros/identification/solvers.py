@@ -44,7 +44,7 @@ class Solution:
         return int(np.argmin(self.cost))
 
 
-def _bounded_step(
+def bounded_step(
     u: np.ndarray, gradient: np.ndarray, matrix: np.ndarray, damping: np.ndarray, coordinates: Coordinates
 ) -> np.ndarray:
     """Damped Gauss-Newton step of every start, shape (S, F), that respects the bounds.
@@ -116,7 +116,7 @@ def levenberg_marquardt(
         if not path_cost:
             path_cost.append(cost.copy())
         for _ in range(iterations if last else window_iterations):
-            step = _bounded_step(u, gradient, matrix, damping, coordinates)
+            step = bounded_step(u, gradient, matrix, damping, coordinates)
             trial = np.clip(u + step, coordinates.lower, coordinates.upper)
             trial_cost, trial_gradient, trial_matrix = problem.linearise(trial, counts)
             better = np.isfinite(trial_cost) & (trial_cost <= cost)

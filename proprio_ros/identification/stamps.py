@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.locked_joints import rests_from
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import onset_std
@@ -71,6 +72,7 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     it was, never earlier. ``least_s`` is the earliest that the stamps allow, counted from the onset of the input.
     """
     since = run.run.before_times_s >= least_s - RESTED_S
+    since[: rests_from(run.run.before_times_s, run.run.before_position, run.drive)] = False
     times_s = np.concatenate([run.run.before_times_s[since], run.times_s])
     position = np.concatenate([run.run.before_position[since], run.position])
     away = np.abs(position - np.median(position[:3])) > BEGINS_RAD

@@ -17,8 +17,10 @@ from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, s
 from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings
 from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.robot_unknowns import DRIVE_TERMS
 from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Request
+from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.schema import reason_codes
 from proprio_ros.sim.payload import PayloadFacts
@@ -90,8 +92,17 @@ def fits(robot: Robot, bags: Path) -> tuple[FitResult, FitResult]:
 
 @pytest.fixture(scope="module")
 def two(robot: Robot, bags: Path) -> tuple[FitResult, FitResult]:
-    """Two objects as if they were one."""
-    return fits_of(robot, bags, HEAVY, LIGHT)
+    """Two objects as if they were one, of a robot that is known well: what its file leaves open would explain both."""
+
+    def known(quantity: Quantity) -> Quantity:
+        return replace(quantity, std=0.01 * quantity.std)
+
+    drives = {
+        name: replace(drive, **{term: known(getattr(drive, term)) for term in DRIVE_TERMS})
+        for name, drive in robot.drive_trains.items()
+    }
+    exact = {"arm_scale": known(robot.arm_scale), "delay": known(robot.delay), "link_mass_std": 0.0, "link_com_std": 0.0}
+    return fits_of(replace(robot, drive_trains=drives, **exact), bags, HEAVY, LIGHT)
 
 
 def test_an_answer_is_widened_by_what_the_probe_adds_and_by_what_was_guessed(fits: tuple[FitResult, FitResult]) -> None:

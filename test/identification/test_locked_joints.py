@@ -16,10 +16,12 @@ from proprio_ros.identification.locked_joints import (
     joint_torque,
     loads_of_yielding,
     locked_motions,
+    rests_from,
     smooth,
 )
 from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Request
+from proprio_ros.records import Run
 from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape, payload_parameters, pseudo_inertia_basis
 
@@ -42,6 +44,63 @@ def test_a_known_motion_is_read_back() -> None:
     assert np.sqrt(np.mean((velocity - rate)[inner] ** 2)) < 0.012
     bend = np.gradient(rate, since + 1e-9 * np.arange(len(since)))
     assert np.sqrt(np.mean((acceleration - bend)[inner] ** 2)) < 0.2  # of up to 0.6 rad/s^2
+
+
+FINE_RAD, FINE_TIMES = 2.0 * np.pi / 2**15, np.arange(-500, 250) / 500.0
+"""15 bits at 500 Hz, of which the robot file, a guess, says a fifth of them and a millirad of noise."""
+
+
+def fine(truth: np.ndarray) -> np.ndarray:
+    return FINE_RAD * np.round(truth / FINE_RAD)
+
+
+def test_readings_that_are_finer_than_the_file_says_are_believed_to_what_they_are() -> None:
+    """A joint gives way at once and is caught by a damped spring: 5 rad/s^2 for 20 ms, of which 1 mrad would show nothing."""
+    since = np.maximum(FINE_TIMES, 0.0)
+    rate, spring = 12.0, 25.0
+    size = 5.0 / (rate**2 + spring**2)
+    truth = 0.3 + size * (1.0 - np.exp(-rate * since) * (np.cos(spring * since) + rate / spring * np.sin(spring * since)))
+    bend = 5.0 * np.exp(-rate * since) * (np.cos(spring * since) - rate / spring * np.sin(spring * since))
+    motion = smooth(FINE_TIMES, fine(truth), 1.1e-3, LOCKED_SCALES)
+    _, _, acceleration = motion.at(since)
+    for begins_s, ends_s, within in ((0.005, 0.03, 1.2), (0.03, 0.45, 0.4)):
+        part = (since > begins_s) & (since < ends_s)
+        assert np.sqrt(np.mean((acceleration - bend)[part] ** 2)) < within
+
+
+def test_rest_begins_where_a_joint_has_come_to_it() -> None:
+    drive = replace(load_robot("open_manipulator_x").drive_trains["joint2"], encoder_resolution=1.5e-3, encoder_noise=1e-3)
+    before = FINE_TIMES[FINE_TIMES < 0.0]
+    slipped = fine(np.where(before < -0.5, -4e-3, 0.0) + 0.3 - 3e-4 * before)
+    assert before[rests_from(before, slipped, drive)] == pytest.approx(-0.5)
+    noisy = 0.3 + 1e-3 * np.random.default_rng(2).standard_normal(len(before))
+    assert rests_from(before, noisy, drive) == 0
+    assert rests_from(before, noisy + np.where(before < -0.7, 0.1, 0.0), drive) == np.flatnonzero(before >= -0.7)[0]
+    on_its_way = 0.3 + 0.2 * before
+    assert rests_from(before, on_its_way, drive) == 0
+    assert rests_from(before[:0], before[:0], drive) == 0
+
+
+def test_what_a_held_joint_did_before_it_came_to_rest_is_no_yielding() -> None:
+    """12 mrad, half a second before the push: it was taken for a jump at the onset, whose torque bent all that was learnt."""
+    robot = load_robot("open_manipulator_x")
+    robot = replace(robot, drive_trains={
+        name: replace(drive, encoder_resolution=1.5e-3, encoder_noise=1e-3) for name, drive in robot.drive_trains.items()
+    })  # fmt: skip
+    since = np.maximum(FINE_TIMES, 0.0)
+    yields = 0.3 + 0.1 * since**2
+    readings = {"joint2": fine(yields - np.where(FINE_TIMES < -0.5, 0.012, 0.0))}
+    before = FINE_TIMES < 0.0
+    run = Run(
+        name="push", joint="joint3", onset_ns=0, times_s=FINE_TIMES[~before], position=2.0 * since[~before] ** 2,
+        before_times_s=FINE_TIMES[before], before_position=np.zeros(int(before.sum())), held={"joint2": 0.3},
+        held_span={"joint2": 0.012}, held_position=readings, input_times_s=np.zeros(1), input_current_A=np.array([0.3]),
+        duration_s=0.5, source="/applied_effort",
+    )  # fmt: skip
+    motion = locked_motions(robot, run, ("joint2",))["joint2"]
+    away, _, acceleration = motion.at(since[~before])
+    np.testing.assert_allclose(motion.start + away, yields[~before], atol=3e-4)
+    assert np.abs(acceleration[5:-5] - 0.2).max() < 0.15  # 4 rad/s^2, if it had to jump
 
 
 def test_a_motion_is_consistent_with_itself() -> None:

@@ -77,6 +77,15 @@ def test_a_joint_that_is_driven_beyond_the_end(after: str) -> None:
     assert begun_s is None and driven_s is not None and ALLOWED_S < driven_s <= 0.1 + PERIOD_S
 
 
+def test_a_joint_that_slipped_and_came_to_rest_before_its_push() -> None:
+    t = 0.002 * np.arange(-250, 300)
+    slipped = np.where(t < -0.4, 0.03, 0.0) + 2.0 * np.clip(t, 0.0, None) ** 2
+    assert moves_before(recorded(t, slipped), -ALLOWED_S, JITTER_S) is None
+    begins = np.where(t < -0.4, 0.03, 0.0) + 2.0 * np.clip(t + 0.06, 0.0, None) ** 2
+    begun_s = moves_before(recorded(t, begins), -ALLOWED_S, JITTER_S)
+    assert begun_s is not None and -0.1 < begun_s < -ALLOWED_S
+
+
 def test_a_recording_that_stops_with_the_push_says_nothing_of_its_end() -> None:
     assert marks(push(-0.1, ends=False)) == (None, None)
 
