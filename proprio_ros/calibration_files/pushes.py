@@ -10,6 +10,7 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       residual_scale: 1.02               # residuals over what encoder and stamps explain
       stamp_jitter_s: 0.0003             # standard deviation of the stamps, as the runs show it
       torque_disturbance_N_m: 0.0004     # what differs from run to run
+      onset_jitter_s: 0.001              # standard deviation of the delay from run to run
       motors:                            # whose arm it is, where the recordings say so; without this section nothing is compared
         joint3: {model: 1020, id: 13, firmware: 46, homing_offset: 0, drive_mode: 0, moving_threshold: 10}
       made: {time_s: 1760000009.8, temperature_C: {joint3: 34.0}}   # when, by the clock of the recordings; see `drift`
@@ -70,6 +71,7 @@ NOISE: dict[str, Number] = {
     "residual_scale": Number("residuals over what encoder and stamps explain", "", 0.01, 10.0),
     "stamp_jitter_s": Number("standard deviation of the stamps", "s", 0.0, 0.1),
     "torque_disturbance_N_m": Number("torque that differs from run to run", "N m", 0.0, 100.0),
+    "onset_jitter_s": Number("standard deviation of the delay from run to run", "s", 0.0, 0.1),
     "start_velocity_rad_s": Number("of a locked joint when its excitation begins", "rad/s", 0.0, 10.0, open=True),
     "friction_spread": Number("friction that differs from one free swing to the next, relative", "", 0.0, 1.0),
     "swing_error_rad": Number("simulated less measured free swing, in which samples share an error", "rad", 0.0, 10.0),
@@ -133,6 +135,7 @@ class Calibration:
     # relative standard deviation of friction from one free response to the next; 0: it was made of none
     friction_spread: float = 0.0
     swing_error: float = 0.0  # error of simulated free responses, see `Robot.swing_error` [rad]
+    onset_jitter_s: float = 0.0  # standard deviation of the delay from run to run; 0: as the robot file has it
     # when it was made, or since when it counts (see `drift`); None where the recordings do not say it
     made: Moment | None = None
 
@@ -190,6 +193,7 @@ class Calibration:
             "stamp_jitter_s": short(self.stamp_jitter_s),
             "torque_disturbance_N_m": short(self.torque_disturbance),
             "start_velocity_rad_s": short(self.start_velocity),
+            **({"onset_jitter_s": short(self.onset_jitter_s)} if self.onset_jitter_s > 0.0 else {}),
             **({"made": self.made.as_settings()} if self.made is not None else {}),
             **({"motors": {joint: motor.as_settings() for joint, motor in self.motors.items()}} if self.motors else {}),
             **(swung if self.swing_error > 0.0 else {}),
@@ -221,7 +225,7 @@ class Calibration:
                     raise FormError(f"unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}")
         scale = np.array(stds)
         covariance = correlation_of(section, len(keys), _SMALLEST_EIGENVALUE) * scale[:, None] * scale[None, :]
-        defaults = zip(NOISE.items(), (1.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
+        defaults = zip(NOISE.items(), (1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
         noise = {
             re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default) for (name, form), default in defaults
         }

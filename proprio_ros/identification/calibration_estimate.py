@@ -167,7 +167,7 @@ class CalibrationEstimate:
         record |= {"empty_hand": self.empty_hand, "unknowns": rows, "noise": None, **picked(self, "fit", "held_out")}
         if calibration is not None:
             units = {"torque_disturbance": "_N_m", "start_velocity": "_rad_s"}
-            noise = picked(calibration, "residual_scale", "stamp_jitter_s", *units)
+            noise = picked(calibration, "residual_scale", "stamp_jitter_s", "onset_jitter_s", *units)
             record["noise"] = {name + units.get(name, ""): std for name, std in noise.items()}
         if motion is not None:
             record["motion"] = {

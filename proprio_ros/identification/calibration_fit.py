@@ -18,7 +18,7 @@ from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import FIRST_SWING_ERROR, PreparedRun
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import RISE, robot_unknowns
+from proprio_ros.identification.robot_unknowns import RISE, onset_std, robot_unknowns
 from proprio_ros.identification.swings import MISSED_SHARE, missed_share, stamp_jitter, swing_error
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
@@ -35,9 +35,10 @@ SWING_ITERATIONS = 60
 must go on with shorter ones, or it ends where it has not arrived, and takes what it misses for the swings' noise."""
 PSEUDO_RUNS = 2.0  # weight of the robot file's word on run-to-run torque, in runs
 PSEUDO_SAMPLES = 10.0  # weight of the robot file's word on encoder noise and stamp jitter, in samples
-FINEST_RAD, COMES_AND_GOES = 4e-4, 2.0
-"""An arm of 15 bits was believed to 0.06 mrad: what friction does otherwise than its law was taken for torque that comes and goes,
-ten times what there was, and honest runs contradicted each other."""
+ALIKE_S, FEWEST_ALIKE = 0.05, 4
+"""Samples share an error for about so long, where that is at least so many of them: what friction and held joints do otherwise
+than their models changes no faster. An arm of 500 Hz and 15 bits was believed to 0.08 mrad a sample, and what it learnt was 7
+standard deviations off."""
 RISE_STEPS = (0.1, 0.3, 1.0)
 """Of the standard deviation of a term of the rise of friction, one after the other: a joint that sticks has no gradient."""
 
@@ -50,6 +51,7 @@ class Noise:
     stamp_jitter_s: float
     torque_disturbance: float  # of torque from run to run [N m]
     start_velocity: float  # with which runs begin [rad/s]
+    onset_jitter_s: float = 0.0  # of the delay from run to run
     friction_spread: float = 0.0  # of free swings, see `Robot`
     swing_error: float = 0.0
 
@@ -71,20 +73,10 @@ class Fitted:
 
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
-    """Maximum a posteriori of all unknowns, the noise by its evidence.
-
-    Where runs that are believed to less than `FINEST_RAD` need more torque that comes and goes than the robot file expects, the law
-    of friction is coarser than the encoder, and they are believed to that.
-    """
-    fitted = _fit(robot, runs, 0.0)
-    finest = min(fitted.noise.residual_scale * run.drive.reading_std for run in runs)
-    if not runs[0].run.free and finest < FINEST_RAD and fitted.noise.torque_disturbance > COMES_AND_GOES * robot.torque_disturbance:
-        return _fit(robot, runs, FINEST_RAD)
-    return fitted
-
-
-def _fit(robot: Robot, runs: Sequence[PreparedRun], finest_rad: float) -> Fitted:
-    noise = Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity, robot.friction_spread)
+    """Maximum a posteriori of all unknowns, the noise by its evidence."""
+    noise = Noise(
+        1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity, robot.onset_jitter_s, robot.friction_spread
+    )
     swings = runs[0].run.free
     if swings:
         noise = replace(noise, swing_error=FIRST_SWING_ERROR)
@@ -92,11 +84,9 @@ def _fit(robot: Robot, runs: Sequence[PreparedRun], finest_rad: float) -> Fitted
     most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
     solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=most)
     values = FitResult.of(problem, solution).values
-    finest = max(finest_rad / run.drive.reading_std for run in runs)
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         before, noise = noise, (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
-        noise = replace(noise, residual_scale=max(noise.residual_scale, finest))
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
         values = FitResult.of(problem, solvers.levenberg_marquardt(problem, start, None, iterations=again_most)).values
@@ -107,7 +97,7 @@ def _fit(robot: Robot, runs: Sequence[PreparedRun], finest_rad: float) -> Fitted
 
 
 def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem:
-    expected = ("torque_disturbance", "start_velocity", "friction_spread")
+    expected = ("torque_disturbance", "start_velocity", "onset_jitter_s", "friction_spread")
     robot = replace(robot, **{name: getattr(noise, name) for name in expected})
     sigmas = [np.hypot(*_noise_parts(run, noise)) for run in runs]
     if runs[0].run.free:
@@ -202,7 +192,40 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
         disturbance = spread_of_runs(robot.torque_disturbance, found, learnt)
     found, learnt = of_runs("v0", problem, posterior, noise.start_velocity)
     start_velocity = spread_of_runs(robot.start_velocity, found, learnt)
-    return Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, start_velocity)
+    onset = max(_onset_jitter(robot, problem, posterior), robot.onset_jitter_s)
+    alike = np.sqrt(_alike(problem, posterior, left))
+    return Noise(float(np.sqrt(scale2)) * alike, float(np.sqrt(jitter2)) * alike, disturbance, start_velocity, onset)
+
+
+def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:
+    """How many samples say as much as one whose error is its own; 1 where errors are independent.
+
+    The variance of sums of neighbours over that of independent ones (batch means, Glynn & Whitt 1991), with what the fit has
+    swallowed of them. ``left`` is the expected square of each sample's error [rad^2], shape (M,).
+    """
+    together = apart = 0.0
+    sigma = 1.0 / problem.weight[problem.weight > 0.0]
+    for row, run in enumerate(problem.runs):
+        count = round(ALIKE_S / float(np.median(np.diff(run.run.times_s))))
+        if count < FEWEST_ALIKE:
+            continue
+        of_run = np.flatnonzero(posterior.run == row)
+        of_run = of_run[: len(of_run) // count * count].reshape(-1, count)
+        off = (posterior.residual * sigma)[of_run].sum(axis=1)
+        slopes = (posterior.sensitivity * sigma[:, None])[of_run].sum(axis=1)
+        together += float(np.sum(off**2) + np.einsum("bf,fg,bg->", slopes, posterior.covariance, slopes))
+        apart += float(left[of_run].sum())
+    return max(together / apart, 1.0) if apart > 0.0 else 1.0
+
+
+def _onset_jitter(robot: Robot, problem: Problem, posterior: Posterior) -> float:
+    """How the delay differs from run to run, of those runs of which nothing else makes it uncertain [s]."""
+    rows = [row for row, run in enumerate(problem.runs) if onset_std(robot, run) == robot.onset_jitter_s > 0.0]
+    if not rows:
+        return 0.0
+    std = problem.unknowns[problem.index["onset", rows[0]]].std
+    found, learnt = of_runs("onset", problem, posterior, std, rows)
+    return spread_of_runs(robot.onset_jitter_s, found, learnt)
 
 
 def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:
@@ -213,10 +236,12 @@ def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise:
     return replace(noise, stamp_jitter_s=jitter_s, friction_spread=spread, swing_error=swing_error(posterior))
 
 
-def of_runs(kind: str, problem: Problem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
-    """An unknown of every run, and how much of it the recording determines rather than its prior (0 to 1); shapes (R,)."""
+def of_runs(
+    kind: str, problem: Problem, posterior: Posterior, std: float, rows: Sequence[int] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """An unknown of some runs, default all, and how much of it each determines rather than its prior (0 to 1); shapes (R,)."""
     place = problem.free.tolist()
-    columns = [place.index(problem.index[kind, r]) for r in range(len(problem.runs))]
+    columns = [place.index(problem.index[kind, r]) for r in (range(len(problem.runs)) if rows is None else rows)]
     spread = np.diag(posterior.covariance)[columns]
     return posterior.values[problem.free[columns]], 1.0 - spread / std**2
 

@@ -125,6 +125,7 @@ def _noise(estimate: CalibrationEstimate) -> list[str]:
         ["readings, over what the robot file says of encoder noise and rounding", f"{calibration.residual_scale:.2f}"],
         ["stamps of the joint states", shown("s", calibration.stamp_jitter_s)],
         [KINDS["disturbance"].label, shown("N m", calibration.torque_disturbance)],
+        ["delay from run to run", shown("s", calibration.onset_jitter_s)],
         ["velocity at which probes begin", shown("rad/s", calibration.start_velocity)],
     ]
     return ["<h3>Noise, as the runs show it (standard deviations)</h3>", table(["", ""], rows, numbers=(1,))]

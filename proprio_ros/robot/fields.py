@@ -149,7 +149,7 @@ ROBOT: dict[str, Field] = {
     "arm_scale": Field(_quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0, 0.1)),
     "delay_s": Field(_quantity(RANGES["delay"]), Quantity(0.0, 0.01)),
     "stamp_jitter_s": Field(NOISE["stamp_jitter_s"], 0.001),
-    "onset_jitter_s": Field(Number("standard deviation of the delay from run to run", "s", 0.0, 0.1), 0.001),
+    "onset_jitter_s": Field(NOISE["onset_jitter_s"], 0.001),
     "torque_disturbance_N_m": Field(NOISE["torque_disturbance_N_m"], Wide("weakest", 0.002)),
     "start_velocity_rad_s": Field(NOISE["start_velocity_rad_s"], 0.01),
     "friction_spread": Field(NOISE["friction_spread"], 0.15),

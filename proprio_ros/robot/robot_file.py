@@ -142,8 +142,8 @@ class Robot:
         noise = ("torque_disturbance", "start_velocity", "swing_error", "residual_scale", "stamp_jitter_s")
         changes: dict[str, Any] = {name: getattr(calibration, name) for name in noise}
         changes |= {name: known.get(name, getattr(self, name)) for name in ("arm_scale", "delay")}
-        friction_spread = calibration.friction_spread or self.friction_spread
-        return replace(self, drive_trains=drives, friction_spread=friction_spread, calibration=calibration, **changes)
+        changes |= {name: getattr(calibration, name) or getattr(self, name) for name in ("friction_spread", "onset_jitter_s")}
+        return replace(self, drive_trains=drives, calibration=calibration, **changes)
 
 
 _PATH = Text(longest=LONGEST_PATH)

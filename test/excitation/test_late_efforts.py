@@ -6,11 +6,12 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
-from support.foreign_arm import BROADCAST, ORDER, Busy, ForeignArm, write_urdf
+from support.foreign_arm import BROADCAST, JOINTS, ORDER, Busy, ForeignArm, write_urdf
 
 from proprio_ros.cli import main as proprio
 from proprio_ros.excitation.commands import JointSample, JointStates
@@ -18,7 +19,13 @@ from proprio_ros.excitation.controllers import EffortController
 from proprio_ros.excitation.first import first_sequence
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.prepared_runs import KnownLoad
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.payload import PayloadFacts
 
 STEP_S, PERIOD_S = 1e-3, 2e-3
 
@@ -42,6 +49,17 @@ class Desk:
         self._states, self._next_s = JointStates(self.machine.joints, guards.stale_after_s), self.time_s
         self._sample: JointSample | None = None
         self._sent: list[float] | None = None
+        self._heard: list[tuple[int, list[float]]] = []
+        self._drives: dict[int, list[float]] = {}
+
+    def recorded(self) -> list[Run]:
+        """The pushes since this was asked last."""
+        stamps, places = zip(*self._heard, strict=True)
+        times = np.array(sorted(self._drives))
+        drives = InputRecord(times, JOINTS, np.array([self._drives[time] for time in times.tolist()]), "/applied_effort")
+        self._heard.clear()
+        self._drives.clear()
+        return cut_runs(Recording("late", JointRecord(np.array(stamps), BROADCAST, np.array(places)), drives), list(JOINTS))
 
     def run(self, seconds: float = math.inf) -> None:
         """For so long, or until a sequence ends."""
@@ -63,6 +81,11 @@ class Desk:
             self.machine.pace = self.controller.pace
             self.controller.take(self.machine.tick(self.time_s, self._sample))
         self.controller.observe(self.time_s, positions)
+        self._heard.append((round(1e9 * self.time_s), list(positions.values())))
+        record = self.controller.record
+        drives = [record.get(joint, 0.0) for joint in JOINTS]
+        if not self._drives or drives != list(self._drives.values())[-1]:
+            self._drives[round(1e9 * (self.time_s + PERIOD_S + self.controller.late_s))] = drives
         if self.controller.holding:
             self._sent = self.controller.commands()
             if self.controller.lost:
@@ -79,7 +102,7 @@ class Desk:
 
 @pytest.mark.long
 @pytest.mark.parametrize(("delay_s", "load_kg"), [(0.05, 0.5), (0.075, 1.0)])
-def test_an_arm_whose_efforts_come_late_makes_its_first_pushes(robot: Robot, delay_s: float, load_kg: float) -> None:
+def test_an_arm_whose_efforts_come_late_makes_its_first_pushes_and_is_learnt(robot: Robot, delay_s: float, load_kg: float) -> None:
     """With a hold that knew nothing of the delay it was let go from 30 ms on, in the first second."""
     desk = Desk(robot, 1, Busy(delay_s, 0.2 * delay_s, every_s=1e3))
     desk.run(0.5)
@@ -87,6 +110,7 @@ def test_an_arm_whose_efforts_come_late_makes_its_first_pushes(robot: Robot, del
     assert desk.machine.phase is Phase.DONE, desk.machine.message
     assert desk.controller.late_s == pytest.approx(delay_s - PERIOD_S, abs=0.005)
     assert desk.controller.held_kg < 0.1
+    runs = [LoadedRun(run) for run in desk.recorded()]
     desk.arm.hold(load_kg)
     desk.run(3.0)
     assert desk.controller.held_kg == pytest.approx(load_kg, rel=0.3)
@@ -94,6 +118,13 @@ def test_an_arm_whose_efforts_come_late_makes_its_first_pushes(robot: Robot, del
     assert desk.machine.phase is Phase.DONE, desk.machine.message
     used = {outcome.run_number for outcome in desk.machine.outcomes if outcome.used}
     assert len(used) >= desk.machine.runs - 1
+    held = KnownLoad(load_kg, PayloadFacts(com=np.zeros(3)))
+    learnt = calibrate(robot, [*runs, *(LoadedRun(run, held) for run in desk.recorded())])
+    assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
+    for row in learnt.unknowns:
+        if row.kind == "torque_constant":
+            truth = desk.arm.scale[JOINTS.index(str(row.scope))]
+            assert abs(row.value - truth) < 3.0 * row.std < 0.05 and abs(row.value - truth) < 0.015
 
 
 @pytest.mark.long
