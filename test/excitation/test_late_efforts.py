@@ -59,7 +59,7 @@ class Desk:
         drives = InputRecord(times, JOINTS, np.array([self._drives[time] for time in times.tolist()]), "/applied_effort")
         self._heard.clear()
         self._drives.clear()
-        return cut_runs(Recording("late", JointRecord(np.array(stamps), BROADCAST, np.array(places)), drives), list(JOINTS))
+        return cut_runs(Recording("late", JointRecord(np.array(stamps), BROADCAST, np.array(places)), drives), joints=list(JOINTS))
 
     def run(self, seconds: float = math.inf) -> None:
         """For so long, or until a sequence ends."""
