@@ -1,61 +1,114 @@
 """Somebody else's arm behind an effort or position controller on a busy computer, calibrated and weighed from its URDF.
 
-In simulated time, see test/support/foreign_live.py.
+In simulated time, see test/support/foreign_live.py. A calibration and a weighing are asked for three times at most.
 
-python test/benchmarks/foreign_controller.py --seeds 0 20 [--goals --rate 30] [--masses 0.02 0.2 1.0]
+python test/benchmarks/foreign_controller.py --seeds 0 20 [--goals --rate 30] [--masses 0.02 0.2 1.0] [--json FILE]
+python test/benchmarks/foreign_controller.py --told LOG.. --json FILE     # of what such runs have printed
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+from results import Results, parser_of
+
+ASKED = 3
+MASSES_KG = (0.02, 0.2, 1.0)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Sequence[float]) -> dict[str, Any]:
+    """What came of one arm: how often it was asked to calibrate itself, and of each mass the answer and how often it was asked."""
+    from support.foreign_live import foreign
+
+    begun = time.process_time()
+    with foreign(folder, seed, goals, rate_hz) as (client, arm):
+
+        def ask(what: str, kg: float) -> tuple[bool, int]:
+            for asked in range(1, ASKED + 1):
+                arm.hold(kg)
+                client.clock.sleep(3.0)
+                client.estimates.clear()
+                answer = client.asked(f"/identifier/calibrate_{what}")
+                print(f"  {what}: {answer.message}", flush=True)
+                if answer.success:
+                    break
+            return answer.success, asked
+
+        learnt, asked = ask("robot", 0.0)
+        busy = arm.busy
+        told: dict[str, Any] = {
+            "seed": seed, "goals": goals, "rate_hz": rate_hz, "delay_ms": 1e3 * busy.delay_s, "jitter_ms": 1e3 * busy.jitter_s,
+            "robot": learnt, "asked": asked, "masses": [],
+        }  # fmt: skip
+        for kg in masses_kg if learnt else ():
+            known, asked = ask("payload", kg)
+            one: dict[str, Any] = {"kg": kg, "asked": asked, "known": known}
+            if known:
+                final = client.estimates[-1]
+                low, high = json.loads(final["payload_mass.ci95"])
+                one |= {"value": float(final["payload_mass"]), "std": float(final["payload_mass.std"]), "low": low, "high": high}
+            told["masses"].append(one)
+        log = "\n".join(f"{at:.2f} {name}: {text}" for at, name, _, text in client.world.graph.log)
+    (folder / "excitation.log").write_text(log)
+    return {**told, "cpu_s": round(time.process_time() - begun, 1)}
+
+
+def cell(masses: Sequence[dict[str, Any]], kg: float) -> str:
+    """The answer and its interval in g, and how often it was asked for, where that was more than once."""
+    of = [one for one in masses if one["kg"] == kg]
+    if not of:
+        return "-"
+    (one,) = of
+    again = f", asked {one['asked']} times" if one["asked"] > 1 else ""
+    if not one["known"]:
+        return f"refused{again}"
+    low, value, high = (1e3 * one[name] for name in ("low", "value", "high"))
+    return f"{value:.1f} ({low:.1f} to {high:.1f}){again}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "COUNT"))
-    parser.add_argument("--masses", type=float, nargs="+", default=[0.02, 0.2, 1.0], metavar="KG")
+    parser.add_argument("--masses", type=float, nargs="+", default=list(MASSES_KG), metavar="KG")
     parser.add_argument("--goals", action="store_true")
     parser.add_argument("--rate", type=float, default=500.0)
     parser.add_argument("--data", type=Path)
-    given = parser.parse_args()
-    from support.foreign_live import foreign
-
-    for seed in range(given.seeds[0], given.seeds[0] + given.seeds[1]):
+    parser.add_argument("--told", type=Path, nargs="+", metavar="LOG")
+    given = parser.parse_args(arguments)
+    found: list[dict[str, Any]] = []
+    if given.told:
+        lines = [line for path in given.told for line in path.read_text().splitlines() if line.startswith('{"seed"')]
+        found = sorted(map(json.loads, lines), key=lambda each: each["seed"])
+    for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
         folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
         folder.mkdir(parents=True, exist_ok=True)
-        begun = time.process_time()
-        with foreign(folder, seed, given.goals, given.rate) as (client, arm):
-            busy, told = arm.busy, {"seed": seed}
-            told |= {"delay_ms": round(1e3 * busy.delay_s, 1), "jitter_ms": round(1e3 * busy.jitter_s, 1)}
-            for _ in range(3):
-                arm.hold(0.0)
-                client.clock.sleep(3.0)
-                answer = client.asked("/identifier/calibrate_robot")
-                print("  robot:", answer.message, flush=True)
-                if answer.success:
-                    break
-            told["robot"] = answer.success
-            for mass in given.masses if answer.success else []:
-                arm.hold(mass)
-                client.clock.sleep(3.0)
-                client.estimates.clear()
-                for _ in range(3):
-                    answer = client.asked("/identifier/calibrate_payload")
-                    if answer.success:
-                        break
-                print("  payload:", answer.message, flush=True)
-                if answer.success:
-                    final = client.estimates[-1]
-                    low, high = json.loads(final["payload_mass.ci95"])
-                    told[f"{1e3 * mass:g} g"] = [round(1e3 * x, 1) for x in (low, high)] + [low <= mass <= high]
-            log = "\n".join(f"{at:.2f} {name}: {text}" for at, name, _, text in client.world.graph.log)
-        told["cpu_s"] = round(time.process_time() - begun, 1)
-        (folder / "excitation.log").write_text(log)
-        print(json.dumps(told), flush=True)
+        found.append(weighed(seed, folder, given.goals, given.rate, given.masses))
+        print(json.dumps(found[-1]), flush=True)
+    results = Results(__file__, given.json, arguments)
+    masses_kg = list(dict.fromkeys(one["kg"] for each in found for one in each["masses"]))
+    columns = {"seed": "{seed}", "efforts come late by": "{delay_ms:.0f} +- {jitter_ms:.0f} ms", "calibrated": "{calibrated}"}
+    results.table("arms", {**columns, **{f"{1e3 * kg:g} g": f"{{m{number}}}" for number, kg in enumerate(masses_kg)}})
+    for each in sorted(found, key=lambda each: each["delay_ms"]):
+        row = {name: each[name] for name in ("seed", "delay_ms")} | {"jitter_ms": 0.5 * each["jitter_ms"]}
+        calibrated = ("yes" if each["robot"] else "no") + (f", asked {each['asked']} times" if each["asked"] > 1 else "")
+        cells = {f"m{number}": cell(each["masses"], kg) for number, kg in enumerate(masses_kg)}
+        results.row("arms", **row, calibrated=calibrated, **cells)
+    known = [one for each in found for one in each["masses"] if one["known"]]
+    whole = {"arms": len(found), "calibrated": sum(each["robot"] for each in found), "answers": len(known)}
+    whole["asked"] = len(found) * len(masses_kg)
+    whole["hold"] = sum(one["low"] <= one["kg"] <= one["high"] for one in known)
+    whole["farthest"] = max((abs(one["value"] - one["kg"]) / one["std"] for one in known), default=0.0)
+    results.table("all", {
+        "arms": "{arms}", "calibrated": "{calibrated}", "masses answered": "{answers} of {asked}",
+        "intervals that hold": "{hold}", "farthest, in sd": "{farthest:.1f}",
+    })  # fmt: skip
+    results.row("all", **whole)
+    results.keep()
     return 0
 
 
