@@ -29,15 +29,16 @@ def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Seq
     with foreign(folder, seed, goals, rate_hz) as (client, arm):
 
         def ask(what: str, kg: float) -> tuple[bool, int]:
-            for asked in range(1, ASKED + 1):
+            asked, known = 0, False
+            while not known and asked < ASKED:
+                asked += 1
                 arm.hold(kg)
                 client.clock.sleep(3.0)
                 client.estimates.clear()
                 answer = client.asked(f"/identifier/calibrate_{what}")
                 print(f"  {what}: {answer.message}", flush=True)
-                if answer.success:
-                    break
-            return answer.success, asked
+                known = answer.success
+            return known, asked
 
         learnt, asked = ask("robot", 0.0)
         busy = arm.busy
