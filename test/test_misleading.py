@@ -332,8 +332,12 @@ def test_commands_stamped_by_another_clock_are_refused_without_a_calibration(
 
 
 @pytest.mark.long
-def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot: Robot) -> None:
-    """A computer that is busy elsewhere; two of four are no minority, and nobody knows which are right."""
+@pytest.mark.parametrize("late_s", [0.08, 0.015])
+def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot: Robot, late_s: float) -> None:
+    """A computer that is busy elsewhere; two of four are no minority, and nobody knows which are right.
+
+    The stamps show 80 ms; 15 ms, less than a period of the joint states, only show in what the fit makes of them.
+    """
     folders = sorted(bags.glob("realistic_s00_empty_*_joint[23]"))
     learnt = calibrate(robot, [LoadedRun(run) for f in folders for run in bag_runs(bag_in(f), Request(robot))]).calibration
     assert learnt is not None
@@ -341,13 +345,14 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot:
     folders = sorted(bags.glob("realistic_s00_fixed_reference_100g_*"))
     good, late = (
         [replace(run, name=f"bag#{first + row}") for row, folder in enumerate(folders) for run in stamped_off(folder, known, off_s)]
-        for first, off_s in ((1, 0.0), (4, -0.08))
+        for first, off_s in ((1, 0.0), (4, -late_s))
     )
     assert len(good) == 3
     facts = PayloadFacts(shape=PayloadShape.of("cube", 0.03))
     alone, beside = (weigh(known, runs, facts) for runs in (good, [*good, late[-1]]))
     assert alone.verdict is beside.verdict is Verdict.ACCEPTED, (alone.reasons, beside.reasons)
     assert beside.values[0].ci95 == pytest.approx(alone.values[0].ci95, rel=1e-6)
+    assert abs(beside.values[0].value - 0.1) < 2.0 * beside.values[0].std
     said = " ".join(beside.reasons)
     assert late[-1].name in said and "1 of 4" in said and beside.runs == 4
     assert weigh(known, [*good[:2], *late[:2]], facts).verdict is Verdict.REJECTED

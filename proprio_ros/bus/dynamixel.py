@@ -27,15 +27,7 @@ from proprio_ros.bus.control_table import (
     model_name,
     servo_model,
 )
-from proprio_ros.bus.port import (
-    PORT_FAULTS,
-    REPLY_TIMEOUT_S,
-    Port,
-    SerialLike,
-    first_line,
-    latency_warnings,
-    why_not_open,
-)
+from proprio_ros.bus.port import PORT_FAULTS, REPLY_TIMEOUT_S, Port, SerialLike, first_line, latency_warnings, why_not_open
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
 from proprio_ros.errors import BusError, PortLostError, RobotError
 from proprio_ros.robot import Robot

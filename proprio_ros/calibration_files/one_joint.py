@@ -21,16 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.calibration_files.section import (
-    RUN,
-    check_section,
-    lines_of,
-    numbers_of,
-    part_of,
-    read_under,
-    runs_of,
-    short,
-)
+from proprio_ros.calibration_files.section import RUN, check_section, lines_of, numbers_of, part_of, read_under, runs_of, short
 from proprio_ros.inputs.forms import Form, FormError, Number
 from proprio_ros.records import FloatArray
 

@@ -32,15 +32,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
-from proprio_ros.calibration_files.section import (
-    check_section,
-    correlation_of,
-    part_of,
-    read_under,
-    runs_of,
-    short,
-    triangle_of,
-)
+from proprio_ros.calibration_files.section import check_section, correlation_of, part_of, read_under, runs_of, short, triangle_of
 from proprio_ros.errors import one_line
 from proprio_ros.inputs.forms import Form, FormError, Number, Text, Whole, shortly, under
 from proprio_ros.kinds import KINDS, Key, key_of, name_of

@@ -146,10 +146,12 @@ class Delay:
 
     def _integrals(self, times_s: FloatArray) -> FloatArray:
         """Of the efforts, once and twice, shape (T, 2, J); before the first one there are none."""
-        row = np.maximum(np.searchsorted(self._sent_s, times_s, side="right") - 1, 0)
+        row = np.maximum(self._sent_s.searchsorted(times_s, side="right") - 1, 0)
         since = (times_s - self._sent_s[row])[:, None]
-        effort, once, twice = np.moveaxis(self._sent[row], 1, 0)
-        return np.stack([once + effort * since, twice + once * since + 0.5 * effort * since**2], axis=1)
+        sent = self._sent[row]
+        effort, once, twice = sent[:, 0], sent[:, 1], sent[:, 2]
+        sent[:, 1:] = np.array([once + effort * since, twice + once * since + 0.5 * effort * since**2]).swapaxes(0, 1)
+        return sent[:, 1:]
 
     def _compare(self, step_s: float, efforts: FloatArray, inertial: FloatArray, inertia: FloatArray) -> None:
         slow = min(step_s / SLOW_S, 1.0) if self._seen_for_s > 2.0 * WINDOW_S + step_s else 1.0

@@ -22,15 +22,7 @@ import numpy as np
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation import plans
 from proprio_ros.excitation.commands import Command, JointSample
-from proprio_ros.excitation.guards import (
-    FreeResponse,
-    Guards,
-    check_free_response,
-    check_start,
-    check_step,
-    free_swing,
-    unfit,
-)
+from proprio_ros.excitation.guards import FreeResponse, Guards, check_free_response, check_start, check_step, free_swing, unfit
 from proprio_ros.excitation.ways import Way, Ways
 from proprio_ros.robot import Robot
 

@@ -209,8 +209,8 @@ def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:
         count = round(ALIKE_S / float(np.median(np.diff(run.run.times_s))))
         if count < FEWEST_ALIKE:
             continue
-        of_run = np.flatnonzero(posterior.run == row)
-        of_run = of_run[: len(of_run) // count * count].reshape(-1, count)
+        samples = np.flatnonzero(posterior.run == row)
+        of_run = samples[: len(samples) // count * count].reshape(-1, count)
         off = (posterior.residual * sigma)[of_run].sum(axis=1)
         slopes = (posterior.sensitivity * sigma[:, None])[of_run].sum(axis=1)
         together += float(np.sum(off**2) + np.einsum("bf,fg,bg->", slopes, posterior.covariance, slopes))

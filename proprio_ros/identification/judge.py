@@ -12,14 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.identification.estimate import Scan, Value, Verdict
-from proprio_ros.identification.fit import (
-    FitResult,
-    error_budget,
-    misfit_profile,
-    other_suspects,
-    source_label,
-    unknown_rows,
-)
+from proprio_ros.identification.fit import FitResult, error_budget, misfit_profile, other_suspects, source_label, unknown_rows
 from proprio_ros.identification.gates import MOVING_START, chi2_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of

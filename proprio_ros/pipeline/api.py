@@ -29,14 +29,7 @@ from proprio_ros.pipeline.request import Options
 from proprio_ros.pipeline.shown import checks_figure, checks_table, plans_figure, plans_table
 from proprio_ros.probes import all_probes
 from proprio_ros.quantity import spec_for
-from proprio_ros.report import (
-    calibration_figure,
-    card,
-    motions_figure,
-    runs_figure,
-    words_figure,
-    write_calibration_report,
-)
+from proprio_ros.report import calibration_figure, card, motions_figure, runs_figure, words_figure, write_calibration_report
 from proprio_ros.robot import Robot
 from proprio_ros.schema import header
 

@@ -15,17 +15,7 @@ from proprio_ros.errors import RecordingError, one_line
 from proprio_ros.inputs.reading import LONGEST_TEXT
 from proprio_ros.recordings.messages import labels_of, stamp_ns
 from proprio_ros.recordings.reader import Bag, open_bag
-from proprio_ros.recordings.topics import (
-    FLOAT_ARRAYS,
-    OUR_DRIVER,
-    POINT,
-    STATUS,
-    STRING,
-    TEMPERATURES,
-    Conventions,
-    Topic,
-    listed,
-)
+from proprio_ros.recordings.topics import FLOAT_ARRAYS, OUR_DRIVER, POINT, STATUS, STRING, TEMPERATURES, Conventions, Topic, listed
 from proprio_ros.records import PointTrack, Span
 
 

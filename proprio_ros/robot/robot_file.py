@@ -14,18 +14,7 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import TERMS, Calibration, check_complete
 from proprio_ros.errors import RobotError, one_line
-from proprio_ros.inputs.forms import (
-    REQUIRED,
-    Field,
-    FormError,
-    Part,
-    Text,
-    mapping,
-    refuse_unknown,
-    section,
-    shortly,
-    under,
-)
+from proprio_ros.inputs.forms import REQUIRED, Field, FormError, Part, Text, mapping, refuse_unknown, section, shortly, under
 from proprio_ros.inputs.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.quantity import Quantity

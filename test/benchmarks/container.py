@@ -30,13 +30,7 @@ from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import DEFAULT_ROBOT, Request
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import find_sphere
-from proprio_ros.probes.container.problem import (
-    ContainerFacts,
-    ContainerProblem,
-    container_unknowns,
-    sphere_run,
-    start_prior,
-)
+from proprio_ros.probes.container.problem import ContainerFacts, ContainerProblem, container_unknowns, sphere_run, start_prior
 from proprio_ros.probes.container.search import ContainerOptions
 from proprio_ros.probes.payload.paper import FRAME_S
 from proprio_ros.quantity import Quantity

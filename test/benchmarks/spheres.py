@@ -34,13 +34,7 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, pre
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import find_sphere
-from proprio_ros.probes.container.problem import (
-    ContainerFacts,
-    ContainerProblem,
-    container_unknowns,
-    sphere_run,
-    start_prior,
-)
+from proprio_ros.probes.container.problem import ContainerFacts, ContainerProblem, container_unknowns, sphere_run, start_prior
 from proprio_ros.quantity import Z95
 from proprio_ros.records import FloatArray, Run
 from proprio_ros.robot import Robot, load_robot

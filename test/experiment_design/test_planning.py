@@ -18,13 +18,7 @@ import proprio_ros
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.experiment_design.candidates import CLEARANCE_M
-from proprio_ros.experiment_design.planning import (
-    ADVISED_TERMS,
-    SAME_KIND,
-    advise,
-    plan,
-    with_advice,
-)
+from proprio_ros.experiment_design.planning import ADVISED_TERMS, SAME_KIND, advise, plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL

@@ -15,13 +15,7 @@ from proprio_ros.probes import probe_named, virtual_object
 from proprio_ros.probes.contents import models
 from proprio_ros.probes.contents.detail import KINDS_INSIDE
 from proprio_ros.probes.contents.identify import find_contents, surpassed, weighted
-from proprio_ros.probes.contents.models import (
-    ContentsFacts,
-    Slosh,
-    damping_ratio,
-    inside_terms,
-    inside_unknowns,
-)
+from proprio_ros.probes.contents.models import ContentsFacts, Slosh, damping_ratio, inside_terms, inside_unknowns
 
 FACTS = ContentsFacts(0.035, 0.1, np.array([0.015, 0.0, -0.04]))
 

@@ -10,18 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from support.rolling_box import (
-    ARM_AT_M,
-    ARM_KG,
-    FACTS,
-    REACH_M,
-    SHELL_KG,
-    TORQUE_CONSTANT,
-    Case,
-    draw,
-    known_robot,
-    recorded,
-)
+from support.rolling_box import ARM_AT_M, ARM_KG, FACTS, REACH_M, SHELL_KG, TORQUE_CONSTANT, Case, draw, known_robot, recorded
 
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import Findings

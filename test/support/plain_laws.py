@@ -6,18 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from proprio_ros.sim.joint_kernels import (
-    CARRIED,
-    CURRENT,
-    DELAY,
-    LOAD,
-    LOAD_PER_KG,
-    Q0,
-    V0,
-    VEC3,
-    acceleration,
-    standstill,
-)
+from proprio_ros.sim.joint_kernels import CARRIED, CURRENT, DELAY, LOAD, LOAD_PER_KG, Q0, V0, VEC3, acceleration, standstill
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 from proprio_ros.sim.sphere import SphereSimulator
 from proprio_ros.sim.sphere_kernels import (

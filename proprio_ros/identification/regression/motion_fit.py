@@ -23,14 +23,7 @@ from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.between import DIFFERS, WORDS, Between, effective_freedom
-from proprio_ros.identification.regression.motion_equations import (
-    MIN_STRETCHES,
-    WINDOW_S,
-    Arm,
-    Problem,
-    Rows,
-    equations,
-)
+from proprio_ros.identification.regression.motion_equations import MIN_STRETCHES, WINDOW_S, Arm, Problem, Rows, equations
 from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
 from proprio_ros.identification.regression.traces import Explained
 from proprio_ros.recordings.motions import Motion

@@ -18,14 +18,7 @@ from proprio_ros.excitation.plans import LEAST_SHAKES, ExcitationSequence
 from proprio_ros.experiment_design import candidates
 from proprio_ros.experiment_design.choosing import Found, passes, time_of
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
-from proprio_ros.experiment_design.sequential import (
-    DURATIONS_S,
-    MAX_TRAVEL,
-    SHAKE_PERIOD_S,
-    UNKNOWN_STD_KG,
-    Catalogue,
-    Known,
-)
+from proprio_ros.experiment_design.sequential import DURATIONS_S, MAX_TRAVEL, SHAKE_PERIOD_S, UNKNOWN_STD_KG, Catalogue, Known
 from proprio_ros.experiment_design.until import CatalogueChooser
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
@@ -33,14 +26,7 @@ from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import STILL_M
 from proprio_ros.probes.container.problem import LEVEL, ContainerFacts, ContainerProblem, sphere_run, start_prior
-from proprio_ros.probes.container.search import (
-    ContainerOptions,
-    SphereSearch,
-    check_shell,
-    fit_empty,
-    known_until,
-    lost_at,
-)
+from proprio_ros.probes.container.search import ContainerOptions, SphereSearch, check_shell, fit_empty, known_until, lost_at
 from proprio_ros.quantity import Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot

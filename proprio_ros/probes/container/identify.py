@@ -30,15 +30,7 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.problem import LIGHTEST_KG, ContainerFacts, ContainerProblem, SphereTrack
-from proprio_ros.probes.container.search import (
-    DISTINCT,
-    ContainerOptions,
-    SphereSearch,
-    check_shell,
-    fit_empty,
-    lost_at,
-    shortened,
-)
+from proprio_ros.probes.container.search import DISTINCT, ContainerOptions, SphereSearch, check_shell, fit_empty, lost_at, shortened
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, motion

@@ -7,16 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.virtual.objects import (
-    LONGEST_M,
-    HandObject,
-    Payload,
-    SixOfInertia,
-    Vector,
-    check_lengths,
-    check_mass,
-    set_inertia,
-)
+from proprio_ros.virtual.objects import LONGEST_M, HandObject, Payload, SixOfInertia, Vector, check_lengths, check_mass, set_inertia
 
 WATER_KG_M3 = 1000.0
 DAMPING_RATIO = 0.02

@@ -24,16 +24,8 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification import gates, swings
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, Verdict, no_answer
-from proprio_ros.identification.fit import (
-    FitResult,
-    SearchOptions,
-    fit_both,
-    fit_opened,
-    known_exactly,
-    solve_load,
-    summary,
-)
-from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive, rejected
+from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, fit_opened, known_exactly, solve_load, summary
+from proprio_ros.identification.judge import FAR, Guess, Refusal, Useful, not_identifiable, positive, rejected
 from proprio_ros.identification.mistakes import Mistake, of_joint
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
@@ -86,10 +78,10 @@ def weigh(
 ) -> Estimate:
     """Identify the payload that all ``runs`` share; without facts it is a ball of unknown size at the payload frame.
 
-    Of four runs or more of one recording, one in four at most is left out that contradicts the others, or is not stamped as its
-    joint moved: a computer that is busy elsewhere pushes late now and then. What is left must agree. Another recording may be of
-    another object. The baseline is runs with nothing in the hand, fitted together with the others; they show whether the robot
-    has changed since its calibration.
+    Of four runs or more of one recording, one in four at most is left out that contradicts the others, is not stamped as its joint
+    moved, or begins otherwise than is known: a computer that is busy elsewhere pushes late now and then. What is left must agree.
+    Another recording may be of another object. The baseline is runs with nothing in the hand, fitted together with the others; they
+    show whether the robot has changed since its calibration.
 
     Raises:
         RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
@@ -154,6 +146,10 @@ def _weigh(
     rows = [row for row, run in enumerate(usable) if any(reason.startswith(f"{run.run.name}: ") for reason in off)]
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
+    # a push that came late for a stall: only with another onset of its own is it followed
+    own = [(u, value) for u, value in zip(opened.problem.unknowns, opened.values, strict=True) if not u.shared and u.std > 0.0]
+    pulls = sorted(((abs(value - u.value) / u.std, u.scope) for u, value in own), reverse=True)
+    rows += [row for pull, row in pulls if pull > FAR and isinstance(row, int)]
     spoilt = next((given[row] for row in rows if usable[row].load is None), None)
     return estimate, weighed, spoilt
 

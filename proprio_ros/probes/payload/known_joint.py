@@ -10,12 +10,7 @@ from proprio_ros.identification.judge import Refusal, judge, positive, rejected
 from proprio_ros.identification.regression.motion_fit import check_torque_constant
 from proprio_ros.identification.regression.one_joint_fit import STRETCH_S
 from proprio_ros.identification.regression.one_joint_known import KnownJointFit, identify_by_joint
-from proprio_ros.identification.regression.refusals import (
-    UNEXPLAINED_SHARE,
-    WIDEST_SHARE,
-    interval_too_wide,
-    lighter_than_empty,
-)
+from proprio_ros.identification.regression.refusals import UNEXPLAINED_SHARE, WIDEST_SHARE, interval_too_wide, lighter_than_empty
 from proprio_ros.probes.payload.moving import MotionDetail, motion_answer
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.motions import Motion

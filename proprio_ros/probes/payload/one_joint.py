@@ -11,19 +11,8 @@ import numpy as np
 from proprio_ros.identification.estimate import Estimate, Fit, Value
 from proprio_ros.identification.judge import FAR, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE, relative_torque_std
-from proprio_ros.identification.regression.one_joint_fit import (
-    STRETCH_S,
-    OneJointFit,
-    carried_by,
-    fit_one_joint,
-    shown_of,
-)
-from proprio_ros.identification.regression.refusals import (
-    UNEXPLAINED_SHARE,
-    interval_too_wide,
-    lighter_than_empty,
-    unlike_urdf,
-)
+from proprio_ros.identification.regression.one_joint_fit import STRETCH_S, OneJointFit, carried_by, fit_one_joint, shown_of
+from proprio_ros.identification.regression.refusals import UNEXPLAINED_SHARE, interval_too_wide, lighter_than_empty, unlike_urdf
 from proprio_ros.probes.payload.moving import MotionDetail, motion_answer
 from proprio_ros.quantity import Quantity, shown
 from proprio_ros.recordings.motions import Motion

@@ -20,15 +20,7 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
-from proprio_ros.identification.fit import (
-    FitResult,
-    SearchOptions,
-    fit_both,
-    fit_opened,
-    source_label,
-    summary,
-    unexplained,
-)
+from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, fit_opened, source_label, summary, unexplained
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Contradiction, Findings, contradiction, screen_run
 from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
