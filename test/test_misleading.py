@@ -355,7 +355,11 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot:
     assert abs(beside.values[0].value - 0.1) < 2.0 * beside.values[0].std
     said = " ".join(beside.reasons)
     assert late[-1].name in said and "1 of 4" in said and beside.runs == 4
-    assert weigh(known, [*good[:2], *late[:2]], facts).verdict is Verdict.REJECTED
+    two = weigh(known, [*good[:2], *late[:2]], facts)
+    if late_s > 0.05:
+        assert two.verdict is Verdict.REJECTED
+    else:  # then the delay may be another in all of them
+        assert abs(two.values[0].value - 0.1) < 2.0 * two.values[0].std
     other = replace(late[-1], name="another bag#1")
     assert weigh(known, [*good, other], facts).verdict is Verdict.REJECTED, "it may be of another object"
 
