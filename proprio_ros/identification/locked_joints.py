@@ -119,7 +119,8 @@ def rests_from(before_times_s: np.ndarray, before: np.ndarray, drive: DriveTrain
         return 0
     reading = float(np.hypot(drive.encoder_resolution, drive.encoder_noise))
     if (steps := np.abs(np.diff(before))).any():  # an encoder that is finer than it is said to be
-        reading = min(reading, float(np.hypot(steps[steps > 0.0].min(), np.median(steps))))
+        seen = float(np.hypot(steps[steps > 0.0].min(), np.median(steps)))
+        reading = min(reading, max(seen, reading / MUCH_FINER))
     off = np.abs(before - np.median(last)) > AWAY_READINGS * reading
     return 0 if off[-len(last) :].any() or not off.any() else int(np.flatnonzero(off)[-1]) + 1
 

@@ -76,6 +76,8 @@ def test_rest_begins_where_a_joint_has_come_to_it() -> None:
     noisy = 0.3 + 1e-3 * np.random.default_rng(2).standard_normal(len(before))
     assert rests_from(before, noisy, drive) == 0
     assert rests_from(before, noisy + np.where(before < -0.7, 0.1, 0.0), drive) == np.flatnonzero(before >= -0.7)[0]
+    unrounded = 0.3 + 1e-9 * np.random.default_rng(2).standard_normal(len(before)) + np.where(before < -0.7, 0.1, 0.0)
+    assert rests_from(before, unrounded, drive) == np.flatnonzero(before >= -0.7)[0]
     on_its_way = 0.3 + 0.2 * before
     assert rests_from(before, on_its_way, drive) == 0
     assert rests_from(before[:0], before[:0], drive) == 0
