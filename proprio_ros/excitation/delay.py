@@ -150,7 +150,8 @@ class Delay:
         since = (times_s - self._sent_s[row])[:, None]
         sent = self._sent[row]
         effort, once, twice = sent[:, 0], sent[:, 1], sent[:, 2]
-        sent[:, 1:] = np.array([once + effort * since, twice + once * since + 0.5 * effort * since**2]).swapaxes(0, 1)
+        twice += once * since + 0.5 * effort * since**2  # before the first one goes on
+        once += effort * since
         return sent[:, 1:]
 
     def _compare(self, step_s: float, efforts: FloatArray, inertial: FloatArray, inertia: FloatArray) -> None:

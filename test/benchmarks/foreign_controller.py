@@ -59,17 +59,21 @@ def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Seq
     return {**told, "cpu_s": round(time.process_time() - begun, 1)}
 
 
+def again(asked: int) -> str:
+    """How often it was asked for, where that was more than once."""
+    return f", asked {asked} times" if asked > 1 else ""
+
+
 def cell(masses: Sequence[dict[str, Any]], kg: float) -> str:
-    """The answer and its interval in g, and how often it was asked for, where that was more than once."""
+    """The answer and its interval in g."""
     of = [one for one in masses if one["kg"] == kg]
     if not of:
         return "-"
     (one,) = of
-    again = f", asked {one['asked']} times" if one["asked"] > 1 else ""
     if not one["known"]:
-        return f"refused{again}"
+        return f"refused{again(one['asked'])}"
     low, value, high = (1e3 * one[name] for name in ("low", "value", "high"))
-    return f"{value:.1f} ({low:.1f} to {high:.1f}){again}"
+    return f"{value:.1f} ({low:.1f} to {high:.1f}){again(one['asked'])}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found: list[dict[str, Any]] = []
     if given.told:
         lines = [line for path in given.told for line in path.read_text().splitlines() if line.startswith('{"seed"')]
-        found = sorted(map(json.loads, lines), key=lambda each: each["seed"])
+        found = list(map(json.loads, lines))
     for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
         folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results.table("arms", {**columns, **{f"{1e3 * kg:g} g": f"{{m{number}}}" for number, kg in enumerate(masses_kg)}})
     for each in sorted(found, key=lambda each: each["delay_ms"]):
         row = {name: each[name] for name in ("seed", "delay_ms")} | {"jitter_ms": 0.5 * each["jitter_ms"]}
-        calibrated = ("yes" if each["robot"] else "no") + (f", asked {each['asked']} times" if each["asked"] > 1 else "")
+        calibrated = ("yes" if each["robot"] else "no") + again(each["asked"])
         cells = {f"m{number}": cell(each["masses"], kg) for number, kg in enumerate(masses_kg)}
         results.row("arms", **row, calibrated=calibrated, **cells)
     known = [one for each in found for one in each["masses"] if one["known"]]

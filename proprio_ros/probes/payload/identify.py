@@ -147,9 +147,8 @@ def _weigh(
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
     # a push that came late for a stall: only with another onset of its own is it followed
-    own = [(u, value) for u, value in zip(opened.problem.unknowns, opened.values, strict=True) if not u.shared and u.std > 0.0]
-    pulls = sorted(((abs(value - u.value) / u.std, u.scope) for u, value in own), reverse=True)
-    rows += [row for pull, row in pulls if pull > FAR and isinstance(row, int)]
+    own = [(abs(unknown.pull or 0.0), unknown.scope) for unknown in estimate.unknowns if isinstance(unknown.scope, int)]
+    rows += [row for pull, row in sorted(own, reverse=True) if pull > FAR]
     spoilt = next((given[row] for row in rows if usable[row].load is None), None)
     return estimate, weighed, spoilt
 
