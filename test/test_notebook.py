@@ -19,7 +19,7 @@ def test_the_first_notebook() -> None:
     checks, calibration, drives, ball, fit, open_arm, stuck, reasons, plans = shown
     assert "3 bags, 2 of 3 runs usable" in checks.html and "not usable: joint3 moved only" in checks.html
     assert ">accepted<" in calibration.html and all("<svg" in cell.svg for cell in (drives, fit))
-    assert ">accepted<" in ball.html and ">49.0 g<" in ball.html and "49.0 g, and between" in fit.printed
+    assert ">accepted<" in ball.html and ">49.1 g<" in ball.html and "49.1 g, and between" in fit.printed
     for refusal in (open_arm, stuck):
         assert "not identifiable" in refusal.html and "What to do: push" in refusal.html
     assert reasons.plain == "(True, ['stuck'])" and plans.html.count("<tr>") == 4

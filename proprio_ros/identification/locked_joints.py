@@ -125,19 +125,20 @@ def rests_from(before_times_s: np.ndarray, before: np.ndarray, drive: DriveTrain
     return 0 if off[-len(last) :].any() or not off.any() else int(np.flatnonzero(off)[-1]) + 1
 
 
-def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str, Motion]:
-    """Motions of those locked joints that moved during the run beyond their encoder's noise."""
-    found = {}
+def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> tuple[dict[str, float], dict[str, Motion]]:
+    """Where locked joints stood, of those that moved, and the motions of those that moved during the run beyond their noise."""
+    stood, found = {}, {}
     times_s = np.concatenate([run.before_times_s, run.times_s])
     for name in joints:
         drive, readings = robot.drive_trains.get(name), run.held_position.get(name)
         if drive is None or readings is None or np.ptp(readings) == 0.0 or robot.model.joint(name).kind == "prismatic":
             continue
         rests = rests_from(run.before_times_s, readings[: len(run.before_times_s)], drive)
+        stood[name] = float(np.mean(readings[rests:]))
         motion = smooth(times_s[rests:], readings[rests:], drive.reading_std, LOCKED_SCALES)
         if motion.evidence > MOVED_EVIDENCE:
-            found[name] = motion
-    return found
+            stood[name], found[name] = motion.start, motion
+    return stood, found
 
 
 def loads_of_yielding(

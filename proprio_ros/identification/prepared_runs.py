@@ -187,10 +187,10 @@ def _reduced(robot: Robot, run: Run) -> tuple[Run, Coefficients, dict[str, Motio
     if robot.model.joint(run.joint).kind == "prismatic":
         return run, slide_coefficients(robot, run), {}
     coefficients = arm_coefficients(robot, run, others)
-    motions = {} if run.free else locked_motions(robot, run, coefficients.pose)
-    if motions:
-        starts = {name: motion.start for name, motion in motions.items()}
-        run = replace(run, held={**run.held, **starts})
+    stood, motions = ({}, {}) if run.free else locked_motions(robot, run, coefficients.pose)
+    # the recorded mean counts a slip on the way to where a joint was held
+    if any(stood[name] != run.held[name] for name in stood):
+        run = replace(run, held={**run.held, **stood})
         coefficients = arm_coefficients(robot, run, others)
     return run, coefficients, motions
 

@@ -471,7 +471,11 @@ def test_another_fault_than_heat(rig: Rig) -> None:
         rig.virtual.servos["joint4"].fail(HardwareError.OVERLOAD)
     rig.run(0.1)
     assert "joint4: its servo reports a fault (overload" in rig.driver.command_currents({"joint4": 0.05})
-    assert rig.driver.command_currents({"joint3": 0.05}) == "", "the others may be driven"
+    assert "joint4: its servo reports a fault (overload" in rig.driver.command_currents({"joint3": 0.05}), "it holds nothing"
+    assert rig.driver.command_currents({"joint3": 0.0}) == ""
+    rig.driver.set_torque(True)
+    rig.cycle()
+    assert rig.driver.command_currents({"joint3": 0.05}) == "", "it has been rebooted"
 
 
 # --- stop and torque

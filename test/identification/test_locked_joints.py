@@ -99,10 +99,14 @@ def test_what_a_held_joint_did_before_it_came_to_rest_is_no_yielding() -> None:
         held_span={"joint2": 0.012}, held_position=readings, input_times_s=np.zeros(1), input_current_A=np.array([0.3]),
         duration_s=0.5, source="/applied_effort",
     )  # fmt: skip
-    motion = locked_motions(robot, run, ("joint2",))["joint2"]
+    motion = locked_motions(robot, run, ("joint2",))[1]["joint2"]
     away, _, acceleration = motion.at(since[~before])
     np.testing.assert_allclose(motion.start + away, yields[~before], atol=3e-4)
     assert np.abs(acceleration[5:-5] - 0.2).max() < 0.15  # 4 rad/s^2, if it had to jump
+    still = fine(0.3 - np.where(FINE_TIMES < -0.5, 0.094, 0.0))
+    run = replace(run, held={"joint2": float(np.mean(still))}, held_position={"joint2": still})
+    stood, motions = locked_motions(robot, run, ("joint2",))
+    assert not motions and stood["joint2"] == pytest.approx(0.3, abs=3e-4), "where it was held, not the mean with what was before"
 
 
 def test_a_motion_is_consistent_with_itself() -> None:
@@ -197,7 +201,7 @@ def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(mujoco_arm
     """What the driven joint feels, at the recorded motion: moving joints less the same joints at rest."""
     robot = load_robot("open_manipulator_x")
     (run,) = bag_runs(bags / "realistic_s00_empty_00_joint3" / "bag_mcap", Request(robot))
-    motions = locked_motions(robot, run, ("joint1", "joint2", "joint4"))
+    _, motions = locked_motions(robot, run, ("joint1", "joint2", "joint4"))
     assert "joint2" in motions  # the shoulder gives way by 8 mrad
     begins, loads = loads_of_yielding(robot, run, motions, LOAD, SIGMA)
     assert begins[0] == 0.0 and loads.shape == (len(begins), 2)
