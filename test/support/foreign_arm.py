@@ -26,6 +26,7 @@ SHARE = {"shoulder": 1.0, "elbow": 0.5, "wrist": 0.2}
 LIMIT_RAD, HEIGHT_M, STEP_S = 2.6, 0.7, 1e-3
 START = {"shoulder": -0.9, "elbow": 0.8, "wrist": 0.2}
 LOADING_S = 1.5  # a person lets go of what is put into the hand that slowly
+STIFFNESS_PER_RAD, DAMPING_S_PER_RAD = 4.0, 0.35  # of the position controller, as shares of the largest torque
 COUNT_RAD = 2.0 * math.pi / 2**15
 
 
@@ -155,7 +156,7 @@ class ForeignArm:
             limits = np.array([EFFORT_N_M[name] for name in JOINTS])
             torque = self._wanted
             if self.goals:
-                torque = limits * (4.0 * (self._wanted - self.data.qpos) - 0.35 * self.data.qvel)
+                torque = limits * (STIFFNESS_PER_RAD * (self._wanted - self.data.qpos) - DAMPING_S_PER_RAD * self.data.qvel)
             self.data.qfrc_applied[:] = self.scale * np.clip(torque, -limits, limits)
             self.mujoco.mj_step(self.model, self.data)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,11 +15,22 @@ from std_msgs.msg import Float64MultiArray
 
 from proprio_ros.cli import main as proprio
 from proprio_ros.nodes.messages import values_of
-from support.foreign_arm import BROADCAST, ORDER, Busy, ForeignArm, write_urdf
+from support.foreign_arm import (
+    BROADCAST,
+    DAMPING_S_PER_RAD,
+    EFFORT_N_M,
+    JOINTS,
+    ORDER,
+    STIFFNESS_PER_RAD,
+    Busy,
+    ForeignArm,
+    write_urdf,
+)
 from support.simulated_live import Client
 from support.simulated_world import World, world
 
 REFERENCE_KG = 0.5
+SUPPLY_V = 12.0  # any: torque goes with the share of it
 
 
 class ForeignProcess:
@@ -53,6 +65,20 @@ class ForeignProcess:
             self._states.publish(message)
 
 
+def state_servos(robot: Path) -> None:
+    """What its owner knows of the position controller: stiffness and damping of each joint, as shares of its largest torque."""
+    text = robot.read_text()
+    for name in JOINTS:
+        head, of, rest = text.partition(f"\n  {name}:")
+        for key, value in {
+            "supply_voltage_V": SUPPLY_V, "back_emf_V_s_per_rad": DAMPING_S_PER_RAD * SUPPLY_V,
+            "resistance_ohm": SUPPLY_V / EFFORT_N_M[name], "driven_by": f"{{kind: position_servo, gain_per_rad: {STIFFNESS_PER_RAD}}}",
+        }.items():  # fmt: skip
+            rest = re.sub(rf"\b{key}: \S+", f"{key}: {value}", rest, count=1)
+        text = head + of + rest
+    robot.write_text(text)
+
+
 @contextlib.contextmanager
 def foreign(
     folder: Path, seed: int, goals: bool = False, rate_hz: float = 500.0, busy: Busy | None = None, **facts: Any
@@ -61,6 +87,8 @@ def foreign(
     robot = folder / "foreign.yaml"
     urdf = write_urdf(folder)
     assert proprio(["robot", "new", str(urdf), "--output", str(robot), "--effort-unit", "N.m", "--force"]) == 0
+    if goals:
+        state_servos(robot)
     stated = ["payload.com=[0,0,0]", "payload.shape=point"]
     identifier = {
         "calibration": "none", "robot": robot, "reference_mass": REFERENCE_KG, "reference_wait": 3.0, "settings": stated,
