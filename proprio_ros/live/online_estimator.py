@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
-from proprio_ros.identification.regression.online import OnlineEstimate, OnlineEstimator
+from proprio_ros.identification.regression.at_rest import StandingEstimator
+from proprio_ros.identification.regression.online import OnlineEstimate
+from proprio_ros.live.stall_current import StallCurrents
 from proprio_ros.probes.base import Carried, Online
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.recordings.effort import ampere
@@ -43,6 +46,7 @@ class OnlineFeed:
         others: Joints that are not in the calibration and count as standing.
         waits_for: Why no joint state counted since the last that did; empty: nothing is wrong.
         samples: How many counted.
+        stall: What flows in motors that a voltage drives; goals and voltage go in there.
         moved: Those of the others that are elsewhere than they count as standing.
 
     Raises:
@@ -54,17 +58,18 @@ class OnlineFeed:
         self._stated = dict(stated or {})
         self.probe, self._robot, self._facts = probe, robot, facts
         self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
+        self.stall = StallCurrents(robot)
         self.joints = robot.motion_calibration.joints
         self.others = [name for name in robot.model.independent_joints if name not in self.joints]
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, tuple[float, float]] = {}
-        self._running: OnlineEstimator | None = None
+        self._running: StandingEstimator | None = None
         here = {name: at for name, at in {**robot.held, **self._stated}.items() if name in self.others}
         self._held = {**zero_pose(self._robot, self.others), **here}
         self.waits_for, self.samples = "", 0
         self.moved: set[str] = set()
 
-    def _make(self, held: dict[str, float]) -> OnlineEstimator:
+    def _make(self, held: dict[str, float]) -> StandingEstimator:
         return self.probe.running(self._robot, self._facts, held)
 
     def load(self, mass_kg: float) -> Carried:
@@ -75,7 +80,13 @@ class OnlineFeed:
     def about(self) -> str:
         """What a user should know of it, as a sentence without its end."""
         stand = f"; {', '.join(self.others)} counts as standing where it first stood" if self.others else ""
-        return f"the running estimate takes measured effort of the joint states alone{stand}"
+        takes = "measured effort of the joint states alone" if self._measured else "goals and positions"
+        return f"the running estimate takes {takes}{stand}"
+
+    @property
+    def _measured(self) -> list[str]:
+        """Joints whose effort counts."""
+        return [name for name in self.joints if name not in self.stall.joints]
 
     @property
     def warning(self) -> str:
@@ -97,13 +108,20 @@ class OnlineFeed:
         if self._running is None:
             self._held |= others
         self.moved |= {name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD}
-        mine = {name: number for number, name in enumerate(names) if name in self.joints}
-        self.waits_for = _why_not(mine, effort, unit) or self.waits_for
-        if not unit:
+        measured = self._measured
+        mine = {name: number for number, name in enumerate(names) if name in measured}
+        self.waits_for = _why_not(mine, effort, unit) or self.waits_for if measured else self.waits_for
+        if measured and not unit:
             return None
-        for name, at, measured in zip(names, position, effort, strict=False):
-            if name in self._per_current:
-                self._latest[name] = at, current_A(measured, unit, self._per_current[name])
+        for name, at, said in zip_longest(names, position, effort[: len(names)], fillvalue=math.nan):
+            if name in self.stall.joints:
+                self._latest[name] = at, self.stall.current_A(name, time_s, at, said)
+                if math.isnan(self._latest[name][1]) and name in self.joints:
+                    self.waits_for = (
+                        f"nobody says where {name} is sent: publish goals on joint_command, stamped as joint states are"
+                    )
+            elif name in self._per_current:
+                self._latest[name] = at, current_A(said, unit, self._per_current[name])
         if absent := [name for name in self.joints if name not in self._latest]:
             self.waits_for = self.waits_for or f"no joint states of {', '.join(absent)} are coming"
             return None
@@ -112,7 +130,8 @@ class OnlineFeed:
         if self._running is None:
             self._running = self._make(self._held)
         rows = [self._latest[name] for name in self.joints]
-        new = self._running.add(time_s, [row[0] for row in rows], [row[1] for row in rows])
+        works = self.stall.works(time_s)
+        new = self._running.add(time_s, [row[0] for row in rows], [row[1] for row in rows], works)
         if self._running.frozen:
             self.waits_for = "joint states say the same again and again of an arm that was moving: their publisher stalls"
         elif all(math.isfinite(value) for row in rows for value in row):

@@ -147,8 +147,8 @@ class IdentifierNode(ManagedNode):
         self._inputs = Inputs(self, self._busy)
         self._workspace = workspace = Workspace(data, self.values["robot"], self._inputs.stated_topics())
         self._results = results = Results(self, workspace)
-        self._weighing = Weighing(self, workspace, self._inputs, results, lambda: self._busy() or bool(self._missing()))
-        self._carrying = Carrying(self, self._inputs, results)
+        carrying, silent = Carrying(self, self._inputs, results), lambda: self._busy() or bool(self._missing())
+        self._weighing = Weighing(self, workspace, self._inputs, results, carrying, silent)
         self._excitation = Excitation(self, self._on_progress)
         self._jobs = Jobs(self, workspace, self._inputs, self._excitation, results, self._weighing, self._unsaved)
         self._prepared, self._described = False, None
@@ -185,9 +185,7 @@ class IdentifierNode(ManagedNode):
         for settings in (stated, parse_settings(value_of(self, "reference_settings"))):
             check_settings(replace(workspace.options(), settings=settings))
         self._weighing.prepare()
-        robot = workspace.configured(stated)
-        self._inputs.open(robot.drive_trains)
-        self._carrying.use(robot)
+        self._inputs.open(workspace.configured(stated).drive_trains)
         self._prepared = True
         self.say("info", f"ready after {clock.now() - started:.1f} s; calibration: {workspace.calibration or 'none'}")
 

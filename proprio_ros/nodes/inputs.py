@@ -28,6 +28,7 @@ STALE_S = 0.5
 SILENT_S = 3.0  # whoever says something ten times a second and has not for so long is gone
 TAIL_S = 0.3  # joint states after the last run that belong to the recording
 BEHIND_S = 0.2
+WORKING = ("joint_states", "joint_command", "battery_state")  # roles of what says what an arm at work holds
 LATEST_S = 30.0
 """On a busy computer joint states may lie in the queue for so long, while a word of the excitation node comes past them."""
 
@@ -38,8 +39,8 @@ class Inputs:
     Attributes:
         session: Takes all messages of a recording that is under way.
         heard: Takes those that are looked at before one.
-        kept: Joint states of the last seconds; None where nobody wants them.
-        arrived: Joint states that the running estimate has not seen; None while there is none.
+        kept: Messages of `WORKING` of the last seconds; None where nobody wants them.
+        arrived: Those that the running estimate has not seen, with their roles; None while there is none.
         live: The estimate that goes along with a recording.
         driven: Whether a joint is driven just now; known while there is `live`.
         by_goals: Topic of the goals of servos that know no current; empty where there are none.
@@ -56,7 +57,7 @@ class Inputs:
         self.session: Session | None = None
         self.heard: list[RawMessage] | None = None
         self.kept: deque[RawMessage] | None = None
-        self.arrived: deque[tuple[int, Any]] | None = None
+        self.arrived: deque[tuple[str, RawMessage]] | None = None
         self.live: LiveEstimate | None = None
         self.driven = self.swings = False
         self.by_goals, self.newest_state = "", b""
@@ -156,12 +157,12 @@ class Inputs:
                 self._effort_at_s = clock.now()
             session, heard, kept, arrived = self.session, self.heard, self.kept, self.arrived
             raw = RawMessage(full_name, msgtype, now_ns, bytes(data))
-            if role == "joint_states" and kept is not None:
+            if kept is not None and role in WORKING:
                 kept.append(raw)
                 while now_ns - kept[0].time_ns > 1e9 * self._node.values["weigh_seconds"]:
                     kept.popleft()
-            if role == "joint_states" and arrived is not None:
-                arrived.append((now_ns, raw.data))
+            if arrived is not None and role in WORKING:
+                arrived.append((role, raw))
             if heard is not None:
                 heard.append(raw)
             if session is None:

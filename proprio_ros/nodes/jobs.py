@@ -257,7 +257,9 @@ class Jobs:
         self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=names))
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
-        stays = self._workspace.keep_calibration(output)
+        if not (stays := self._workspace.keep_calibration(output)):
+            self._weighing.prepare()
+            self._weighing.begin()
         return True, f"{said}; calibration: {output}" + f"; {stays}" * bool(stays)
 
     def _chosen(

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from threadpoolctl import threadpool_limits
 
 from proprio_ros import clock
@@ -23,12 +23,15 @@ from proprio_ros.live.online_estimator import NO_MOTIONS, OnlineFeed, any_moved
 from proprio_ros.live.session import Session
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import messages
+from proprio_ros.nodes.carrying import Carrying
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import probe_at_work
+from proprio_ros.recordings.topics import JOINT_STATE
+from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.robot import Robot
 
 RUNNING_PERIOD_S = 0.1
@@ -46,26 +49,30 @@ class Weighing:
     """
 
     def __init__(
-        self, node: ManagedNode, workspace: Workspace, inputs: Inputs, results: Results, silent: Callable[[], bool]
+        self,
+        node: ManagedNode,
+        workspace: Workspace,
+        inputs: Inputs,
+        results: Results,
+        carrying: Carrying,
+        silent: Callable[[], bool],
     ) -> None:
-        self._node, self._workspace, self._inputs = node, workspace, inputs
+        self._node, self._workspace, self._inputs, self._carrying = node, workspace, inputs, carrying
         self._results, self._silent = results, silent
         self._make_feed: Callable[[], OnlineFeed] | None = None
 
     def prepare(self) -> None:
-        """Keep what weighing needs, and have the running estimate ready where it is asked for.
+        """Keep what weighing needs, have the running estimate ready where it is asked for, and what the joints carry.
 
         Raises `ConfigurationError`, `RobotError`: What is stated does not fit, or the calibration is of another arm.
         """
         self._inputs.kept = self._make_feed = None
         asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))
         self._robot: Robot = self._workspace.configured(stated)
+        self._carrying.use(self._robot)
         off = "" if self._robot.motion_calibration is not None else NO_MOTIONS
         if not off:
             self._inputs.kept = deque()
-            if any(drive.driven_by is not None for drive in self._robot.drive_trains.values()):
-                # a published effort of theirs is no current
-                off = f"a voltage drives motors of {self._robot.name} (driven_by)"
         if asked and off:
             self._node.say("warning", f"the running estimate is off: {off}")
         elif asked:
@@ -82,15 +89,18 @@ class Weighing:
         seconds = self._node.values["weigh_seconds"]
         if self._inputs.kept is None:
             raise JobError(f"not weighed: {NO_MOTIONS}")
-        unit = self._inputs.measured_unit()
-        if not unit:
+        # a published effort of motors that a voltage drives is no current
+        by_voltage = set(self._robot.drive_trains) == set(voltage_driven(self._robot))
+        unit = None if by_voltage else self._inputs.measured_unit()
+        if unit == "":
             words = "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
             raise JobError(f"not weighed: {words}")
         if not self._inputs.has_states:
             raise JobError("not weighed: no joint states are coming; start the driver and check its bus")
         kept = list(self._inputs.kept)
         renamed = self._inputs.conventions.renamed
-        states = (deserialize_message(raw.data, JointState) for raw in kept)
+        of_states = [raw for raw in kept if raw.msgtype == JOINT_STATE and raw.topic != self._inputs.by_goals]
+        states = (deserialize_message(raw.data, JointState) for raw in of_states)
         if not any_moved(((renamed(state.name), state.position) for state in states), self._robot.drive_trains):
             raise JobError(f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works")
         stated = {**parse_settings(value_of(self._node, "settings")), **parse_settings(job.settings)}
@@ -146,9 +156,16 @@ class Weighing:
                 if not arrived:
                     clock.sleep(0.02)
                     continue
-                now_ns, data = arrived.popleft()
-                message = deserialize_message(data, JointState)
+                role, raw = arrived.popleft()
+                now_ns = raw.time_ns
+                if role == "battery_state":
+                    feed.stall.hear_voltage(deserialize_message(raw.data, BatteryState).voltage)
+                    continue
+                message = deserialize_message(raw.data, JointState)
                 time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
+                if role == "joint_command":
+                    feed.stall.hear_goals(time_s, renamed(message.name), message.position)
+                    continue
                 unit = self._inputs.measured_unit()
                 estimate = feed.add(time_s, renamed(message.name), message.position, message.effort, unit)
                 if feed.samples > samples:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from proprio_ros.excitation.plans import ExcitationSequence
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
-    from proprio_ros.identification.regression.online import OnlineEstimator
+    from proprio_ros.identification.regression.at_rest import StandingEstimator
     from proprio_ros.recordings.motions import Motion
     from proprio_ros.recordings.text import TextRecording
     from proprio_ros.records import Run
@@ -281,7 +281,7 @@ class Online(Carries[Facts]):
     """It says what the hand holds while the arm works, without runs of its own."""
 
     @abstractmethod
-    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> OnlineEstimator:
+    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> StandingEstimator:
         """An estimate that goes along with the arm's work; held: positions [rad or m] of joints without a calibration of motions.
 
         Raises `RobotError`: The calibration is of another arm.

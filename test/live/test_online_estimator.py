@@ -23,7 +23,7 @@ class Estimator:
     def __init__(self, held: dict[str, float]) -> None:
         self.held, self.rows, self.frozen = held, [], False
 
-    def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float]) -> bool:
+    def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float], works: bool) -> bool:
         self.rows.append((list(positions), list(currents)))
         return True
 

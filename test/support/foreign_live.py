@@ -72,7 +72,8 @@ def state_servos(robot: Path) -> None:
         head, of, rest = text.partition(f"\n  {name}:")
         for key, value in {
             "supply_voltage_V": SUPPLY_V, "back_emf_V_s_per_rad": DAMPING_S_PER_RAD * SUPPLY_V,
-            "resistance_ohm": SUPPLY_V / EFFORT_N_M[name], "driven_by": f"{{kind: position_servo, gain_per_rad: {STIFFNESS_PER_RAD}}}",
+            "resistance_ohm": SUPPLY_V / EFFORT_N_M[name],
+            "driven_by": f"{{kind: position_servo, gain_per_rad: {STIFFNESS_PER_RAD}}}",
         }.items():  # fmt: skip
             rest = re.sub(rf"\b{key}: \S+", f"{key}: {value}", rest, count=1)
         text = head + of + rest

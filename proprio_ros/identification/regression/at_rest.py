@@ -15,17 +15,21 @@ Where the arm moved for a moment, its sliding friction is known, and the running
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
 from proprio_ros.errors import TooLittleMotion
+from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
 from proprio_ros.identification.regression.motion_fit import CALIBRATION, CONSTANTS, check_arm
 from proprio_ros.identification.regression.motion_prior import LOAD_FRICTION_SPREAD, payload_stds
-from proprio_ros.identification.regression.online import OnlineEstimator
+from proprio_ros.identification.regression.online import TOLD_S, OnlineEstimate, OnlineEstimator
+from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -42,6 +46,8 @@ ALIKE = 0.5
 """Part of that variance which a joint has in common in all poses that it reached from one side: many of them are no cure."""
 FRICTION, PLACE, MOVING = "friction of joints that stand", "where the load lies", "a few seconds of motion"
 ROUNDS = 20
+STANCE_S, CHANGED_SIGMAS = 0.2, 2.0
+"""So often it is asked what an arm holds that stands; and so far from what it held on its way something was put in or taken out."""
 
 
 @dataclass(frozen=True)
@@ -217,6 +223,66 @@ def _by_stances(
         float(np.sqrt(np.mean(left**2))),
         float(np.sqrt(np.trace(parts[FRICTION]) / size)),
     )
+
+
+class StandingEstimator(OnlineEstimator):
+    """A running estimate that goes on where the arm stands: by its motion, and by how it stands where that says something else.
+
+    Where somebody takes something out of a hand that stands still, or puts it in, no joint moves, or each by a few counts. What the
+    arm's motion said before then stands no longer.
+    """
+
+    def __init__(self, robot: Robot, calibration: MotionCalibration, **known: Any) -> None:
+        super().__init__(robot, calibration, **known)
+        self._band = np.maximum(STILL_COUNTS * np.array([robot.drive_trains[n].encoder_resolution for n in self.joints]), STILL_RAD)
+        self._centre_std_m = np.full(3, known["centre_std_m"])
+        self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
+        self._stance: RestFit | None = None
+        self._stands_since_s = self._next_stance_s = -np.inf
+        self._of_stance: tuple[float, float] | None = None  # since when what stands is that of a stance, and until when it is news
+
+    def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float], works: bool = True) -> bool:
+        """As that of the running estimate; ``works``: whether somebody moves the arm, as far as that is known."""
+        new, row = works and super().add(time_s, positions, currents), (time_s, np.array(positions), np.array(currents))
+        if not np.isfinite([time_s, *row[1], *row[2]]).all():
+            return new
+        if self._rows and not 0.0 <= time_s - self._rows[-1][0] < SETTLING_S:
+            self._rows.clear()
+        self._rows.append(row)
+        while time_s - self._rows[0][0] > SHORTEST_S:
+            self._rows.popleft()
+        if not time_s - SHORTEST_S + SETTLING_S > self._rows[0][0] or self._same:
+            return new
+        position = np.array([each[1] for each in self._rows])
+        if (np.ptp(position, axis=0) > self._band).any():
+            self._stance, self._stands_since_s = None, np.inf
+            return new
+        self._stands_since_s = min(self._stands_since_s, self._rows[0][0])
+        if abs(time_s - self._next_stance_s) < STANCE_S and time_s < self._next_stance_s:
+            return new
+        self._next_stance_s = time_s + STANCE_S
+        late = [each[0] > time_s - SHORTEST_S + SETTLING_S for each in self._rows]
+        at, current = position[late].mean(axis=0)[None], np.array([each[2] for each in self._rows])[late].mean(axis=0)[None]
+        # where it came from is too long ago, or somebody touched it since
+        stance = Stances(at, current, np.zeros_like(at))
+        fit = _by_stances(self._arm, self._calibration, stance, np.array(self.centre_m), self._centre_std_m)
+        told = fit.chi2 <= chi2_limit(fit.freedom) and fit.mass_kg > -Z95 * fit.std_kg
+        self._stance = fit if told else None
+        return new or told
+
+    def estimate(self) -> OnlineEstimate | None:
+        moved, fit = super().estimate(), self._stance
+        if fit is None:
+            return moved
+        now_s, half = self._rows[-1][0], Z95 * fit.std_kg
+        if moved is not None:
+            if abs(moved.mass_kg - fit.mass_kg) < CHANGED_SIGMAS * np.hypot(moved.std_kg, fit.std_kg):
+                return replace(moved, resting_since_s=self._stands_since_s)
+            self._forget()
+            self._of_stance = now_s, now_s + TOLD_S
+        since_s, news_s = self._of_stance or (self._stands_since_s, -np.inf)
+        interval = fit.mass_kg - half, fit.mass_kg + half
+        return OnlineEstimate(now_s, fit.mass_kg, fit.std_kg, interval, 0.0, now_s < news_s, since_s, self._stands_since_s)
 
 
 def refuse_useless(robot: Robot, motion: Motion) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from proprio_ros.excitation.plans import ExcitationSequence
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
-    from proprio_ros.identification.regression.online import OnlineEstimator
+    from proprio_ros.identification.regression.at_rest import StandingEstimator
     from proprio_ros.probes.payload.identify import WeighingOptions
     from proprio_ros.probes.payload.paper import PaperOptions
     from proprio_ros.records import Run
@@ -137,13 +137,14 @@ class Payload(
 
         return UntilSure(robot, facts.payload, sequence, whole)
 
-    def running(self, robot: Robot, facts: PayloadJob, held: dict[str, float]) -> OnlineEstimator:
-        from proprio_ros.identification.regression.online import CENTRE_STD_M, OnlineEstimator
+    def running(self, robot: Robot, facts: PayloadJob, held: dict[str, float]) -> StandingEstimator:
+        from proprio_ros.identification.regression.at_rest import StandingEstimator
+        from proprio_ros.identification.regression.online import CENTRE_STD_M
 
         assert robot.motion_calibration is not None
         centre_m = [float(axis) for axis in facts.payload.com]
         std_m = float(max(facts.payload.com_std)) or CENTRE_STD_M
-        return OnlineEstimator(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
+        return StandingEstimator(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
 
     def load(self, facts: PayloadJob, mass_kg: float) -> base.Carried:
         from proprio_ros.probes.payload.facts import inertia_tensor
