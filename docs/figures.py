@@ -104,12 +104,7 @@ def _together(rows: list[dict[str, Any]], digits: int = 1) -> tuple[str, str, in
     errors = [each for row in rows for each in row["errors"]]
     halves = [each for row in rows for each in row["half_intervals"]]
     worst = f"worst {max(map(abs, errors)):.{digits}f} %"
-    return (
-        worst,
-        f"{_span(halves, digits)} % half wide",
-        sum(row["hold"] for row in rows),
-        sum(row["given"] for row in rows),
-    )
+    return (worst, f"{_span(halves, digits)} % half wide", sum(row["hold"] for row in rows), sum(row["given"] for row in rows))
 
 
 def _simulated() -> list[Row]:
@@ -165,11 +160,7 @@ def _simulated() -> list[Row]:
 def _recorded() -> list[Row]:
     found = []
     for words, asked, section in (
-        (
-            "a real UR10e in motion, 2.805 kg, against each of three empty recordings",
-            ("UR10e, 2.805 kg, `--baseline`",),
-            0,
-        ),
+        ("a real UR10e in motion, 2.805 kg, against each of three empty recordings", ("UR10e, 2.805 kg, `--baseline`",), 0),
         ("15 s of it, against each", ("the same, 15 s",), 0),
         (
             "a real servo that lets go of a pendulum, calibrated on two or three other loads of 0.5 to 1.2 kg",
@@ -252,9 +243,4 @@ def speed_in_short() -> str:
     )
 
 
-VIEWS: dict[str, Callable[[], str]] = {
-    "readme": readme,
-    "summary": summary,
-    "speed": speed,
-    "speed in short": speed_in_short,
-}
+VIEWS: dict[str, Callable[[], str]] = {"readme": readme, "summary": summary, "speed": speed, "speed in short": speed_in_short}

@@ -36,11 +36,7 @@ calibration.plot()
 # A ball of 50 g. What is known about it is stated: that it is a sphere, and its diameter in metres.
 
 # %%
-ball = weigh(
-    bag("realistic_s00_fixed_heavy_ball_50g_joint3"),
-    calibration=calibration,
-    payload={"shape": "sphere", "size": 0.043},
-)
+ball = weigh(bag("realistic_s00_fixed_heavy_ball_50g_joint3"), calibration=calibration, payload={"shape": "sphere", "size": 0.043})
 ball
 
 # %%

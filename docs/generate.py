@@ -33,12 +33,7 @@ import figures
 
 PAGES = Path(__file__).resolve().parent / "pages"
 NOTE = "<!-- written by docs/generate.py from the code: change that instead -->"
-NODES = {
-    "driver": "DriverNode",
-    "excitation": "ExcitationNode",
-    "identifier": "IdentifierNode",
-    "virtual": "VirtualNode",
-}
+NODES = {"driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode", "virtual": "VirtualNode"}
 PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
     "identifier": (
         ("results:Results.__init__", {}),
@@ -352,16 +347,8 @@ def ros_interface() -> str:
         _table(
             ("name", "type", "holds"),
             [
-                (
-                    "`/identifier/mass_estimate`",
-                    "`proprio_msgs/MassEstimate`",
-                    "of payload or sphere: as `~/estimate`; latched",
-                ),
-                (
-                    "`/identifier/elasticity_estimate`",
-                    "`proprio_msgs/ElasticityEstimate`",
-                    "of a block: as `~/estimate`; latched",
-                ),
+                ("`/identifier/mass_estimate`", "`proprio_msgs/MassEstimate`", "of payload or sphere: as `~/estimate`; latched"),
+                ("`/identifier/elasticity_estimate`", "`proprio_msgs/ElasticityEstimate`", "of a block: as `~/estimate`; latched"),
                 (
                     "`/identifier/holding_estimate`",
                     "`proprio_msgs/Holding`",
@@ -478,11 +465,7 @@ def settings() -> str:
         _table(
             ("unknown", "value", "meaning"),
             [
-                (
-                    f"`{kind}[{KINDS[kind].of.upper()}]`" if KINDS[kind].of else f"`{kind}`",
-                    form.described(),
-                    form.meaning,
-                )
+                (f"`{kind}[{KINDS[kind].of.upper()}]`" if KINDS[kind].of else f"`{kind}`", form.described(), form.meaning)
                 for kind, form in RANGES.items()
             ]
             + [(f"`{key}`", form.described(), form.meaning) for key, form in NOISE.items()],

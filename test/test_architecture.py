@@ -46,17 +46,9 @@ ROOMS: dict[str, set[str]] = {
         *("experiment_design", "report", "probes", "pipeline", "live"),
     },
     # users of the package: many recordings, and the paper's experiments again
-    "batch": {
-        *("inputs", "calibration_files", "robot", "recordings", "identification", "report", "probes", "pipeline"),
-    },
-    "paper": {
-        *("inputs", "robot", "recordings", "excitation", "virtual", "sim", "identification", "report", "probes"),
-        "pipeline",
-    },
-    "cli": {
-        *("inputs", "robot", "recordings", "identification", "report", "probes", "pipeline", "nodes", "batch"),
-        "paper",
-    },
+    "batch": {*("inputs", "calibration_files", "robot", "recordings", "identification", "report", "probes", "pipeline")},
+    "paper": {*("inputs", "robot", "recordings", "excitation", "virtual", "sim", "identification", "report", "probes"), "pipeline"},
+    "cli": {*("inputs", "robot", "recordings", "identification", "report", "probes", "pipeline", "nodes", "batch"), "paper"},
 }
 ROS = {
     "rclpy",

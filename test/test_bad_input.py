@@ -268,18 +268,7 @@ def test_names_that_no_file_has(capsys: pytest.CaptureFixture[str], path: str, o
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        DEEP,
-        BOMB,
-        MERGED,
-        "extends: [1]",
-        "extends: " + "x" * 10**5,
-        "name: " + "9" * 400,
-        'urdf: "a\\0b"',
-        "1",
-        NUMBERED,
-    ],
+    "text", [DEEP, BOMB, MERGED, "extends: [1]", "extends: " + "x" * 10**5, "name: " + "9" * 400, 'urdf: "a\\0b"', "1", NUMBERED]
 )
 def test_robot_files_that_nobody_means(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str) -> None:
     (tmp_path / "arm.yaml").write_text(text)

@@ -163,11 +163,7 @@ def test_the_paper_is_cited() -> None:
     assert paper["url"] == "https://arxiv.org/abs/2410.03920" and len(paper["authors"]) == 8
     for path in (REPOSITORY / "README.md", REPOSITORY / "docs" / "pages" / "index.md"):
         text = re.sub(r"\s+>?\s*", " ", path.read_text(encoding="utf-8"))
-        for words in [
-            paper["title"],
-            paper["url"],
-            *(f"{a['given-names']} {a['family-names']}" for a in paper["authors"]),
-        ]:
+        for words in [paper["title"], paper["url"], *(f"{a['given-names']} {a['family-names']}" for a in paper["authors"])]:
             assert words in text, f"{path.name} lacks {words}"
 
 

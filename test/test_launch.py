@@ -20,12 +20,7 @@ from proprio_ros.probes.container.virtual_object import Container
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LAUNCH = sorted((REPOSITORY / "proprio_ros" / "launch").glob("*.launch.py"))
-CLASSES = {
-    "driver": "DriverNode",
-    "excitation": "ExcitationNode",
-    "identifier": "IdentifierNode",
-    "virtual": "VirtualNode",
-}
+CLASSES = {"driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode", "virtual": "VirtualNode"}
 
 
 def stated(node: str) -> dict[str, Any]:

@@ -86,10 +86,7 @@ WRONG = {
         SQUEEZE,
         "",
         "armature[gripper_left_joint]",
-        {
-            "block.size": [0.03, 0.03, 0.03],
-            DRIVE.format("gripper_left_joint") + "armature_kg_m2": {"value": 0.004, "std": 0.002},
-        },
+        {"block.size": [0.03, 0.03, 0.03], DRIVE.format("gripper_left_joint") + "armature_kg_m2": {"value": 0.004, "std": 0.002}},
     ),
 }
 
@@ -407,12 +404,7 @@ def test_a_payload_whose_place_is_guessed_says_so(bags: Path, robot: Robot) -> N
 
 @pytest.mark.parametrize(
     ("settings", "guessed"),
-    [
-        ({}, True),
-        ({"payload.size": 0.02}, True),
-        ({"payload.com": [0, 0, 0]}, False),
-        ({"payload.com_std": [0.01] * 3}, False),
-    ],
+    [({}, True), ({"payload.size": 0.02}, True), ({"payload.com": [0, 0, 0]}, False), ({"payload.com_std": [0.01] * 3}, False)],
 )
 def test_a_place_is_guessed_where_nobody_stated_it(settings: dict[str, Any], guessed: bool) -> None:
     assert payload_facts(Settings(settings), probe_file("payload", ("payload",))["payload"]).com_guessed is guessed

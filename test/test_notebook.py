@@ -11,10 +11,7 @@ import pytest
 @pytest.mark.long
 def test_the_first_notebook() -> None:
     found = notebook.executed(notebook.SCRIPT.read_text(encoding="utf-8"))
-    text, shown = (
-        [cell for cell in found if cell.markdown],
-        [cell for cell in found if not cell.markdown and cell.plain],
-    )
+    text, shown = ([cell for cell in found if cell.markdown], [cell for cell in found if not cell.markdown and cell.plain])
     assert len(text) >= 6 and "first notebook" in text[0].source
     checks, calibration, drives, ball, fit, open_arm, stuck, reasons, plans = shown
     assert "3 bags, 2 of 3 runs usable" in checks.html and "not usable: joint3 moved only" in checks.html

@@ -141,10 +141,7 @@ def test_other_probes_do_not_take_it(tmp_path: Path) -> None:
     recording, _ = swung(0.4, seconds=5.0)
     write_recording(tmp_path / "bag", recording)
     with pytest.raises(RecordingError, match=r"one under a controller.*one at a time"):
-        replay(
-            tmp_path / "bag",
-            Options(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"),
-        )
+        replay(tmp_path / "bag", Options(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"))
 
 
 # --- what it says ------------------------------------------------------------------------------------------------------
@@ -314,11 +311,7 @@ def test_no_real_servo_is_weighed_from_what_is_no_torque(tmp_path: Path, name: s
         pytest.skip("needs the real recordings")
     servo = {"length_m": 0.1, "rod_kg": 0.01, "nominal": 0.36, "armature": 0.02}
     well_known = "{value: 0.36, std: 0.004}"
-    for unit, constant in (
-        *((unit, "0.36") for unit in ("raw", "mA", "A", "N.m")),
-        ("raw", well_known),
-        ("A", well_known),
-    ):
+    for unit, constant in (*((unit, "0.36") for unit in ("raw", "mA", "A", "N.m")), ("raw", well_known), ("A", well_known)):
         estimate = replayed(REAL / name, robot_file(tmp_path, constant=constant, **servo), unit)  # type: ignore[arg-type]
         assert estimate.values[0].value is None and codes(estimate)[0] in SERVOS[name], (unit, estimate.reasons)
 

@@ -109,20 +109,12 @@ def test_the_lowest_versions_are_those_of_the_lower_bounds(arguments: dict[str, 
     bounds = {name: Version(s.version) for name, those in allowed.items() for s in those if s.operator == ">="}
     assert lowest == bounds
     # a new major version of these has broken code before
-    for name, next_major in (
-        ("numpy", "3.0"),
-        ("mujoco", "5.0"),
-        ("warp-lang", "2.0"),
-        ("cma", "5.0"),
-        ("rosbags", "0.12"),
-    ):
+    for name, next_major in (("numpy", "3.0"), ("mujoco", "5.0"), ("warp-lang", "2.0"), ("cma", "5.0"), ("rosbags", "0.12")):
         assert next_major not in allowed[name], name
 
 
 @pytest.mark.parametrize(
-    "command",
-    [["ruff", "check", "."], pytest.param(["mypy"], marks=pytest.mark.long)],
-    ids=lambda command: command[0],
+    "command", [["ruff", "check", "."], pytest.param(["mypy"], marks=pytest.mark.long)], ids=lambda command: command[0]
 )
 def test_linters(command: list[str]) -> None:
     pytest.importorskip(command[0])
@@ -143,13 +135,7 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
     clean = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")}
     # without the environment of the tests: colcon is the system's
     clean["PATH"] = os.pathsep.join(p for p in clean["PATH"].split(os.pathsep) if p != str(Path(sys.executable).parent))
-    built = subprocess.run(
-        [colcon, "build"],
-        cwd=tmp_path,
-        env=clean,
-        capture_output=True,
-        text=True,
-    )
+    built = subprocess.run([colcon, "build"], cwd=tmp_path, env=clean, capture_output=True, text=True)
     assert built.returncode == 0, built.stdout + built.stderr
     prefix = tmp_path / "install" / "proprio_ros"
     script = prefix / "lib" / "proprio_ros" / "proprio"
@@ -157,11 +143,7 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
     assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "proprio_ros").is_file()
     shutil.rmtree(tmp_path / "src")  # what runs now has only what was installed
     libraries = next(prefix.glob("lib/python*/site-packages"))
-    environment = {
-        **clean,
-        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{clean['PATH']}",
-        "PYTHONPATH": str(libraries),
-    }
+    environment = {**clean, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{clean['PATH']}", "PYTHONPATH": str(libraries)}
     bag = prefix / "share" / "proprio_ros" / BAG
     done = subprocess.run(
         [script, "replay", bag, "--probe", "payload", "--json"],
@@ -173,7 +155,4 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
         ["python3", "-c", "import proprio_ros.inputs.resources as r; print(r.__file__, r.share_directory())"],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert located.stdout.split() == [
-        str(libraries / "proprio_ros/inputs/resources.py"),
-        str(prefix / "share" / "proprio_ros"),
-    ]
+    assert located.stdout.split() == [str(libraries / "proprio_ros/inputs/resources.py"), str(prefix / "share" / "proprio_ros")]

@@ -122,12 +122,7 @@ def _mistakes_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 @pytest.mark.parametrize(("count", "unit", "seed"), [(6, "A", 6), (7, "N.m", 14)])
 def test_an_arm_that_nobody_has_seen_is_weighed_by_the_five_commands(
-    count: int,
-    unit: str,
-    seed: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    count: int, unit: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Torque constants are off by 3 % each, which was refused with seven joints; links, friction and rotors are off, too."""
     monkeypatch.chdir(tmp_path)
@@ -149,12 +144,7 @@ def test_an_arm_that_nobody_has_seen_is_weighed_by_the_five_commands(
 
 @pytest.mark.parametrize(("count", "unit", "seed"), [(3, "A", 41), (6, "N.m", 42)])
 def test_a_reference_stops_no_calibration(
-    count: int,
-    unit: str,
-    seed: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    count: int, unit: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One that is too light to tell torque constants was refused as if the recordings were wrong, now and then one of 0.5 kg."""
     monkeypatch.chdir(tmp_path)

@@ -67,9 +67,7 @@ def current(at_s: Sequence[float], values_A: Sequence[float]) -> InputRecord:
 # --- what is a swing ---------------------------------------------------------------------------------------------------
 
 
-def test_a_swing_begins_after_the_servo_let_go_and_ends_where_it_hangs(
-    swings: list[tuple[np.ndarray, np.ndarray]],
-) -> None:
+def test_a_swing_begins_after_the_servo_let_go_and_ends_where_it_hangs(swings: list[tuple[np.ndarray, np.ndarray]]) -> None:
     stamps, position = swings[0]
     (run,) = cut_runs(recording(stamps, position, 0.1), joints=["pivot"])
     assert run.free and not run.input_current_A.any() and not len(run.before_times_s)
@@ -262,10 +260,7 @@ def test_swings_and_driven_probes_are_given_apart(robot: Robot, runs: list[Run])
 # --- real servos -------------------------------------------------------------------------------------------------------
 
 REAL_KG = (0.535, 0.741, 0.969, 1.168)
-REAL: dict[str, Any] = {
-    "payload.com": [0.0, 0.0, 0.0],
-    "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0],
-}
+REAL: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0]}
 
 
 @pytest.mark.parametrize(

@@ -103,17 +103,7 @@ def test_what_the_documentation_asks_of_json_is_in_it(capsys: pytest.CaptureFixt
 def test_every_command_is_completed(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
-    for word in (
-        "replay",
-        "calibrate",
-        "batch",
-        "completion",
-        "baseline",
-        "effort-unit",
-        "payload",
-        "so101",
-        "ros2_control",
-    ):
+    for word in ("replay", "calibrate", "batch", "completion", "baseline", "effort-unit", "payload", "so101", "ros2_control"):
         assert re.search(rf"\b{word}\b", script), word
 
 

@@ -36,13 +36,7 @@ MOST_GROUPS = 12  # where no recording has a stamp, they make so many groups, in
 MOST_PERIODS, MOST_OF_PERIOD = 60, 5  # periods that are looked at, and episodes of each: evenly over all of them
 
 _TERMS = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}
-COLUMNS = (
-    "period",
-    "episodes",
-    "arm_over_urdf",
-    "joint",
-    *(f"{k}_{u}{e}" for k, u in _TERMS.items() for e in ("", "_std")),
-)
+COLUMNS = ("period", "episodes", "arm_over_urdf", "joint", *(f"{k}_{u}{e}" for k, u in _TERMS.items() for e in ("", "_std")))
 """Of a table of drift; a mean and its standard deviation by turns."""
 
 
@@ -169,10 +163,7 @@ def periods_of(stamps: Sequence[int | None]) -> list[tuple[str, float, list[int]
 
 @one_blas_thread
 def drift_of(
-    episodes: Sequence[Episode],
-    stamps: Mapping[str, int | None],
-    options: Options,
-    tell: Callable[[str], Any] = lambda _: None,
+    episodes: Sequence[Episode], stamps: Mapping[str, int | None], options: Options, tell: Callable[[str], Any] = lambda _: None
 ) -> Drift:
     """What each period says about the arm, by episodes with an empty hand; one without a usable motion is left out.
 

@@ -119,11 +119,7 @@ def when(row: Row) -> str:
 
 
 def listing(
-    rows: Sequence[Row],
-    sources: Mapping[str, tuple[str, str]],
-    pages: Mapping[int, str],
-    far: set[int],
-    about: Mapping[str, Any],
+    rows: Sequence[Row], sources: Mapping[str, tuple[str, str]], pages: Mapping[int, str], far: set[int], about: Mapping[str, Any]
 ) -> str:
     """All of it as JSON for ``rows.js``, which names the columns.
 

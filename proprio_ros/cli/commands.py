@@ -119,10 +119,7 @@ def check(options: argparse.Namespace, given: Sequence[str]) -> int:
 
     robot, checks = check_bags(options.bags, asked)
     terminal.show(
-        options.json,
-        as_json(robot, checks),
-        "\n".join(check.as_text() for check in checks),
-        terminal.table_of_checks(checks),
+        options.json, as_json(robot, checks), "\n".join(check.as_text() for check in checks), terminal.table_of_checks(checks)
     )
     return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
 

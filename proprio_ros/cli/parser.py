@@ -38,10 +38,7 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "state-topic": {"metavar": "T"},
     "command-topic": {"metavar": "T"},
-    "effort-unit": {
-        "choices": ("N.m", "A", "mA", "raw"),
-        "help": "what `effort` of the joint states means; never guessed",
-    },
+    "effort-unit": {"choices": ("N.m", "A", "mA", "raw"), "help": "what `effort` of the joint states means; never guessed"},
     "force": {"action": "store_true", "help": "replace an older file of that name, whatever it is"},
     "json": {"action": "store_true", "help": "print one JSON object"},
     "report": {"metavar": "FILE.html", "help": "write a page with plots; an older page is replaced"},

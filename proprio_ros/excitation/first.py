@@ -38,11 +38,7 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
     Raises `ConfigurationError`: No driven joint that turns feels a weight in the hand where there is room for a push.
     """
     loads, steps = Loads(robot), _by_goals(robot)
-    limits, random, rest = (
-        {name: _limits(robot, name) for name in robot.drive_trains},
-        np.random.default_rng(0),
-        zero_pose(robot),
-    )
+    limits, random, rest = ({name: _limits(robot, name) for name in robot.drive_trains}, np.random.default_rng(0), zero_pose(robot))
     bent = bent_pose(robot)
     # what does not raise the hand stays where it rests
     limits = {name: span for name, span in limits.items() if abs(lever_m(robot, name, bent)) > 1e-6}

@@ -40,10 +40,7 @@ from proprio_ros.robot.kinematics import clearance
 from proprio_ros.sim.payload import PayloadFacts
 
 SECONDS = 3.0  # that a search takes where nobody says otherwise
-COARSE_STARTS, COARSE_POSES = (
-    4,
-    2,
-)  # start positions of a driven joint, and of each locked one, where one good run will do
+COARSE_STARTS, COARSE_POSES = (4, 2)  # start positions of a driven joint, and of each locked one, where one good run will do
 ROUNDING = 1e-12  # of the information on a mass: less of it that is left may be none
 DURATION_S = 0.6  # of every run
 TYPICAL_KG = 0.02  # for which a calibration says how well it weighs

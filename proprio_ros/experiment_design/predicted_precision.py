@@ -62,12 +62,7 @@ class SharedUnknowns:
         return scaled_inverse(total)
 
     def stds_along(
-        self,
-        rows: np.ndarray,
-        own_variance: np.ndarray,
-        covariance: np.ndarray,
-        key: Key,
-        seen: np.ndarray | None = None,
+        self, rows: np.ndarray, own_variance: np.ndarray, covariance: np.ndarray, key: Key, seen: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """What each run alone would leave open of one of them after each of its samples, and of something else that it moves.
 

@@ -325,12 +325,7 @@ class Catalogue:
         return fits
 
     def _rows(
-        self,
-        simulator: JointSimulator,
-        worlds: np.ndarray,
-        candidates: Sequence[_Candidate],
-        mass: float,
-        is_known: bool,
+        self, simulator: JointSimulator, worlds: np.ndarray, candidates: Sequence[_Candidate], mass: float, is_known: bool
     ) -> _Rows:
         """Of candidates that are some of a simulator's worlds, with a mass in the hand [kg]."""
         places, count, size = [each.place for each in candidates], len(candidates), len(self.keys)

@@ -52,8 +52,4 @@ class Holding:
     def entries(self, time_ns: int) -> dict[str, object]:
         """Keys and values of a diagnostics message."""
         known = {} if self.state is None else {"holding_for": 1e-9 * (time_ns - self.since_ns)}
-        return {
-            "holding": "unknown" if self.state is None else self.state,
-            "holding.probability": self.probability,
-            **known,
-        }
+        return {"holding": "unknown" if self.state is None else self.state, "holding.probability": self.probability, **known}

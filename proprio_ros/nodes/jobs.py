@@ -447,8 +447,7 @@ class Jobs:
             self._node.say("info", note)
         if not self._inputs.has_effort and not self._inputs.by_goals:
             self._node.say(
-                "warning",
-                "no applied_effort: the times at which a current began are those at which its command was heard",
+                "warning", "no applied_effort: the times at which a current began are those at which its command was heard"
             )
 
     def save_again(self) -> None:

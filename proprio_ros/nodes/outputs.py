@@ -133,12 +133,7 @@ class ControllerOutput(Output):
     controller: EffortController | GoalController
 
     def __init__(
-        self,
-        node: ManagedNode,
-        controller: EffortController | GoalController,
-        commands: Any,
-        applied: Any,
-        speaker: LastWords,
+        self, node: ManagedNode, controller: EffortController | GoalController, commands: Any, applied: Any, speaker: LastWords
     ) -> None:
         self._node, self.controller = node, controller
         self._let_go_at_end = controller.can_let_go and node.values["on_end"] == "zero"

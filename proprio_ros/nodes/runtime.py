@@ -126,10 +126,7 @@ class ManagedNode(LifecycleNode):
         if self._alone and self.get_node_names_and_namespaces().count(mine) > 1:
             self._alone = False
             advice = "end one of them, or start it with --ros-args -r __node:=NAME, or -r __ns:=/NAME for another arm"
-            self.say(
-                "warning",
-                f"another node is called {self.get_fully_qualified_name()}: calls reach either of them; {advice}",
-            )
+            self.say("warning", f"another node is called {self.get_fully_qualified_name()}: calls reach either of them; {advice}")
 
     def create_service(self, kind: Any, name: str, callback: Any, *, qos_profile: QoSProfile = CALLS, **more: Any) -> Any:
         """As rclpy's, for more callers at once."""

@@ -30,13 +30,7 @@ def optimisers(found: Sequence[Rows]) -> list[str]:
         ends = [row["cost"][-1] for row in rows]
         end, took = ranged(float(np.median(ends)), ends, 1.0, 2), over([row["seconds"][-1] for row in rows], 1e3, 0)
         lines.append([name, f"{len(good)} of {len(rows)}", over(good, 1.0, 0), end, took])
-    header = [
-        "search",
-        "within 10 % of the least",
-        "simulations to there",
-        "median cost at the end",
-        "time in all (ms)",
-    ]
+    header = ["search", "within 10 % of the least", "simulations to there", "median cost at the end", "time in all (ms)"]
     caption = "Median over the seeds, and from the least to the greatest; 1 is the least that any search found."
     return [
         '<h2 id="figure-6">Figure 6: gradients against none</h2>',

@@ -31,11 +31,7 @@ def plans_table(title: str, plans: Iterable[ExcitationPlan], masses_kg: Sequence
 def plans_figure(title: str, plans: Iterable[ExcitationPlan]) -> Any:
     """Half of the 95 % interval that each promises, the widest over the masses."""
     bars = [
-        (
-            f"{plan.joint} {shown('A', plan.current_A, spec='+.0f')}, {plan.kind}",
-            1e3 * Z95 * max(plan.std_kg, default=0.0),
-            True,
-        )
+        (f"{plan.joint} {shown('A', plan.current_A, spec='+.0f')}, {plan.kind}", 1e3 * Z95 * max(plan.std_kg, default=0.0), True)
         for plan in plans
     ]
     return bars_figure(title, "half of the 95 % interval (g)", bars)
@@ -63,11 +59,7 @@ def checks_table(title: str, checks: Iterable[BagCheck]) -> str:
 def checks_figure(title: str, checks: Iterable[BagCheck]) -> Any:
     """How long each run or motion is; what is not usable is grey, with why."""
     bars = [
-        (
-            ": ".join(filter(None, ("/".join(Path(check.bag).parts[-2:]), joint, problem or "usable"))),
-            seconds,
-            not problem,
-        )
+        (": ".join(filter(None, ("/".join(Path(check.bag).parts[-2:]), joint, problem or "usable"))), seconds, not problem)
         for check in checks
         for joint, _, seconds, problem in _found(check)
     ]

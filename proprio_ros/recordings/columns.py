@@ -81,12 +81,7 @@ def _marked(values: FloatArray) -> FloatArray:
 
 
 def array_columns(
-    bag: Bag,
-    topic: Topic,
-    means: InputTopic,
-    joint_order: Sequence[str],
-    recorded: Sequence[str],
-    conventions: Conventions,
+    bag: Bag, topic: Topic, means: InputTopic, joint_order: Sequence[str], recorded: Sequence[str], conventions: Conventions
 ) -> JointColumns:
     """Columns of an array of what drives the joints, as the quantity ``effort``.
 

@@ -121,8 +121,7 @@ FORMS: dict[str, Form] = {
         Choice(words=EFFORT_UNITS),
     ),
     "position_unit": Choice(
-        "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live",
-        tuple(_RADIANS),
+        "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live", tuple(_RADIANS)
     ),
     "inputs": Part(
         "what drives the joints: the first that a bag has, else measured effort; default none",
@@ -138,9 +137,7 @@ FORMS: dict[str, Form] = {
     "refused": Text("why nothing can be weighed with such recordings; they are then refused with it", longest=200),
     "notes": _Texts("what to know about it; `proprio check` says it", Text(longest=_SENTENCE)),
     "columns": Part(
-        "what the columns of a LeRobot data set are; without it none can be read",
-        "keys of a data set's columns",
-        by=_columns,
+        "what the columns of a LeRobot data set are; without it none can be read", "keys of a data set's columns", by=_columns
     ),
     "recognised_by": _Texts("topics, or types of messages, of which any identifies the driver; `proprio check` names it then"),
 }

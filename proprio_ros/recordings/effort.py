@@ -53,12 +53,7 @@ class Effort:
         return np.array([float(value) if value > 0.0 else np.nan for value in known])
 
     def record(
-        self,
-        times_ns: TimeArray,
-        names: tuple[str, ...],
-        position: FloatArray,
-        velocity: FloatArray | None,
-        recorded: FloatArray,
+        self, times_ns: TimeArray, names: tuple[str, ...], position: FloatArray, velocity: FloatArray | None, recorded: FloatArray
     ) -> JointRecord:
         """Joint states with the effort and the measured current that the recorded effort stands for, shape (T, J) each."""
         reported = known_or_none(recorded)

@@ -346,10 +346,7 @@ def _measured(path: Path, topic: Topic, record: records.JointRecord, asked: _Ask
 
 
 def read_drive_signals(
-    path: str | Path,
-    state_topic: str | None = None,
-    conventions: Conventions = OUR_DRIVER,
-    span: records.Span | None = None,
+    path: str | Path, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER, span: records.Span | None = None
 ) -> records.DriveSignals:
     """Read goals (positions of /joint_command, named as joint states are) and supply voltage (/battery_state), as far as there.
 

@@ -118,11 +118,7 @@ def percent(share: float) -> str:
 
 
 def table(
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    numbers: Iterable[int],
-    ids: Sequence[str] = (),
-    labels: int = 0,
+    header: Sequence[str], rows: Sequence[Sequence[str]], numbers: Iterable[int], ids: Sequence[str] = (), labels: int = 0
 ) -> str:
     """Rows of text; the columns in ``numbers`` are set to the right, and the rows' ``ids`` are for links.
 

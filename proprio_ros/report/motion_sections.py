@@ -124,10 +124,7 @@ def torque_figure(fit: JointFit, with_payload: bool) -> str:
     small = float(np.abs(fit.measured).max(initial=0.0)) < 1.0
     factor, unit = (1e3, "mN m") if small else (1.0, "N m")
     times, explained = fit.times_s, factor * fit.explained
-    traces = [
-        Series("measured", times, factor * fit.measured, "measured"),
-        Series("explained", times, explained, "simulated"),
-    ]
+    traces = [Series("measured", times, factor * fit.measured, "measured"), Series("explained", times, explained, "simulated")]
     if with_payload:
         traces.insert(0, Series("without the payload", times, explained - factor * fit.payload, "left-out"))
     off = Series("explained less measured", times, explained - factor * fit.measured, "simulated", listed=False)
@@ -135,8 +132,5 @@ def torque_figure(fit: JointFit, with_payload: bool) -> str:
     if fit.usual > 0.0:
         width = np.full(len(times), 2.0 * factor * fit.usual)
         band = (times, -width, width)
-    panels = [
-        Panel(f"torque ({unit})", unit, traces, 120.0),
-        Panel(f"residual ({unit})", unit, [off], 70.0, band, rules=[0.0]),
-    ]
+    panels = [Panel(f"torque ({unit})", unit, traces, 120.0), Panel(f"residual ({unit})", unit, [off], 70.0, band, rules=[0.0])]
     return chart(panels, Axis("time (s)", "s"), f"{fit.joint}: measured and explained torque and residual over time")

@@ -30,13 +30,7 @@ _ROLES = {"free": "fitted", "frozen": "as stated"}
 
 
 def write_page(
-    estimate: Estimate,
-    path: Path,
-    own: Sequence[str] = (),
-    *,
-    command: str = "",
-    sources: Sequence[str] = (),
-    force: bool = False,
+    estimate: Estimate, path: Path, own: Sequence[str] = (), *, command: str = "", sources: Sequence[str] = (), force: bool = False
 ) -> None:
     """Write the page for one result; an older page is replaced in one step, another file of that name only with ``force``.
 

@@ -109,10 +109,7 @@ MOTOR: dict[str, Field] = {
         Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0), 0.002
     ),
     "driven_by": Field(
-        Part(
-            "what drives the motor where no current does, as {kind: duty_cycle, per_count: 0.00113}; null: a current",
-            by=_drive,
-        ),
+        Part("what drives the motor where no current does, as {kind: duty_cycle, per_count: 0.00113}; null: a current", by=_drive),
         None,
     ),
 }
@@ -164,8 +161,7 @@ ROBOT: dict[str, Field] = {
     "model_fingerprint": Field(Text("of the URDF that a calibration was made with"), None),
     "calibration": Field(Part("what `proprio calibrate` identified", by=Calibration.from_settings), None),
     "motion_calibration": Field(
-        Part("what `proprio calibrate` identified from motions of several joints", by=MotionCalibration.from_settings),
-        None,
+        Part("what `proprio calibrate` identified from motions of several joints", by=MotionCalibration.from_settings), None
     ),
     "joint_calibration": Field(
         Part("what `proprio calibrate` identified from motions of one joint", by=JointCalibration.from_settings), None
@@ -191,11 +187,7 @@ def unknown_of(path: tuple[str, ...]) -> Key:
 def override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Every key that may be overridden, as text and as the way to it; a joint's name may itself hold dots."""
     paths: list[tuple[str, ...]] = [(key,) for key in ROBOT if key not in _FILE_ONLY]
-    of_joint = [
-        *(("motor", key) for key in MOTOR),
-        *(("drive_train", key) for key in DRIVE_TRAIN),
-        *((key,) for key in JOINT),
-    ]
+    of_joint = [*(("motor", key) for key in MOTOR), *(("drive_train", key) for key in DRIVE_TRAIN), *((key,) for key in JOINT)]
     paths += [("joints", joint, *path) for joint in joints for path in of_joint]
     return {".".join(path): path for path in paths}
 

@@ -21,11 +21,7 @@ class MixedSimulator(Generic[_Special]):
     """
 
     def __init__(
-        self,
-        special: _Special,
-        plain: Sequence[JointRun],
-        with_object: Sequence[bool] | np.ndarray,
-        integrator: str = "rk4",
+        self, special: _Special, plain: Sequence[JointRun], with_object: Sequence[bool] | np.ndarray, integrator: str = "rk4"
     ) -> None:
         self.special = special
         self.plain = JointSimulator(plain, integrator) if plain else None

@@ -17,12 +17,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 
-_FORMS = {
-    "sphere": ("its diameter", 1),
-    "cube": ("its edge", 1),
-    "box": ("[x, y, z]", 3),
-    "cylinder": ("[diameter, length]", 2),
-}
+_FORMS = {"sphere": ("its diameter", 1), "cube": ("its edge", 1), "box": ("[x, y, z]", 3), "cylinder": ("[diameter, length]", 2)}
 """What is stated of a solid of each shape, and how many numbers that are."""
 SHAPES = ("point", *_FORMS)
 _SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

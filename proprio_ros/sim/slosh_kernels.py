@@ -69,10 +69,7 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         gs, by_angle = _gravity(data.geometry, r, G_S, p[w, Q0] + p[w, TILT])
         x = p[w, SETTLED] * gs / p[w, STIFFNESS]
         dx = (p[w, SETTLED] * by_angle) * (dp[w, Q0] + dp[w, TILT]) + gs * dp[w, SETTLED] - x * dp[w, STIFFNESS]
-        return (
-            VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)),
-            wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx / p[w, STIFFNESS], vec()),
-        )
+        return (VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)), wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx / p[w, STIFFNESS], vec()))
 
     @wp.func
     def rates(y: VEC4, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32):

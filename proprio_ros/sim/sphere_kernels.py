@@ -286,14 +286,7 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
 
     @wp.func
     def rates(
-        y: STATE,
-        dy: whole,
-        given: VEC3,
-        p: FLOATS,
-        dp: wp.array2d(dtype=vec),
-        world: wp.int32,
-        data: SphereData,
-        run: wp.int32,
+        y: STATE, dy: whole, given: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), world: wp.int32, data: SphereData, run: wp.int32
     ):
         q = y[0]
         v = y[1]

@@ -457,10 +457,7 @@ def test_drift_shows_itself_in_python(tmp_path: Path) -> None:
 
 def test_drift_is_by_day_by_week_or_by_episode() -> None:
     day = 86_400 * 10**9
-    assert [(name, at, own) for name, at, own in periods_of([0, 5, day])] == [
-        ("1970-01-01", 0.0, [0, 1]),
-        ("1970-01-02", 1.0, [2]),
-    ]
+    assert [(name, at, own) for name, at, own in periods_of([0, 5, day])] == [("1970-01-01", 0.0, [0, 1]), ("1970-01-02", 1.0, [2])]
     assert [at for _, at, _ in periods_of([0, 8 * day, 40 * day])] == [0.0, 7.0, 35.0]
     assert [own for _, _, own in periods_of([None] * 24)] == [[n, n + 1] for n in range(0, 24, 2)]
     assert periods_of([]) == []

@@ -48,14 +48,7 @@ def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
             row |= {"value": mass + 0.6, "low": mass + 0.599, "high": mass + 0.601}
         elif kind < 0.06:
             wide = f"anything from 0 .. {rng.integers(100, 400)} g explains the recording: record more runs"
-            row |= {
-                "verdict": "too_wide",
-                "std": 0.08,
-                "low": 0.0,
-                "high": 0.3,
-                "reasons": [wide],
-                "reason_codes": ["too_wide"],
-            }
+            row |= {"verdict": "too_wide", "std": 0.08, "low": 0.0, "high": 0.3, "reasons": [wide], "reason_codes": ["too_wide"]}
         elif kind < 0.08:
             moved = f"{source.rsplit('/')[-1]}/{n:05d}: joint3 moved only {rng.random():.3f} rad: probe with more current"
             row |= {"verdict": "not_identifiable", "reasons": [moved], "reason_codes": ["stuck"]}
@@ -63,13 +56,7 @@ def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
         elif kind < 0.09:
             place = f"{source}{'/' if dated else '#'}{row['episode']}"
             cut = f"{place}: not readable as a ROS 2 bag (ends after {rng.integers(1000)} bytes); record it again"
-            row |= {
-                "verdict": "failed",
-                "kind": "failed",
-                "reasons": [cut],
-                "reason_codes": ["unreadable"],
-                "joints": [],
-            }
+            row |= {"verdict": "failed", "kind": "failed", "reasons": [cut], "reason_codes": ["unreadable"], "joints": []}
             row |= dict.fromkeys(("value", "std", "low", "high", "recorded_ns", "start_s", "end_s"))
         rows.append(row)
     return rows
@@ -119,14 +106,7 @@ return {
 )
 
 
-def opened(
-    look: Look,
-    page: Path,
-    script: str,
-    width: int = 1400,
-    *more: str,
-    printed: bool = False,
-) -> Any:
+def opened(look: Look, page: Path, script: str, width: int = 1400, *more: str, printed: bool = False) -> Any:
     """What a script says on the page, which lets it in."""
 
     return look(page, script, width, *more, style=on_paper if printed else str)
@@ -231,11 +211,7 @@ return { failed, far, detail, shown: names().map((each) => each.textContent), va
 
 
 @pytest.mark.long
-def test_the_policy_lets_both_scripts_of_the_page_run_and_no_other(
-    page: Path,
-    look: Look,
-    tmp_path: Path,
-) -> None:
+def test_the_policy_lets_both_scripts_of_the_page_run_and_no_other(page: Path, look: Look, tmp_path: Path) -> None:
     copy = tmp_path / "copy.html"
     copy.write_text(page.read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1))
     shown = look.shown(copy)

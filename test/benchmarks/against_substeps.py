@@ -109,13 +109,7 @@ class OneLaunch:
         run = case.problem.simulator.runs[0]
         step = FRAME_S / substeps
         last = JointRun(
-            np.array([frames * FRAME_S]),
-            run.input_times_s,
-            run.input_current_A,
-            run.supply,
-            run.friction_velocity,
-            step,
-            step,
+            np.array([frames * FRAME_S]), run.input_times_s, run.input_current_A, run.supply, run.friction_velocity, step, step
         )
         self._simulator = JointSimulator([last], "semi_implicit")
         self._target = target
@@ -166,10 +160,7 @@ def rows(case: Case) -> list[Row]:
     iterations = agreeing[0] if agreeing else PAPER_ITERATIONS
     row = compare(f"  Adam {iterations}, five starts", lambda: adam(theirs, iterations), GOAL, case)
     stop = 1e3 * stops[PAPER_ITERATIONS]
-    return [
-        *found,
-        replace(row, note=f"{row.note}; the paper's {PAPER_ITERATIONS} iterations stop {stop:+.2f} g from ours"),
-    ]
+    return [*found, replace(row, note=f"{row.note}; the paper's {PAPER_ITERATIONS} iterations stop {stop:+.2f} g from ours")]
 
 
 def _faster(what: str, ours: Timing, theirs: Timing) -> Row:

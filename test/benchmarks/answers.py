@@ -65,8 +65,7 @@ def facts_of(folder: Path) -> list[str]:
     if not payload or payload["mass"] == 0.0:
         return setting(payload__shape="point")
     return setting(
-        payload__com=payload["offset"],
-        payload__inertia_per_mass=[value / payload["mass"] for value in payload["inertia"]],
+        payload__com=payload["offset"], payload__inertia_per_mass=[value / payload["mass"] for value in payload["inertia"]]
     )
 
 
@@ -88,14 +87,7 @@ def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
             stem = {folder: folder.name.removeprefix(f"{session}_") for folder in folders}
             pick = {
                 kind: [folder for folder in folders if stem[folder].startswith(kind)]
-                for kind in (
-                    "empty_",
-                    "squeeze_empty_",
-                    "fixed_",
-                    "container_no_sphere",
-                    "container_sphere",
-                    "squeeze_",
-                )
+                for kind in ("empty_", "squeeze_empty_", "fixed_", "container_no_sphere", "container_sphere", "squeeze_")
             }
             with tempfile.TemporaryDirectory() as scratch:
                 calibration = str(Path(scratch) / "calibration.yaml")
@@ -127,10 +119,7 @@ def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
                         yield f"{here}/{stem[folder]}", answer(words)
         text = root / "paper_heavy_ball"
         for profile in ("default", "paper") if text.is_dir() else ():
-            yield (
-                f"{root.name}/{text.name} {profile}",
-                answer(["replay", str(text), "--probe", "payload", "--profile", profile]),
-            )
+            yield (f"{root.name}/{text.name} {profile}", answer(["replay", str(text), "--probe", "payload", "--profile", profile]))
 
 
 def write(path: Path, roots: list[Path]) -> None:

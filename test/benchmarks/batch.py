@@ -46,16 +46,7 @@ COMMAND = [sys.executable, "-m", "proprio_ros.cli", "batch"]
 def options(folder: Path) -> list[str]:
     """Of the command line."""
     said = [f"{key}={json.dumps(value)}" for key, value in SETTINGS.items()]
-    return [
-        "--calibration",
-        str(folder / "arm.yaml"),
-        "--effort-unit",
-        "N.m",
-        "--driver",
-        "lerobot_any.yaml",
-        "--set",
-        *said,
-    ]
+    return ["--calibration", str(folder / "arm.yaml"), "--effort-unit", "N.m", "--driver", "lerobot_any.yaml", "--set", *said]
 
 
 def asked(folder: Path) -> Options:

@@ -64,10 +64,7 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 ARM_SECONDS = 12.0
 WARMER = (1.03, 1.05, 1.1)
-DISC: dict[str, Any] = {
-    "payload.com": [0.0, 0.0, 0.0],
-    "payload.inertia_per_mass": [SPREAD_M2 + 5e-5] * 3 + [0.0] * 3,
-}
+DISC: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [SPREAD_M2 + 5e-5] * 3 + [0.0] * 3}
 """The discs of the STS3215, as `real.py` states them."""
 NOTHING_OFF = ("accepted", "too_wide")
 
@@ -382,10 +379,7 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
 def real_kuka(real: Path, folder: Path) -> Iterator[Answer]:
     """As it comes, and with the last joint struck from the file."""
     names = [f"lwr_{n}_joint" for n in range(7)]
-    for row, joints in (
-        ("real KUKA LWR4+, nothing", names),
-        ("real KUKA LWR4+, nothing, without its last joint", names[:-1]),
-    ):
+    for row, joints in (("real KUKA LWR4+, nothing", names), ("real KUKA LWR4+, nothing, without its last joint", names[:-1])):
         lines = ["name: kuka", f"urdf: {real / 'models' / 'kuka_lwr4.urdf'}", "payload_frame: lwr_7_link", "joints:"]
         for joint in joints:
             motor = "nominal_torque_constant_N_m_per_A: 1.0, encoder_resolution_rad: 1.0e-5, encoder_noise_rad: 1.0e-5"
@@ -479,12 +473,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tasks: list[tuple[str, Any]] = []
     if options.recordings.is_dir():
         tasks += [("real", (name, options.recordings)) for name in options.real]
-    for kind, count in (
-        ("arm", options.arms),
-        ("place", options.arms),
-        ("servo", options.servos),
-        ("pendulum", options.pendulums),
-    ):
+    for kind, count in (("arm", options.arms), ("place", options.arms), ("servo", options.servos), ("pendulum", options.pendulums)):
         tasks += [(kind, seed) for seed in range(options.first, options.first + count)]
     with get_context("spawn").Pool(options.jobs) as pool:
         found = list(itertools.chain(*pool.map(answers_of, tasks, chunksize=1)))

@@ -106,11 +106,7 @@ def rows(case: Case | None = None, duration_s: float = DURATION_S) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         port = Path(folder) / "arm"
         world = subprocess.Popen(
-            [sys.executable, "-c", WORLD, str(port)],
-            cwd=REPOSITORY,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
+            [sys.executable, "-c", WORLD, str(port)], cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         assert world.stdin is not None and world.stdout is not None
         try:

@@ -156,12 +156,7 @@ class Boxed:
     def solve(self) -> Solution:
         """Our search: the problem is built and everything is warm."""
         return levenberg_marquardt(
-            self.problem,
-            self.starts,
-            self.problem.simulator.windows,
-            window_iterations=3,
-            iterations=12,
-            tolerance=0.03,
+            self.problem, self.starts, self.problem.simulator.windows, window_iterations=3, iterations=12, tolerance=0.03
         )
 
     def masses(self, internal: np.ndarray) -> np.ndarray:
@@ -282,12 +277,7 @@ def mujoco_fit(box: Boxed, step_s: float, integrator: str) -> Callable[[], tuple
         values[problem.free] = mean + np.where(np.isfinite(std), std, 0.0) * (x - 10.0)
         values[at["sphere_mass"]] = np.exp(x[mass])
         shown = mujoco_box.positions(
-            values[at["sphere_mass"]],
-            values[places],
-            values[at["q0", 0]],
-            values[at["v0", 0]],
-            CURRENT_A,
-            prepared.times_s,
+            values[at["sphere_mass"]], values[places], values[at["q0", 0]], values[at["v0", 0]], CURRENT_A, prepared.times_s
         )
         return np.append((shown - prepared.position) / prepared.sigma, off)
 
@@ -321,14 +311,7 @@ class SpherePass:
         constants = np.array([*run.supply, run.friction_velocity, run.step_s, min(run.fine_step_s, run.step_s)])
         worlds, samples = len(p), len(run.sample_times_s)
         self.out = tuple(np.zeros((worlds, samples, *size)) for size in ((), (), (3,), (3,), (3,)))
-        given = [
-            run.sample_times_s,
-            run.input_times_s,
-            run.input_current_A,
-            constants,
-            simulator._geometry.numpy()[0],
-            p,
-        ]
+        given = [run.sample_times_s, run.input_times_s, run.input_current_A, constants, simulator._geometry.numpy()[0], p]
         self._arrays = [np.ascontiguousarray(values, dtype=np.float64) for values in given]
         times, switches, currents, constants, geometry, p = (self._pointer(values) for values in self._arrays)
         self._arguments = (
@@ -389,10 +372,7 @@ def moved_run(
     start_rad, currents, lasting_s = probe
     switches = lasting_s * np.arange(round(DURATION_S / lasting_s))
     joint = replace(
-        box.run.joint,
-        input_times_s=switches,
-        input_current_A=np.resize(currents, len(switches)),
-        supply=(0.0, 0.0, 1.0),
+        box.run.joint, input_times_s=switches, input_current_A=np.resize(currents, len(switches)), supply=(0.0, 0.0, 1.0)
     )
     run = replace(box.run, joint=joint)
     p = box.parameters([mass])[0][0]
@@ -407,12 +387,7 @@ def moved_run(
 
 
 def bias_of_steps(
-    box: Boxed,
-    probe: tuple[float, tuple[float, ...], float],
-    contact: Contact,
-    law: str,
-    integrator: str,
-    step_s: float,
+    box: Boxed, probe: tuple[float, tuple[float, ...], float], contact: Contact, law: str, integrator: str, step_s: float
 ) -> float:
     """How far off the mass is that fits the same law at a fine step, relative to it."""
     run, p = moved_run(box, probe, contact, SPHERE_KG)

@@ -131,10 +131,7 @@ def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarra
         if owner in JOINTS:
             j = JOINTS.index(owner)
             wave = hidden.once_per_turn[j]
-            truth = {
-                "ripple_cos": wave * np.sin(hidden.phase[j]),
-                "ripple_sin": wave * np.cos(hidden.phase[j]),
-            }
+            truth = {"ripple_cos": wave * np.sin(hidden.phase[j]), "ripple_sin": wave * np.cos(hidden.phase[j])}
             values[row] = truth[kind] if kind in truth else getattr(hidden, kind)[j]
         elif owner in LINKS:
             n = LINKS.index(owner)

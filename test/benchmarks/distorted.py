@@ -165,15 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             farthest=max(sigmas, default=None), codes=", ".join(sorted(set(codes))),
         )  # fmt: skip
         given, kept, farthest = given + len(sigmas), kept + holding, max([farthest, *sigmas])
-    results.row(
-        "distorted",
-        distortion="all",
-        answered=given,
-        asked=6 * len(options.only),
-        hold=kept,
-        farthest=farthest,
-        codes="",
-    )
+    results.row("distorted", distortion="all", answered=given, asked=6 * len(options.only), hold=kept, farthest=farthest, codes="")
     results.keep()
 
 

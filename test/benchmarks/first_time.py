@@ -18,12 +18,7 @@ from results import REPOSITORY, Results, parser_of
 
 EXTRAS = ("", "[ros]", "[ros,sim,test]")
 INSTALL_GOAL_S, DEMO_GOAL_S = 60.0, 45.0
-COLUMNS = {
-    "what": "{what}",
-    "wall, s": "{wall_s:.0f}",
-    "of processors, s": "{cpu_s:.0f}",
-    "on disk, MB": "{disk_mb:.0f}",
-}
+COLUMNS = {"what": "{what}", "wall, s": "{wall_s:.0f}", "of processors, s": "{cpu_s:.0f}", "on disk, MB": "{disk_mb:.0f}"}
 
 
 def timed(command: list[str], **environment: str) -> dict[str, float]:

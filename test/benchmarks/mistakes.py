@@ -290,10 +290,7 @@ def pushes(shared: Path) -> Iterator[Question]:
 
 def motions(shared: Path, folder: Path) -> Iterator[Question]:
     """Simulated arms of six and seven joints, and the UR10e."""
-    arms = {
-        "ur5e": ("tool0", 2.0, 1.0, [0.0, -1.2, 1.4, -0.5, 0.5, 0.0]),
-        "openarm": ("", 0.6, 0.3, None),
-    }
+    arms = {"ur5e": ("tool0", 2.0, 1.0, [0.0, -1.2, 1.4, -0.5, 0.5, 0.0]), "openarm": ("", 0.6, 0.3, None)}
     for name, (hand, kg, reference_kg, middle) in arms.items():
         robot = load_robot(name)
         hand = hand or robot.payload_frame
@@ -310,14 +307,7 @@ def motions(shared: Path, folder: Path) -> Iterator[Question]:
                 words = ("--effort-unit", unit, "--set", f"payload.frame={hand}")
                 bare = " (URDF)" if file.endswith(".urdf") else ""
                 asked = Question(
-                    f"{name} {unit}{bare}",
-                    "baseline",
-                    bags["loaded"],
-                    (bags["empty"],),
-                    kg,
-                    file,
-                    words,
-                    joint=joints[1],
+                    f"{name} {unit}{bare}", "baseline", bags["loaded"], (bags["empty"],), kg, file, words, joint=joints[1]
                 )
                 yield asked
                 yield replace(asked, way="referenced", references=((bags["reference"], reference_kg),))

@@ -272,13 +272,7 @@ class Model:
 
 
 def bound(
-    arm: Twin,
-    without: Truth,
-    loaded: Truth,
-    mass: float,
-    centre: np.ndarray,
-    positions: bool = False,
-    more: Sequence[Truth] = (),
+    arm: Twin, without: Truth, loaded: Truth, mass: float, centre: np.ndarray, positions: bool = False, more: Sequence[Truth] = ()
 ) -> float:
     """Smallest standard deviation of the mass [kg] that motions of an arm allow, one with a ball in the hand, the others empty."""
     ball = parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2))

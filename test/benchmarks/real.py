@@ -269,10 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 of_machine.append(answer)
                 if options.bags:
                     shown = "-" if answer.value is None else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
-                    print(
-                        f"{answer.row}: {answer.asked}: {shown} for {answer.truth:.4f}, {answer.verdict}",
-                        file=sys.stderr,
-                    )
+                    print(f"{answer.row}: {answer.asked}: {shown} for {answer.truth:.4f}, {answer.verdict}", file=sys.stderr)
             for row in dict.fromkeys(answer.row for answer in of_machine):
                 results.row("real", **_figures(row, [answer for answer in of_machine if answer.row == row]))
             answers += of_machine

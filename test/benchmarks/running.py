@@ -139,10 +139,7 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
     """One arm, from calibration to the end of its minutes."""
     shown, joints, rate_Hz = Sensed(), 6 + seed % 2, RATES_HZ[seed % len(RATES_HZ)]
     with tempfile.TemporaryDirectory() as name:
-        robot, arm = (
-            load_robot(write_sensing_arm(Path(name), joints, seed)),
-            SensingArm(Path(name), joints, seed, rate_Hz),
-        )
+        robot, arm = (load_robot(write_sensing_arm(Path(name), joints, seed)), SensingArm(Path(name), joints, seed, rate_Hz))
         shown.bound_s.append(bound_s(arm))
         weight = OnlineEstimator(robot, fit_empty(robot, [arm.work(30.0, name=f"empty {n}") for n in range(2)]))
         begun_s, cpu_s, told_s = 0.0, 0.0, 0.0
@@ -197,11 +194,7 @@ def together(every: Sequence[Sensed]) -> Sensed:
             whole.late[mass] += late
         for name in ("soon", "later", "elsewhere", "known_s", "bound_s"):
             getattr(whole, name).extend(getattr(each, name))
-        whole.false, whole.hours, whole.cpu = (
-            whole.false + each.false,
-            whole.hours + each.hours,
-            max(whole.cpu, each.cpu),
-        )
+        whole.false, whole.hours, whole.cpu = (whole.false + each.false, whole.hours + each.hours, max(whole.cpu, each.cpu))
     return whole
 
 

@@ -135,17 +135,9 @@ class PerSubstep:
 
     def __init__(self, body: SoftBody, run: SoftRun, p: np.ndarray) -> None:
         self.run, self.body = run, body
-        (
-            self._tets,
-            self._cells,
-            self._shares,
-            self._volumes,
-            self._inverses,
-            self._grams,
-            self._masses,
-            self._sides,
-            _,
-        ) = body._block
+        (self._tets, self._cells, self._shares, self._volumes, self._inverses, self._grams, self._masses, self._sides, _) = (
+            body._block
+        )
         faces = float(body.masses[body._ends].sum())
         constants = np.array([0.5 * body.mesh.length, body.travel, FRICTION_VELOCITY, faces, run.step_s])
         self._constants = wp.array(constants, dtype=FLOAT)
@@ -171,9 +163,7 @@ class PerSubstep:
                 next_x = wp.empty_like(x)
                 next_v = wp.empty_like(v)
                 wp.launch(
-                    _cell_kernel,
-                    dim=tets,
-                    inputs=[self._tets, self._cells, self._shares, self._volumes, self._inverses, x, cell_j],
+                    _cell_kernel, dim=tets, inputs=[self._tets, self._cells, self._shares, self._volumes, self._inverses, x, cell_j]
                 )
                 wp.launch(
                     _force_kernel,
@@ -217,11 +207,7 @@ class OnePerSubstep:
         for array, value in zip(self._arrays, start, strict=False):
             array.numpy()[:, 0] = value
         self._launches = [
-            [
-                currents[n : n + 1],
-                *(a[:, n : n + 2] for a in self._arrays[:4]),
-                *(a[:, n : n + 1] for a in self._arrays[4:]),
-            ]
+            [currents[n : n + 1], *(a[:, n : n + 2] for a in self._arrays[:4]), *(a[:, n : n + 1] for a in self._arrays[4:])]
             for n in range(steps)
         ]
         self._block = body._block

@@ -37,12 +37,7 @@ def test_a_joint_is_held_where_it_was_seen_within_its_limits() -> None:
     one = joint()
     one.mode, one.commanded_A, one.angle_rad = JointMode.DRIVEN, 0.3, one.upper_rad + 0.1
     one.hold()
-    assert (one.mode, one.commanded_A, one.goal_rad, one.target_rad) == (
-        JointMode.HELD,
-        0.0,
-        one.upper_rad,
-        one.upper_rad,
-    )
+    assert (one.mode, one.commanded_A, one.goal_rad, one.target_rad) == (JointMode.HELD, 0.0, one.upper_rad, one.upper_rad)
     most = XM430_W350.counts_of_current(one.current_limit_A)
     assert one.goal(stopped=False) == Goal(most, XM430_W350.counts_of_position(one.upper_rad)) and not one.limp
 

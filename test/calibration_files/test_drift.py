@@ -110,12 +110,7 @@ def test_when_it_was_made_is_kept_in_the_file() -> None:
     assert Calibration.from_settings(section).made == made
     del section["made"]
     assert Calibration.from_settings(section).made is None
-    for wrong in (
-        5.0,
-        {"time_s": "today"},
-        {"time_s": 1.0, "weather": "fine"},
-        {"time_s": 1.0, "temperature_C": {"joint3": -400}},
-    ):
+    for wrong in (5.0, {"time_s": "today"}, {"time_s": 1.0, "weather": "fine"}, {"time_s": 1.0, "temperature_C": {"joint3": -400}}):
         with pytest.raises(FormError, match="made: ") as caught:
             Calibration.from_settings({**section, "made": wrong})
         assert "\n" not in str(caught.value)

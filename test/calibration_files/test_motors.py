@@ -59,16 +59,7 @@ def bag(folder: Path, *messages: RawMessage) -> Path:
 @pytest.fixture
 def calibrated(tmp_path: Path) -> Robot:
     """An arm whose calibration knows its motors, read from its file."""
-    terms = (
-        "torque_constant",
-        "coulomb",
-        "viscous",
-        "load_friction",
-        "armature",
-        "zero",
-        "stribeck",
-        "stribeck_velocity",
-    )
+    terms = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity")
     values = np.array([1.7, 0.04, 0.01, 0.02, 0.014, 0.0, 0.0, 0.1])
     known = Calibration(tuple((term, "joint3") for term in terms), values, np.diag((0.01 * values + 1e-4) ** 2), motors=ARM)
     write_calibration(tmp_path / "arm.yaml", load_robot("open_manipulator_x"), known)

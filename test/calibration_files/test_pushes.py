@@ -213,16 +213,10 @@ def triangle(below: str = "0", diagonal: str = "1") -> str:
         (renamed("coulomb[joint3]", "coulomb[joint2]"), r"coulomb\[joint3\] missing"),
         (lambda c: c.pop("model_fingerprint"), "model_fingerprint is missing"),
         (lambda c: c["calibration"].update(motors=[]), "motors is missing or no"),
-        (
-            lambda c: c["calibration"].update(motors={"joint3": {"id": 13}}),
-            "motors: joint3: expected model, id, firmware",
-        ),
+        (lambda c: c["calibration"].update(motors={"joint3": {"id": 13}}), "motors: joint3: expected model, id, firmware"),
         (lambda c: c["calibration"]["runs"].append("a bag"), "runs: 2: expected name, joint"),
         (lambda c: c["calibration"]["runs"][0].update(samples="many"), "runs: 1: samples: expected a whole number"),
-        (
-            lambda c: c.update(friction_velocity_rad_s=12),
-            "friction_velocity_rad_s: must be above 0 and at most 0.01 rad/s",
-        ),
+        (lambda c: c.update(friction_velocity_rad_s=12), "friction_velocity_rad_s: must be above 0 and at most 0.01 rad/s"),
     ],
 )
 def test_a_broken_file_is_refused_in_one_line(written: Path, change, words: str) -> None:

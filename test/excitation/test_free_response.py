@@ -108,10 +108,7 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
         assert machine.phase is Phase.IDLE and not machine.command.current_A
 
     high = {"joint2": 0.0, "joint3": 0.42}
-    refused(
-        r"would hang at 2\.66 rad, outside -1\.65 \.\. 1\.92 ",
-        {"joint2": -0.6, "joint3": -0.4, WRIST: 0.6},
-    )
+    refused(r"would hang at 2\.66 rad, outside -1\.65 \.\. 1\.92 ", {"joint2": -0.6, "joint3": -0.4, WRIST: 0.6})
     refused(r"may swing past .* start nearer to where it hangs", {**high, WRIST: 0.4})
     refused(r"gravity pulls with 0\.0\d+ N m, and its friction is probably 0\.064 N m", {**high, WRIST: 1.0})
     refused(r"would come .* cm above the base's plane", {**high, WRIST: 0.62}, min_clearance_m=0.029)
@@ -137,10 +134,7 @@ def test_swings_and_pushes_are_sequences_of_their_own(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     swing = "{joint: joint4, current_A: 0, duration_s: 2.0}"
     for lines, words in (
-        (
-            [swing, "{joint: joint4, current_A: -0.1, duration_s: 0.6}"],
-            "run 1 swings freely .* make a sequence of each",
-        ),
+        ([swing, "{joint: joint4, current_A: -0.1, duration_s: 0.6}"], "run 1 swings freely .* make a sequence of each"),
         (["{joint: joint4, current_A: 0, duration_s: 2.0, max_current_A: 0.1}"], "has no max_current_A"),
         (["{joint: gripper_left_joint, current_A: 0, duration_s: 2.0}"], "gripper_left_joint slides"),
     ):

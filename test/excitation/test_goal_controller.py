@@ -52,12 +52,7 @@ def test_goals_are_whole_in_the_controllers_order_and_ahead_by_what_gravity_take
     controller.take(stepped(-0.25))
     moved = np.subtract(controller.commands(), before)
     np.testing.assert_allclose(moved, [-0.25 * (name == "elbow_flex") for name in ORDER], atol=1e-12)
-    for command in (
-        Command(),
-        Command(dict(POSE)),
-        Command({"elbow_flex": math.nan}),
-        Command({}, {"elbow_flex": 0.1}),
-    ):
+    for command in (Command(), Command(dict(POSE)), Command({"elbow_flex": math.nan}), Command({}, {"elbow_flex": 0.1})):
         controller.take(command)
         assert len(controller.commands()) == len(ORDER) and np.isfinite(controller.commands()).all()
 
@@ -119,11 +114,7 @@ def test_goals_stay_within_limits_and_an_encoder_that_slipped_is_followed() -> N
 
 @pytest.mark.parametrize(
     ("joints", "words"),
-    [
-        ((), "state the position controller's `joints`"),
-        (("joint9",), "does not drive"),
-        (("gripper", "gripper"), "twice"),
-    ],
+    [((), "state the position controller's `joints`"), (("joint9",), "does not drive"), (("gripper", "gripper"), "twice")],
 )
 def test_a_controller_that_cannot_be_is_refused(joints: tuple[str, ...], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):

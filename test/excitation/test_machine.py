@@ -229,10 +229,7 @@ def test_raising_ends_at_the_largest_current_and_says_so() -> None:
     assert machine.phase is Phase.DONE
     first = [outcome for outcome in machine.outcomes if outcome.run_number == 1]
     assert [outcome.current_A for outcome in first] == pytest.approx([-0.05, -0.075, -0.1])
-    assert not any(outcome.used for outcome in first) and (
-        machine.outcomes[-1].run_number,
-        machine.outcomes[-1].attempt,
-    ) == (2, 1)
+    assert not any(outcome.used for outcome in first) and (machine.outcomes[-1].run_number, machine.outcomes[-1].attempt) == (2, 1)
     assert "1 of 2 runs are good; run 1 moved too little" in machine.message
 
 

@@ -51,17 +51,7 @@ def test_the_packages_own_sequences(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "container",
-        "container_shake",
-        "contents",
-        "contents_shake",
-        "empty_hand",
-        "payload",
-        "paper_elbow",
-        "paper_wrist",
-    ],
+    "name", ["container", "container_shake", "contents", "contents_shake", "empty_hand", "payload", "paper_elbow", "paper_wrist"]
 )
 def test_starts_are_high_and_inside_the_limits(robot: Robot, name: str) -> None:
     for run in load_sequence(name, robot).runs:
@@ -111,11 +101,7 @@ def test_a_container_is_tilted_up_and_left_alone_before_each_run(robot: Robot) -
 def test_the_container_runs(robot: Robot) -> None:
     """Those of the hardware notes, the second from nearer to level, so that the sphere rolls."""
     told = [(run.joint, run.current_A, *run.start.values()) for run in load_sequence("container", robot).runs]
-    assert told == [
-        ("joint4", -0.10, -0.6, -1.0, 0.6),
-        ("joint4", -0.03, -0.6, -0.2, 0.4),
-        ("joint3", -0.10, -0.6, -0.4, 0.0),
-    ]
+    assert told == [("joint4", -0.10, -0.6, -1.0, 0.6), ("joint4", -0.03, -0.6, -0.2, 0.4), ("joint3", -0.10, -0.6, -0.4, 0.0)]
 
 
 def test_a_square_wave_halves_and_keeps_away_from_zero_in_every_attempt(robot: Robot) -> None:
@@ -194,10 +180,7 @@ def test_a_finger_has_a_travel_of_its_own(robot: Robot, tmp_path: Path) -> None:
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, max_current_A: 0.9"), "1.1 A with shake_A"),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: .nan"), "expected a number"),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 200"), "0.3 s, .* in s, not ms"),
-        (
-            ("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.31"),
-            "2 periods fit into duration_s=0.6",
-        ),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.31"), "2 periods fit into duration_s=0.6"),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.07"), "from 0.08 s"),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.3"), "the current is 0 A for half of each period"),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: -0.3"), "the current is 0 A for half of each period"),

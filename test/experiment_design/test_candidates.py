@@ -51,11 +51,7 @@ def test_start_poses_keep_off_the_limits_and_the_plane(robot: Robot) -> None:
 
 
 def test_every_current_moves_whatever_of_the_masses_it_carries(robot: Robot) -> None:
-    run, facts, masses = (
-        prepare_run(robot, still_run("joint3", POSE, 0.01, 0.6), KnownLoad()),
-        PayloadFacts(),
-        (0.0, 0.1),
-    )
+    run, facts, masses = (prepare_run(robot, still_run("joint3", POSE, 0.01, 0.6), KnownLoad()), PayloadFacts(), (0.0, 0.1))
     found = list(currents_beyond(run, facts, masses))
     assert [push for push, _, _ in found] == [*PUSHES, *PUSHES]
     loads = [run.weight_at_rest(run.coefficients.arm + mass * run.coefficients.per_kg(facts)) for mass in masses]

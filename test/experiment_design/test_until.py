@@ -79,11 +79,7 @@ def test_a_sequence_goes_to_the_excitation_node_as_text() -> None:
         assert replace(again, name=name) == sequence
     with pytest.raises(ConfigurationError, match="must be JSON"):
         load_sequence("{runs: }", ROBOT)
-    assert set(json.loads(as_text(load_sequence("payload_until", ROBOT)))["until"]) == {
-        "half_interval",
-        "unit",
-        "at_most_s",
-    }
+    assert set(json.loads(as_text(load_sequence("payload_until", ROBOT)))["until"]) == {"half_interval", "unit", "at_most_s"}
 
 
 def test_the_machine_cannot_choose() -> None:

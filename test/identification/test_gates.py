@@ -87,9 +87,7 @@ def test_joint_limit(calibrated: Robot, lift: Run) -> None:
     rest = float(np.mean(lift.before_position))
     up = 2.0 * rest - lift.position  # lifted the other way, so that it meets the upper stop
     moved = replace(
-        lift,
-        position=np.minimum(up + (stop - up[-4]), stop),
-        before_position=2.0 * rest - lift.before_position + (stop - up[-4]),
+        lift, position=np.minimum(up + (stop - up[-4]), stop), before_position=2.0 * rest - lift.before_position + (stop - up[-4])
     )
     estimate = weigh(calibrated, [moved])
     assert any("joint3 reached its limit" in reason and "were left out" in reason for reason in estimate.reasons)

@@ -224,16 +224,7 @@ def test_motion_tells_torques_only_relative_to_each_other(problem: Problem) -> N
     """
     values = points(problem, 3)
     scaled = values.copy()
-    grows = (
-        "arm_scale",
-        "payload_mass",
-        "torque_constant",
-        "coulomb",
-        "viscous",
-        "armature",
-        "link_mass",
-        "link_inertia",
-    )
+    grows = ("arm_scale", "payload_mass", "torque_constant", "coulomb", "viscous", "armature", "link_mass", "link_inertia")
     for row, unknown in enumerate(problem.unknowns):
         if unknown.kind in grows or unknown.kind.startswith("link_com"):
             scaled[:, row] *= 1.03

@@ -124,13 +124,7 @@ def test_what_it_shows(demo: Demo) -> None:
     """Of each probe, and how near to the truth: test/world/test_demo.py."""
     assert demo.process.wait(LONGEST_S) in (EXIT_OK, EXIT_NO_ANSWER), demo.result + demo.told
     assert not demo.alive()
-    told = [
-        "are starting",
-        "itself: with nothing in its hand",
-        "run 1 of",
-        "robot calibrated on",
-        "done; the nodes are ending",
-    ]
+    told = ["are starting", "itself: with nothing in its hand", "run 1 of", "robot calibrated on", "done; the nodes are ending"]
     places = [demo.told.find(words) for words in told]
     assert -1 not in places and places == sorted(places), demo.told
     if demo.process.returncode == EXIT_OK:

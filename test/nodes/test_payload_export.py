@@ -105,12 +105,7 @@ class Stage:
 def stage(kinds: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     monkeypatch.setattr(identifier, "prepare_identification", lambda *given: None)  # nothing is identified by the node
-    words = {
-        "data_directory": tmp_path,
-        "hand_on": "ur",
-        "hand_on_link": "link5",
-        "hand_on_tool": "0.2, 0.0, 0.0, 0.05",
-    }
+    words = {"data_directory": tmp_path, "hand_on": "ur", "hand_on_link": "link5", "hand_on_tool": "0.2, 0.0, 0.0, 0.05"}
     context = rclpy.Context()
     arguments = [word for name, value in words.items() for word in ("-p", f"{name}:={value}")]
     rclpy.init(args=["--ros-args", *arguments], context=context)

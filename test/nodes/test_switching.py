@@ -103,10 +103,7 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         "deactivate_controllers": [THEIRS], **ARM,
     }  # fmt: skip
     environment = {"PYTHONPATH": built.environment["PYTHONPATH"]}
-    with running(tmp_path, "virtual", "excitation", environment=environment, virtual=virtual, excitation=output) as (
-        graph,
-        client,
-    ):
+    with running(tmp_path, "virtual", "excitation", environment=environment, virtual=virtual, excitation=output) as (graph, client):
 
         def sees_the_arm() -> bool:
             return client.excitation.get("joint_states") == "true"

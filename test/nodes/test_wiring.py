@@ -73,10 +73,7 @@ class Arm:
 
     def parameters(self, node: str) -> dict[str, Any]:
         """With which a node is started again."""
-        own = {
-            "driver": {"port": self.folder / "bus"},
-            "identifier": {"data_directory": self.data, "calibration": "none"},
-        }
+        own = {"driver": {"port": self.folder / "bus"}, "identifier": {"data_directory": self.data, "calibration": "none"}}
         return {**own.get(node, {}), **PATIENT.get(node, {})}
 
     def begin_push(self, service: str = "/excitation/run") -> Any:
@@ -167,10 +164,7 @@ def test_a_transition_that_is_not_due(arm: Arm, node: str) -> None:
 
 
 def test_one_that_is_due(arm: Arm) -> None:
-    for transition, state in (
-        (Transition.TRANSITION_DEACTIVATE, "inactive"),
-        (Transition.TRANSITION_ACTIVATE, "running"),
-    ):
+    for transition, state in ((Transition.TRANSITION_DEACTIVATE, "inactive"), (Transition.TRANSITION_ACTIVATE, "running")):
         request = ChangeState.Request(transition=Transition(id=transition))
         assert arm.client.answer(arm.client.begin("/driver/change_state", ChangeState, request)).success
         assert wait_for(lambda state=state: arm.driver_says()[0] == state), arm.driver_says()

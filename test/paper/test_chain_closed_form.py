@@ -61,10 +61,7 @@ def lagrangian(_: float, state: np.ndarray) -> np.ndarray:
     gravity_inner = (MASSES[0] * CENTRES[0] + MASSES[1] * LENGTHS[0]) * G * np.sin(a)
     gravity_outer = MASSES[1] * CENTRES[1] * G * np.sin(a + b)
     forces = np.array(
-        [
-            couple * np.sin(b) * (2.0 * va * vb + vb**2) - gravity_inner - gravity_outer,
-            -couple * np.sin(b) * va**2 - gravity_outer,
-        ]
+        [couple * np.sin(b) * (2.0 * va * vb + vb**2) - gravity_inner - gravity_outer, -couple * np.sin(b) * va**2 - gravity_outer]
     )
     return np.array([va, vb, *np.linalg.solve(mass, forces)])
 

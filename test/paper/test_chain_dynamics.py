@@ -214,10 +214,7 @@ def test_parameters_by_name() -> None:
         ({"sample_times_s": []}, "sample_times_s must be"),
         ({"sample_times_s": [0.2, 0.1]}, "sample_times_s must be"),
         ({"input_times_s": [0.1]}, "input_times_s must be"),
-        (
-            {"input_current_A": np.zeros((1, 2))},
-            r"input_current_A has shape \(1, 2\): give a row for each of the 1 .*joint_0",
-        ),
+        ({"input_current_A": np.zeros((1, 2))}, r"input_current_A has shape \(1, 2\): give a row for each of the 1 .*joint_0"),
         ({"step_s": 0.0}, "must be positive"),
         ({"fine_step_s": -1.0}, "must be positive"),
         ({"supply": (12.0, 1.0, 1.0)}, "supply must be"),
@@ -227,12 +224,7 @@ def test_parameters_by_name() -> None:
     ],
 )
 def test_what_cannot_be_simulated_is_said(change: dict[str, Any], message: str) -> None:
-    run = {
-        "sample_times_s": [0.1],
-        "input_times_s": [0.0],
-        "input_current_A": np.zeros((1, 1)),
-        "friction_velocity": 0.1,
-    }
+    run = {"sample_times_s": [0.1], "input_times_s": [0.0], "input_current_A": np.zeros((1, 1)), "friction_velocity": 0.1}
     with pytest.raises(SimulationError, match=message):
         ChainSimulator(reduced(random_urdf((-1,), 1)), **{**run, **change})
 

@@ -200,12 +200,7 @@ def test_delay_of_a_sample_on_a_change_of_the_input() -> None:
     """
     n = 2
     sim = ChainSimulator(
-        random_model("2"),
-        [0.05, 0.1, 0.13, 0.2],
-        [0.0, 0.1],
-        [[1.0] * n, [-2.0] * n],
-        friction_velocity=0.05,
-        step_s=1 / 240,
+        random_model("2"), [0.05, 0.1, 0.13, 0.2], [0.0, 0.1], [[1.0] * n, [-2.0] * n], friction_velocity=0.05, step_s=1 / 240
     )
     p = points(sim)[:1]
     delay = sim.columns["delay"]

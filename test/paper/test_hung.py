@@ -87,11 +87,7 @@ def test_the_arm_keeps_its_pose_when_something_that_moves_is_put_into_its_hand()
     robot = stated_robot()
     arm = VirtualArm(robot, Truth.nominal(robot), position={"joint2": -1.0, "joint3": 0.5, "gripper_left_joint": 0.01})
     before = arm.position()
-    for held in (
-        HungPayload(0.05, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=20.0),
-        Payload(0.05),
-        HungPayload(0.02),
-    ):
+    for held in (HungPayload(0.05, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=20.0), Payload(0.05), HungPayload(0.02)):
         arm.hold(held)
         assert arm.position() == before
 

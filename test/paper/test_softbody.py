@@ -263,12 +263,7 @@ def test_the_longest_step_is_where_it_becomes_unstable(contact: str) -> None:
     """A tiny disturbance grows beyond it and does not below; with lambda and viscosity it is a lower bound."""
     sim = body(3, contact=contact)
     mu, lam = HEAVY
-    for bulk, eta, factor, grows in (
-        (0.0, 0.0, 0.98, 0),
-        (0.0, 0.0, 1.03, 1),
-        (lam, 0.0, 0.98, 0),
-        (lam, 3.0, 0.98, 0),
-    ):
+    for bulk, eta, factor, grows in ((0.0, 0.0, 0.98, 0), (0.0, 0.0, 1.03, 1), (lam, 0.0, 0.98, 0), (lam, 3.0, 0.98, 0)):
         frame_s = 300 * factor * sim.most_step_s(mu, bulk, eta)
         schedule = SoftRun(np.zeros(1), np.zeros(1), 4, frame_s, substeps=300)
         p = parameters(lame_lambda=bulk, viscosity=eta, q0=0.0, v0=0.0, gap=1.0)  # never touched

@@ -256,10 +256,7 @@ def test_an_unknown_centre_of_mass_is_estimated_where_it_is_excited(bags: Path) 
 
 def recording_of(folder: Path):
     return read_recording(
-        bag_in(folder),
-        effort_unit="N.m",
-        nominal_torque_constants=dict.fromkeys(JOINTS, 1.782608695652174),
-        joint_order=JOINTS,
+        bag_in(folder), effort_unit="N.m", nominal_torque_constants=dict.fromkeys(JOINTS, 1.782608695652174), joint_order=JOINTS
     )
 
 

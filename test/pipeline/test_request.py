@@ -25,13 +25,7 @@ from proprio_ros.probes import probe_named
 
 
 def test_all_that_options_name_is_in_the_request() -> None:
-    settings = {
-        "robot.arm_scale": 1.1,
-        "held.joint1": 0.2,
-        "payload.frame": "link5",
-        "payload.shape": "cube",
-        "payload.size": 0.03,
-    }
+    settings = {"robot.arm_scale": 1.1, "held.joint1": 0.2, "payload.frame": "link5", "payload.shape": "cube", "payload.size": 0.03}
     request = request_of(Options(settings=settings, effort_unit="A"))
     assert (request.robot.name, request.robot.payload_frame) == (DEFAULT_ROBOT, "link5")
     assert request.robot.arm_scale.value == 1.1 and request.overrides == {"arm_scale": 1.1}

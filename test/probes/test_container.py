@@ -139,10 +139,7 @@ def test_replay_and_what_it_prints(bags: Path, realistic: Boxes, tmp_path: Path)
     options = Options(probe="container", settings={**stated_of_box(folder), "container.mass": 0.03}, baseline=empty)
     estimate = replay([bag_in(folder)], options)
     record = estimate.as_json()
-    assert record["probe"] == "container" and [e["name"] for e in record["estimates"]] == [
-        "sphere_mass",
-        "container_mass",
-    ]
+    assert record["probe"] == "container" and [e["name"] for e in record["estimates"]] == ["sphere_mass", "container_mass"]
     assert record["estimates"][0]["unit"] == "kg" and record["solver"]["starts"] >= 5
     assert json.loads(json.dumps(record)) == record
     # not calibrated: the answer is either wide or none, and says so
@@ -201,10 +198,7 @@ def test_a_sphere_that_stays_where_it_is(realistic: Boxes) -> None:
 
 
 def test_runs_of_two_spheres_contradict(realistic: Boxes) -> None:
-    folders = [
-        *realistic.folders("container_sphere_12g_joint3_100mA"),
-        *realistic.folders("container_sphere_random_joint4_030mA"),
-    ]
+    folders = [*realistic.folders("container_sphere_12g_joint3_100mA"), *realistic.folders("container_sphere_random_joint4_030mA")]
     estimate = realistic.find(folders)
     assert estimate.verdict is Verdict.REJECTED
     assert estimate.value("sphere_mass").reason
@@ -309,15 +303,7 @@ def problem_of(
 
 @pytest.mark.parametrize(
     ("law", "mass"),
-    [
-        ("ramped", 0.0),
-        ("ramped", 0.004),
-        ("ramped", 0.012),
-        ("ramped", 0.05),
-        ("paper", 0.004),
-        ("paper", 0.012),
-        ("paper", 0.05),
-    ],
+    [("ramped", 0.0), ("ramped", 0.004), ("ramped", 0.012), ("ramped", 0.05), ("paper", 0.004), ("paper", 0.012), ("paper", 0.05)],
 )
 def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     """Every unknown, through the simulator, the baseline, the encoder's error and the camera, against finite differences."""
@@ -351,8 +337,7 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
         cost = problem.linearise(np.array([up, down]))[0]
         slope = (cost[0] - cost[1]) / (2.0 * steps[row])
         scale = max(
-            abs(gradient[row]),
-            1e-3 * np.abs(gradient * problem.coordinates.natural).max() / problem.coordinates.natural[row],
+            abs(gradient[row]), 1e-3 * np.abs(gradient * problem.coordinates.natural).max() / problem.coordinates.natural[row]
         )
         assert abs(slope - gradient[row]) < 2e-4 * scale, names[row]
 

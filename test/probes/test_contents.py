@@ -25,11 +25,7 @@ def test_the_first_mode_is_that_of_the_books() -> None:
     water = 1000.0 * np.pi * 0.035**2 * 0.06
     assert np.sqrt(slosh.stiffness) / (2.0 * np.pi) == pytest.approx(3.6, abs=0.02)
     assert 1e3 * water == pytest.approx(231.0, abs=0.5) and 1e3 * water * slosh.share == pytest.approx(61.0, abs=1.0)
-    for fill in (
-        0.02,
-        0.06,
-        0.1,
-    ):  # Abramson: R / (2.2 h) tanh(1.84 h / R); all of a shallow liquid's motion is at its bottom
+    for fill in (0.02, 0.06, 0.1):  # Abramson: R / (2.2 h) tanh(1.84 h / R); all of a shallow liquid's motion is at its bottom
         assert Slosh.of(0.035, np.array(fill)).share == pytest.approx(0.035 / 2.2 / fill * np.tanh(1.84 * fill / 0.035), rel=0.01)
     assert Slosh.of(0.035, np.array(1e-4)).height == pytest.approx(0.0, abs=1e-5)
     # Mikishev and Dorozhkin, deep water: 0.79 over the root of R^1.5 g^0.5 / nu

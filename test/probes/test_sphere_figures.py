@@ -234,11 +234,7 @@ def test_the_page_of_three_runs(estimate: Estimate, tmp_path: Path) -> None:
     assert page.stat().st_size < 300_000
     assert [reader.classes.count(kind) for kind in ("chart", "arm", "sphere")] == [6 + 2, 1, 3 * 2]
     assert "container in the hand of open_manipulator_x, 3 runs" in text
-    for words in (
-        "11.9 g sphere mass, 95 % interval 10.6 to 13.2 g",
-        "30.3 g container mass",
-        "Misfit over sphere mass",
-    ):
+    for words in ("11.9 g sphere mass, 95 % interval 10.6 to 13.2 g", "30.3 g container mass", "Misfit over sphere mass"):
         assert words in text
     assert "payload mass" not in text and text.count("sphere mass (g)") == 2, "in the plots, too"
     for shape in INSIDES:

@@ -39,10 +39,7 @@ def calibrated(recordings: Path) -> Callable[[str], Robot]:
     def robot_of(level: str) -> Robot:
         if level not in known:
             robot = load_robot("open_manipulator_x")
-            folders = [
-                *sorted((recordings / level).glob("empty_*")),
-                *sorted((recordings / level).glob("squeeze_empty_*")),
-            ]
+            folders = [*sorted((recordings / level).glob("empty_*")), *sorted((recordings / level).glob("squeeze_empty_*"))]
             estimate = calibrate(robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)])
             assert estimate.calibration is not None
             known[level] = robot.with_calibration(estimate.calibration)
@@ -228,8 +225,7 @@ def test_gradient_of_the_cost(recordings: Path, calibrated: Callable[[str], Robo
         cost = problem.linearise(np.array([up, down]))[0]
         slope = (cost[0] - cost[1]) / (2.0 * steps[row])
         scale = max(
-            abs(gradient[row]),
-            1e-4 * np.abs(gradient * problem.coordinates.natural).max() / problem.coordinates.natural[row],
+            abs(gradient[row]), 1e-4 * np.abs(gradient * problem.coordinates.natural).max() / problem.coordinates.natural[row]
         )
         assert abs(slope - gradient[row]) < 2e-4 * scale, name
 

@@ -107,12 +107,7 @@ def test_an_unlabelled_command_of_the_wrong_length(tmp_path: Path, length: int) 
 def test_a_command_without_numbers_ends_the_push(tmp_path: Path, labels: tuple[str, ...]) -> None:
     """So the excitation node ends each push; joints that a command does not name are held, as by the driver."""
     first, second, end = ONSET_NS, ONSET_NS + 5 * CYCLE_NS, ONSET_NS + 20 * CYCLE_NS
-    messages = [
-        *states(),
-        command(first, [-0.3], ["joint3"]),
-        command(second, [0.2], ["joint4"]),
-        command(end, [], labels),
-    ]
+    messages = [*states(), command(first, [-0.3], ["joint3"]), command(second, [0.2], ["joint4"]), command(end, [], labels)]
     inputs = read(write_bag(tmp_path / "bag", messages), command_topic="/current_command").inputs
     assert inputs is not None and inputs.times_ns.tolist() == [first, second, end]
     assert inputs.names == ("joint3", "joint4") and inputs.current_A.tolist() == [[-0.3, 0.0], [0.0, 0.2], [0.0, 0.0]]

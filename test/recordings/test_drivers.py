@@ -184,10 +184,7 @@ def test_what_holds_without_a_profile_is_that_of_our_driver() -> None:
         ("title: x\ninputs: [{topic: a, unit: A}]", "inputs: type is missing"),
         ("title: x\ninputs: [{topic: a, type: std_msgs/Bool, unit: A}]", "inputs: type: 'std_msgs/Bool' is unknown"),
         ("title: x\ninputs: {topic: a}", "inputs: expected a list"),
-        (
-            "title: x\ninputs: [{topic: a, type: sensor_msgs/JointState, unit: A, joints: [b, b]}]",
-            "joint is named twice",
-        ),
+        ("title: x\ninputs: [{topic: a, type: sensor_msgs/JointState, unit: A, joints: [b, b]}]", "joint is named twice"),
         ("title: x\njoint_names: {a: c, b: c}", "joint_names: c stands for two joints"),
         ("title: x\nnotes: [1]", "notes: expected a text, got 1"),
         ("title: [", "not readable as YAML"),
@@ -402,11 +399,7 @@ def test_interbotix(tmp_path: Path, storage: str) -> None:
     )
     np.testing.assert_allclose(elbow_A(read(bag, driver=tmp_path / "mine.yaml")), PUSHED_A)
     recording = read_recording(
-        bag,
-        effort_unit="mA",
-        nominal_torque_constants={},
-        joint_order=[],
-        conventions=load_driver("interbotix").conventions,
+        bag, effort_unit="mA", nominal_torque_constants={}, joint_order=[], conventions=load_driver("interbotix").conventions
     )
     np.testing.assert_allclose(elbow_A(recording, "elbow"), PUSHED_A)
 

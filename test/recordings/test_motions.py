@@ -123,18 +123,7 @@ def ur10e(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def replayed(capsys: pytest.CaptureFixture[str], ur10e: Path, bag: str, *more: str, unit: str = "A") -> tuple[int, dict]:
-    words = [
-        "replay",
-        str(REAL / bag),
-        "--probe",
-        "payload",
-        "--robot",
-        str(ur10e),
-        "--effort-unit",
-        unit,
-        "--json",
-        *more,
-    ]
+    words = ["replay", str(REAL / bag), "--probe", "payload", "--robot", str(ur10e), "--effort-unit", unit, "--json", *more]
     code = main(words)
     return code, json.loads(capsys.readouterr().out)
 
@@ -318,18 +307,7 @@ def test_an_object_that_was_turned_between_two_recordings_is_told_apart(capsys: 
     """The loads of these two sit on either side of the flange; "10 times what the URDF needs" was named, since nearly no torque is
     explained by a payload that cancels the arm's weight."""
     bags = [str(REAL / f"ur10e_{name}") for name in ("loaded_14", "loaded_15", "empty_14")]
-    words = [
-        "replay",
-        *bags[:2],
-        "--probe",
-        "payload",
-        "--robot",
-        str(ur10e),
-        "--effort-unit",
-        "A",
-        "--baseline",
-        bags[2],
-    ]
+    words = ["replay", *bags[:2], "--probe", "payload", "--robot", str(ur10e), "--effort-unit", "A", "--baseline", bags[2]]
     capsys.readouterr()
     assert main([*words, "--json"]) == 3
     reason = json.loads(capsys.readouterr().out)["reasons"][0]
@@ -446,10 +424,7 @@ def test_runs_and_motions_are_calibrated_apart(capsys: pytest.CaptureFixture[str
         (lambda c: c["unknowns"].pop("coulomb[joint3]"), "coulomb"),
         (lambda c: c["unknowns"]["coulomb[joint3]"].update(std=-1.0), "must be positive"),
         (lambda c: c["unknowns"]["coulomb[joint3]"].update(unit="N"), "unit must be"),
-        (
-            lambda c: c["unknowns"]["coulomb[joint3]"].pop("run_to_run"),
-            "coulomb.joint3.: expected value, std, run_to_run",
-        ),
+        (lambda c: c["unknowns"]["coulomb[joint3]"].pop("run_to_run"), "coulomb.joint3.: expected value, std, run_to_run"),
         (lambda c: c["joints"][0].update(residual_N_m="x"), "expected a number"),
         (lambda c: c["torque_scale"].update(std=0.0), "torque_scale: std"),
         (lambda c: c["runs"][0].pop("load_kg"), "runs: 1"),

@@ -192,8 +192,7 @@ def test_a_few_samples_elsewhere_are_damage_and_more_are_a_slipped_encoder(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("unit", "current", "effort"),
-    [("N.m", 0.8 / 1.783, 0.8), ("A", 0.8, None), ("mA", 0.8e-3, None), ("raw", 0.8 * 0.00269, None)],
+    ("unit", "current", "effort"), [("N.m", 0.8 / 1.783, 0.8), ("A", 0.8, None), ("mA", 0.8e-3, None), ("raw", 0.8 * 0.00269, None)]
 )
 def test_units_of_measured_effort(tmp_path: Path, unit: str, current: float, effort: float | None) -> None:
     recording = read(write_bag(tmp_path / "bag", states(effort=[0.8] * 5)), effort_unit=unit)

@@ -44,12 +44,7 @@ def test_a_result(estimate: Estimate, tmp_path: Path) -> None:
     value = estimate.value("payload_mass")
     assert f"best guess {1e3 * value.value:.0f} g" in text and f"0 to {1e3 * value.ci95[1]:.0f} g" in text
     assert "too wide" in text and "proprio replay BAG" in text
-    for heading in (
-        "Measured against simulated",
-        "Convergence of every start",
-        "Misfit over payload mass",
-        "What was assumed",
-    ):
+    for heading in ("Measured against simulated", "Convergence of every start", "Misfit over payload mass", "What was assumed"):
         assert heading in text
     for row in estimate.unknowns:
         assert row.label in text

@@ -35,12 +35,7 @@ def test_the_robot_is_that_of_the_same_text_as_a_file(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(ARM)
     file = robot_of(Options(robot=str(tmp_path / "arm.urdf"), effort_unit="N.m"))
     assert live.model.fingerprint() == file.model.fingerprint()
-    assert live.drive_trains == file.drive_trains and list(live.drive_trains) == [
-        "joint1",
-        "joint2",
-        "joint3",
-        "joint4",
-    ]
+    assert live.drive_trains == file.drive_trains and list(live.drive_trains) == ["joint1", "joint2", "joint3", "joint4"]
     assert live.payload_frame == file.payload_frame
     assert heard.hear(ARM) == ("info", ""), "the same again is nothing new"
 

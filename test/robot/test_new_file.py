@@ -183,8 +183,7 @@ def test_the_guessed_hand_of_arms_whose_last_joint_is_a_jaw() -> None:
 def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_urdf_does(tmp_path: Path) -> None:
     """Its torque constants were 15 % uncertain where those of the URDF alone are 10 %, and so were its masses."""
     gripper = chain(
-        joint("a", limit='<limit lower="-1" upper="1" effort="1.23456" velocity="1"/>'),
-        finger("f", "one", "two", kind="prismatic"),
+        joint("a", limit='<limit lower="-1" upper="1" effort="1.23456" velocity="1"/>'), finger("f", "one", "two", kind="prismatic")
     )
     for number, urdf in enumerate((THREE, gripper)):
         folder = tmp_path / str(number)

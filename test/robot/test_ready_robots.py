@@ -135,8 +135,7 @@ def test_the_ur10e_weighs_real_recordings(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize(
-    ("angles", "grasp_m"),
-    [([0.0] * 6, [0.3914, 0.0, 0.2265]), ([0.3, 0.4, -0.5, 0.6, 0.7, 0.0], [0.3913, -0.1144, 0.1463])],
+    ("angles", "grasp_m"), [([0.0] * 6, [0.3914, 0.0, 0.2265]), ([0.3, 0.4, -0.5, 0.6, 0.7, 0.0], [0.3913, -0.1144, 0.1463])]
 )
 def test_the_so101_is_where_its_makers_drew_it(angles: list[float], grasp_m: list[float]) -> None:
     """Between the jaws, by the makers' own model."""

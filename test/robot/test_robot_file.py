@@ -79,11 +79,7 @@ def test_open_manipulator_states_what_is_uncertain() -> None:
 
 
 BAD_FILES = {
-    "unknown key": (
-        "payload_frame: two",
-        "payload_frame: two\npaylod: 1",
-        "arm.yaml: unknown key 'paylod'; did you mean",
-    ),
+    "unknown key": ("payload_frame: two", "payload_frame: two\npaylod: 1", "arm.yaml: unknown key 'paylod'; did you mean"),
     "unknown motor key": ("{nominal", "{torque: 1, nominal", "joints: a: motor: unknown key 'torque'"),
     "unknown quantity key": (
         "std: 0.02",
@@ -91,57 +87,29 @@ BAD_FILES = {
         "coulomb_N_m: unknown key 'sdt'; did you mean 'std'? valid keys: value, std",
     ),
     "missing value": ("{value: 0.1, std: 0.02}", "{std: 0.02}", "coulomb_N_m: value is missing"),
-    "text for a number": (
-        "load_friction: 0",
-        "load_friction: little",
-        "load_friction: expected a number, got 'little'",
-    ),
+    "text for a number": ("load_friction: 0", "load_friction: little", "load_friction: expected a number, got 'little'"),
     "truth for a number": ("load_friction: 0", "load_friction: yes", "load_friction: expected a number, got 'yes'"),
     "NaN": ("load_friction: 0", "load_friction: .nan", "load_friction: expected a finite number, got nan"),
     "negative std": ("std: 0.02", "std: -0.02", "coulomb_N_m: std: must not be negative, got -0.02"),
     "negative friction": ("value: 0.1", "value: -0.1", "coulomb_N_m: value: must not be negative"),
     "zero torque constant": ("A: 2.0,", "A: 0.0,", "nominal_torque_constant_N_m_per_A: must be positive, got 0.0"),
     "perfect encoder": ("0.001", "0, encoder_noise_rad: 0", "encoder_resolution_rad and encoder_noise_rad are both 0"),
-    "voltage without resistance": (
-        "{nominal",
-        "{supply_voltage_V: 12, nominal",
-        "supply_voltage_V needs resistance_ohm",
-    ),
+    "voltage without resistance": ("{nominal", "{supply_voltage_V: 12, nominal", "supply_voltage_V needs resistance_ohm"),
     "bus id": ("{nominal", "{id: 300, nominal", "id: expected a whole number from 0 to 252, got 300"),
-    "transmission of a turning joint": (
-        "    motor:",
-        "    transmission_m_per_rad: 0.1\n    motor:",
-        "is for a prismatic joint",
-    ),
-    "unknown joint": (
-        "  a:",
-        "  elbow:",
-        "joints: arm has no joint 'elbow' that a motor could drive; choose from: a, b",
-    ),
+    "transmission of a turning joint": ("    motor:", "    transmission_m_per_rad: 0.1\n    motor:", "is for a prismatic joint"),
+    "unknown joint": ("  a:", "  elbow:", "joints: arm has no joint 'elbow' that a motor could drive; choose from: a, b"),
     "fixed joint": ("  a:", "  c:", "no joint 'c' that a motor could drive"),
-    "unknown frame": (
-        "frame: two",
-        "frame: hand",
-        "payload_frame: arm has no link 'hand'; links: base, one, two, three",
-    ),
+    "unknown frame": ("frame: two", "frame: hand", "payload_frame: arm has no link 'hand'; links: base, one, two, three"),
     "no frame": ("payload_frame: two\n", "", "arm.yaml: missing: payload_frame; state each"),
     "no urdf": ("urdf: arm.urdf\n", "", "arm.yaml: urdf is missing"),
     "urdf not there": ("arm.urdf", "leg.urdf", "urdf: there is no"),
-    "flat gravity": (
-        "name: arm",
-        "name: arm\ngravity: [0, 9.81]",
-        "gravity: expected three numbers [x, y, z], got [0, 9.81]",
-    ),
+    "flat gravity": ("name: arm", "name: arm\ngravity: [0, 9.81]", "gravity: expected three numbers [x, y, z], got [0, 9.81]"),
     "calibrated": ("name: arm", "name: arm\ncalibrated: 1", "calibrated: expected true or false, got 1"),
     "not YAML": ("name: arm", "name: [arm", "not YAML"),
     "key given twice": ("name: arm", "name: arm\nname: leg", "duplicate key"),
     "no mapping": (MINIMAL, "- 1", "arm.yaml: expected keys and values, got [1]"),
     "empty": (MINIMAL, "", "arm.yaml: expected keys and values, got None"),
-    "joints is a list": (
-        MINIMAL[MINIMAL.index("joints:") :],
-        "joints: [a]",
-        "joints: expected keys and values, got ['a']",
-    ),
+    "joints is a list": (MINIMAL[MINIMAL.index("joints:") :], "joints: [a]", "joints: expected keys and values, got ['a']"),
     "no joints": (MINIMAL[MINIMAL.index("joints:") :], "", "joints is missing or empty"),
     "other URDF": ("name: arm", "name: arm\nmodel_fingerprint: abc", "was made with another URDF"),
     "extends nothing": ("name: arm", "extends: leg", "unknown robot 'leg'; known robots: "),
@@ -178,13 +146,7 @@ def test_what_a_file_leaves_out_is_not_known_exactly(folder: Path) -> None:
     assert (drive.coulomb.std, drive.viscous.std, drive.armature.std) == pytest.approx((0.1, 0.05, 0.01))
     open_numbers = (drive.load_friction, drive.zero, drive.stribeck, robot.delay, robot.arm_scale)
     assert all(number.std > 0.0 for number in open_numbers)
-    spreads = (
-        robot.stamp_jitter_s,
-        robot.onset_jitter_s,
-        robot.torque_disturbance,
-        robot.link_mass_std,
-        robot.link_com_std,
-    )
+    spreads = (robot.stamp_jitter_s, robot.onset_jitter_s, robot.torque_disturbance, robot.link_mass_std, robot.link_com_std)
     assert all(spread > 0.0 for spread in (*spreads, robot.link_inertia_std, drive.encoder_noise))
     # null is left out, too: a new robot file has it where something must be stated
     (folder / "arm.yaml").write_text(MINIMAL.replace("1e-2", "null"))
@@ -196,13 +158,7 @@ def test_the_pendulum_is_exact_because_its_file_says_so() -> None:
     drive = robot.drive_trains["pivot"]
     numbers = (drive.torque_constant, drive.coulomb, drive.viscous, drive.load_friction, drive.armature, drive.zero)
     assert all(number.std == 0.0 for number in (*numbers, drive.stribeck, robot.delay, robot.arm_scale))
-    spreads = (
-        robot.stamp_jitter_s,
-        robot.onset_jitter_s,
-        robot.torque_disturbance,
-        robot.link_mass_std,
-        robot.link_com_std,
-    )
+    spreads = (robot.stamp_jitter_s, robot.onset_jitter_s, robot.torque_disturbance, robot.link_mass_std, robot.link_com_std)
     assert not any((*spreads, robot.link_inertia_std, drive.encoder_once_per_turn))
 
 
@@ -225,10 +181,7 @@ def test_all_that_is_missing_is_said_at_once(folder: Path) -> None:
 
 
 def test_a_mistyped_key_is_not_called_missing(folder: Path) -> None:
-    for old, new, meant in (
-        ("payload_frame", "payload_fram", "payload_frame"),
-        ("{nominal_t", "{nominl_t", "nominal_t"),
-    ):
+    for old, new, meant in (("payload_frame", "payload_fram", "payload_frame"), ("{nominal_t", "{nominl_t", "nominal_t")):
         (folder / "arm.yaml").write_text(MINIMAL.replace(old, new, 1))
         with pytest.raises(RobotError, match=f"did you mean '{meant}"):
             load_robot(folder / "arm.yaml")

@@ -178,9 +178,7 @@ def test_holding_joints_leaves_their_rows_out(seed: int) -> None:
     reduced = model.lock(active, positions, GRAVITY)
     assert reduced.joint_names == tuple(name for name in names if name in active)
     mass, bias = mass_matrix_and_bias(
-        reduced,
-        np.array([positions[n] for n in reduced.joint_names]),
-        np.array([velocities[n] for n in reduced.joint_names]),
+        reduced, np.array([positions[n] for n in reduced.joint_names]), np.array([velocities[n] for n in reduced.joint_names])
     )
     expected_mass, expected_bias = Mujoco(urdf).mass_matrix_and_bias(reduced.joint_names, positions, velocities)
     np.testing.assert_allclose(mass, expected_mass, rtol=0.0, atol=1e-9 * np.abs(expected_mass).max())

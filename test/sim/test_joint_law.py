@@ -119,14 +119,7 @@ def test_against_an_independent_solver(delay: float) -> None:
     for begin, end, current in zip(switches, [*switches[1:], 0.7], currents, strict=True):
         inside = (wanted > begin) & (wanted <= end)
         solution = solve_ivp(
-            motion,
-            (begin, end),
-            state,
-            method="LSODA",
-            rtol=1e-11,
-            atol=1e-13,
-            t_eval=[*wanted[inside], end],
-            args=(current,),
+            motion, (begin, end), state, method="LSODA", rtol=1e-11, atol=1e-13, t_eval=[*wanted[inside], end], args=(current,)
         )
         exact[inside] = solution.y[0, : inside.sum()]
         state = solution.y[:, -1]

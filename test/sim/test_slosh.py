@@ -36,12 +36,7 @@ def values(**others: float) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "others",
-    [
-        {},
-        {"slosh_mass": 0.0, "settled": 0.5},
-        {"slosh_friction": 3.0, "settled": 0.0},
-        {"slosh_stiffness": 900.0, "v0": 0.4},
-    ],
+    [{}, {"slosh_mass": 0.0, "settled": 0.5}, {"slosh_friction": 3.0, "settled": 0.0}, {"slosh_stiffness": 900.0, "v0": 0.4}],
 )
 def test_tangents_are_the_slopes_of_the_rollout(others: dict[str, float]) -> None:
     rolled, p, world = simulator(shake=True), values(**others), np.zeros(1, dtype=np.int32)

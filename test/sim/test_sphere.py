@@ -142,9 +142,7 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
     times = np.linspace(0.02, 0.15, 14)
     held_back = 0.6 * load  # so that the container does not fall freely, in which the sphere would float
     q, v, x, *_ = states_of(
-        simulator(times, kind=kind, current=-held_back, step=5e-5),
-        ONE,
-        parameters(stiff, start, inertia=arm, sphere_mass=mass),
+        simulator(times, kind=kind, current=-held_back, step=5e-5), ONE, parameters(stiff, start, inertia=arm, sphere_mass=mass)
     )
     lever, weight = start - ORIGIN, mass * GRAVITY
     inertia = arm + mass * (np.cross(AXIS, lever) @ np.cross(AXIS, lever) + 0.4 * BOX.radius**2)

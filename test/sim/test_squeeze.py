@@ -182,14 +182,7 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
     p = parameters(viscous=viscous, poissons_ratio=ratio, youngs_modulus=modulus, gap=-1e-4)
     q = SqueezeSimulator([run], "semi_implicit").rollout(ONE, p)[0][0]
     mu, lam = lame(modulus, ratio)
-    values = {
-        "inertia": 0.005,
-        "torque_constant": 1.0,
-        "viscous": viscous,
-        "gap": -1e-4,
-        "lame_mu": mu,
-        "lame_lambda": lam,
-    }
+    values = {"inertia": 0.005, "torque_constant": 1.0, "viscous": viscous, "gap": -1e-4, "lame_mu": mu, "lame_lambda": lam}
     soft = np.array([[values.get(name, 0.0) for name in SOFT_PARAMETERS]])
     body = SoftBody(box(np.full(3, EDGE), (4, 4, 4)), mass, TRAVEL)
     explicit = body.rollout(SoftRun(np.zeros(1), np.array([torque]), 60), soft, "starts").q[0]

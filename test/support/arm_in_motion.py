@@ -294,11 +294,7 @@ class Twin:
         steps = round((seconds + 1.0) / STEP_S)
         angle = speed * (np.arange(steps) * STEP_S)[:, None, None] + phase
         sine = np.sin(angle)
-        wanted = (
-            middle + (size * sine).sum(-1),
-            (size * speed * np.cos(angle)).sum(-1),
-            -(size * speed**2 * sine).sum(-1),
-        )
+        wanted = (middle + (size * sine).sum(-1), (size * speed * np.cos(angle)).sum(-1), -(size * speed**2 * sine).sum(-1))
         qpos, qvel, bias, applied = data.qpos, data.qvel, data.qfrc_bias, data.qfrc_applied
         qpos[:], qvel[:] = wanted[0][0], wanted[1][0]
         constants = np.array(build.constants)

@@ -110,14 +110,7 @@ class Look:
 
     def shown(self, page: Path, *more: str) -> str:
         """The document of a page after its scripts have run."""
-        command = [
-            self.browser,
-            *QUIET,
-            f"--user-data-dir={self._folder / 'profile'}",
-            *more,
-            "--dump-dom",
-            page.as_uri(),
-        ]
+        command = [self.browser, *QUIET, f"--user-data-dir={self._folder / 'profile'}", *more, "--dump-dom", page.as_uri()]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 

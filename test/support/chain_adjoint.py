@@ -268,11 +268,7 @@ def rigid_body_terms(
     wp.launch(
         terms_kernel(tuple(model.parents.tolist())),
         dim=len(states[0]),
-        inputs=[
-            constants_of(model, np.ones(n), np.zeros((n, 3))),
-            doubles(p, FLOAT),
-            *(doubles(x, vec) for x in states),
-        ],
+        inputs=[constants_of(model, np.ones(n), np.zeros((n, 3))), doubles(p, FLOAT), *(doubles(x, vec) for x in states)],
         outputs=[h, torque],
         device="cpu",
     )
@@ -336,12 +332,6 @@ def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDAr
             outputs=[q, v],
             device="cpu",
         )
-        wp.launch(
-            observe,
-            dim=shape[:2],
-            inputs=[sim._samples, p_array, sample_step, q],
-            outputs=[sampled],
-            device="cpu",
-        )
+        wp.launch(observe, dim=shape[:2], inputs=[sim._samples, p_array, sample_step, q], outputs=[sampled], device="cpu")
     tape.backward(grads={sampled: doubles(seed, sim._vec)})
     return p_array.grad.numpy().copy()

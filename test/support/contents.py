@@ -113,11 +113,7 @@ class Liquid(_Particles):
         tall = max(2, round(2.0 * fill / cell))
         wide = 2 * int(np.ceil(cylinder.radius / cell))
         grid = np.stack(np.meshgrid(*[np.arange(-wide, wide) + 0.5] * 2, np.arange(tall) + 0.5, indexing="ij"), axis=-1)
-        x = (grid.reshape(-1, 3) + 0.3 * rng.uniform(-0.5, 0.5, (grid.size // 3, 3))) * (
-            0.5 * cell,
-            0.5 * cell,
-            fill / tall,
-        )
+        x = (grid.reshape(-1, 3) + 0.3 * rng.uniform(-0.5, 0.5, (grid.size // 3, 3))) * (0.5 * cell, 0.5 * cell, fill / tall)
         x = np.ascontiguousarray(x[np.hypot(x[:, 0], x[:, 1]) < cylinder.radius])
         # a tilted surface over water as dense as before, but for terms of second order
         slope = np.tan(tilt) / fill
@@ -222,8 +218,7 @@ def fitted_ring(times_s: Array, places: Array, first_hz: float) -> tuple[float, 
 
     omega = 2.0 * np.pi * first_hz
     found = min(
-        (least_squares(shape, [omega * f, omega * z]) for f in (0.7, 0.95, 1.05) for z in (0.02, 0.3, 0.8)),
-        key=lambda r: r.cost,
+        (least_squares(shape, [omega * f, omega * z]) for f in (0.7, 0.95, 1.05) for z in (0.02, 0.3, 0.8)), key=lambda r: r.cost
     )
     turning, decay = abs(float(found.x[0])), float(found.x[1])
     return turning / (2.0 * np.pi), float(decay / np.hypot(turning, decay))

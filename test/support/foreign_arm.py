@@ -96,10 +96,7 @@ class ForeignArm:
         bodies, ends = "", ""
         for number, name in enumerate(JOINTS):
             length, mass = LENGTH_M[name], MASS_KG[name] * (1.0 + truth.normal(0.0, 0.02))
-            across, place = (
-                mass * length**2 / 12.0,
-                f"0 0 {HEIGHT_M}" if not number else f"{LENGTH_M[JOINTS[number - 1]]} 0 0",
-            )
+            across, place = (mass * length**2 / 12.0, f"0 0 {HEIGHT_M}" if not number else f"{LENGTH_M[JOINTS[number - 1]]} 0 0")
             share = SHARE[name]
             bodies += (
                 f'<body name="{name}" pos="{place}"><joint name="{name}" type="hinge" axis="0 1 0" limited="true" '

@@ -19,12 +19,7 @@ import pytest
 
 ALWAYS = ("builtin_interfaces", "service_msgs", "action_msgs", "unique_identifier_msgs", "type_description_interfaces")
 """What services and actions are made of, whether a package says so or not."""
-PARTS = (
-    "rosidl_generator_c",
-    "rosidl_typesupport_fastrtps_c",
-    "rosidl_typesupport_introspection_c",
-    "rosidl_typesupport_c",
-)
+PARTS = ("rosidl_generator_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c", "rosidl_typesupport_c")
 """Libraries of a package, each of which needs those before it; the middleware asks for the last, and that for the two before."""
 ROS = Path(sys.prefix)
 """Where the wheels put include/, lib/ and share/."""

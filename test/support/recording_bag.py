@@ -75,6 +75,5 @@ def _float_array(types: Any, names: Sequence[str], values: FloatArray) -> Any:
         types.types[f"std_msgs/msg/{name}"] for name in ("MultiArrayDimension", "MultiArrayLayout", "Float64MultiArray")
     )
     return array(
-        layout=layout(dim=[dimension(label=",".join(names), size=len(names), stride=len(names))], data_offset=0),
-        data=values,
+        layout=layout(dim=[dimension(label=",".join(names), size=len(names), stride=len(names))], data_offset=0), data=values
     )

@@ -124,11 +124,7 @@ class SensingArm:
         mujoco.mj_setConst(self.model, self.data)
 
     def work(
-        self,
-        seconds: float,
-        loads: Sequence[tuple[float, Load | None]] = (),
-        name: str = "work",
-        elsewhere: float = 0.0,
+        self, seconds: float, loads: Sequence[tuple[float, Load | None]] = (), name: str = "work", elsewhere: float = 0.0
     ) -> Motion:
         """What it reports; it takes each load (None: puts it down) at that many seconds, in whatever motion it is."""
         import mujoco

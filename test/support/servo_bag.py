@@ -14,10 +14,7 @@ from proprio_ros.recordings.writer import write_messages
 
 
 def write(
-    folder: Path,
-    rows: dict[str, np.ndarray],
-    effort: np.ndarray | None = None,
-    topics: Sequence[str] = ("goal", "voltage"),
+    folder: Path, rows: dict[str, np.ndarray], effort: np.ndarray | None = None, topics: Sequence[str] = ("goal", "voltage")
 ) -> Path:
     types: Any = message_types()
     time, header, state, battery = (

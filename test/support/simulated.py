@@ -65,10 +65,7 @@ def stated(truth: Mapping[str, Any]) -> dict[str, Any]:
     payload = truth["payload"]
     if not payload or payload["mass"] == 0.0:
         return {"payload.shape": "point"}
-    return {
-        "payload.com": payload["offset"],
-        "payload.inertia_per_mass": [value / payload["mass"] for value in payload["inertia"]],
-    }
+    return {"payload.com": payload["offset"], "payload.inertia_per_mass": [value / payload["mass"] for value in payload["inertia"]]}
 
 
 def facts_of(folder: Path) -> PayloadFacts:
@@ -78,14 +75,7 @@ def facts_of(folder: Path) -> PayloadFacts:
 
 def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
     """The simulator's drive train, put into the robot file as exactly known."""
-    exact = (
-        "delay_s",
-        "onset_jitter_s",
-        "torque_disturbance_N_m",
-        "link_mass_std",
-        "link_com_std_m",
-        "link_inertia_std",
-    )
+    exact = ("delay_s", "onset_jitter_s", "torque_disturbance_N_m", "link_mass_std", "link_com_std_m", "link_inertia_std")
     settings: dict[str, Any] = {f"robot.{key}": 0.0 for key in exact} | {"robot.arm_scale": 1.0}
     for joint, values in truth["joints"].items():
         if joint == "gripper_left_joint":

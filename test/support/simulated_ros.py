@@ -488,15 +488,7 @@ class SimulatedNode:
     create_lifecycle_publisher = create_publisher
 
     def create_subscription(
-        self,
-        kind: type,
-        topic: str,
-        callback: Any,
-        qos: Any,
-        *,
-        raw: bool = False,
-        callback_group: Any = None,
-        **_: Any,
+        self, kind: type, topic: str, callback: Any, qos: Any, *, raw: bool = False, callback_group: Any = None, **_: Any
     ) -> Subscription:
         polled = callback_group is not None
         subscription = Subscription(self, kind, self.resolve_topic_name(topic), callback, qos, raw, polled)

@@ -56,11 +56,7 @@ def state(
 
 
 def command(
-    time_ns: int,
-    current: Sequence[float],
-    labels: Sequence[str] = (),
-    topic: str = "/current_command",
-    msgtype: str = FLOATS,
+    time_ns: int, current: Sequence[float], labels: Sequence[str] = (), topic: str = "/current_command", msgtype: str = FLOATS
 ) -> Message:
     dimension, layout = (TYPES.types[f"std_msgs/msg/{name}"] for name in ("MultiArrayDimension", "MultiArrayLayout"))
     dtype = np.float32 if "32" in msgtype else np.float64

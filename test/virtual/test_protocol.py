@@ -46,11 +46,7 @@ awkward = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x07]), max_size=40)
         (encode_instruction(BROADCAST_ID, Code.FAST_SYNC_READ, bytes([132, 0, 4, 0, 3, 7, 4])), FAST),
         (
             encode_fast_status(
-                [
-                    (0, 3, bytes.fromhex("A6 00 00 00")),
-                    (0, 7, bytes.fromhex("1F 08 00 00")),
-                    (0, 4, bytes.fromhex("FF 03 00 00")),
-                ],
+                [(0, 3, bytes.fromhex("A6 00 00 00")), (0, 7, bytes.fromhex("1F 08 00 00")), (0, 4, bytes.fromhex("FF 03 00 00"))],
                 3,
             ),
             FAST_STATUS,

@@ -153,9 +153,7 @@ def weighed(client: Client, folder: Path) -> tuple[Any, dict[str, Any]]:
 
 
 @pytest.mark.long
-def test_a_start_near_a_limit_and_a_heavy_object_end_with_an_answer_or_a_reason(
-    tmp_path: Path,
-) -> None:
+def test_a_start_near_a_limit_and_a_heavy_object_end_with_an_answer_or_a_reason(tmp_path: Path) -> None:
     identifier = asked_for(tmp_path, TARGET_KG, 60.0)
     near = load_robot("open_manipulator_x").model.joint("joint3").lower + 0.03
     with running(tmp_path, virtual={"object": str(OBJECT_KG), "seed": -1}, identifier=identifier) as client:

@@ -101,13 +101,7 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
             assert calibration.exists(), calibrated.reasons
             client.world.start(
                 "identifier",
-                {
-                    "calibration": calibration,
-                    "report": True,
-                    "running": True,
-                    "weigh_seconds": 12.0,
-                    "gravity_effort_rate": 20.0,
-                },
+                {"calibration": calibration, "report": True, "running": True, "weigh_seconds": 12.0, "gravity_effort_rate": 20.0},
             )
 
             def newest() -> dict[str, str]:

@@ -106,11 +106,7 @@ class RestFit:
 
 
 def fit_at_rest(
-    robot: Robot,
-    motions: Sequence[Motion],
-    calibration: MotionCalibration,
-    centre_m: FloatArray,
-    centre_std_m: FloatArray | None,
+    robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration, centre_m: FloatArray, centre_std_m: FloatArray | None
 ) -> RestFit:
     """What all motions hold, by their stances, or by the motion of the only one where that says more.
 

@@ -23,13 +23,7 @@ from scipy.optimize import brentq
 
 from proprio_ros.records import FloatArray
 
-PUBLISHED: Mapping[str, float] = {
-    "common_scale": 0.015,
-    "own_scale": 0.01,
-    "friction": 0.15,
-    "offset": 0.1,
-    "zero": 0.003,
-}
+PUBLISHED: Mapping[str, float] = {"common_scale": 0.015, "own_scale": 0.01, "friction": 0.15, "offset": 0.1, "zero": 0.003}
 """Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad]."""
 PSEUDO_RECORDINGS = 4.0  # So many recordings the published word counts as.
 CONSIDERED = ("common_scale", "own_scale", "zero")

@@ -296,16 +296,7 @@ class Problem:
         zero = rows.zero.copy()
         zero[motion >= loaded, :, :PARAMETERS] = 0.0
         return cls(
-            np.vstack(matrix),
-            rows.torque,
-            rows.joint,
-            stretch,
-            rows.direction,
-            motion,
-            rows.payload[:, 0],
-            zero,
-            loaded,
-            count,
+            np.vstack(matrix), rows.torque, rows.joint, stretch, rows.direction, motion, rows.payload[:, 0], zero, loaded, count
         )
 
     def only(self, kept: NDArray[np.bool_]) -> Problem:

@@ -72,8 +72,7 @@ def _refusals(robot: Robot, motions: Sequence[Motion], learnt: JointCalibration)
         )
     if learnt.spread > WIDEST_SPREAD:
         worst = max(
-            (run for run in learnt.runs if run["load_kg"] > 0.0),
-            key=lambda run: abs(run["read_kg"] / run["load_kg"] - 1.0),
+            (run for run in learnt.runs if run["load_kg"] > 0.0), key=lambda run: abs(run["read_kg"] / run["load_kg"] - 1.0)
         )
         yield not_identifiable(
             "says_too_little",

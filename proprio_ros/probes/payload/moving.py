@@ -86,11 +86,7 @@ def motion_answer(
 
 @once_each()
 def identify_in_motion(
-    robot: Robot,
-    motions: Sequence[Motion],
-    baseline: Sequence[Motion],
-    facts: PayloadFacts,
-    centre_is_stated: bool = False,
+    robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts, centre_is_stated: bool = False
 ) -> Estimate:
     """Identify the payload that all ``motions`` share.
 

@@ -100,11 +100,7 @@ class SqueezeSearch:
 
 
 def find_softness(
-    robot: Robot,
-    runs: Sequence[Run],
-    facts: BlockFacts,
-    options: SqueezeOptions | None = None,
-    baseline: Sequence[Run] = (),
+    robot: Robot, runs: Sequence[Run], facts: BlockFacts, options: SqueezeOptions | None = None, baseline: Sequence[Run] = ()
 ) -> Estimate:
     """Identify the elastic moduli of the block that all ``runs`` squeeze; the baseline is closings of the empty gripper.
 
@@ -138,11 +134,7 @@ def find_softness(
 
 
 def fit_squeezes(
-    robot: Robot,
-    runs: Sequence[PreparedRun],
-    facts: BlockFacts,
-    options: SqueezeOptions,
-    before: FitResult | None = None,
+    robot: Robot, runs: Sequence[PreparedRun], facts: BlockFacts, options: SqueezeOptions, before: FitResult | None = None
 ) -> FitResult:
     """Fit squeezes, gripper and block together, without a verdict; ``before`` is what some of the same runs said."""
     search = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options)

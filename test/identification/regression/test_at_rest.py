@@ -53,12 +53,7 @@ def recorded(robot: Robot, goals: list[list[float]], rate_hz: float = 30.0) -> M
 
 
 def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
-    goals = [
-        [0.0] * 5,
-        [0.5, -0.5, 0.2, 0.0, 0.3],
-        [0.1, -0.9, 0.6, 0.0, 0.3],
-        [0.1 + 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3],
-    ]
+    goals = [[0.0] * 5, [0.5, -0.5, 0.2, 0.0, 0.3], [0.1, -0.9, 0.6, 0.0, 0.3], [0.1 + 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3]]
     found = Stances.of(robot, recorded(robot, goals), JOINTS)
     assert found.position == pytest.approx(np.array(goals), abs=1e-3)
     assert found.current_A == pytest.approx(0.1 * found.position)

@@ -191,9 +191,7 @@ def test_what_is_too_short_or_of_another_arm_is_refused(robots: dict[int, Robot]
 
 
 @pytest.mark.long
-def test_what_is_stated_of_torque_counts_beside_a_reference_that_does_not_contradict_it(
-    robots: dict[int, Robot],
-) -> None:
+def test_what_is_stated_of_torque_counts_beside_a_reference_that_does_not_contradict_it(robots: dict[int, Robot]) -> None:
     robot, centre = robots[4], np.array([0.01, 0.0, 0.0])
     scales = []
     for off in (1.0, 0.8):
