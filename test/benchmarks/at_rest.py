@@ -3,8 +3,9 @@
 The arms of `so101.py` (30 Hz, goals and positions alone), whose joints stick here: dry friction is up to half greater at rest and
 holds a joint, gears lose up to 15 % of what they carry, and the firmware has a dead band of 0 to 2 counts that no file states. Two
 empty motions and one with 150 g calibrate; then the arm takes a load, goes to two poses at random, and stands. Asked are a
-recording of each pose, from half a second before the arm arrives, both together; and the whole as one recording. The last
-question has something wrong: servos of twice the gain that was calibrated.
+recording of each pose, from half a second before the arm arrives, both together; and the whole as one recording. In one more pose
+the hand is empty at first, and holds the load after 3 s: there the running estimate is asked, 2 s later. The last question has
+something wrong: servos of twice the gain that was calibrated.
 
     python test/benchmarks/at_rest.py [--arms 12] [--first 500]
 """
@@ -22,12 +23,16 @@ from so101 import COUNT_RAD, GAIN, JOINTS, MIDDLE, REACH, SETTINGS, Arm, write
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.regression.online import OnlineEstimate
+from proprio_ros.live.online_estimator import OnlineFeed
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
-from proprio_ros.pipeline.request import Options
+from proprio_ros.pipeline.request import Options, request_of
+from proprio_ros.probes import probe_at_work
 
 ASKED_KG, KNOWN_KG, HELD_S, ARRIVES_S, RATE_HZ = (0.0, 0.1, 0.3, 0.6, 0.9), 0.15, 3.0, 0.5, 30.0
 STANDS, WHOLE, STIFFER = "two poses", "and the way there", "servos of twice the gain"
+STILL = "put into a still hand"
 
 
 class Sticky(Arm):
@@ -53,14 +58,34 @@ class Sticky(Arm):
         return rows, [{name: values[of] for name, values in rows.items()} for of in of_poses]
 
 
-def weighed(seed: int, asked_kg: Sequence[float] = ASKED_KG, seconds: float = 60.0) -> list[tuple[str, float, Estimate | str]]:
+def put_in(arm: Sticky, kg: float, random: np.random.Generator, output: Path) -> Estimate | OnlineEstimate | str:
+    """What the running estimate says of a hand that was empty, and holds something since 2 s, of an arm that stands."""
+    request = request_of(Options(calibration=output, settings=SETTINGS))
+    feed = OnlineFeed(probe_at_work(), request.robot, request.facts, request.locked)
+    pose, dry, told = (
+        MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS)),
+        arm.coulomb * random.normal(1.0, 0.05, len(JOINTS)),
+        None,
+    )
+    for begins_s, load_kg in ((0.0, 0.0), (HELD_S, kg)):
+        rows = arm.followed(load_kg, random, RATE_HZ, HELD_S - begins_s / 3.0, dry, [0.0, HELD_S], [pose, pose])
+        for t, goal, position in zip(rows["t"] + begins_s, rows["goal"], rows["position"], strict=True):
+            feed.stall.hear_goals(float(t), JOINTS, goal.tolist())
+            told = feed.add(float(t), JOINTS, position.tolist(), [], "") or told
+    return told or "nothing is said"
+
+
+def weighed(
+    seed: int, asked_kg: Sequence[float] = ASKED_KG, seconds: float = 60.0
+) -> list[tuple[str, float, Estimate | OnlineEstimate | str]]:
     """What was asked, truth [kg] and answer, or why there is none, of one arm.
 
     Raises:
         ProprioError: It cannot be calibrated.
     """
     random = np.random.default_rng(seed)
-    arm, found = Sticky(random), []
+    arm = Sticky(random)
+    found: list[tuple[str, float, Estimate | OnlineEstimate | str]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         output = folder / "calibrated.yaml"
@@ -83,6 +108,7 @@ def weighed(seed: int, asked_kg: Sequence[float] = ASKED_KG, seconds: float = 60
             whole, of_poses = arm.stood(kg, random)
             ask(STANDS, kg, *of_poses)
             ask(WHOLE, kg, whole)
+            found.append((STILL, kg, put_in(arm, kg, np.random.default_rng([seed, round(1e3 * kg)]), output)))
         arm.gain = 2.0 * GAIN
         ask(STIFFER, asked_kg[-1], *arm.stood(asked_kg[-1], random)[1])
     return found
@@ -96,14 +122,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of each motion that calibrates")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    found: list[tuple[str, float, Estimate | str]] = []
+    found: list[tuple[str, float, Estimate | OnlineEstimate | str]] = []
     for seed in range(options.first, options.first + options.arms):
         try:
             found += weighed(seed, options.masses, options.seconds)
         except ProprioError as error:
             print(f"arm {seed}: {error}")
-        for what, kg, answer in found[-2 * len(options.masses) - 1 :]:
-            told = answer if isinstance(answer, str) else f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}"
+        for what, kg, answer in found[-3 * len(options.masses) - 1 :]:
+            told = (
+                f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}" if isinstance(answer, Estimate) else str(answer)
+            )
             print(f"arm {seed}, {what}, {1e3 * kg:.0f} g: {told}"[:220])
     results.table(
         "rest",
@@ -118,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "farthest, in sd": "{farthest:.1f}",
         },
     )
-    for what in (STANDS, WHOLE, STIFFER):
+    for what in (STANDS, WHOLE, STILL, STIFFER):
         mine = [(kg, answer) for of, kg, answer in found if of == what]
         groups = [(f"{1e3 * kg:.0f} g" if kg else "nothing", {kg}) for kg in dict.fromkeys(kg for kg, _ in mine)]
         for held, kgs in (*groups, *([("all", set(options.masses))] if len(groups) > 1 else [])):
@@ -126,16 +154,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results.keep()
 
 
-def row(results: Results, what: str, held: str, answers: Sequence[tuple[float, Estimate | str]]) -> None:
+def row(results: Results, what: str, held: str, answers: Sequence[tuple[float, Estimate | OnlineEstimate | str]]) -> None:
     """Figures of some answers."""
-    given = [(kg, a) for kg, a in answers if not isinstance(a, str) and isinstance(a.values[0].value, float)]
-    numbers: Any = [(a.values[0].value - kg, a.values[0].std, *a.values[0].ci95, kg) for kg, a in given]
-    off, std, low, high, kg = np.array(numbers).T if given else np.full((5, 1), np.nan)
+    accepted, numbers = 0, []
+    for kg, answer in answers:
+        if isinstance(answer, OnlineEstimate):
+            accepted += answer.known
+            numbers.append((answer.mass_kg - kg, answer.std_kg, *answer.ci95_kg, kg))
+        elif isinstance(answer, Estimate) and isinstance(answer.values[0].value, float):
+            value: Any = answer.values[0]
+            accepted += answer.verdict is Verdict.ACCEPTED
+            numbers.append((value.value - kg, value.std, *value.ci95, kg))
+    off, std, low, high, of = np.array(numbers).T if numbers else np.full((5, 1), np.nan)
     results.row(
-        "rest", what=what, held=held, asked=len(answers), given=len(given),
-        accepted=sum(a.verdict is Verdict.ACCEPTED for _, a in given), wide=sum(a.verdict is Verdict.TOO_WIDE for _, a in given),
-        rms=1e3 * np.sqrt(np.mean(off**2)), worst=1e3 * np.abs(off).max(), half=1e3 * np.median(high - off - kg),
-        hold=int(((low <= kg) & (kg <= high)).sum()), farthest=np.abs(off / std).max(),
+        "rest", what=what, held=held, asked=len(answers), given=len(numbers), accepted=accepted, wide=len(numbers) - accepted,
+        rms=1e3 * np.sqrt(np.mean(off**2)), worst=1e3 * np.abs(off).max(), half=1e3 * np.median(high - off - of),
+        hold=int(((low <= of) & (of <= high)).sum()), farthest=np.abs(off / std).max(),
     )  # fmt: skip
 
 

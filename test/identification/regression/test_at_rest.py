@@ -76,7 +76,7 @@ def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
 def test_two_poses_tell_a_load(tmp_path: Path) -> None:
     """Of an arm in MuJoCo whose joints stick, by the benchmark that says how often intervals hold."""
     pytest.importorskip("mujoco")
-    from at_rest import STANDS, WHOLE, Sticky, weighed, write
+    from at_rest import STANDS, STILL, WHOLE, Sticky, weighed, write
 
     answers = weighed(501, (0.3,), seconds=30.0)
     told = {what: (kg, answer) for what, kg, answer in answers}
@@ -85,6 +85,8 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
         assert not isinstance(answer, str) and answer.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), answer
         low, high = answer.values[0].ci95
         assert low <= kg <= high and high - low < 0.3
+    _, still = told[STILL]
+    assert not isinstance(still, str) and still.known and still.ci95_kg[0] <= 0.3 <= still.ci95_kg[1], still  # type: ignore[union-attr]
     assert "each servo has the gain that it was calibrated with" in told[STANDS][1].assumptions[1]  # type: ignore[union-attr]
 
     from proprio_ros.pipeline.replay import replay
