@@ -76,25 +76,9 @@ def cell(masses: Sequence[dict[str, Any]], kg: float) -> str:
     return f"{value:.1f} ({low:.1f} to {high:.1f}){again(one['asked'])}"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = parser_of(__doc__)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "COUNT"))
-    parser.add_argument("--masses", type=float, nargs="+", default=list(MASSES_KG), metavar="KG")
-    parser.add_argument("--goals", action="store_true")
-    parser.add_argument("--rate", type=float, default=500.0)
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("--told", type=Path, nargs="+", metavar="LOG")
-    given = parser.parse_args(arguments)
-    found: list[dict[str, Any]] = []
-    if given.told:
-        lines = [line for path in given.told for line in path.read_text().splitlines() if line.startswith('{"seed"')]
-        found = list(map(json.loads, lines))
-    for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
-        folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
-        folder.mkdir(parents=True, exist_ok=True)
-        found.append(weighed(seed, folder, given.goals, given.rate, given.masses))
-        print(json.dumps(found[-1]), flush=True)
-    results = Results(__file__, given.json, arguments)
+def tell(found: Sequence[dict[str, Any]], script: str, kept: Path | None, arguments: Sequence[str] | None) -> None:
+    """Tables of what came of some arms."""
+    results = Results(script, kept, arguments)
     masses_kg = list(dict.fromkeys(one["kg"] for each in found for one in each["masses"]))
     columns = {"seed": "{seed}", "efforts come late by": "{delay_ms:.0f} +- {jitter_ms:.0f} ms", "calibrated": "{calibrated}"}
     results.table("arms", {**columns, **{f"{1e3 * kg:g} g": f"{{m{number}}}" for number, kg in enumerate(masses_kg)}})
@@ -114,6 +98,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     })  # fmt: skip
     results.row("all", **whole)
     results.keep()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "COUNT"))
+    parser.add_argument("--masses", type=float, nargs="+", default=list(MASSES_KG), metavar="KG")
+    parser.add_argument("--goals", action="store_true")
+    parser.add_argument("--rate", type=float, default=500.0)
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--told", type=Path, nargs="+", metavar="LOG")
+    given = parser.parse_args(arguments)
+    found: list[dict[str, Any]] = []
+    if given.told:
+        lines = [line for path in given.told for line in path.read_text().splitlines() if line.startswith('{"seed"')]
+        found = list(map(json.loads, lines))
+    for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
+        folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
+        folder.mkdir(parents=True, exist_ok=True)
+        found.append(weighed(seed, folder, given.goals, given.rate, given.masses))
+        print(json.dumps(found[-1]), flush=True)
+    tell(found, __file__, given.json, arguments)
     return 0
 
 

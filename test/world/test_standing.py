@@ -21,7 +21,7 @@ from proprio_ros.nodes.runtime import LATCHED
 
 pytestmark = pytest.mark.long
 
-LEAST_KG = 0.4  # of this arm's dry friction the shoulder's and the elbow's carry 0.06 to 0.13 kg (standard deviations)
+LEAST_KG = 0.5  # of this arm's dry friction the shoulder's and the elbow's carry 0.06 to 0.13 kg (standard deviations)
 
 
 @pytest.mark.parametrize(("seed", "rate_hz"), [(0, 100.0), (1, 30.0)])
@@ -32,13 +32,14 @@ def test_a_still_servo_says_whether_something_is_held(tmp_path: Path, seed: int,
         answer = client.asked("/identifier/calibrate_robot")
         assert answer.success, answer.message
         client.clock.sleep(3.0)  # the running estimate has begun, by the calibration that was made just now
-        for mass_kg in (0.0, 1.0, 0.0, 0.7, 0.0):
+        for mass_kg in (0.0, 1.0, 0.0, 0.8, 0.0):
             arm.hold(mass_kg)
-            client.clock.sleep(5.0)  # a person takes 1.5 s
+            client.clock.sleep(3.0)  # a person takes 1.5 s, and the arm creeps to where it stands
+            assert client.wait_for(lambda: float(client.estimates[-1]["seconds_at_rest"]) > 1.0, 20.0)
             told = client.estimates[-1]
             low, high = json.loads(told["payload_mass.ci95"])
             assert low <= mass_kg <= high and high - low < 1.0, (mass_kg, told)
-            assert float(told["seconds_at_rest"]) > 1.0 and float(told["seconds_of_motion"]) == 0.0
+            assert float(told["seconds_of_motion"]) == 0.0
             assert (told["holding"] == "true") is (mass_kg > 0.0), (mass_kg, told)
         assert holding[-4:] == [True, False, True, False] and len(holding) <= 6, holding
         # an arm that works is weighed by its motion, of the last seconds as well

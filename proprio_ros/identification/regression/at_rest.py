@@ -225,7 +225,7 @@ class StandingEstimator(OnlineEstimator):
     """A running estimate that goes on where the arm stands: by its motion, and by how it stands where that says something else.
 
     Where somebody takes something out of a hand that stands still, or puts it in, no joint moves, or each by a few counts. What the
-    arm's motion said before then stands no longer.
+    arm's motion said before then stands no longer; and nothing is known while an arm moves that nobody sends anywhere.
     """
 
     def __init__(self, robot: Robot, calibration: MotionCalibration, **known: Any) -> None:
@@ -234,7 +234,8 @@ class StandingEstimator(OnlineEstimator):
         self._centre_std_m = np.full(3, known["centre_std_m"])
         self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self._stance: RestFit | None = None
-        self._stands_since_s = self._next_stance_s = -np.inf
+        self._lost = False  # what stood is moved by something else than its goals, or no load explains how it stands
+        self._stands_since_s, self._next_stance_s = np.inf, -np.inf
         self._of_stance: tuple[float, float] | None = None  # since when what stands is that of a stance, and until when it is news
 
     def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float], works: bool = True) -> bool:
@@ -242,6 +243,7 @@ class StandingEstimator(OnlineEstimator):
         new, row = works and super().add(time_s, positions, currents), (time_s, np.array(positions), np.array(currents))
         if not np.isfinite([time_s, *row[1], *row[2]]).all():
             return new
+        self._lost &= not works
         if self._rows and not 0.0 <= time_s - self._rows[-1][0] < SETTLING_S:
             self._rows.clear()
         self._rows.append(row)
@@ -251,8 +253,9 @@ class StandingEstimator(OnlineEstimator):
             return new
         position = np.array([each[1] for each in self._rows])
         if (np.ptp(position, axis=0) > self._band).any():
+            self._lost |= not works and self._stands_since_s < time_s
             self._stance, self._stands_since_s = None, np.inf
-            return new
+            return new or self._lost
         self._stands_since_s = min(self._stands_since_s, self._rows[0][0])
         if abs(time_s - self._next_stance_s) < STANCE_S and time_s < self._next_stance_s:
             return new
@@ -263,11 +266,14 @@ class StandingEstimator(OnlineEstimator):
         stance = Stances(at, current, np.zeros_like(at))
         fit = _by_stances(self._arm, self._calibration, stance, np.array(self.centre_m), self._centre_std_m)
         told = fit.chi2 <= chi2_limit(fit.freedom) and fit.mass_kg > -Z95 * fit.std_kg
-        self._stance = fit if told else None
-        return new or told
+        self._stance, self._lost = fit if told else None, not (works or told)
+        return new or told or self._lost
 
     def estimate(self) -> OnlineEstimate | None:
         moved, fit = super().estimate(), self._stance
+        if fit is None and self._lost:
+            now_s, any_kg = self._rows[-1][0], self._arm.kg
+            return OnlineEstimate(now_s, 0.0, any_kg, (-Z95 * any_kg, Z95 * any_kg), 0.0, False, now_s, None)
         if fit is None:
             return moved
         now_s, half = self._rows[-1][0], Z95 * fit.std_kg
