@@ -42,6 +42,7 @@ def arguments() -> dict[str, Any]:
 
 def test_versions_agree(arguments: dict[str, Any]) -> None:
     manifest = ElementTree.parse(REPOSITORY / "package.xml").getroot()
+    assert manifest.findtext("url", "").startswith("https://")
     assert manifest.get("format") == "3" and manifest.findtext("export/build_type") == "ament_python"
     changelog = (REPOSITORY / "CHANGELOG.rst").read_text()
     newest = re.search(r"^(\d+\.\d+\.\d+) \(", changelog, re.MULTILINE)

@@ -62,7 +62,7 @@ class Value:
         """Numbers with as many digits as they are known to, in the unit that a reader wants; by axis where some are withheld."""
         factor, unit = shown_unit(self.unit)
         numbers = {
-            part.name.rpartition(" ")[2]: written(factor * part.value, spec_for(self.unit, part.std))  # type: ignore[arg-type, operator]
+            part.name.rpartition(" ")[2]: written(factor * part.value, spec_for(self.unit, part.std))  # type: ignore
             for part in self.parts
             if part.value is not None
         }

@@ -161,9 +161,9 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
         settings["urdf"] = _urdf_source(settings["urdf"], path)
     if "extends" in settings:
         base = _read_settings(_located(settings.pop("extends"), path.parent), (*below, path))
-        for section in CALIBRATIONS:
-            if section in settings:
-                base.pop(section, None)  # a newer calibration replaces an older one as a whole
+        for kind in CALIBRATIONS:
+            if kind in settings:
+                base.pop(kind, None)  # a newer calibration replaces an older one as a whole
         settings = merged(base, settings)
     return settings
 

@@ -408,8 +408,8 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(tmp
     assert [row["start_s"] for row in rows] == [6.0] * 8
     held = [row["low"] - 0.001 <= mass <= row["high"] + 0.001 for row, mass in zip(rows, masses, strict=True)]
     assert sum(held) >= 7
-    value = replay(tmp_path / "bags" / "3", replace(options, robot=None, calibration=out / "calibration.yaml",
-                                                   span=(6 * 10**9, None))).values[0]  # fmt: skip
+    asked = replace(options, robot=None, calibration=out / "calibration.yaml", span=(6 * 10**9, None))
+    value = replay(tmp_path / "bags" / "3", asked).values[0]
     assert (rows[3]["value"], rows[3]["std"]) == (value.value, value.std)
     with open(out / "drift.csv") as stream:
         written = list(csv.DictReader(stream))

@@ -158,6 +158,8 @@ def row(results: Results, what: str, held: str, answers: Sequence[tuple[float, E
     """Figures of some answers."""
     accepted, numbers = 0, []
     for kg, answer in answers:
+        if isinstance(answer, OnlineEstimate) and answer.resting_since_s is None:
+            continue  # it has not come to rest yet
         if isinstance(answer, OnlineEstimate):
             accepted += answer.known
             numbers.append((answer.mass_kg - kg, answer.std_kg, *answer.ci95_kg, kg))

@@ -78,7 +78,7 @@ def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, mas
         client.node.create_timer(0.2, person)
 
         def ask(what: str, kg: float) -> tuple[bool, int]:
-            for asked in range(1, ASKED + 1):
+            for asked in range(1, ASKED + 1):  # noqa: B007
                 hand.publish(Float64(data=kg))
                 time.sleep(3.0)
                 answer = client.call(f"/identifier/calibrate_{what}", 1800.0)

@@ -10,7 +10,7 @@ import pytest
 
 from proprio_ros.live.stall_current import FAR_RAD, WORKS_S, StallCurrents
 from proprio_ros.robot import load_robot
-from proprio_ros.robot.drives import Goal
+from proprio_ros.robot.drives import Goal, PositionServo
 
 NAME = "elbow_flex"
 
@@ -29,12 +29,12 @@ def test_they_are_those_of_a_replay() -> None:
             stall.hear_goals(sent, ["wheel", NAME], [3.0, goal])
         found.append(stall.current_A(NAME, time_s, at, math.nan))
     law = drive.driven_by
-    assert law is not None
+    assert isinstance(law, PositionServo)
     duty = law.duty(times_s, position, None, Goal(sent_s, goals), robot.delay.value)
     told = np.isfinite(found)
     assert told.sum() > 250 and np.all(times_s[~told] - robot.delay.value < sent_s[0])
     # a replay takes steps of 2 ms from the first joint state on, and here each goal begins where the last had come to
-    most = law.gain_per_rad * law.goal_speed_rad_s * 0.004 * drive.supply_voltage_V / drive.resistance_ohm  # type: ignore[attr-defined]
+    most = law.gain_per_rad * law.goal_speed_rad_s * 0.004 * drive.supply_voltage_V / drive.resistance_ohm
     wanted = duty * drive.supply_voltage_V / drive.resistance_ohm
     assert np.abs(np.array(found)[told] - wanted[told]).max() < most
     stall.hear_voltage(0.0)  # nobody measures it

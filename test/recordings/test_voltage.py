@@ -271,7 +271,7 @@ def checked(estimate: Estimate, truth_kg: float, within: float) -> None:
     if estimate.verdict is Verdict.ACCEPTED:
         assert mass.ci95[0] < truth_kg < mass.ci95[1] and mass.value == pytest.approx(truth_kg, rel=within)
     else:
-        assert mass.value is None and [reason.code for reason in estimate.reasons] == ["says_too_little"]  # type: ignore[attr-defined]
+        assert mass.value is None and [reason.code for reason in estimate.reasons] == ["says_too_little"]  # type: ignore
 
 
 @pytest.mark.long

@@ -191,7 +191,8 @@ def test_an_omx_f_is_driven_by_the_duty_cycle_of_two_kinds_of_servo() -> None:
         assert abs(stalled - newton_metres) < 2.0 * drive.torque_constant.std * amperes
 
 
-@pytest.mark.parametrize(("name", "driver", "unit"),
+@pytest.mark.parametrize(
+    ("name", "driver", "unit"),
     [
         ("openarm", "openarm", "N.m"), ("ur5e", "ur_current", "A"), ("fr3", "franka", "N.m"), ("panda", "franka", "N.m"),
         ("iiwa14", "lbr", "N.m"), ("gen3", "kortex", "N.m"),

@@ -11,6 +11,7 @@ from proprio_ros.errors import TooLittleMotion
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.at_rest import SAME_POSE_RAD, Stances
 from proprio_ros.identification.regression.motion_equations import Arm
+from proprio_ros.identification.regression.online import OnlineEstimate
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
@@ -86,7 +87,7 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
         low, high = answer.values[0].ci95
         assert low <= kg <= high and high - low < 0.3
     _, still = told[STILL]
-    assert not isinstance(still, str) and still.known and still.ci95_kg[0] <= 0.3 <= still.ci95_kg[1], still  # type: ignore[union-attr]
+    assert isinstance(still, OnlineEstimate) and still.known and still.ci95_kg[0] <= 0.3 <= still.ci95_kg[1], still
     assert "each servo has the gain that it was calibrated with" in told[STANDS][1].assumptions[1]  # type: ignore[union-attr]
 
     from proprio_ros.pipeline.replay import replay
