@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,28 +33,36 @@ STEP_RAD = 0.18  # of a goal
 WORDS = {"empty": "with nothing in the hand", "payload": "with the object", "reference": "with the reference object"}
 
 
+@lru_cache(maxsize=4)
+def poses_of(robot: Robot) -> Mapping[str, Sequence[tuple[float, dict[str, float]]]]:
+    """Of each joint that raises the hand: levers [m/rad] and poses in which it has room and a lever; made once, within a second.
+
+    Whoever holds an arm has it made before: joint states would wait for it.
+    """
+    random, rest, bent = np.random.default_rng(0), zero_pose(robot), bent_pose(robot)
+    # what does not raise the hand stays where it rests
+    limits = {name: _limits(robot, name) for name in robot.drive_trains if abs(lever_m(robot, name, bent)) > 1e-6}
+    drawn = [{**rest, **{n: round(float(random.uniform(*span)), 2) for n, span in limits.items()}} for _ in range(POSES)]
+    found: dict[str, list[tuple[float, dict[str, float]]]] = {}
+    for name in limits:
+        slides = robot.model.joint(name).kind == "prismatic"
+        levers = [(lever_m(robot, name, pose), pose) for pose in drawn if not slides and _has_room(robot, name, pose)]
+        found[name] = [(lever, pose) for lever, pose in levers if abs(lever) > LEAST_LEVER_M]
+    return found
+
+
 def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.ExcitationSequence:
     """Pushes of an arm with what `WORDS` says in its hand; the same whenever they are asked for.
 
     Raises `ConfigurationError`: No driven joint that turns feels a weight in the hand where there is room for a push.
     """
-    loads, steps = Loads(robot), _by_goals(robot)
-    limits, random, rest = ({name: _limits(robot, name) for name in robot.drive_trains}, np.random.default_rng(0), zero_pose(robot))
-    bent = bent_pose(robot)
-    # what does not raise the hand stays where it rests
-    limits = {name: span for name, span in limits.items() if abs(lever_m(robot, name, bent)) > 1e-6}
-    drawn = [{**rest, **{n: round(float(random.uniform(*span)), 2) for n, span in limits.items()}} for _ in range(POSES)]
-    found: dict[str, list[tuple[float, dict[str, float]]]] = {}
-    for name in limits:
-        if robot.model.joint(name).kind != "prismatic":
-            levers = [(lever_m(robot, name, pose), pose) for pose in drawn if _has_room(robot, name, pose)]
-            found[name] = [(lever, pose) for lever, pose in levers if abs(lever) > LEAST_LEVER_M]
+    loads, steps, found = Loads(robot), _by_goals(robot), poses_of(robot)
 
     def shows(name: str) -> float:
         """How much of a weight in the hand: against what rubs, which grows with what the joint can lift."""
         return max((abs(lever) for lever, _ in found[name]), default=0.0) / plans.largest_current_A(robot, name)
 
-    best = sorted((name for name in found if found[name]), key=shows, reverse=True)[:JOINTS]
+    best = sorted((name for name, poses in found.items() if poses), key=shows, reverse=True)[:JOINTS]
     if not best:
         words = "no joint that a motor turns feels a weight in the hand where there is room for a push: state sequences"
         raise ConfigurationError(f"{robot.name}: {words}, and payload_frame")
@@ -64,7 +73,7 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
         # a second one in which gravity turns the joint the other way, or less, tells weight from friction
         other = min(poses, key=lambda each: each[0] * math.copysign(1.0, poses[0][0]) + 0.02 * _far(each[1], best))[1]
         for pose, lifts in ((longest, True), (longest, False), (other, True), (other, False)):
-            start = {joint: pose[joint] for joint in limits}
+            start = {joint: pose[joint] for joint in found}
             up = math.copysign(1.0, lever_m(robot, name, pose)) * (1.0 if lifts else -1.0)
             if steps:
                 step = up * plans.margin(robot, name, STEP_RAD)

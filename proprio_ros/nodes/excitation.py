@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -166,6 +167,8 @@ class ExcitationNode(ManagedNode):
         said_on = "applied_effort" if interface == "effort" else "joint_command"
         applied = self.create_publisher(JointState, said_on, STREAM)
         controller = controller_of(self, self._robot, topic)
+        with suppress(ProprioError):  # an arm that is held waits for nothing that takes long
+            load_sequence(DEFAULT_PROBE, self._robot)
         switching = switching_of(self, commands.topic_name)
         speaker = LastWords(commands.topic_name, None if switching is None else switching.controllers)
         output = ControllerOutput(self, controller, commands, applied, speaker)
