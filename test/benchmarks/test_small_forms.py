@@ -42,6 +42,7 @@ ELSEWHERE = {
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "contents_bound",  # of a law, without recordings: its table is kept
     "foreign_controller",  # minutes a seed: test/excitation/test_late_efforts.py calibrates such an arm
+    "foreign_load",  # in real time and beside a load, for minutes
     "foreign_process",  # a process for whoever tries probes by hand
     "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
     "first_time",  # asks an index of packages, for minutes

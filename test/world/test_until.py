@@ -94,6 +94,8 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
     work._value = {"robot_sequence": "empty_hand"}.__getitem__
     work.record = lambda *given: recorded.append(given[2]) or bag
     work._keep = lambda write: write()
+    anew: list[str] = []
+    work._weighing = SimpleNamespace(prepare=lambda: anew.append("prepare"), begin=lambda: anew.append("begin"))
 
     def refreshed() -> tuple[bool, str]:
         words: tuple[bool, str] = work._refresh(Job("refresh", "refresh_robot"))
@@ -103,9 +105,10 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
         refreshed()
     workspace.calibration = old
     success, words = refreshed()
-    assert success and words.startswith("up to date: made less than ten minutes ago") and not recorded
+    assert success and words.startswith("up to date: made less than ten minutes ago") and not recorded and not anew
     made_s += 5 * 86400.0
     success, words = refreshed()
+    assert anew == ["prepare", "begin"], "the running estimate goes on with it"
     assert success and "brought up to date by 1 of 1 runs" in words, words
     assert workspace.calibration == bag.parent / "calibration.yaml" == workspace.newest_calibration.resolve()
     assert said == ["pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"]
