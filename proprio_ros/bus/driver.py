@@ -161,7 +161,8 @@ class ArmDriver:
             if current and health and health.temperature_C >= self.settings.max_temperature_C:
                 return f"{name}: too hot to be driven ({health.temperature_C:.0f} C): let it cool down"
         # a servo that has switched itself off holds nothing: what hangs at it falls, or leans on a stop
-        for name in sorted(self._alerts, key=lambda name: not current_A.get(name)) if any(current_A.values()) else ():
+        if self._alerts and any(current_A.values()):
+            name = min(self._alerts, key=lambda name: not current_A.get(name))
             health = self.health.get(name)
             faults = "; ".join(health.faults) if health else "see diagnostics"
             return f"{name}: its servo reports a fault ({faults}); no joint is driven until ~/torque true reboots it"

@@ -60,6 +60,7 @@ class OnlineFeed:
         self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
         self.stall = StallCurrents(robot)
         self.joints = robot.motion_calibration.joints
+        self._measured = [name for name in self.joints if name not in self.stall.joints]  # whose effort counts
         self.others = [name for name in robot.model.independent_joints if name not in self.joints]
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, tuple[float, float]] = {}
@@ -84,11 +85,6 @@ class OnlineFeed:
         return f"the running estimate takes {takes}{stand}"
 
     @property
-    def _measured(self) -> list[str]:
-        """Joints whose effort counts."""
-        return [name for name in self.joints if name not in self.stall.joints]
-
-    @property
     def warning(self) -> str:
         """What is wrong with the estimate that the newest joint state gave; empty: nothing."""
         if not self.moved:
@@ -108,11 +104,11 @@ class OnlineFeed:
         if self._running is None:
             self._held |= others
         self.moved |= {name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD}
-        measured = self._measured
-        mine = {name: number for number, name in enumerate(names) if name in measured}
-        self.waits_for = _why_not(mine, effort, unit) or self.waits_for if measured else self.waits_for
-        if measured and not unit:
-            return None
+        if self._measured:
+            mine = {name: number for number, name in enumerate(names) if name in self._measured}
+            self.waits_for = _why_not(mine, effort, unit) or self.waits_for
+            if not unit:
+                return None
         for name, at, said in zip_longest(names, position, effort[: len(names)], fillvalue=math.nan):
             if name in self.stall.joints:
                 self._latest[name] = at, self.stall.current_A(name, time_s, at, said)

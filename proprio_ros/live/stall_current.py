@@ -13,7 +13,6 @@ from proprio_ros.robot.drives import Goal, PositionServo
 
 AT_ONCE_S = 1e-6  # for so long a firmware's goal is where it has come to; then it goes on to the one that was sent
 MOST_GOALS, SET_BACK_S = 1000, 1.0  # So many goals wait for joint states; a clock that jumps back by more was set.
-
 FAR_RAD, WORKS_S = 0.1, 0.5  # Who sends a joint so far in so long moves it; who sends it less holds it, or makes up for a load.
 
 

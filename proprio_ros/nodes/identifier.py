@@ -184,8 +184,7 @@ class IdentifierNode(ManagedNode):
             prepare_identification(replace(workspace.options(), settings=stated))
         for settings in (stated, parse_settings(value_of(self, "reference_settings"))):
             check_settings(replace(workspace.options(), settings=settings))
-        self._weighing.prepare()
-        self._inputs.open(workspace.configured(stated).drive_trains)
+        self._inputs.open(self._weighing.prepare().drive_trains)
         self._prepared = True
         self.say("info", f"ready after {clock.now() - started:.1f} s; calibration: {workspace.calibration or 'none'}")
 

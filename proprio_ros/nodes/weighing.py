@@ -61,8 +61,8 @@ class Weighing:
         self._results, self._silent = results, silent
         self._make_feed: Callable[[], OnlineFeed] | None = None
 
-    def prepare(self) -> None:
-        """Keep what weighing needs, have the running estimate ready where it is asked for, and what the joints carry.
+    def prepare(self) -> Robot:
+        """The robot; keep what weighing needs, have the running estimate ready where it is asked for, and what joints carry.
 
         Raises `ConfigurationError`, `RobotError`: What is stated does not fit, or the calibration is of another arm.
         """
@@ -81,6 +81,7 @@ class Weighing:
             self._make_feed = partial(OnlineFeed, probe, request.robot, request.facts, request.locked)
             self._make_feed()  # so that a calibration of another arm is refused now
             self._link = request.robot.payload_frame
+        return self._robot
 
     # --- the last seconds ---------------------------------------------------------------------------------------------
 

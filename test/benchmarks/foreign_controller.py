@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,36 @@ ASKED = 3
 MASSES_KG = (0.02, 0.2, 1.0)
 
 
+def asked(
+    once: Callable[[str, float], bool], newest: Callable[[], Mapping[str, str]], masses_kg: Sequence[float]
+) -> dict[str, Any]:
+    """How often one arm was asked to calibrate itself and to weigh, and the answers; ``once`` asks for one with a mass [kg]."""
+
+    def often(what: str, kg: float) -> tuple[bool, int]:
+        count, known = 0, False
+        while not known and count < ASKED:
+            count, known = count + 1, once(what, kg)
+        return known, count
+
+    learnt, count = often("robot", 0.0)
+    told: dict[str, Any] = {"robot": learnt, "asked": count, "masses": []}
+    for kg in masses_kg if learnt else ():
+        known, count = often("payload", kg)
+        one: dict[str, Any] = {"kg": kg, "asked": count, "known": known}
+        if known:
+            final = newest()
+            low, high = json.loads(final["payload_mass.ci95"])
+            one |= {"value": float(final["payload_mass"]), "std": float(final["payload_mass.std"]), "low": low, "high": high}
+        told["masses"].append(one)
+    return told
+
+
+def about(seed: int, goals: bool, rate_hz: float, busy: Any) -> dict[str, Any]:
+    """Which arm, and how its computer is busy (`support.foreign_arm.Busy`)."""
+    delays_ms = {"delay_ms": 1e3 * busy.delay_s, "jitter_ms": 1e3 * busy.jitter_s}
+    return {"seed": seed, "goals": goals, "rate_hz": rate_hz, **delays_ms}
+
+
 def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Sequence[float]) -> dict[str, Any]:
     """What came of one arm: how often it was asked to calibrate itself, and of each mass the answer and how often it was asked."""
     from support.foreign_live import foreign
@@ -28,35 +58,19 @@ def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Seq
     begun = time.process_time()
     with foreign(folder, seed, goals, rate_hz) as (client, arm):
 
-        def ask(what: str, kg: float) -> tuple[bool, int]:
-            asked, known = 0, False
-            while not known and asked < ASKED:
-                asked += 1
-                arm.hold(kg)
-                client.clock.sleep(3.0)
-                client.estimates.clear()
-                answer = client.asked(f"/identifier/calibrate_{what}")
-                print(f"  {what}: {answer.message}", flush=True)
-                known = answer.success
-            return known, asked
+        def once(what: str, kg: float) -> bool:
+            arm.hold(kg)
+            client.clock.sleep(3.0)
+            client.estimates.clear()
+            answer = client.asked(f"/identifier/calibrate_{what}")
+            print(f"  {what}: {answer.message}", flush=True)
+            return bool(answer.success)
 
-        learnt, asked = ask("robot", 0.0)
+        told = asked(once, lambda: client.estimates[-1], masses_kg)
         busy = arm.busy
-        told: dict[str, Any] = {
-            "seed": seed, "goals": goals, "rate_hz": rate_hz, "delay_ms": 1e3 * busy.delay_s, "jitter_ms": 1e3 * busy.jitter_s,
-            "robot": learnt, "asked": asked, "masses": [],
-        }  # fmt: skip
-        for kg in masses_kg if learnt else ():
-            known, asked = ask("payload", kg)
-            one: dict[str, Any] = {"kg": kg, "asked": asked, "known": known}
-            if known:
-                final = client.estimates[-1]
-                low, high = json.loads(final["payload_mass.ci95"])
-                one |= {"value": float(final["payload_mass"]), "std": float(final["payload_mass.std"]), "low": low, "high": high}
-            told["masses"].append(one)
         log = "\n".join(f"{at:.2f} {name}: {text}" for at, name, _, text in client.world.graph.log)
     (folder / "excitation.log").write_text(log)
-    return {**told, "cpu_s": round(time.process_time() - begun, 1)}
+    return {**about(seed, goals, rate_hz, busy), **told, "cpu_s": round(time.process_time() - begun, 1)}
 
 
 def again(asked: int) -> str:

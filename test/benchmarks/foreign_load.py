@@ -18,11 +18,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from foreign_controller import ASKED, MASSES_KG, tell
+from foreign_controller import MASSES_KG, about, asked, tell
 from results import parser_of
 from support.domains import free_domain
-
-REFERENCE_KG = 0.5
 
 
 @contextlib.contextmanager
@@ -40,31 +38,17 @@ def busy(count: int) -> Iterator[None]:
 def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, masses_kg: Sequence[float]) -> dict[str, Any]:
     """As `foreign_controller.weighed`, in real time."""
     from std_msgs.msg import Float64
-    from support.foreign_arm import ORDER, Busy, write_urdf
-    from support.foreign_live import state_servos
+    from support.foreign_arm import Busy
+    from support.foreign_live import REFERENCE_KG, nodes_of
     from support.live import running
 
-    from proprio_ros.cli import main as proprio
-
-    robot, begun = folder / "foreign.yaml", time.monotonic()
-    assert proprio(["robot", "new", str(write_urdf(folder)), "--output", str(robot), "--effort-unit", "N.m", "--force"]) == 0
-    stated = ["payload.com=[0,0,0]", "payload.shape=point"]
-    identifier = {
-        "robot": robot, "reference_mass": REFERENCE_KG, "reference_wait": 3.0, "settings": stated, "reference_settings": stated,
-        "calibration": "none", "live_period": 0.0, "data_directory": folder / "data", "report": False,
-    }  # fmt: skip
-    output: dict[str, Any] = {"robot": robot, "controller_joints": list(ORDER), "command_interface": "position"}
-    if goals:
-        state_servos(robot)
-    else:
-        output |= {"command_interface": "effort", "effort_unit": "N.m"}
+    begun, nodes = time.monotonic(), nodes_of(folder, goals, data_directory=folder / "data", report=False)
     words = ["--seed", str(seed), "--rate", str(rate_hz), *(["--goals"] if goals else [])]
     with contextlib.ExitStack() as ends:
         arm = subprocess.Popen([sys.executable, str(Path(__file__).with_name("foreign_process.py")), *words])
         ends.callback(arm.wait)
         ends.callback(arm.kill)
         ends.enter_context(busy(load))
-        nodes = {"excitation": output, "identifier": identifier}
         _, client = ends.enter_context(running(folder, "excitation", "identifier", **nodes))
         for subscription in list(client.node.subscriptions):  # 500 joint states a second are much for a client
             if subscription.topic_name in ("/joint_states", "/applied_effort", "/joint_command"):
@@ -77,31 +61,17 @@ def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, mas
 
         client.node.create_timer(0.2, person)
 
-        def ask(what: str, kg: float) -> tuple[bool, int]:
-            for asked in range(1, ASKED + 1):  # noqa: B007
-                hand.publish(Float64(data=kg))
-                time.sleep(3.0)
-                answer = client.call(f"/identifier/calibrate_{what}", 1800.0)
-                print(f"  {what}: {answer.message}", flush=True)
-                if answer.success:
-                    break
-            return bool(answer.success), asked
+        def once(what: str, kg: float) -> bool:
+            hand.publish(Float64(data=kg))
+            time.sleep(3.0)
+            client.estimates.clear()
+            answer = client.call(f"/identifier/calibrate_{what}", 1800.0)
+            print(f"  {what}: {answer.message}", flush=True)
+            time.sleep(1.0)
+            return bool(answer.success)
 
-        drawn, (learnt, asked) = Busy.draw(seed), ask("robot", 0.0)
-        told: dict[str, Any] = {
-            "seed": seed, "goals": goals, "rate_hz": rate_hz, "delay_ms": 1e3 * drawn.delay_s, "jitter_ms": 1e3 * drawn.jitter_s,
-            "robot": learnt, "asked": asked, "masses": [],
-        }  # fmt: skip
-        for kg in masses_kg if learnt else ():
-            known, asked = ask("payload", kg)
-            one: dict[str, Any] = {"kg": kg, "asked": asked, "known": known}
-            if known:
-                time.sleep(1.0)
-                final = client.estimates[-1]
-                low, high = json.loads(final["payload_mass.ci95"])
-                one |= {"value": float(final["payload_mass"]), "std": float(final["payload_mass.std"]), "low": low, "high": high}
-            told["masses"].append(one)
-    return {**told, "cpu_s": round(time.monotonic() - begun, 1)}
+        told = asked(once, lambda: client.estimates[-1], masses_kg)
+    return {**about(seed, goals, rate_hz, Busy.draw(seed)), **told, "cpu_s": round(time.monotonic() - begun, 1)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

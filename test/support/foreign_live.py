@@ -80,11 +80,8 @@ def state_servos(robot: Path) -> None:
     robot.write_text(text)
 
 
-@contextlib.contextmanager
-def foreign(
-    folder: Path, seed: int, goals: bool = False, rate_hz: float = 500.0, busy: Busy | None = None, **facts: Any
-) -> Iterator[tuple[Client, ForeignArm]]:
-    """The arm, excitation and identifier; in its hand is what the identifier asks for, and what `ForeignArm.hold` was told."""
+def nodes_of(folder: Path, goals: bool, **facts: Any) -> dict[str, dict[str, Any]]:
+    """Parameters of excitation and identifier, by the arm's URDF alone; ``facts`` are further ones of the identifier."""
     robot = folder / "foreign.yaml"
     urdf = write_urdf(folder)
     assert proprio(["robot", "new", str(urdf), "--output", str(robot), "--effort-unit", "N.m", "--force"]) == 0
@@ -95,14 +92,18 @@ def foreign(
         "calibration": "none", "robot": robot, "reference_mass": REFERENCE_KG, "reference_wait": 3.0, "settings": stated,
         "reference_settings": stated, "live_period": 0.0, **facts,
     }  # fmt: skip
-    output = {
-        "robot": robot, "command_interface": "position" if goals else "effort", "controller_joints": list(ORDER),
-        "effort_unit": "N.m",
-    }  # fmt: skip
-    if goals:
-        output.pop("effort_unit")
-    nodes = {"excitation": output, "identifier": identifier}
-    with world(folder / "data", seed=seed, nodes=nodes, only=("excitation", "identifier")) as made:
+    output: dict[str, Any] = {"robot": robot, "controller_joints": list(ORDER), "command_interface": "position"}
+    if not goals:
+        output |= {"command_interface": "effort", "effort_unit": "N.m"}
+    return {"excitation": output, "identifier": identifier}
+
+
+@contextlib.contextmanager
+def foreign(
+    folder: Path, seed: int, goals: bool = False, rate_hz: float = 500.0, busy: Busy | None = None, **facts: Any
+) -> Iterator[tuple[Client, ForeignArm]]:
+    """The arm, excitation and identifier; in its hand is what the identifier asks for, and what `ForeignArm.hold` was told."""
+    with world(folder / "data", seed=seed, nodes=nodes_of(folder, goals, **facts), only=("excitation", "identifier")) as made:
         arm = ForeignArm(seed, goals, busy)
         process = ForeignProcess(made, arm, rate_hz)
         client = Client(made)

@@ -50,6 +50,11 @@ STANCE_S, CHANGED_SIGMAS = 0.2, 2.0
 """So often it is asked what an arm holds that stands; and so far from what it held on its way something was put in or taken out."""
 
 
+def _still_band(robot: Robot, joints: Sequence[str]) -> FloatArray:
+    """What each joint may move by and stand [rad], shape (n,)."""
+    return np.maximum(STILL_COUNTS * np.array([robot.drive_trains[name].encoder_resolution for name in joints]), STILL_RAD)
+
+
 @dataclass(frozen=True)
 class Stances:
     """Where an arm stood, S times: positions [rad], currents [A], and the sign of each joint's way there, shape (S, n) each."""
@@ -63,7 +68,7 @@ class Stances:
         """Those of a recording, of some of its joints."""
         columns = [motion.joints.index(name) for name in joints]
         position, current, times_s = motion.position[:, columns], motion.current_A[:, columns], motion.times_s
-        band = np.maximum(STILL_COUNTS * np.array([robot.drive_trains[n].encoder_resolution for n in joints]), STILL_RAD)
+        band = _still_band(robot, joints)
         found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         width = round(SHORTEST_S / float(np.median(np.diff(times_s)))) + 1
         if len(times_s) < width:
@@ -230,7 +235,7 @@ class StandingEstimator(OnlineEstimator):
 
     def __init__(self, robot: Robot, calibration: MotionCalibration, **known: Any) -> None:
         super().__init__(robot, calibration, **known)
-        self._band = np.maximum(STILL_COUNTS * np.array([robot.drive_trains[n].encoder_resolution for n in self.joints]), STILL_RAD)
+        self._band = _still_band(robot, self.joints)
         self._centre_std_m = np.full(3, known["centre_std_m"])
         self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self._stance: RestFit | None = None
@@ -246,6 +251,7 @@ class StandingEstimator(OnlineEstimator):
         self._lost &= not works
         if self._rows and not 0.0 <= time_s - self._rows[-1][0] < SETTLING_S:
             self._rows.clear()
+            self._next_stance_s = -np.inf
         self._rows.append(row)
         while time_s - self._rows[0][0] > SHORTEST_S:
             self._rows.popleft()
@@ -257,7 +263,7 @@ class StandingEstimator(OnlineEstimator):
             self._stance, self._stands_since_s = None, np.inf
             return new or self._lost
         self._stands_since_s = min(self._stands_since_s, self._rows[0][0])
-        if abs(time_s - self._next_stance_s) < STANCE_S and time_s < self._next_stance_s:
+        if time_s < self._next_stance_s:
             return new
         self._next_stance_s = time_s + STANCE_S
         late = [each[0] > time_s - SHORTEST_S + SETTLING_S for each in self._rows]
