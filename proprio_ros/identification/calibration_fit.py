@@ -96,6 +96,26 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
     return Fitted(problem, values, posterior, posterior.covariance, solution.cost, noise)
 
 
+def foretold(robot: Robot, fitted: Fitted, run: PreparedRun) -> tuple[int, float]:
+    """How a fit of others predicts a run whose start, onset and torque of its own are as open as those of any.
+
+    Not as `Posterior.held_out`, for which the run is in the fit: one that came late has bent it by then.
+
+    Returns:
+        The number of samples K, and their chi-square under the covariance of the prediction, near K where the run fits the others.
+    """
+    before, problem = fitted.problem, _problem(robot, [*fitted.problem.runs, run], fitted.noise)
+    values = np.array([fitted.values[before.index[u.key]] if u.key in before.index else u.value for u in problem.unknowns])
+    free, learnt = [problem.unknowns[row] for row in problem.free], [before.unknowns[row].key for row in before.free]
+    known = np.diag([u.std**2 for u in free])
+    places = [column for column, u in enumerate(free) if u.key in learnt]
+    known[np.ix_(places, places)] = fitted.covariance[np.ix_(*2 * [[learnt.index(free[column].key) for column in places]])]
+    posterior = Posterior(problem, values)
+    own = posterior.run == len(before.runs)
+    off, slope = posterior.residual[own], posterior.sensitivity[own]
+    return len(off), float(off @ np.linalg.solve(np.eye(len(off)) + slope @ known @ slope.T, off))
+
+
 def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem:
     expected = ("torque_disturbance", "start_velocity", "onset_jitter_s", "friction_spread")
     robot = replace(robot, **{name: getattr(noise, name) for name in expected})
@@ -186,13 +206,12 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
             jitter_each = ((b / total) ** 2 * left + a * b / total)[moving] / velocity[moving] ** 2
             prior = PSEUDO_SAMPLES * robot.stamp_jitter_s**2
             jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
-    disturbance = noise.torque_disturbance
-    if disturbance > 0.0:
-        found, learnt = of_runs("disturbance", problem, posterior, disturbance)
-        disturbance = spread_of_runs(robot.torque_disturbance, found, learnt)
+    _, found, learnt = of_like_runs("disturbance", robot, problem, posterior)
+    disturbance = spread_of_runs(robot.torque_disturbance, found, learnt)
     found, learnt = of_runs("v0", problem, posterior, noise.start_velocity)
     start_velocity = spread_of_runs(robot.start_velocity, found, learnt)
-    onset = max(_onset_jitter(robot, problem, posterior), robot.onset_jitter_s)
+    _, found, learnt = of_like_runs("onset", robot, problem, posterior)
+    onset = max(spread_of_runs(robot.onset_jitter_s, found, learnt), robot.onset_jitter_s)
     alike = np.sqrt(_alike(problem, posterior, left))
     return Noise(float(np.sqrt(scale2)) * alike, float(np.sqrt(jitter2)) * alike, disturbance, start_velocity, onset)
 
@@ -218,22 +237,21 @@ def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:
     return max(together / apart, 1.0) if apart > 0.0 else 1.0
 
 
-def _onset_jitter(robot: Robot, problem: Problem, posterior: Posterior) -> float:
-    """How the delay differs from run to run, of those runs of which nothing else makes it uncertain [s]."""
-    rows = [row for row, run in enumerate(problem.runs) if onset_std(robot, run) == robot.onset_jitter_s > 0.0]
-    if not rows:
-        return 0.0
-    std = problem.unknowns[problem.index["onset", rows[0]]].std
-    found, learnt = of_runs("onset", problem, posterior, std, rows)
-    return spread_of_runs(robot.onset_jitter_s, found, learnt)
-
-
 def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:
     """The same of free swings, whose residuals are not independent."""
     found, learnt = of_runs("friction_change", problem, posterior, noise.friction_spread)
     spread = spread_of_runs(robot.friction_spread, found, learnt)
     jitter_s = max(stamp_jitter(posterior), robot.stamp_jitter_s)
     return replace(noise, stamp_jitter_s=jitter_s, friction_spread=spread, swing_error=swing_error(posterior))
+
+
+def of_like_runs(kind: str, robot: Robot, problem: Problem, posterior: Posterior) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """As `of_runs`, of the runs of which the ``robot`` file has the spread and nothing else makes it larger, and which they are."""
+    expected = robot.onset_jitter_s if kind == "onset" else robot.torque_disturbance
+    alike = [row for row, run in enumerate(problem.runs) if kind != "onset" or onset_std(robot, run) == expected]
+    rows = alike if expected > 0.0 else []
+    std = problem.unknowns[problem.index[kind, rows[0]]].std if rows else 1.0
+    return rows, *of_runs(kind, problem, posterior, std, rows)
 
 
 def of_runs(

@@ -185,10 +185,14 @@ def contradicting(posterior: Posterior) -> int | None:
     count = len(posterior.problem.runs)
     if count < 2:
         return None
-    held_out = [(len(residual), chi2) for residual, chi2 in map(posterior.held_out, range(count))]
-    ratios = [chi2 / max(CONTRADICTION * k, chi2_limit(k)) if k else 0.0 for k, chi2 in held_out]
+    ratios = [surprising(len(residual), chi2) for residual, chi2 in map(posterior.held_out, range(count))]
     worst = int(np.argmax(ratios))
     return worst if ratios[worst] > 1.0 else None
+
+
+def surprising(samples: int, chi2: float) -> float:
+    """Chi-square with which others predict so many samples of a run, over that beyond which it contradicts them."""
+    return chi2 / max(CONTRADICTION * samples, chi2_limit(samples)) if samples else 0.0
 
 
 def said_left_out(names: Sequence[str], count: int, question: str) -> str:

@@ -16,7 +16,7 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate, EmptyHand, HeldOutRun
-from proprio_ros.identification.calibration_fit import Fitted, fit, of_runs, spread_of_runs, with_another_rise
+from proprio_ros.identification.calibration_fit import Fitted, fit, foretold, of_like_runs, spread_of_runs, with_another_rise
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.gates import (
     LEFT_OUT_AT_MOST,
@@ -25,6 +25,7 @@ from proprio_ros.identification.gates import (
     never_reversed,
     said_left_out,
     screen_run,
+    surprising,
     unusable,
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
@@ -39,11 +40,13 @@ from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-STRANGE_TORQUE = 4.0
-"""Torque of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
+STRANGE = 4.0
+"""Torque or onset of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
 COARSE = 3.0  # residuals so many times coarser than encoder and stamps explain: the model does not describe this robot
 UNSTEADY = 6.0
 """Torque from run to run over what the robot file expects, beyond which the model does not describe this robot either."""
+LATE_S, BEGINNING = 0.015, (0.03, 0.3)
+"""A push that begins so much later than most is looked at by itself; its beginning is this part of its way."""
 FAR_FROM_FILE = 4.0  # standard deviations of its prior by which an unknown may differ from the robot file unremarked
 UNLEARNT = 0.7  # posterior over prior standard deviation above which the runs have not determined an unknown
 INSEPARABLE = 0.95  # correlation above which two unknowns are determined only together
@@ -271,10 +274,16 @@ def _fit_what_agrees(robot: Robot, runs: list[PreparedRun], progress: Callable[[
     """Fit all runs; while one of them contradicts the rest, leave it out and fit again.
 
     A run that was not as stated bends the fit, and an honest one may look worse by that: each that was left out comes back where
-    none contradicts the others then.
+    none contradicts the others then. Those that begin late wait until the others have said how they should: a fit of all together
+    would have friction explain it.
     """
+    late = _late(runs)
     left_out: list[PreparedRun] = []
-    kept = list(runs)
+    if late:
+        progress(f"{', '.join(run.run.name for run in late)} began late; fitting without")
+        others = fit(robot, _without(late, runs))
+        left_out = [run for run in late if surprising(*foretold(robot, others, run)) > 1.0]
+    late, kept = left_out[:], _without(left_out, runs)
     fitted = fit(robot, kept)
     while len(left_out) <= LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
         if (outlier := _outlier(robot, fitted)) is None:
@@ -282,26 +291,52 @@ def _fit_what_agrees(robot: Robot, runs: list[PreparedRun], progress: Callable[[
         left_out.append(kept.pop(outlier))
         progress(f"{left_out[-1].run.name} contradicts the others; fitting without it")
         fitted = fit(robot, kept)
-    for run in left_out[:-1]:
-        without = [each for each in left_out if each is not run]
-        again = fit(robot, [each for each in runs if all(each is not other for other in without)])
+    for run in _without(late, left_out[:-1]):
+        without = _without([run], left_out)
+        again = fit(robot, _without(without, runs))
         if _outlier(robot, again) is None:
             fitted, left_out = again, without
     return fitted, [run.run.name for run in left_out]
 
 
+def _without(some: Sequence[PreparedRun], runs: Sequence[PreparedRun]) -> list[PreparedRun]:
+    return [run for run in runs if all(run is not other for other in some)]
+
+
+def _late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
+    """Runs whose joint leaves its rest much later than in its others, the latest first, and not too many to be exceptions."""
+    if runs[0].run.free:
+        return []
+    begins_s = {joint: [_begins_s(run) for run in runs if run.run.joint == joint] for joint in joints_of(runs)}
+    off_s = np.array([_begins_s(run) - np.median(begins_s[run.run.joint]) for run in runs])
+    latest = np.argsort(-off_s, kind="stable")[: int(LEFT_OUT_AT_MOST * len(runs))]
+    return [runs[row] for row in latest if off_s[row] > LATE_S]
+
+
+def _begins_s(run: PreparedRun) -> float:
+    """When a push sets its joint in motion [s]: under a constant torque the root of the way grows evenly from then on."""
+    way = np.abs(run.position - run.rest.value)
+    end = int(np.argmax(way > BEGINNING[1] * way.max()))
+    seen = np.flatnonzero(way[:end] > BEGINNING[0] * way.max())
+    if len(seen) < 3:
+        return 0.0
+    slope, offset = np.polyfit(run.times_s[seen], np.sqrt(way[seen]), 1)
+    return float(-offset / slope) if slope > 0.0 else 0.0
+
+
 def _outlier(robot: Robot, fitted: Fitted) -> int | None:
-    """The run that contradicts the others: predicted badly, or explained only by a torque that no other run needs."""
+    """The run that contradicts the others: predicted badly, or explained only by a torque or an onset that no other run needs."""
     outlier = contradicting(fitted.posterior)
-    if outlier is not None or fitted.noise.torque_disturbance == 0.0 or fitted.problem.runs[0].run.free:
+    if outlier is not None or fitted.problem.runs[0].run.free:
         return outlier
-    found, learnt = of_runs("disturbance", fitted.problem, fitted.posterior, fitted.noise.torque_disturbance)
-    if len(found) < 3:
-        return None
-    largest = int(np.argmax(np.abs(found)))
-    others = np.arange(len(found)) != largest
-    usual = spread_of_runs(robot.torque_disturbance, found[others], learnt[others])
-    return largest if abs(found[largest]) > STRANGE_TORQUE * usual else None
+    strange = [(STRANGE, -1)]
+    for kind, usual in (("disturbance", robot.torque_disturbance), ("onset", robot.onset_jitter_s)):
+        rows, found, learnt = of_like_runs(kind, robot, fitted.problem, fitted.posterior)
+        for place, row in enumerate(rows) if len(rows) >= 3 else ():
+            others = np.arange(len(rows)) != place
+            strange.append((abs(float(found[place])) / spread_of_runs(usual, found[others], learnt[others]), row))
+    worst = max(strange)[1]
+    return None if worst < 0 else worst
 
 
 def shared_rows(problem: Problem, values: np.ndarray, covariance: np.ndarray) -> tuple[UnknownRow, ...]:

@@ -14,6 +14,7 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 
 LEVELS = ("realistic_s00", "realistic_s01", "hard_s00")
@@ -173,6 +174,34 @@ def test_a_run_that_was_not_empty_is_named_and_left_out(
     assert "contradicts the other runs and was left out" in spoilt.reasons[0]
     assert len(spoilt.run_fits) == len(clean.run_fits)
     np.testing.assert_allclose(spoilt.calibration.values, clean.calibration.values, rtol=1e-3, atol=1e-5)
+
+
+def late(run: Run, by_s: float) -> Run:
+    """As it would be if what takes the commands had stood still for so long just then."""
+    times = np.concatenate([run.before_times_s, run.times_s, run.after_times_s]) + by_s
+    places = np.concatenate([run.before_position, run.position, run.after_position])
+    rest, pushed, after = times < 0.0, (times >= 0.0) & (times <= run.duration_s), times > run.duration_s
+    until = int(rest.sum() + pushed.sum())
+    return replace(
+        run, before_times_s=times[rest], before_position=places[rest], times_s=times[pushed], position=places[pushed],
+        after_times_s=times[after], after_position=places[after], reported_effort=None,
+        held_position={name: values[:until] for name, values in run.held_position.items()},
+    )  # fmt: skip
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("late_s", [0.03, 0.06, 0.1])
+@pytest.mark.parametrize("which", [0, 4])
+def test_a_push_that_came_late_is_left_out(
+    recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate], which: int, late_s: float
+) -> None:
+    known = empty_runs(recordings / "realistic_s00", robot)
+    known[which] = LoadedRun(late(known[which].run, late_s))
+    without = calibrate(robot, known[:which] + known[which + 1 :])
+    spoilt = calibrate(robot, known)
+    assert spoilt.verdict is Verdict.ACCEPTED
+    assert len(spoilt.run_fits) == len(without.run_fits) and known[which].run.name in spoilt.reasons[0]
+    np.testing.assert_allclose(spoilt.calibration.values, without.calibration.values, rtol=1e-3, atol=1e-5)
 
 
 def test_a_hand_that_was_never_empty_is_refused(recordings: Path, robot: Robot) -> None:
