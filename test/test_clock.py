@@ -119,6 +119,37 @@ def test_a_thread_that_spins_does_not_starve_the_computer() -> None:
     assert "no longer in real time" in run.stderr
 
 
+SOME = """
+import os, threading
+from proprio_ros.clock import run_in_real_time
+
+def computes(go, seen):
+    go.wait()
+    seen.append(os.sched_getscheduler(0))
+
+go, seen = threading.Event(), []
+before = threading.Thread(target=computes, args=(go, seen))
+before.start()
+granted = run_in_real_time({threading.get_native_id()})
+after = threading.Thread(target=computes, args=(go, seen))
+after.start()
+go.set()
+before.join()
+after.join()
+if not granted:
+    raise SystemExit(77)
+assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR
+assert seen == [os.SCHED_OTHER, os.SCHED_OTHER], seen
+"""
+
+
+def test_what_hears_runs_in_real_time_and_what_computes_does_not() -> None:
+    run = subprocess.run([sys.executable, "-c", SOME], capture_output=True, text=True, timeout=30)
+    if run.returncode == 77:
+        pytest.skip("real-time scheduling is not granted here")
+    assert run.returncode == 0, run.stderr
+
+
 # --- round trips
 
 

@@ -9,7 +9,6 @@ calls. Which probes there are, the registry says. `inputs` is what comes in, `ex
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import replace
 from functools import partial
@@ -221,6 +220,7 @@ class IdentifierNode(ManagedNode):
 
     def _start(self) -> None:
         """Be there for others."""
+        self.hear_in_real_time()
         missing, running = self._missing(), self._weighing.begin()
         if running:
             self.say("info", running)
@@ -313,6 +313,7 @@ class IdentifierNode(ManagedNode):
 
     def _work(self, job: Job, answer: Answer) -> None:
         """A job, in its thread: however it ends, it is answered."""
+        clock.come_after_others()
         level = "error"
         self._results.concluded = False
         try:
@@ -344,7 +345,6 @@ def main() -> int:
     """Entry point of `proprio_identifier`."""
     # the solver's many short calls hand the interpreter's lock over; at the default of 5 ms it would wait for it most of the time
     sys.setswitchinterval(0.0005)
-    os.nice(5)  # the servo loop comes first: its stamps are what everything here rests on
     return run_node(IdentifierNode)
 
 

@@ -305,6 +305,7 @@ class Jobs:
         inputs, live, period_s = self._inputs, self._inputs.live, self._node.values["live_period"]
         if live is None or period_s <= 0.0:
             return
+        clock.come_after_others()
         published_samples = 0
         while inputs.session is not None and not job.cancelled.is_set():
             if not inputs.driven or inputs.swings:  # what lets go of a joint and what catches it are no probes

@@ -8,7 +8,8 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -71,6 +72,8 @@ class ManagedNode(LifecycleNode):
     parameters: Sequence[Parameter] = ()
     real_time = False
     """Runs before everything else once it is active; until then it starts like any other program, beside others that do."""
+    hearing: Collection[int] = ()
+    """Threads that take part in the middleware, where the node has a process to itself."""
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.called_s = 0.0  # when a service was called last
@@ -84,6 +87,11 @@ class ManagedNode(LifecycleNode):
         self._own = [*self.publishers, *self.subscriptions, *self.services, *self.clients, *self.timers]
 
     # --- for subclasses -----------------------------------------------------------------------------------------------
+
+    def hear_in_real_time(self) -> None:
+        """From now on what others say does not wait for other programs, nor for what this one computes in threads made later."""
+        if self.hearing:
+            run_in_real_time(self.hearing)
 
     def configure(self) -> None:
         """Read files, make publishers."""
@@ -370,7 +378,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     ended = clock.event()
     _stay_on_this_machine()
     middleware = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    if getattr(make, "real_time", False) and middleware == "rmw_fastrtps_cpp":
+    if middleware == "rmw_fastrtps_cpp":
         _leave_shared_memory()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -386,7 +394,9 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
     node: ManagedNode | None = None
     spinner, code, done = SingleThreadedExecutor(), 0, TransitionCallbackReturn.SUCCESS
     try:
+        before = clock.threads()
         node = make()
+        node.hearing = clock.threads() - before | {threading.get_native_id()}
         spinner.add_node(node)
         if node.values["autostart"] and (node.trigger_configure() != done or node.trigger_activate() != done):
             code = 2

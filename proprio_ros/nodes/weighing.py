@@ -140,6 +140,7 @@ class Weighing:
         self._inputs.arrived = None
 
     def _run(self, feed: OnlineFeed) -> None:
+        clock.come_after_others()
         try:
             self._weigh_on(feed)
         except Exception as error:  # a defect must be reported, and must not take the services along

@@ -21,11 +21,15 @@ def main() -> None:
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64, Float64MultiArray
 
+    from proprio_ros.clock import run_in_real_time
+    from proprio_ros.nodes.runtime import _leave_shared_memory
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--goals", action="store_true")
     parser.add_argument("--rate", type=float, default=500.0)
     given = parser.parse_args()
+    _leave_shared_memory()
     rclpy.init()
     node, arm, lock = rclpy.create_node("foreign_arm"), ForeignArm(given.seed, given.goals), threading.Lock()
     best = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -44,8 +48,10 @@ def main() -> None:
             time.sleep(max(0.0, next_s - time.monotonic()))
             time.sleep(max(0.0, arm.stalled(time.monotonic(), "states") - time.monotonic()))
             with lock:
-                arm.advance(time.monotonic())
-                stamp, places = node.get_clock().now().to_msg(), arm.positions()
+                # both are of one instant, as `update` of a controller has them
+                now_s, stamp = time.monotonic(), node.get_clock().now().to_msg()
+                arm.advance(now_s)
+                places = arm.positions()
             nothing = [math.nan] * len(places)
             message = JointState(name=list(BROADCAST), position=places, velocity=nothing, effort=nothing)
             message.header.stamp = stamp
@@ -53,6 +59,7 @@ def main() -> None:
 
     node.create_subscription(Float64MultiArray, topic, take, 1)
     node.create_subscription(Float64, "/hand", lambda message: arm.hold(message.data), 1)
+    run_in_real_time()  # as ros2_control's update loop
     threading.Thread(target=say, daemon=True).start()
     rclpy.spin(node)
 
