@@ -76,3 +76,13 @@ def some(names: Iterable[str], most: int = 6) -> str:
     """The first of some names, and how many more there are."""
     names = list(names)
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def together(sentences: Iterable[str]) -> list[str]:
+    """Sentences about runs, with what is said of several as one: ``bag#1, 2, 5: ...``."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for sentence in sentences:
+        name, _, words = sentence.partition(": ")
+        bag, _, number = name.rpartition("#")
+        said.setdefault((bag, words) if number.isdigit() else ("", sentence), []).append(number)
+    return [f"{bag}#{', '.join(numbers)}: {words}" if bag else words for (bag, words), numbers in said.items()]

@@ -18,6 +18,7 @@ import pytest
 
 from proprio_ros.cli import main
 from proprio_ros.cli.completion import SHELLS
+from proprio_ros.errors import together
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 PUSH = str(BAGS / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
@@ -79,6 +80,21 @@ def test_a_batch_shows_its_answers(tmp_path: Path) -> None:
     assert re.search(r"^\S*bag_mcap +50 g +0 \.\. 131 g +too_wide +too_wide, not_calibrated", seen, re.MULTILINE), seen
     again = subprocess.run([sys.executable, "-m", "proprio_ros.cli", *words], capture_output=True, text=True)
     assert again.stdout.splitlines()[0] == "2 episodes: 1 not_identifiable, 1 too_wide" and "95 %" not in again.stdout
+
+
+def test_what_is_said_of_several_runs_is_said_once() -> None:
+    said = [
+        "x/bag#1: lost",
+        "x/bag#2: lost",
+        "x/bag#2: hot",
+        "y/bag#1: lost",
+        "no run: lost",
+        "bag#3 was left out: stuck",
+        "x/bag#10: lost",
+    ]
+    assert together(said) == [
+        "x/bag#1, 2, 10: lost", "x/bag#2: hot", "y/bag#1: lost", "no run: lost", "bag#3 was left out: stuck"
+    ]  # fmt: skip
 
 
 def test_json_is_the_same_on_a_terminal() -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros import schema
-from proprio_ros.errors import printable
+from proprio_ros.errors import printable, together
 from proprio_ros.quantity import shown, spec_for
 
 COLOURS = {
@@ -102,7 +102,7 @@ def estimate_as_text(estimate: Any) -> str:
     if (solver := estimate.solver) is not None:
         lines.append(f"  solver: {solver.name}, {solver.starts_agreeing} of {len(solver.paths)} starts agree")
     lines += [f"  assumed: {assumption}" for assumption in estimate.assumptions]
-    lines += [f"  note: {note}" for note in estimate.notes]
+    lines += [f"  note: {note}" for note in together(estimate.notes)]
     return "\n".join(lines)
 
 
@@ -135,7 +135,7 @@ def calibration_as_text(estimate: Any) -> str:
         lines.append(f"  held-out prediction of each run: {at_most}")
     lines += [f"  not separated: {sentence}" for sentence in estimate.not_separated]
     lines += [f"  next run: {plan_as_text(plan)}" for plan in estimate.advice]
-    lines += [f"  note: {note}" for note in estimate.notes]
+    lines += [f"  note: {note}" for note in together(estimate.notes)]
     return "\n".join(lines)
 
 

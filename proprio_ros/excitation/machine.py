@@ -283,7 +283,7 @@ class ExcitationMachine:
                 return "velocity", f"{name} moves at {speed:.1f} rad/s, faster than {guards.max_velocity_rad_s:g} rad/s"
         driven = self._run.joint if self.phase is Phase.PROBE or caught else None
         for name in self.joints:
-            off = self._off(name)
+            off = abs(self._sample.position[name] - self._goals[name]) / self._per_rad[name]  # at the motor's shaft
             if driven is not None:
                 if name != driven and off > guards.held_joint_error_rad:
                     words = f"{name} gave way by {off:.2f} rad during the run: is its torque on, or was it pushed?"
@@ -297,10 +297,6 @@ class ExcitationMachine:
     def _speed(self, name: str) -> float:
         """Of a joint, at the motor's shaft [rad/s]."""
         return abs(self._sample.velocity[name]) / self._per_rad[name]
-
-    def _off(self, name: str) -> float:
-        """How far a joint is from its goal, at the motor's shaft [rad]."""
-        return abs(self._sample.position[name] - self._goals[name]) / self._per_rad[name]
 
     def _watch_pushed(self, lookahead_s: float) -> _Problem | None:
         assert self.sequence is not None

@@ -157,7 +157,7 @@ def load_sequence(name_or_path: str | Path, robot: Robot, held_kg: float = 0.0) 
             words = f"has no section 'excitation'; probe files with one: {', '.join(sequence_names()) or 'none'}; or add it"
             raise ConfigurationError(f"{path.name}: {words}")
         section, name, where = _whole(content["excitation"], path), path.stem, f"{path.name}: excitation"
-        if not is_path and name in FIRST and not _its_joints(section) & {*robot.drive_trains}:
+        if not is_path and name in FIRST and {*robot.drive_trains}.isdisjoint(run["joint"] for run in section["runs"]):
             from proprio_ros.excitation.first import first_sequence  # which is written in the words of this file
 
             sequence = first_sequence(robot, section["hand"], held_kg)
@@ -349,10 +349,6 @@ def _whole(section: Any, path: Path) -> Any:
         named = one_line(repr(like), 60)
         raise ConfigurationError(f"{path.name}: excitation.like={named}: name one of the package's sequences")
     return {**base, **{key: value for key, value in section.items() if key != "like"}}
-
-
-def _its_joints(section: Any) -> set[str]:
-    return {run["joint"] for run in section["runs"]}
 
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:

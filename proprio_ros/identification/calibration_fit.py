@@ -18,7 +18,7 @@ from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import FIRST_SWING_ERROR, PreparedRun
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import RISE, onset_std, robot_unknowns
+from proprio_ros.identification.robot_unknowns import RISE, robot_unknowns
 from proprio_ros.identification.swings import MISSED_SHARE, missed_share, stamp_jitter, swing_error
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
@@ -206,11 +206,11 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
             jitter_each = ((b / total) ** 2 * left + a * b / total)[moving] / velocity[moving] ** 2
             prior = PSEUDO_SAMPLES * robot.stamp_jitter_s**2
             jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
-    _, found, learnt = of_like_runs("disturbance", robot, problem, posterior)
+    _, found, learnt = of_runs("disturbance", problem, posterior)
     disturbance = spread_of_runs(robot.torque_disturbance, found, learnt)
-    found, learnt = of_runs("v0", problem, posterior, noise.start_velocity)
+    _, found, learnt = of_runs("v0", problem, posterior)
     start_velocity = spread_of_runs(robot.start_velocity, found, learnt)
-    _, found, learnt = of_like_runs("onset", robot, problem, posterior)
+    _, found, learnt = of_runs("onset", problem, posterior)
     onset = max(spread_of_runs(robot.onset_jitter_s, found, learnt), robot.onset_jitter_s)
     alike = np.sqrt(_alike(problem, posterior, left))
     return Noise(float(np.sqrt(scale2)) * alike, float(np.sqrt(jitter2)) * alike, disturbance, start_velocity, onset)
@@ -239,29 +239,24 @@ def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:
 
 def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:
     """The same of free swings, whose residuals are not independent."""
-    found, learnt = of_runs("friction_change", problem, posterior, noise.friction_spread)
+    _, found, learnt = of_runs("friction_change", problem, posterior)
     spread = spread_of_runs(robot.friction_spread, found, learnt)
     jitter_s = max(stamp_jitter(posterior), robot.stamp_jitter_s)
     return replace(noise, stamp_jitter_s=jitter_s, friction_spread=spread, swing_error=swing_error(posterior))
 
 
-def of_like_runs(kind: str, robot: Robot, problem: Problem, posterior: Posterior) -> tuple[list[int], np.ndarray, np.ndarray]:
-    """As `of_runs`, of the runs of which the ``robot`` file has the spread and nothing else makes it larger, and which they are."""
-    expected = robot.onset_jitter_s if kind == "onset" else robot.torque_disturbance
-    alike = [row for row, run in enumerate(problem.runs) if kind != "onset" or onset_std(robot, run) == expected]
-    rows = alike if expected > 0.0 else []
-    std = problem.unknowns[problem.index[kind, rows[0]]].std if rows else 1.0
-    return rows, *of_runs(kind, problem, posterior, std, rows)
+def of_runs(kind: str, problem: Problem, posterior: Posterior) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """An unknown of each run, of onsets where nothing else makes them uncertain.
 
-
-def of_runs(
-    kind: str, problem: Problem, posterior: Posterior, std: float, rows: Sequence[int] | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """An unknown of some runs, default all, and how much of it each determines rather than its prior (0 to 1); shapes (R,)."""
+    Returns:
+        The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
+    """
+    stds = {row: problem.unknowns[problem.index[kind, row]].std for row in range(len(problem.runs))}
+    rows = [row for row, std in stds.items() if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)]
     place = problem.free.tolist()
-    columns = [place.index(problem.index[kind, r]) for r in (range(len(problem.runs)) if rows is None else rows)]
-    spread = np.diag(posterior.covariance)[columns]
-    return posterior.values[problem.free[columns]], 1.0 - spread / std**2
+    columns = [place.index(problem.index[kind, row]) for row in rows]
+    learnt = 1.0 - np.diag(posterior.covariance)[columns] / np.square([stds[row] for row in rows])
+    return rows, posterior.values[problem.free[columns]], learnt
 
 
 def spread_of_runs(file_std: float, found: np.ndarray, learnt: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate, EmptyHand, HeldOutRun
-from proprio_ros.identification.calibration_fit import Fitted, fit, foretold, of_like_runs, spread_of_runs, with_another_rise
+from proprio_ros.identification.calibration_fit import Fitted, fit, foretold, of_runs, spread_of_runs, with_another_rise
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.gates import (
     LEFT_OUT_AT_MOST,
@@ -331,7 +331,7 @@ def _outlier(robot: Robot, fitted: Fitted) -> int | None:
         return outlier
     strange = [(STRANGE, -1)]
     for kind, usual in (("disturbance", robot.torque_disturbance), ("onset", robot.onset_jitter_s)):
-        rows, found, learnt = of_like_runs(kind, robot, fitted.problem, fitted.posterior)
+        rows, found, learnt = of_runs(kind, fitted.problem, fitted.posterior)
         for place, row in enumerate(rows) if len(rows) >= 3 else ():
             others = np.arange(len(rows)) != place
             strange.append((abs(float(found[place])) / spread_of_runs(usual, found[others], learnt[others]), row))

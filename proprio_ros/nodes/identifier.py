@@ -9,7 +9,6 @@ calls. Which probes there are, the registry says. `inputs` is what comes in, `ex
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -343,8 +342,6 @@ class IdentifierNode(ManagedNode):
 
 def main() -> int:
     """Entry point of `proprio_identifier`."""
-    # the solver's many short calls hand the interpreter's lock over; at the default of 5 ms it would wait for it most of the time
-    sys.setswitchinterval(0.0005)
     return run_node(IdentifierNode)
 
 

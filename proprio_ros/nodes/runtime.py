@@ -373,7 +373,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     """
     _warn_about_mixed_installations()
     # no thread may keep the others from the interpreter for long: at the default of 5 ms a flood of commands has the bus miss
-    # cycles, and 300 messages in a second do not come through beside a thread that computes
+    # cycles, and 300 messages in a second do not come through beside a solver, whose many short calls hand the lock over
     sys.setswitchinterval(0.0005)
     ended = clock.event()
     _stay_on_this_machine()

@@ -12,6 +12,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from proprio_ros.errors import together
 from proprio_ros.inputs.resources import WRITTEN_BY, check_page, write_in_one_step
 from proprio_ros.quantity import Z95, spec_for, written
 from proprio_ros.version import __version__
@@ -82,7 +83,7 @@ def bulleted(sentences: Sequence[str]) -> list[str]:
 
 def listed(title: str, sentences: Sequence[str]) -> list[str]:
     """A section of sentences, or nothing."""
-    return [f"<h2>{escape(title)}</h2>", *bulleted(sentences)] if sentences else []
+    return [f"<h2>{escape(title)}</h2>", *bulleted(together(sentences))] if sentences else []
 
 
 def titled(title: str, verdict: str, words: str) -> list[str]:

@@ -14,7 +14,6 @@ from proprio_ros.identification.regression.one_joint_known import learn_joint, t
 from proprio_ros.identification.regression.refusals import UNEXPLAINED_SHARE
 from proprio_ros.quantity import Z95, Quantity, shown
 from proprio_ros.recordings.motions import Motion
-from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -37,7 +36,8 @@ def calibrate_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[
     heaviest = float(learnt.loads_kg.max())
     weighable = Weighable(
         heaviest,
-        float(np.hypot(learnt.spread, np.median(_relative_stds(learnt)))) * heaviest,
+        float(np.hypot(learnt.spread, np.median([run["std_kg"] / run["load_kg"] for run in learnt.runs if run["load_kg"] > 0.0])))
+        * heaviest,
         (learnt.joint,),
         f"recordings of known loads, each weighed by the others, differ by {100.0 * learnt.spread:.2g} % beyond what each knows "
         "of its own error",
@@ -53,10 +53,6 @@ def calibrate_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[
         weighable=None if refusal.withheld else weighable,
         weighed_empty=tuple(EmptyHandEstimate(run["name"], run["read_kg"], run["std_kg"], Z95) for run in learnt.runs),
     )
-
-
-def _relative_stds(learnt: JointCalibration) -> FloatArray:
-    return np.array([run["std_kg"] / run["load_kg"] for run in learnt.runs if run["load_kg"] > 0.0])
 
 
 def _refusals(robot: Robot, motions: Sequence[Motion], learnt: JointCalibration) -> Iterator[Refusal]:
