@@ -114,6 +114,12 @@ def tell(found: Sequence[dict[str, Any]], script: str, kept: Path | None, argume
     results.keep()
 
 
+def logged(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """What came of the arms that some logs tell of."""
+    lines = [line for path in paths for line in path.read_text().splitlines() if line.startswith('{"seed"')]
+    return list(map(json.loads, lines))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "COUNT"))
@@ -123,10 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--told", type=Path, nargs="+", metavar="LOG")
     given = parser.parse_args(arguments)
-    found: list[dict[str, Any]] = []
-    if given.told:
-        lines = [line for path in given.told for line in path.read_text().splitlines() if line.startswith('{"seed"')]
-        found = list(map(json.loads, lines))
+    found = logged(given.told or ())
     for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
         folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
         folder.mkdir(parents=True, exist_ok=True)

@@ -3,7 +3,8 @@
 Processes of their own: the arm (`foreign_process.py`), excitation, identifier, a client that calls services, and the load. A
 calibration and a weighing are asked for three times at most.
 
-python test/benchmarks/foreign_load.py --data DIR [--seeds 0 4] [--load 8] [--goals --rate 30] [--json FILE]
+python test/benchmarks/foreign_load.py [--seeds 0 4] [--load 8] [--goals --rate 30] [--json FILE]
+python test/benchmarks/foreign_load.py --told LOG.. --json FILE     # of what such runs have printed
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from foreign_controller import MASSES_KG, about, asked, tell
+from foreign_controller import MASSES_KG, about, asked, logged, tell
 from results import parser_of
 from support.domains import free_domain
 
@@ -76,7 +78,8 @@ def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, mas
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--told", type=Path, nargs="+", metavar="LOG")
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 4), metavar=("FIRST", "COUNT"))
     parser.add_argument("--masses", type=float, nargs="+", default=list(MASSES_KG), metavar="KG")
     parser.add_argument("--load", type=int, default=8)
@@ -84,9 +87,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rate", type=float, default=500.0)
     given = parser.parse_args(arguments)
     os.environ.setdefault("ROS_DOMAIN_ID", free_domain())
-    found = []
-    for seed in range(given.seeds[0], given.seeds[0] + given.seeds[1]):
-        folder = given.data / f"seed{seed}"
+    found = logged(given.told or ())
+    for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
+        folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
         folder.mkdir(parents=True, exist_ok=True)
         found.append(weighed(seed, folder, given.load, given.goals, given.rate, given.masses))
         print(json.dumps(found[-1]), flush=True)
