@@ -5,6 +5,7 @@ what an arm does meanwhile, and when, is in test/world.
 from __future__ import annotations
 
 import json
+import os
 import resource
 import signal
 from collections.abc import Iterator
@@ -141,6 +142,12 @@ def test_a_weighing_goes_through_all_of_them(arm: Arm) -> None:
         late.close()
     assert client.get("/identifier", "calibration").string_value == "none"
     assert not client.set("/virtual", "object", "50 g").successful
+
+
+def test_none_of_them_waits_for_other_programs(arm: Arm) -> None:
+    """The identifier's threads that hear are scheduled as the driver's are, in real time where that is granted."""
+    policies = {os.sched_getscheduler(arm.graph.processes[node].pid) & ~os.SCHED_RESET_ON_FORK for node in NODES}
+    assert len(policies) == 1
 
 
 @pytest.mark.parametrize("service", ["/excitation/abort", "/identifier/cancel"])

@@ -70,7 +70,7 @@ def comes_up(graph: Graph, ready: Callable[[], object]) -> bool:
 
 
 def warm_up(probe: str, *settings: str) -> None:
-    """Compile first, as the docs advise: the identifier does it itself, but at low priority, behind all else on a busy machine."""
+    """Compile first, as the docs advise: the identifier does it itself, while whoever waits for it waits longer."""
     values = [word for setting in settings for word in ("--set", setting)]
     subprocess.run([sys.executable, "-m", "proprio_ros.cli", "warmup", "--probe", probe, *values], check=True)
 
