@@ -278,7 +278,8 @@ class ManagedNode(LifecycleNode):
             gc.collect()
             gc.freeze()
             # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
-            run_in_real_time()
+            if not run_in_real_time():
+                self.say("info", "no real-time priority: beside other work messages come late (allow rtprio in limits.conf)")
         result = self._transition("activate", self.activate)
         self.active = result == TransitionCallbackReturn.SUCCESS
         return result if not self.active else super().on_activate(state)
