@@ -84,5 +84,5 @@ def together(sentences: Iterable[str]) -> list[str]:
     for sentence in sentences:
         name, _, words = sentence.partition(": ")
         bag, _, number = name.rpartition("#")
-        said.setdefault((bag, words) if number.isdigit() else ("", sentence), []).append(number)
+        said.setdefault((bag, words) if bag and number.isdigit() else ("", sentence), []).append(number)
     return [f"{bag}#{', '.join(numbers)}: {words}" if bag else words for (bag, words), numbers in said.items()]

@@ -83,7 +83,7 @@ def test_a_batch_shows_its_answers(tmp_path: Path) -> None:
 
 
 def test_what_is_said_of_several_runs_is_said_once() -> None:
-    alone = ["x/bag#2: hot", "y/bag#1: lost", "no run: lost", "bag#3 was left out: stuck"]
+    alone = ["x/bag#2: hot", "y/bag#1: lost", "no run: lost", "#1: lost", "bag#3 was left out: stuck"]
     assert together(["x/bag#1: lost", "x/bag#2: lost", *alone, "x/bag#10: lost"]) == ["x/bag#1, 2, 10: lost", *alone]
 
 

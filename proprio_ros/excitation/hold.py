@@ -31,7 +31,8 @@ CORRECTING_SHARE = 0.85
 back. With 0.6 a shoulder with 150 g in the hand ran on for 0.9 rad after a push, with this for 0.28."""
 LOST_RAD, BRAKED_RAD, BRAKED_S = 0.5, 1.2, 1.0
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy. One that was pushed
-until a second ago may have run on where whoever takes commands has stalled, and is caught rather than let go."""
+until a second ago may have run on where whoever takes commands has stalled, and is caught rather than let go; a hold that is softer
+than stated needs longer to bring it back."""
 USUAL_ROTOR = 1.0 / 3.0
 """Of the spread that holds where no file states a rotor. Held for one three times as heavy as it was, a wrist swung up."""
 SLACK_RAD = 0.004  # nothing is summed up of a joint that stands so near to its goal: friction would have it hunt
@@ -360,7 +361,8 @@ class Hold:
                 continue
             off = abs(self._goal[name] - self._position[name]) / self._per_rad[name]
             speed = abs(self._velocity[name]) / self._per_rad[name]
-            braked = now_s - self._pushed_s.get(name, -math.inf) < BRAKED_S
+            softer = max(self.gains.frequency_rad_s / max(self.frequency_rad_s, 1e-3), 1.0)
+            braked = now_s - self._pushed_s.get(name, -math.inf) < BRAKED_S * softer
             if off > (BRAKED_RAD if braked else LOST_RAD):
                 self.lost = f"{name} is {off:.2f} rad from where it should be held"
             elif speed > 1.5 * self.gains.max_velocity_rad_s:

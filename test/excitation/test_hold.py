@@ -156,6 +156,25 @@ def test_what_is_no_number_is_passed_over_and_a_far_joint_is_lost() -> None:
     assert "joint1" in hold.lost
 
 
+@pytest.mark.parametrize(
+    ("delay_s", "after_s", "lost"), [(0.004, 0.8, False), (0.004, 1.3, True), (0.075, 3.0, False), (0.075, 6.0, True)]
+)
+def test_a_joint_that_was_pushed_has_as_long_to_come_back_as_its_hold_is_soft(delay_s: float, after_s: float, lost: bool) -> None:
+    hold = Hold(ROBOT, JOINTS)
+    hold.delay.delay_s = delay_s
+    here = dict.fromkeys(JOINTS, 0.0)
+    time_s = rest(hold, here)
+    hold.begin()
+    hold.efforts({"joint2": 0.1})
+    away = {**here, "joint2": 0.7}
+    for step in range(1, 51):  # within a tenth of a second
+        hold.observe(time_s + 0.002 * step, {**here, "joint2": 0.014 * step})
+        hold.efforts({"joint2": 0.1})
+    rest(hold, away, after_s, time_s + 0.1)
+    hold.efforts({})
+    assert ("joint2 is 0.70 rad" in hold.lost) is lost and bool(hold.lost) is lost
+
+
 def test_blind_efforts_are_gravity_and_what_was_summed_up() -> None:
     hold = Hold(ROBOT, JOINTS)
     here = {**dict.fromkeys(JOINTS, 0.0), "joint2": -0.4}
