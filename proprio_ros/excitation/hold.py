@@ -356,13 +356,13 @@ class Hold:
         return reaction
 
     def _look_for_lost(self, pushed: Mapping[str, float], now_s: float) -> None:
+        braked_s = BRAKED_S * max(self.gains.frequency_rad_s / max(self.frequency_rad_s, 1e-3), 1.0)
         for name in self.joints:
             if self.lost or name in pushed:
                 continue
             off = abs(self._goal[name] - self._position[name]) / self._per_rad[name]
             speed = abs(self._velocity[name]) / self._per_rad[name]
-            softer = max(self.gains.frequency_rad_s / max(self.frequency_rad_s, 1e-3), 1.0)
-            braked = now_s - self._pushed_s.get(name, -math.inf) < BRAKED_S * softer
+            braked = now_s - self._pushed_s.get(name, -math.inf) < braked_s
             if off > (BRAKED_RAD if braked else LOST_RAD):
                 self.lost = f"{name} is {off:.2f} rad from where it should be held"
             elif speed > 1.5 * self.gains.max_velocity_rad_s:

@@ -307,8 +307,8 @@ def _late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
     """Runs whose joint leaves its rest much later than in its others, the latest first, and not too many to be exceptions."""
     if runs[0].run.free:
         return []
-    begins_s = {joint: [_begins_s(run) for run in runs if run.run.joint == joint] for joint in joints_of(runs)}
-    off_s = np.array([_begins_s(run) - np.median(begins_s[run.run.joint]) for run in runs])
+    begins_s, joints = np.array([_begins_s(run) for run in runs]), np.array([run.run.joint for run in runs])
+    off_s = begins_s - [np.median(begins_s[joints == joint]) for joint in joints]
     latest = np.argsort(-off_s, kind="stable")[: int(LEFT_OUT_AT_MOST * len(runs))]
     return [runs[row] for row in latest if off_s[row] > LATE_S]
 
