@@ -380,7 +380,7 @@ def simulate(
             # the speed amid the step, or a constant over it would make the method first order
             induced_V = BACK_EMF_V_S * (1.5 * qvel[driven] - 0.5 * before[driven])
             most, least = (reach_V - induced_V) / RESISTANCE_OHM, (-reach_V - induced_V) / RESISTANCE_OHM
-            wanted_A = current_A + (shake[0] if (k * step_s) % shake[1] < 0.5 * shake[1] - 1e-9 else -shake[0])
+            wanted_A = current_A + (shake[0] if (k * step_s + 1e-9) % shake[1] < 0.5 * shake[1] else -shake[0])
             currents[k] = current = min(max(wanted_A, least), most)
             ctrl[driven] = constant * current
         elif k == driven_steps:
