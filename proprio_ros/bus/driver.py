@@ -79,7 +79,7 @@ class ArmDriver:
         self._targets: dict[str, float] = {}
         self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
         self._since_s = -np.inf  # what was sent before counts no more: torque came on since, or a push has ended
-        self._hold_wanted = self._stop_wanted = self._driving = False
+        self._hold_wanted = self._stop_wanted = self._driving = self.slipped = False
         self._torque_wanted: bool | None = None
         self._torque_set = event()
         self._last_answer_s = self._next_connect_s = self._next_health_s = -np.inf
@@ -134,7 +134,7 @@ class ArmDriver:
 
     def _why_unfit(self, values: Mapping[str, float], what: str) -> str:
         """Why these values cannot be commanded at all, or an empty string."""
-        if self.state is not BusState.RUNNING:
+        if self.state is not BusState.RUNNING or self.slipped:
             return f"the arm is {self.state.value}: {self.reason}"
         for name, value in values.items():
             if name not in self._joints:
@@ -198,7 +198,7 @@ class ArmDriver:
             if sender != mover and now - moved_s <= self.settings.command_timeout_s:
                 return "another publisher is moving the arm; one at a time"
             self._mover = (sender, now)
-            self._targets.update(targets)
+            self._targets.update({} if self.slipped else targets)
         return ""
 
     def _sinks(self, before_rad: Mapping[str, float], after_rad: Mapping[str, float]) -> bool:
@@ -334,7 +334,7 @@ class ArmDriver:
         with self._lock:
             self._drop_commands()  # but not a stop that came meanwhile
         self._alerts.clear()
-        self._driving = self._limp = False
+        self._driving = self._limp = self.slipped = False
         for name, joint in self._joints.items():
             here, goal = reading.states[name].angle_rad, goals[name]
             joint.angle_rad = here
@@ -378,19 +378,18 @@ class ArmDriver:
         return last, False
 
     def _take(self, reading: Reading) -> None:
-        since_s = max(reading.sampled_at_s - self._sampled_at_s, 0.0)
-        self._sampled_at_s = reading.sampled_at_s
+        since_s, self._sampled_at_s = max(reading.sampled_at_s - self._sampled_at_s, 0.0), reading.sampled_at_s
         problems = []
         for name, state in reading.states.items():
             joint = self._joints[name]
             # a position that no speed explains: the encoder, not the arm
             explained = self.settings.max_jump_rad + self.settings.max_velocity_rad_s * since_s
-            before_rad = joint.angle_rad
-            joint.angle_rad, joint.velocity_rad_s = state.angle_rad, state.velocity_rad_s
+            before_rad, joint.angle_rad, joint.velocity_rad_s = joint.angle_rad, state.angle_rad, state.velocity_rad_s
             if abs(joint.angle_rad - before_rad) > explained:
                 problems.append(f"{name}: its encoder jumped from {before_rad:.3f} to {joint.angle_rad:.3f} rad")
                 if joint.mode is not JointMode.FREE:
                     joint.hold()  # the old goal, seen by the new encoder, would swing the arm
+                self.slipped = True  # and whatever is commanded from now on means another pose than its sender knows
             if state.alert and name not in self._alerts:
                 self._alerts.add(name)
                 problems.append(f"{name}: its servo reports a fault and has switched itself off")
@@ -402,7 +401,9 @@ class ArmDriver:
                 if joint.mode is JointMode.DRIVEN:
                     joint.hold()
                 joint.blocked = problem
-            self.reason = problem
+            self.reason = f"{problem}; ~/torque true goes on" if self.slipped else problem
+            with self._lock:
+                self._targets.clear()
 
     def _decide(self, now: float, seen: bool, timely: bool) -> None:
         """What every joint does until the next cycle."""

@@ -274,7 +274,7 @@ class DriverNode(ManagedNode):
     def _statuses(self, driver: ArmDriver) -> list[DiagnosticStatus]:
         late = list(self._pacer.lateness_s)
         statistics = driver.statistics
-        running = driver.state is BusState.RUNNING and self.active
+        running = driver.state is BusState.RUNNING and self.active and not driver.slipped
         state = self._state_of(driver)
         reason = driver.reason if state != "inactive" else "the node is not active; activate it to go on"
         values = {

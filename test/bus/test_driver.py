@@ -437,8 +437,25 @@ def test_an_encoder_jump_holds_everything(rig: Rig) -> None:
     assert set(rig.driver.modes.values()) == {"held"}, "although the commands go on"
     rig.run(0.3)
     assert abs(rig.position()["joint2"] - before["joint2"]) < 0.2, "it does not swing back by the 0.6 rad of the jump"
+    rig.driver.set_torque(True)
     rig.run(0.05, {"joint3": PUSH_A})
-    assert rig.driver.modes["joint3"] == "driven", "the commands had paused"
+    assert rig.driver.modes["joint3"] == "driven"
+
+
+def test_an_encoder_that_jumped_ends_the_way_until_a_person_has_looked(rig: Rig) -> None:
+    """Whatever is commanded afterwards means another pose than its sender knows, and what is weighed there would be wrong."""
+    goal = {"joint2": rig.position()["joint2"] - 0.1}
+    assert rig.driver.command_positions(goal) == ""
+    rig.virtual.set_fault("jump=joint2")
+    rig.cycle()
+    there = rig.position()["joint2"]
+    for refused in (rig.driver.command_positions(goal), rig.driver.command_currents({"joint3": PUSH_A})):
+        assert "joint2: its encoder jumped from" in refused and "~/torque true" in refused
+    rig.run(0.5)
+    assert abs(rig.position()["joint2"] - there) < 0.02
+    rig.driver.set_torque(True)
+    rig.cycle()
+    assert rig.driver.command_positions({"joint2": there}) == ""
 
 
 def test_a_servo_that_overheats(rig: Rig) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections import Counter
@@ -21,10 +22,11 @@ PLAYED, BLOCKS = range(1000), 2
 """The blocks are parts of the same size, so that two workers may play them, a process each."""
 FEW = [seed for seed in range(1000, 1040) if drawn(seed).plan == "push"][:10]
 """Without ``--long``."""
-FAILED = (20130, 37, 100626, 150837, 200652, 527)
+FAILED = (20130, 37, 100626, 150837, 200652, 527, 301920)
 """Schedules after which something was not true once: a disk is full; messages are doubled while an encoder slips; the clock is
 set while a command is on its way, in a push and in a weighing; the request of a service is lost, which is sent again now; a
-shoulder's servo switches itself off, and the elbow was pushed while the arm leaned on a stop."""
+shoulder's servo switches itself off, and the elbow was pushed while the arm leaned on a stop; an encoder slips between two late
+joint states while the arm is on its way, and the arm went on with it."""
 RECORDED = (62, 178, 244)
 """Weighings: while messages are lost and late, the bus drops answers, and messages are doubled and reordered."""
 
@@ -49,11 +51,12 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return calibrated(tmp_path_factory.mktemp("calibration"))
 
 
-def play(calibration: Path, folder: Path, *words: str) -> dict[str, object]:
-    """In a process of its own, which forks."""
+def play(calibration: Path, folder: Path, *words: str, fields: str = "1") -> dict[str, object]:
+    """In a process of its own, which forks; ``fields`` "0" has messages' fields unchecked, as on a robot."""
     kept = folder / f"{len(list(folder.iterdir()))}.json"
     command = [sys.executable, str(SCHEDULES), *words, "--calibration", str(calibration), "--json", str(kept)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    checked = os.environ | {"ROS_PYTHON_CHECK_FIELDS": fields}
+    done = subprocess.run(command, capture_output=True, text=True, env=checked)
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
     found: dict[str, object] = json.loads(kept.read_text())
     return found
@@ -68,7 +71,8 @@ def test_a_few_schedules(calibration: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("block", range(BLOCKS))
 def test_schedules(calibration: Path, tmp_path: Path, block: int) -> None:
     count = len(PLAYED) // BLOCKS
-    found = play(calibration, tmp_path, str(PLAYED.start + block * count), str(count), "--together", "1")
+    # unchecked they take four fifths of the time
+    found = play(calibration, tmp_path, str(PLAYED.start + block * count), str(count), "--together", "1", fields="0")
     assert found["schedules"] == count and not found["failed"]
 
 
