@@ -35,10 +35,9 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
 SURE, UNTOLD = 0.95, 0.9  # probability from which on a kind is said, and motion's at most where held joints may be all
-ALIKE_RUNS = 2.0
-"""Residuals that the robot's model leaves go together within a run: models differ by so many times less than their chi-square."""
+ALIKE_RUNS = 2.0  # what the robot's model leaves goes together within a run: models differ by so many times less than chi-square
 STRETCH = 16  # samples whose residuals go together: about a period of a shake
-GIVES_WAY = 2.5  # times what is left of the empty container's runs: held joints give way and leave twice as much
+GIVES_WAY = 2.5  # times what the empty container's runs leave by themselves: held joints give way and leave twice as much
 STARTS_KG = (0.03, 0.1, 0.3)
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
@@ -134,8 +133,10 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     moves = np.isin(kinds, MOVING)
     rigid, moving = (int(np.argmax(np.where(side, logs, -np.inf))) for side in (np.isin(kinds, "rigid"), moves))
     # what no rigid thing explains may move otherwise than any of these models, or be heavy and make held joints give way
-    left = left_over(as_rigid := models[rigid].opened)
-    tells = left[rows].max() > GIVES_WAY * left[~rows].max(initial=1.0)
+    bare = [run for run, has in zip(used, filled, strict=True) if not has]
+    # by themselves: what a liquid bends of the robot, which all runs share, is no fault of theirs
+    alone = left_over(fitted(robot, bare, facts, [False] * len(bare), "nothing").opened).max() if bare else 1.0
+    tells = left_over(as_rigid := models[rigid].opened)[rows].max() > GIVES_WAY * max(alone, 1.0)
     most = surpassed(known[rigid], known[moving]) if tells else UNTOLD
     weight = weighted(logs, moves, most, 0.0 if as_rigid.explains else 0.5)
     first = models[1 + int(np.argmax(weight[1:]))]
