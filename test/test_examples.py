@@ -35,4 +35,5 @@ def test_example(probe: str) -> None:
     assert cells >= 3 and result.accepted
     assert abs(result.value(value) - truth) < within
     assert result.ci95[0] < truth < result.ci95[1]
+    assert probe != "contents" or result.value("liquid_inside") > 0.95
     assert len(variables["figure"].axes) == 2 * len(result.estimate.run_fits) > 0

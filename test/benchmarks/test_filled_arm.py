@@ -124,6 +124,15 @@ class InMujoco(Filled):
         return np.zeros(4)
 
 
+@pytest.mark.parametrize("period_s", [0.1, 0.2, 0.25, 0.3, 0.35])
+def test_a_shake_switches_when_its_command_says(period_s: float) -> None:
+    """At some whole periods ``time % period`` is a hair below the period."""
+    shaken = simulate(HiddenRobot(), "joint3", {}, 0.0, 2.5, shake=(0.1, period_s))
+    half = round(0.5 * period_s / STEP_S)
+    says = np.where(np.arange(round(2.5 / STEP_S)) // half % 2 == 0, 0.1, -0.1)
+    np.testing.assert_array_equal(shaken.current_A[: len(says)], says)
+
+
 @pytest.mark.long
 def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
     """A bob on a spring, a quarter of the load, coupled step by step and solved by MuJoCo as one; frozen, it moves otherwise."""
