@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections import Counter
@@ -51,12 +50,11 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return calibrated(tmp_path_factory.mktemp("calibration"))
 
 
-def play(calibration: Path, folder: Path, *words: str, fields: str = "1") -> dict[str, object]:
-    """In a process of its own, which forks; ``fields`` "0" has messages' fields unchecked, as on a robot."""
+def play(calibration: Path, folder: Path, *words: str) -> dict[str, object]:
+    """In a process of its own, which forks."""
     kept = folder / f"{len(list(folder.iterdir()))}.json"
     command = [sys.executable, str(SCHEDULES), *words, "--calibration", str(calibration), "--json", str(kept)]
-    checked = os.environ | {"ROS_PYTHON_CHECK_FIELDS": fields}
-    done = subprocess.run(command, capture_output=True, text=True, env=checked)
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
     found: dict[str, object] = json.loads(kept.read_text())
     return found
@@ -71,8 +69,7 @@ def test_a_few_schedules(calibration: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("block", range(BLOCKS))
 def test_schedules(calibration: Path, tmp_path: Path, block: int) -> None:
     count = len(PLAYED) // BLOCKS
-    # unchecked they take four fifths of the time
-    found = play(calibration, tmp_path, str(PLAYED.start + block * count), str(count), "--together", "1", fields="0")
+    found = play(calibration, tmp_path, str(PLAYED.start + block * count), str(count), "--together", "1")
     assert found["schedules"] == count and not found["failed"]
 
 
