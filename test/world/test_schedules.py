@@ -24,8 +24,8 @@ FEW = [seed for seed in range(1000, 1040) if drawn(seed).plan == "push"][:10]
 FAILED = (20130, 37, 100626, 150837, 200652, 527, 301920)
 """Schedules after which something was not true once: a disk is full; messages are doubled while an encoder slips; the clock is
 set while a command is on its way, in a push and in a weighing; the request of a service is lost, which is sent again now; a
-shoulder's servo switches itself off, and the elbow was pushed while the arm leaned on a stop; an encoder slips between two late
-joint states while the arm is on its way, and the arm went on with it."""
+shoulder's servo switches itself off, and the elbow was pushed while the arm leaned on a stop; an encoder slips between a
+request and its first command, and the driver alone had seen it."""
 RECORDED = (62, 178, 244)
 """Weighings: while messages are lost and late, the bus drops answers, and messages are doubled and reordered."""
 
