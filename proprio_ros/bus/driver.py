@@ -395,7 +395,7 @@ class ArmDriver:
                 problems.append(f"{name}: its servo reports a fault and has switched itself off")
                 self._next_health_s = -np.inf
                 self._health_turn = list(self._joints).index(name)
-        for problem in problems:  # ends every current, until the commands have paused
+        for problem in problems:  # ends every current, until the commands have paused; after a slip, until torque comes on anew
             self._log("error", f"{problem}; all joints are held")
             for joint in self._joints.values():
                 if joint.mode is JointMode.DRIVEN:
