@@ -16,6 +16,7 @@ FAR_COUNTS = 1_000_000
 LARGEST_GAP = 100  # so many messages of one publisher may be lost between two that come
 LATE, LATE_NS, OUTDATED = 8, 1_000_000_000, -1
 """A message may come so many places late, and so long; who sent one that came before, or after newer ones of its publisher."""
+SLACK_NS = 50_000_000  # by so much less than is known of its publisher's clock a message may seem to be on its way
 MOST = 16  # so many publishers of one topic are remembered
 
 
@@ -135,6 +136,7 @@ class Senders:
     def __init__(self) -> None:
         self._last: dict[int, tuple[int, Hashable, int | None]] = {}
         self._error_ns: dict[int, int] = {}  # of a publisher's clock, as far as that is known
+        self._moved_ns: dict[int, int] = {}  # by how much ours was set since a publisher was heard
         self._known = 0
 
     def of(self, number: int | None, looks: Hashable, sent_ns: int | None = None) -> int:
@@ -172,10 +174,14 @@ class Senders:
         # of one that was not heard before: no message waits longer, so its clock is another one
         error_ns = self._error_ns.get(sender, 0 if any(0 <= lag < LATE_NS for lag in lags_ns) else lag_ns)
         if set_ns:
-            return max((1e-9 * (lag - error_ns) for lag in lags_ns if 0 <= lag - error_ns < LATE_NS), default=0.0)
+            late_ns = sorted(lag - error_ns for lag in lags_ns if lag >= error_ns)
+            return 1e-9 * max((one for one in late_ns if one < LATE_NS), default=late_ns[0] if late_ns else 0)
+        # since ours was set, another's errs by as much, and the same one's by nothing; no message comes before it was sent
+        errors_ns = error_ns, error_ns + self._moved_ns.pop(sender, 0)
+        error_ns = max((one for one in errors_ns if one <= lag_ns + SLACK_NS), default=lag_ns)
         self._error_ns[sender] = min(error_ns, lag_ns)
         return max(1e-9 * (lag_ns - error_ns), 0.0)
 
-    def forget_clocks(self) -> None:
-        """What was learnt of the publishers' clocks, by ours, which has been set since."""
-        self._error_ns.clear()
+    def clock_was_set(self, set_ns: int) -> None:
+        """Ours was, by so much: a publisher's is the same one, or errs by that as well."""
+        self._moved_ns = {sender: self._moved_ns.get(sender, 0) + set_ns for sender in self._error_ns}

@@ -43,8 +43,7 @@ class ExcitationRun:
     """One excitation: a push of one joint, or its free response."""
 
     joint: str  # the joint that the current drives; all others hold their positions
-    # Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X. 0 without `shake_A` and `goal_step`: the joint
-    # swings freely
+    # Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X. 0 without `shake_A` and `goal_step`: the joint swings freely
     current_A: float
     duration_s: float  # the current is on for at most so long
     # positions of joints before the run [rad or m]; joints not named stay where they are

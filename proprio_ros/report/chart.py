@@ -29,8 +29,7 @@ class Series:
     x: np.ndarray
     y: np.ndarray
     color: str  # class of the style sheet, such as ``measured``
-    # ``line``, ``dots``, ``steps`` (each value holds until the next), or ``pairs`` (a line from each first to each
-    # second)
+    # ``line``, ``dots``, ``steps`` (each value holds until the next), or ``pairs`` (a line from each first to each second)
     kind: str = "line"
     listed: bool = True  # whether it is in the legend
 

@@ -74,8 +74,7 @@ class DriveTrain:
     usable_velocity: float  # faster samples are left out [rad/s]
     encoder_resolution: float  # one count [rad]
     encoder_noise: float  # standard deviation of a reading, beyond rounding [rad]
-    # joint position per shaft position: 1 when the motor sits in the joint, m/rad for a finger (each of two fingers
-    # moves this far)
+    # joint position per shaft position: 1 when the motor sits in the joint, m/rad for a finger (each of two fingers moves this far)
     transmission: float = 1.0
     # standard deviation of the sine and of the cosine part of the encoder's once-per-turn error, which a magnet off the
     # axis makes [rad]

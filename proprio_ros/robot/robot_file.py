@@ -54,8 +54,7 @@ class Robot:
     friction_velocity: float  # Coulomb's law is smoothed over this speed [rad/s]
     payload_frame: str  # link in which objects are held
     gravity: FloatArray  # in the base frame [m/s^2], shape (3,)
-    # source, settings: the YAML file, and its content with everything it extends merged in; `with_overrides` builds on
-    # it
+    # source, settings: the YAML file, and its content with everything it extends merged in; `with_overrides` builds on it
     source: Path
     settings: Mapping[str, Any] = field(default_factory=dict, repr=False)
     onset_jitter_s: float = 0.0  # standard deviation of the delay from run to run

@@ -84,8 +84,21 @@ def test_a_clock_that_is_set_while_a_message_is_on_its_way(set_ms: int) -> None:
         assert senders.late_s(1, (late_ms + set_ms) * MS, set_ms * MS) >= 0.99e-3 * (late_ms - 1)
     # sent since; where it was set by little, nobody knows whether it was sent before
     assert senders.late_s(1, MS, set_ms * MS) <= (0.201 if set_ms == -200 else 0.001)
-    senders.forget_clocks()
+    senders.clock_was_set(set_ms * MS)
     assert [senders.late_s(1, lag * MS) for lag in (1, 401)] == pytest.approx([0.001, 0.401])
+
+
+@pytest.mark.parametrize("set_ms", [-5000, -200, 200, 5000])
+def test_what_waited_for_more_than_a_second_beside_a_clock_that_is_set_is_late(set_ms: int) -> None:
+    """A driver that was not run: what waits for it is no message of a clock that nobody knows."""
+    senders = Senders()
+    senders.late_s(1, MS)
+    senders.late_s(2, (7000 + 1) * MS)  # by another clock
+    assert senders.late_s(1, (1200 + set_ms) * MS, set_ms * MS) >= 1.0, "sent before"
+    assert senders.late_s(1, 1200 * MS, set_ms * MS) >= 0.999, "sent since"
+    senders.clock_was_set(set_ms * MS)
+    assert [senders.late_s(1, lag * MS) for lag in (1200, 1100, 1)] == pytest.approx([1.2, 1.1, 0.001], abs=0.201)
+    assert [senders.late_s(2, (7000 + set_ms + lag) * MS) for lag in (1, 400)] == pytest.approx([0.0, 0.4], abs=0.002)
 
 
 def test_only_so_many_publishers_are_remembered() -> None:

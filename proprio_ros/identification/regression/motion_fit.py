@@ -53,8 +53,7 @@ class MotionFit:
     covariance: FloatArray  # from stretches, priors, calibration and torque constants together, shape (10, 10)
     parts: Mapping[str, float]  # what puts how much standard deviation on the mass [kg], by name
     stretches: int  # of the motions with the payload
-    # residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m],
-    # shape (n,)
+    # residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m], shape (n,)
     residual: FloatArray
     empty_residual: FloatArray
     driven: FloatArray  # rms of the mean torque itself [N m], shape (n,)

@@ -45,8 +45,7 @@ class OneJointFit:
     """What the motions of one joint say."""
 
     joint: str  # its name
-    # length of the equivalent pendulum [m], inertia [kg m^2], first moment along both directions of `Hinge` [kg m],
-    # (4,)
+    # length of the equivalent pendulum [m], inertia [kg m^2], first moment along both directions of `Hinge` [kg m], (4,)
     values: FloatArray
     covariance: FloatArray  # of these, but for the torque's scale, shape (4, 4)
     stretches: int  # number of stretches

@@ -23,8 +23,7 @@ class Explained:
     # motion, joint: numbers of both, shape (E,)
     motion: NDArray[np.int64]
     joint: NDArray[np.int64]
-    # measured, left_over, payload: mean torque, what nothing explains of it, and what the payload makes of it [N m],
-    # shape (E,)
+    # measured, left_over, payload: mean torque, what nothing explains of it, and what the payload makes of it [N m], shape (E,)
     measured: FloatArray
     left_over: FloatArray
     payload: FloatArray

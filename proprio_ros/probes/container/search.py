@@ -45,8 +45,7 @@ class ContainerOptions:
     integrator: str = "rk4"
     step_s: float = 1.0 / 240.0
     starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)  # first guesses of the sphere's mass
-    # wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is
-    # ``too_wide``
+    # wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``
     wide_share: float = 0.5
     wide_floor_kg: float = 0.005
     signals: str = "both"  # what runs that a camera saw are fitted to, one of ``SIGNALS``

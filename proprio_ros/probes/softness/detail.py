@@ -41,8 +41,7 @@ class JointInterval:
     unit: str
     value: np.ndarray
     covariance: np.ndarray
-    # of the region that holds both with 95 %, shape (M, 2); no ellipse where the values are no linear functions of what
-    # was fitted
+    # of the region that holds both with 95 %, shape (M, 2); no ellipse where the values are no linear functions of what was fitted
     outline: np.ndarray
     determined: bool  # whether both values are the recording's rather than the prior's
 
