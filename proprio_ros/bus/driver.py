@@ -198,7 +198,8 @@ class ArmDriver:
             if sender != mover and now - moved_s <= self.settings.command_timeout_s:
                 return "another publisher is moving the arm; one at a time"
             self._mover = (sender, now)
-            self._targets.update({} if self.slipped else targets)
+            if not self.slipped:  # meanwhile
+                self._targets.update(targets)
         return ""
 
     def _sinks(self, before_rad: Mapping[str, float], after_rad: Mapping[str, float]) -> bool:

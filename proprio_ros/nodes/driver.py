@@ -212,9 +212,9 @@ class DriverNode(ManagedNode):
         if abs(moved_s) > CLOCK_JUMP_S:
             self._set = here_s, round(1e9 * moved_s)
         elif self._set[1] and here_s - self._set[0] > 1e-9 * LATE_NS:
-            set_ns, self._set = self._set[1], (here_s, 0)
             for senders in self._senders.values():
-                senders.clock_was_set(set_ns)
+                senders.clock_was_set(self._set[1])
+            self._set = here_s, 0
         return self._set[1]
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -133,10 +133,12 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     moves = np.isin(kinds, MOVING)
     rigid, moving = (int(np.argmax(np.where(side, logs, -np.inf))) for side in (np.isin(kinds, "rigid"), moves))
     # what no rigid thing explains may move otherwise than any of these models, or be heavy and make held joints give way
+    left = left_over(as_rigid := models[rigid].opened)[rows].max()
     bare = [run for run, has in zip(used, filled, strict=True) if not has]
-    # by themselves: what a liquid bends of the robot, which all runs share, is no fault of theirs
-    alone = left_over(fitted(robot, bare, facts, [False] * len(bare), "nothing").opened).max() if bare else 1.0
-    tells = left_over(as_rigid := models[rigid].opened)[rows].max() > GIVES_WAY * max(alone, 1.0)
+    if (tells := left > GIVES_WAY) and bare:
+        # by themselves: what a liquid bends of the robot, which all runs share, is no fault of theirs
+        alone = fitted(robot, bare, facts, [False] * len(bare), "nothing")
+        tells = left > GIVES_WAY * left_over(alone.opened).max()
     most = surpassed(known[rigid], known[moving]) if tells else UNTOLD
     weight = weighted(logs, moves, most, 0.0 if as_rigid.explains else 0.5)
     first = models[1 + int(np.argmax(weight[1:]))]
