@@ -36,8 +36,7 @@ def episodes_of(sources: Sequence[str | Path]) -> list[Episode]:
 
     Sources are bags, text recordings, data sets, folders with any of them, and globs.
 
-    Raises:
-        ConfigurationError: A source is not there, or nothing is in any.
+    Raises `ConfigurationError`: A source is not there, or nothing is in any.
     """
     found: dict[str, Episode] = {}
     for place in (place for source in sources for place in _places(str(source))):

@@ -168,8 +168,7 @@ def self_calibrated(empty: Sequence[Episode], options: Options, option: str, out
     The span of the options is what of each episode is empty; what comes back is for all of each. ``option`` of the command line is
     named in what is said.
 
-    Raises:
-        ConfigurationError: They do not calibrate the arm.
+    Raises `ConfigurationError`: They do not calibrate the arm.
     """
     path = out.resolve() / "calibration.yaml"
     if path.exists() and not path.with_name("job.json").exists():

@@ -44,8 +44,7 @@ def run_ray(
     Its ``address`` is as for ``ray.init``; None: the one that runs here, else a new one on this machine. ``quiet`` leaves Ray's own
     progress bars out.
 
-    Raises:
-        ConfigurationError: Ray is missing, or its cluster cannot be reached.
+    Raises `ConfigurationError`: Ray is missing, or its cluster cannot be reached.
     """
     ray = ray_or_refuse()
     if not ray.is_initialized():

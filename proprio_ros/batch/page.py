@@ -43,8 +43,7 @@ def write_batch_page(
 
     ``command`` gives all of it again; ``reports`` are files beside the page, by what `named` calls the row that each is of.
 
-    Raises:
-        ConfigurationError: The file cannot be written.
+    Raises `ConfigurationError`: The file cannot be written.
     """
     rows.sort(key=lambda row: (row["source"], *_order(row), row["segment"]))
     whole = [row for row in rows if row["kind"] != GRASP]

@@ -97,8 +97,7 @@ class Store:
 
         Rows that two files hold are kept in the first.
 
-        Raises:
-            ConfigurationError: A file is among them that no job wrote.
+        Raises `ConfigurationError`: A file is among them that no job wrote.
         """
         for left in self.rows.glob(f"{PARTITION}=*/.part-*.tmp"):
             left.unlink(missing_ok=True)

@@ -26,6 +26,7 @@ BRISK_RAD_S = 15.0  # a hold as stiff as this follows as fast as a sequence says
 NUDGING_PACE = 0.1  # while the arm is asked for its delay
 UNITS = ("N.m", "A")  # what the drive takes an effort for: torque (N of a slide), or the motor's current
 DRIFT = 1e-4  # two clocks may run apart by so much
+FASTEST_RAD_S = 6.0  # an arm that others move, too
 CLOCK_SET_S = 0.5  # a clock that is off by more has been set
 
 
@@ -56,23 +57,24 @@ class Controller:
     Args:
         robot: The arm.
         joints: The controller's joints, in its order. Joints of the robot that are not among them are held by others.
+        jump_rad: A position that changes by more from sample to sample, unless speed explains it, is an encoder that slipped.
 
     Attributes:
         holding: Whether this commands the joints; from the first sequence on, until it is released or has lost them.
+        slipped: By how much encoders have, until somebody has looked at them: positions since are of other places [rad or m].
         kind: What it takes, in words.
         without: What is wrong with a joint that the robot does not drive.
         recorded_as: Field in which whoever records hears what pushes, or is sent.
         can_let_go: Whether a last command lets go of the arm.
         let_go: What is said where it does, or sends no more.
 
-    Raises:
-        ConfigurationError: No joint, or a joint that the robot does not drive or that is named twice.
+    Raises `ConfigurationError`: No joint, or a joint that the robot does not drive or that is named twice.
     """
 
     kind = without = recorded_as = let_go = ""
     can_let_go = False
 
-    def __init__(self, robot: Robot, joints: Sequence[str]) -> None:
+    def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:
         driven = ", ".join(robot.drive_trains)
         if not joints:
             words = f"state the {self.kind} controller's `joints` in its order; {robot.name} drives {driven}"
@@ -84,6 +86,11 @@ class Controller:
             raise ConfigurationError(f"controller_joints names a joint twice: {', '.join(joints)}")
         self.joints = tuple(joints)
         self.holding = False
+        self.slipped: dict[str, float] = {}
+        self._jump_rad = jump_rad
+        self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in joints}
+        self._position: dict[str, float] = {}
+        self._time_s: dict[str, float] = {}
 
     @property
     def pace(self) -> float:
@@ -104,14 +111,30 @@ class Controller:
         """Whether this controller can make a sequence now.
 
         Raises:
-            ExcitationError: It moves a joint of somebody else's, pushes by what the controller does not take, or joint states come
-                too slowly.
+            ExcitationError: It moves a joint of somebody else's, pushes by what the controller does not take, an encoder has
+                slipped, or joint states come too slowly.
         """
+        for name, by in self.slipped.items():
+            if abs(by) > 0.5 * self._jump_rad * self._per_rad[name]:  # else it has come back: a reading was wrong
+                words = "check it and its cable, support the arm and call ~/release; calibrate again where its zero is another now"
+                raise ExcitationError(f"the encoder of {name} jumped by {by:+.2f}: {words}")
         named = {name for run in sequence.runs for name in (run.joint, *run.start)}
         if others := sorted({*named, *sequence.home, *sequence.from_here} - {*self.joints}):
             lacks = f"{', '.join(others)}, which the {self.kind} controller does not have"
             remedy = "add to controller_joints, or choose a sequence without it"
             raise ExcitationError(f"{sequence.name} moves {lacks}: {remedy}")
+
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> dict[str, float]:
+        """Take a reading; returns by how much encoders have slipped since the last one."""
+        jumps = {}
+        for name in self.joints:
+            if math.isfinite(value := position.get(name, math.nan)):
+                moved, step_s = value - self._position.get(name, value), time_s - self._time_s.get(name, time_s)
+                if step_s >= 0.0 and abs(moved) > max(self._jump_rad, FASTEST_RAD_S * step_s) * self._per_rad[name]:
+                    jumps[name] = moved
+                    self.slipped[name] = self.slipped.get(name, 0.0) + moved
+                self._position[name], self._time_s[name] = value, time_s
+        return jumps
 
 
 class EffortController(Controller):
@@ -130,7 +153,7 @@ class EffortController(Controller):
     let_go = "the efforts are zero: nobody holds the arm until a controller does"
 
     def __init__(self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None) -> None:
-        super().__init__(robot, joints)
+        super().__init__(robot, joints, (gains or HoldGains()).jump_rad)
         if unit not in UNITS:
             raise ConfigurationError(f"effort_unit={unit!r}: choose one of {', '.join(UNITS)}")
         self.pushed_A: dict[str, float] = {}
@@ -197,8 +220,9 @@ class EffortController(Controller):
         self.pushed_A = {}
         self._hold.here()
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> None:
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> dict[str, float]:
         self._hold.observe(time_s, position, heard_s)
+        return super().observe(time_s, position, heard_s)
 
     def commands(self) -> list[float]:
         """An effort for each joint, in the controller's order and unit; zeros once the joints are lost."""
@@ -241,24 +265,19 @@ GAP_S = 0.1  # after a longer pause nothing is summed up over it
 class GoalController(Controller):
     """One controller's goals; methods that say nothing of their own do what those of an `EffortController` do.
 
-    ``robot``, ``joints``: as of every controller; ``jump_rad``: A position that changes by more from sample to sample
-    is an encoder that slipped.
+    ``robot``, ``joints``, ``jump_rad``: as of every controller.
     """
 
     kind = recorded_as = "position"
     let_go = "no more goals are sent: the servos hold the arm at the last ones until their driver turns torque off"
 
     def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:
-        super().__init__(robot, joints)
+        super().__init__(robot, joints, jump_rad)
         self.lost = ""  # servos hold by themselves: nobody can lose them here
         self._limits = {name: (robot.model.joint(name).lower, robot.model.joint(name).upper) for name in joints}
-        self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in joints}
-        self._jump_rad = jump_rad
         self._stiffness, self._farthest = _springs(robot, self.joints)
         self._loads = Loads(robot)
         self._pose = zero_pose(robot)
-        self._position: dict[str, float] = {}
-        self._time_s: dict[str, float] = {}
         self._wanted: dict[str, float] = {}
         self._stepped: dict[str, float] = {}
         self._sum = dict.fromkeys(self.joints, 0.0)
@@ -293,21 +312,19 @@ class GoalController(Controller):
         self._stepped = {}
         self._want(self._position)
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> None:
-        for name, value in position.items():
-            if not math.isfinite(value) or name not in self._pose:
-                continue
-            self._pose[name] = value
-            if name not in self._sum:
-                continue
-            step_s = time_s - self._time_s.get(name, time_s)
-            moved = abs(value - self._position.get(name, value))
-            if moved > self._jump_rad * self._per_rad[name] and name in self._wanted:
-                # the arm is where it was: only what it reads has changed
-                self._wanted[name] += value - self._position[name]
-            self._position[name], self._time_s[name] = value, time_s
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> dict[str, float]:
+        before, before_s = dict(self._position), dict(self._time_s)
+        jumps = super().observe(time_s, position, heard_s)
+        for name, by in jumps.items():
+            if name in self._wanted:  # the arm is where it was: only what it reads has changed
+                self._wanted[name] += by
+        self._pose.update({name: q for name, q in position.items() if name in self._pose and math.isfinite(q)})
+        for name, value in self._position.items():
+            step_s = self._time_s[name] - before_s.get(name, self._time_s[name])
+            moved = abs(value - before.get(name, value))
             if 0.0 < step_s <= GAP_S and moved <= STILL_RAD_S * self._per_rad[name] * step_s:
                 self._sum_up(name, time_s, step_s)
+        return jumps
 
     def commands(self) -> list[float]:
         """A goal for each joint, in the controller's order [rad or m]."""

@@ -31,6 +31,7 @@ STANDSTILL_WINDOW_S = 0.2
 LONGEST_UNREST_S = 2.0  # a joint that still moves so long after its time to settle will not come to rest
 MOST_LOST_RUNS = 3  # so many may be lost to pauses of driver or computer and are repeated; one more ends the sequence
 LONGEST_STEP_S = 0.05  # goals move on by no more than this from sample to sample
+SLOWEST = 0.2  # share of their speed at which goals go on however far a joint is behind them
 LEAST_SWING_RAD = 0.1  # at the shaft: a recording tells which joint swung freely by that
 LET_GO_S = 0.05
 """A swing begins with a current that is hardly one, against gravity: a driver lets go of a joint only where one was driven."""
@@ -283,7 +284,7 @@ class ExcitationMachine:
                 return "velocity", f"{name} moves at {speed:.1f} rad/s, faster than {guards.max_velocity_rad_s:g} rad/s"
         driven = self._run.joint if self.phase is Phase.PROBE or caught else None
         for name in self.joints:
-            off = abs(self._sample.position[name] - self._goals[name]) / self._per_rad[name]  # at the motor's shaft
+            off = self._off(name)
             if driven is not None:
                 if name != driven and off > guards.held_joint_error_rad:
                     words = f"{name} gave way by {off:.2f} rad during the run: is its torque on, or was it pushed?"
@@ -293,6 +294,10 @@ class ExcitationMachine:
             elif self._now_s - self._off_since_s.setdefault(name, self._now_s) >= guards.follow_time_s / self.pace:
                 return "follow", f"{name} does not follow: is something in its way, its load too heavy, or torque off?"
         return None if driven is None else self._watch_pushed(CATCH_LOOKAHEAD_S if caught else guards.lookahead_s)
+
+    def _off(self, name: str) -> float:
+        """How far a joint is from its goal, at the motor's shaft [rad]."""
+        return abs(self._sample.position[name] - self._goals[name]) / self._per_rad[name]
 
     def _speed(self, name: str) -> float:
         """Of a joint, at the motor's shaft [rad/s]."""
@@ -377,7 +382,9 @@ class ExcitationMachine:
             self._phase_start_s = self._now_s
         elapsed_s = self._elapsed_s + _ROUNDING_S
         if self.phase in (Phase.APPROACH, Phase.RETURN):
-            self._way_s += self.pace * self._seen_s
+            # who follows late is waited for, but not for ever: what is stuck must show
+            behind = max(self._off(name) for name in self.joints) / self.guards.follow_error_rad
+            self._way_s += self.pace * self._seen_s * max(SLOWEST, min(1.0, 2.0 - 2.0 * behind))
             self._goals = self._way.at(self._way_s)
             if self._way_s + _ROUNDING_S >= self._way.duration_s:
                 self._enter(Phase.SETTLE if self.phase is Phase.APPROACH else Phase.DONE)

@@ -87,8 +87,7 @@ def plan(
 
     The search ends after so many ``seconds``, when nothing is left to try, or by Ctrl-C, with the best so far.
 
-    Raises:
-        ConfigurationError: A mass is not positive, or no candidate suits all of them.
+    Raises `ConfigurationError`: A mass is not positive, or no candidate suits all of them.
     """
     if not masses_kg or min(masses_kg) <= 0.0:
         raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")

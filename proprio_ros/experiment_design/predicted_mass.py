@@ -31,8 +31,7 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
 
     As if the same motion had been made once more with an empty hand.
 
-    Raises:
-        RecordingError: The motion is of no use.
+    Raises `RecordingError`: The motion is of no use.
     """
     rows = equations(robot, motion, motion.joints)
     arm = Arm.of(robot, motion.joints, dict(motion.held))

@@ -137,8 +137,7 @@ def usable_runs(
 
     ``refused`` says why a run is not used beyond what is wrong with it by itself; an empty string where it is.
 
-    Raises:
-        RecordingError: A run cannot be related to the robot at all.
+    Raises `RecordingError`: A run cannot be related to the robot at all.
     """
     usable = []
     for loaded in runs:

@@ -96,8 +96,7 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
     A new file gets the mode that the user's umask leaves, a replaced one keeps its own. A link is followed, and what is no file
     (``/dev/stdout``, a pipe) is written into: nothing but a file is ever replaced. The option is what named the file.
 
-    Raises:
-        ConfigurationError: The file cannot be written.
+    Raises `ConfigurationError`: The file cannot be written.
     """
     temporary = None
     try:

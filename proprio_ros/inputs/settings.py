@@ -103,8 +103,7 @@ class Settings:
 
         What the user leaves out is as in the defaults (of the probe's file), else as in the class.
 
-        Raises:
-            ConfigurationError: A value of the wrong form.
+        Raises `ConfigurationError`: A value of the wrong form.
         """
         values: dict[str, Any] = {}
         for entry in fields(kind):  # type: ignore[arg-type]

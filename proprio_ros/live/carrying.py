@@ -57,8 +57,7 @@ class Carrier:
         joints: Of the calibration, or all revolute ones with a motor, n.
         limits: Largest effort of each [N m], by URDF and current limit; infinite where nobody says, shape (n,).
 
-    Raises:
-        RobotError: No such joint moves the hand.
+    Raises `RobotError`: No such joint moves the hand.
     """
 
     def __init__(self, robot: Robot) -> None:

@@ -49,8 +49,7 @@ class OnlineFeed:
         stall: What flows in motors that a voltage drives; goals and voltage go in there.
         moved: Those of the others that are elsewhere than they count as standing.
 
-    Raises:
-        RobotError: The calibration is of another arm.
+    Raises `RobotError`: The calibration is of another arm.
     """
 
     def __init__(self, probe: Online[Any], robot: Robot, facts: Any, stated: Mapping[str, float] | None = None) -> None:

@@ -98,8 +98,7 @@ class Session:
         Returns:
             The bag, and a sentence when it is not where it should be.
 
-        Raises:
-            RecordingError: It can be written nowhere; the messages are kept, and it can be tried again.
+        Raises `RecordingError`: It can be written nowhere; the messages are kept, and it can be tried again.
         """
         with self._lock:
             messages = list(self._messages)
@@ -262,8 +261,7 @@ def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) 
     Returns:
         The repairs that reading it takes, one sentence each.
 
-    Raises:
-        RecordingError: The folder cannot be written, or the messages cannot be read, or are of another robot.
+    Raises `RecordingError`: The folder cannot be written, or the messages cannot be read, or are of another robot.
     """
     bag = folder / "check"
     try:

@@ -60,8 +60,7 @@ class Workspace:
         Returns:
             Why the newest is not taken, or an empty string.
 
-        Raises:
-            RobotError: The stated one cannot be used.
+        Raises `RobotError`: The stated one cannot be used.
         """
         self.calibration = None
         if stated == "none":
@@ -85,8 +84,7 @@ class Workspace:
         Returns:
             Why it is not taken, or an empty string.
 
-        Raises:
-            ConfigurationError: The link to it cannot be written.
+        Raises `ConfigurationError`: The link to it cannot be written.
         """
         known, used = self._driven(path), self._driven(self.calibration)
         if known < used:

@@ -48,8 +48,7 @@ class Inputs:
         conventions: Of the driver that publishes.
         stamp_ns: Of the newest joint state.
 
-    Raises:
-        ConfigurationError: There is no such driver, or its efforts are of no use.
+    Raises `ConfigurationError`: There is no such driver, or its efforts are of no use.
     """
 
     def __init__(self, node: ManagedNode, busy: Callable[[], bool]) -> None:

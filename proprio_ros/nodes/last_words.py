@@ -47,8 +47,7 @@ class LastWords:
     Attributes:
         engaged: Whether they were switched.
 
-    Raises:
-        ConfigurationError: It does not start.
+    Raises `ConfigurationError`: It does not start.
     """
 
     def __init__(self, topic: str, controllers: Controllers | None = None) -> None:

@@ -194,6 +194,7 @@ class ControllerOutput(Output):
         self._take_up(None)
 
     def release(self) -> str:
+        self.controller.slipped.clear()  # whoever asks has looked at the arm
         if not self.controller.holding:
             return "nothing was held"
         self._let_go()

@@ -67,8 +67,7 @@ class Switching:
         engaged: Whether ours is active, or may be.
         pending: Whether an answer is waited for.
 
-    Raises:
-        ImportError: The messages are not there.
+    Raises `ImportError`: The messages are not there.
     """
 
     def __init__(self, node: Any, controllers: Controllers) -> None:

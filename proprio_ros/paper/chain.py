@@ -185,8 +185,7 @@ class ChainSimulator:
         Returns:
             q [rad or m] (W, T, n), v [rad/s or m/s] (W, T, n) and dq (W, T, n, D).
 
-        Raises:
-            SimulationError: Parameters or directions have the wrong shape.
+        Raises `SimulationError`: Parameters or directions have the wrong shape.
         """
         p, directions = np.ascontiguousarray(p, dtype=np.float64), np.asarray(dp, dtype=np.float64)
         columns = len(self.parameter_names)

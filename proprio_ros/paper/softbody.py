@@ -88,8 +88,7 @@ class SoftBody:
     Its mass [kg] is spread evenly over its volume; the fingers close on each other by ``travel`` per unit of the joint
     [m/rad, or m/m], not 0. The law is one of ``energies.LAWS``, the contact one of ``quasistatic.CONTACTS``.
 
-    Raises:
-        SimulationError: Unknown law or contact, no mass or no travel.
+    Raises `SimulationError`: Unknown law or contact, no mass or no travel.
     """
 
     def __init__(self, mesh: TetMesh, mass: float, travel: float, law: str = "log", contact: str = "bonded") -> None:
@@ -163,8 +162,7 @@ class SoftBody:
             start: Positions [m] and velocities [m/s] of the nodes at the start, relative to the middle between the fingers,
                 each (N, 3); default at rest. Nodes of pressed faces go to where the fingers are.
 
-        Raises:
-            SimulationError: Unknown ``keep``, no such solid, steps too long, or the block was torn to pieces on the way.
+        Raises `SimulationError`: Unknown ``keep``, no such solid, steps too long, or the block was torn to pieces on the way.
         """
         if keep not in KEEP:
             raise SimulationError(f"unknown keep={keep!r}: choose one of {', '.join(KEEP)}")

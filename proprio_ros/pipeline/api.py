@@ -82,8 +82,7 @@ class Weighing(_Answered):
         Args:
             name: Such as ``payload_mass`` or ``lame_mu``; without one, what the probe is for.
 
-        Raises:
-            KeyError: There is none of that name; the message lists those there are.
+        Raises `KeyError`: There is none of that name; the message lists those there are.
         """
         return self._main.value if name is None else self.estimate.value(name).value
 

@@ -40,8 +40,7 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
     Of a calibration by pushes, and of a robot file alone, friction is that of the drive trains, and all masses count `arm_scale`
     times.
 
-    Raises:
-        RobotError: The URDF is in no file of its own, or what was learnt is no arm.
+    Raises `RobotError`: The URDF is in no file of its own, or what was learnt is no arm.
     """
     path = Path(str(robot.settings.get("urdf", "")))
     if path.suffix != ".urdf" or not path.is_file():

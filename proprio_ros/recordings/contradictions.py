@@ -68,8 +68,7 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     Returns:
         A note where the stamps are of another clock, which runs at another pace.
 
-    Raises:
-        RecordingError: They are of the same clock, and one of the two does not keep time.
+    Raises `RecordingError`: They are of the same clock, and one of the two does not keep time.
     """
     found = pace_of_stamps(columns)
     if found is None:

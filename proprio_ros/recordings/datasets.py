@@ -174,8 +174,7 @@ def read_columns(
 
     To read a part, `CLOCK` must be among the columns.
 
-    Raises:
-        RecordingError: There is no such episode, or its file cannot be read.
+    Raises `RecordingError`: There is no such episode, or its file cannot be read.
     """
     name = f"{data.folder}#{index}"
     episode = data.episodes.get(index)

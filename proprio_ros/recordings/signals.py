@@ -352,8 +352,7 @@ def read_drive_signals(
 
     The arguments are those of `read_recording`.
 
-    Raises:
-        RecordingError: The bag cannot be read, or several topics may be meant.
+    Raises `RecordingError`: The bag cannot be read, or several topics may be meant.
     """
     with open_bag(path) as bag:
         state = bag.topics.states(state_topic, None, conventions)

@@ -37,8 +37,7 @@ def read_model(source: str, of_bag: Callable[[Path], str] | None = None) -> Robo
 
     What takes a description out of a bag raises what it likes; without it, a bag is refused.
 
-    Raises:
-        RobotError: There is no such description, or it is no physical tree.
+    Raises `RobotError`: There is no such description, or it is no physical tree.
     """
     if source.startswith(PACKAGE):
         return RobotModel.from_urdf(_packaged(source.removeprefix(PACKAGE)))

@@ -50,8 +50,7 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
         Both ends of the links in every pose, to the right of the base and above it [m], shape (P, L, 2, 2), and where the joint is,
         shape (P, 2).
 
-    Raises:
-        RobotError: A position is missing.
+    Raises `RobotError`: A position is missing.
     """
     model = robot.model
     plane = side_plane(robot, joint, poses[0])

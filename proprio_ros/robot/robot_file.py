@@ -442,8 +442,7 @@ def load_robot(
         overrides: As for `Robot.with_overrides`; they may state what a file leaves open.
         of_bag: As for `read_model`.
 
-    Raises:
-        RobotError: There is no such robot, or its file or its URDF is wrong.
+    Raises `RobotError`: There is no such robot, or its file or its URDF is wrong.
     """
     path = _located(str(name_or_path), Path())
     settings = _read_settings(path)

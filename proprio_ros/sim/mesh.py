@@ -157,8 +157,7 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
         cells: How many along each axis.
         corner: Where the corner with the smallest coordinates lies [m], shape (3,); default: the box's centre is the origin.
 
-    Raises:
-        ConfigurationError: A size or number that makes no mesh.
+    Raises `ConfigurationError`: A size or number that makes no mesh.
     """
     size = np.asarray(size, dtype=np.float64)
     if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0.0).any():
@@ -189,8 +188,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
     Its tetrahedra of first order are used; where the ends along x are not flat, fingers have nothing to push. Every tetrahedron is
     a cell of its own, so a Poisson's ratio of 0.4 or more needs a fine mesh. ``scale``: metres per unit of length in the file.
 
-    Raises:
-        ConfigurationError: No such file, meshio is missing, or what it reads is no sound mesh.
+    Raises `ConfigurationError`: No such file, meshio is missing, or what it reads is no sound mesh.
     """
     try:
         import meshio

@@ -35,8 +35,7 @@ class EffortDriver:
     Of a robot as its file states it, and as it is really like; efforts in one of `UNITS` are of the controller's joints
     in its order (none: the robot file's), positions those at the start [rad or m].
 
-    Raises:
-        ConfigurationError: The unit or a joint is not known, MuJoCo is missing, or the robot cannot be simulated.
+    Raises `ConfigurationError`: The unit or a joint is not known, MuJoCo is missing, or the robot cannot be simulated.
     """
 
     units: tuple[str, ...] = UNITS
@@ -150,8 +149,7 @@ class PositionDriver(EffortDriver):
 
     Goals are in rad; the options are `joints`, `position` and `seed` of `EffortDriver`.
 
-    Raises:
-        ConfigurationError: Also where the robot file states no law of a position servo for a joint.
+    Raises `ConfigurationError`: Also where the robot file states no law of a position servo for a joint.
     """
 
     units = ("rad",)

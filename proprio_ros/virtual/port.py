@@ -62,8 +62,7 @@ class PtyPort:
     Attributes:
         lock: Held while bus and world are touched; hold it to change faults, servos or the world from outside.
 
-    Raises:
-        ConfigurationError: ``link`` exists and is no link.
+    Raises `ConfigurationError`: ``link`` exists and is no link.
     """
 
     def __init__(self, bus: VirtualBus, link: Path | None = None, clock: Callable[[], float] = time.monotonic) -> None:

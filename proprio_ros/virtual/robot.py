@@ -100,8 +100,7 @@ class VirtualRobot:
             text: Comma-separated: ``drop=P``, ``corrupt=P``, ``corrupt_requests=P`` (probabilities), ``delay=S``, ``hang=JOINT``,
                 ``overheat=JOINT``, ``jump=JOINT`` (its encoder slips by 0.6 rad), ``unplug``; empty: nothing is wrong any more.
 
-        Raises:
-            ConfigurationError: A word is not known; it lists those that are.
+        Raises `ConfigurationError`: A word is not known; it lists those that are.
         """
         faults = dict.fromkeys(("drop", "corrupt", "corrupt_requests", "delay"), 0.0)
         joints: dict[str, list[str]] = {"hang": [], "overheat": [], "jump": []}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -110,6 +111,33 @@ def test_goals_stay_within_limits_and_an_encoder_that_slipped_is_followed() -> N
     controller.observe(1.1, slipped)
     controller.take_here()
     assert controller.commands()[4] == pytest.approx(1.0, abs=0.05)
+
+
+def effort_controller() -> EffortController:
+    controller = EffortController(ROBOT, ORDER, "N.m")
+    for step in range(100):
+        controller.observe(0.5 + 0.005 * step, POSE)
+    return controller
+
+
+@pytest.mark.parametrize("controller", [held, effort_controller])
+def test_nothing_is_pushed_after_an_encoder_has_slipped(controller: Callable[[], GoalController | EffortController]) -> None:
+    """Whoever holds the arm follows what it reads; a sequence after it would push it elsewhere, and be weighed there."""
+    made = controller()
+    sequence = QUICK if isinstance(made, GoalController) else replace(QUICK, runs=(ExcitationRun("elbow_flex", 0.2, 0.4),))
+    slipped = {**POSE, "wrist_flex": POSE["wrist_flex"] - 0.6}
+    for time_s, position in ((1.0, POSE), (1.005, slipped), (1.01, POSE), (1.015, POSE)):
+        made.observe(time_s, position)
+    made.check(sequence)  # one wrong reading
+    for step in range(100):
+        made.observe(1.1 + 0.005 * step, slipped)
+    with pytest.raises(ExcitationError, match=r"the encoder of wrist_flex jumped by -0.60: .* call ~/release"):
+        made.check(sequence)
+    made.slipped.clear()  # as ~/release does
+    made.check(sequence)
+    made.observe(2.1, POSE)  # half a second later: somebody may have moved it there
+    made.observe(1.0, slipped)  # the clock was set
+    assert not made.slipped
 
 
 @pytest.mark.parametrize(

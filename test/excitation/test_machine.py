@@ -594,6 +594,22 @@ def test_a_short_lag_is_forgiven() -> None:
     assert ready.machine.phase is Phase.SETTLE
 
 
+@pytest.mark.parametrize("late_s", [0.05, 0.2])
+def test_a_joint_that_follows_late_is_waited_for(late_s: float) -> None:
+    """Behind a slow controller a joint is where its goal was; goals that went on as if it were there were given up after 0.5 s."""
+    machine, sample = ExcitationMachine(ROBOT), Arm(HOME).sample()
+    machine.start(replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint1": 1.6}),), approach_velocity=1.5), sample)
+    sent, behind_rad, took_s = [HOME] * (1 + round(late_s / 0.01)), 0.0, 0.0
+    while machine.phase in (Phase.IDLE, Phase.APPROACH):
+        sample = JointSample(sample.time_s + 0.01, sent[-1 - round(late_s / 0.01)], dict.fromkeys(JOINTS, 0.0))
+        sent.append(machine.tick(sample.time_s, sample).position)
+        behind_rad = max(behind_rad, sent[-1]["joint1"] - sample.position["joint1"])
+        took_s += 0.01
+    assert machine.phase is Phase.SETTLE, machine.abort_reason
+    assert behind_rad < 1.5 * Guards().follow_error_rad
+    assert (took_s > 2.0) == (late_s > 0.1), "who follows soon is not waited for"
+
+
 @pytest.mark.parametrize("unrest", [lambda t_s: 0.025 * t_s, lambda t_s: 0.01 * math.sin(20.0 * t_s)], ids=["creeps", "shakes"])
 def test_a_joint_that_never_rests(unrest: Callable[[float], float]) -> None:
     ready = bench(Phase.SETTLE)

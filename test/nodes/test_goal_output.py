@@ -170,6 +170,22 @@ def test_an_encoder_that_slips_is_followed(arm: Arm) -> None:
     assert arm.phase == "aborted" and arm.node._machine.aborted_by == "jump"
     wrist = ORDER.index("wrist_flex")
     assert arm.last[wrist] - arm.pushed[wrist] == pytest.approx(0.8, abs=0.1)
+    for released in (False, True):
+        arm.advance(0.5)
+        response = arm.node._on_run(Trigger.Request(), Trigger.Response())
+        assert response.success == released and ("the encoder of wrist_flex jumped" in response.message) != released
+        arm.node._on_release(Trigger.Request(), Trigger.Response())
+
+
+def test_an_encoder_that_slips_while_the_arm_is_held_is_remembered(arm: Arm) -> None:
+    """What was weighed then was weighed at another pose than the calibration's, and accepted."""
+    arm.pushes()
+    arm.node._on_abort(Trigger.Request(), Trigger.Response())
+    arm.advance(1.0)
+    arm.shift = 0.8
+    arm.advance(1.0)
+    response = arm.node._on_run(Trigger.Request(), Trigger.Response())
+    assert not response.success and "the encoder of wrist_flex jumped by +0.80" in response.message
 
 
 @pytest.mark.parametrize("ends", ["finish", "killed", "fails"])

@@ -219,8 +219,7 @@ def equations(
     ``centre_m``: where the payload's mass sits: its other parameters are then how it differs from a point there, shape
     (3,); ``by_zeros``: whether they know how they follow the joints' zeros, which takes most of the time.
 
-    Raises:
-        RecordingError: It is too short, or too fast for its rate.
+    Raises `RecordingError`: It is too short, or too fast for its rate.
     """
     arm = Arm.of(robot, joints, dict(motion.held))
     names, model = arm.model.joint_names, arm.model

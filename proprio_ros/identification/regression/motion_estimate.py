@@ -49,8 +49,7 @@ def calibrate_motions(
         centre: Of the references, and its standard deviation, where that was stated; see `fit_payload`.
         progress: Called with what is going on.
 
-    Raises:
-        RecordingError: A motion is of no use.
+    Raises `RecordingError`: A motion is of no use.
     """
     robot = replace(robot, motion_calibration=None)
     progress(f"fitting {len(motions)} motions")

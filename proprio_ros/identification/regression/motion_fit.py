@@ -120,8 +120,7 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
 
     ``robot``: as its file states it; ``motions``: of the same joints, at least one.
 
-    Raises:
-        RecordingError: A motion is of no use, or all together are too short.
+    Raises `RecordingError`: A motion is of no use, or all together are too short.
     """
     joints, runs = motions[0].joints, len(motions)
     arm = Arm.of(robot, joints, dict(motions[0].held))

@@ -28,8 +28,7 @@ def calibrate_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[
     ``robot``: of one joint that turns; ``motions``: three or more; ``loads_kg``: what was held in each; ``facts``:
     where the loads sat.
 
-    Raises:
-        RecordingError: There are too few, or one is of no use.
+    Raises `RecordingError`: There are too few, or one is of no use.
     """
     learnt = learn_joint(robot, motions, loads_kg, facts)
     refusal = judge(_refusals(robot, motions, learnt))

@@ -123,8 +123,7 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     ``robot``: its torque constant and geometry; ``motions``: with the same load, each with friction of its own;
     ``joint``: that moved.
 
-    Raises:
-        RecordingError: They are too short, or gravity does not turn the joint.
+    Raises `RecordingError`: They are too short, or gravity does not turn the joint.
     """
     from scipy.stats import t as student  # half of a second to import
 

@@ -176,8 +176,7 @@ def learn_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[floa
         loads_kg: What was held in each; 0 is an empty hand.
         facts: Where the loads sat.
 
-    Raises:
-        RecordingError: There are too few, or one is of no use.
+    Raises `RecordingError`: There are too few, or one is of no use.
     """
     (joint,) = motions[0].joints
     if len(motions) < FEWEST_RUNS:
@@ -226,8 +225,7 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
     ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of the same joint; ``facts``: where
     the payload sits.
 
-    Raises:
-        RecordingError: A motion is of no use.
+    Raises `RecordingError`: A motion is of no use.
     """
     from scipy.stats import t as student  # half of a second to import
 

@@ -107,8 +107,7 @@ class OnlineEstimator:
         centre_m: As given.
         frozen: Whether joint states say the same again and again while the arm moves.
 
-    Raises:
-        RobotError: The calibration is of another arm.
+    Raises `RobotError`: The calibration is of another arm.
     """
 
     def __init__(

@@ -101,8 +101,7 @@ def evenly(
     ``motion``: at whatever instants; ``joints``: of it, n; ``bandwidth_Hz``: to which positions are smoothed;
     ``currents_too``: whether currents are, too.
 
-    Raises:
-        RecordingError: There are too few samples.
+    Raises `RecordingError`: There are too few samples.
     """
     from scipy.signal import butter, filtfilt  # half of a second to import
 

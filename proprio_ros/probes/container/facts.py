@@ -113,8 +113,7 @@ def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTr
 
     The camera is a topic, which starts with a slash (unless there is such a file), or a CSV file.
 
-    Raises:
-        ConfigurationError: It saw nothing during the run, or too much.
+    Raises `ConfigurationError`: It saw nothing during the run, or too much.
     """
     if camera is None:
         return None

@@ -83,8 +83,7 @@ def weigh(
     Another recording may be of another object. The baseline is runs with nothing in the hand, fitted together with the others; they
     show whether the robot has changed since its calibration.
 
-    Raises:
-        RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
+    Raises `RecordingError`: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
     kept, left_out = list(runs), list[str]()
     estimate, weighed, spoilt = first = _weigh(robot, kept, facts, options, baseline)

@@ -97,8 +97,7 @@ def identify_in_motion(
         facts: Where the payload's centre is, and how well that is known.
         centre_is_stated: Whether the user said so; else it is identified, too.
 
-    Raises:
-        RecordingError: A motion is of no use.
+    Raises `RecordingError`: A motion is of no use.
     """
     centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
     calibration = robot.motion_calibration

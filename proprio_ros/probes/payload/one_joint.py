@@ -70,8 +70,7 @@ def identify_one_joint(robot: Robot, motions: Sequence[Motion], baseline: Sequen
         baseline: The same with an empty hand; without any the URDF's bodies are the arm.
         facts: Where the payload's centre is.
 
-    Raises:
-        RecordingError: A motion is of no use.
+    Raises `RecordingError`: A motion is of no use.
     """
     (joint,) = motions[0].joints
     fit = fit_one_joint(robot, motions, joint)

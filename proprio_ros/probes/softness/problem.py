@@ -95,8 +95,7 @@ class SqueezeProblem(Problem):
 
     Runs are prepared as empty hands; ``squeezing`` is which have the block (at least one), unknowns are of ``block_unknowns``.
 
-    Raises:
-        RecordingError: A run that squeezes drives a joint whose motion does not slide a finger.
+    Raises `RecordingError`: A run that squeezes drives a joint whose motion does not slide a finger.
     """
 
     simulator: MixedSimulator[SqueezeSimulator]

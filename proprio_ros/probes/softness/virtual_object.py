@@ -26,8 +26,7 @@ class SoftBlock(HandObject):
     "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction", ICRA 2025,
     arXiv:2410.03920) answers to a uniaxial stretch. It never pulls.
 
-    Raises:
-        ConfigurationError: A number is negative, or in another unit.
+    Raises `ConfigurationError`: A number is negative, or in another unit.
     """
 
     kind = "block"
