@@ -5,7 +5,8 @@ own (`support.forked`), so each begins with a robot that was seen to work. It en
 weighing, or push, has worked.
 
 ``python test/support/schedules.py FIRST COUNT`` plays schedules and prints those after which something was not true;
-``SEED,SEED,..`` in their place names them. ``--tell`` prints what the nodes log, ``--json FILE`` counts what was played.
+``SEED,SEED,..`` in their place names them. ``--tell`` prints what the nodes log, ``--json FILE`` counts what was played. Their
+robot's calibration is kept; ``calibrate`` in the place of seeds has the arm make it anew.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import os
 import random
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -54,6 +56,7 @@ PLANS = {"push": 0.92, "weigh": 0.07, "pair": 0.01}
 
 A weighing takes as long as four pushes, a pair of arms as ten; what drives and holds the arm is the same in all.
 """
+CALIBRATION = Path(__file__).with_name("virtual_arm_1.yaml")
 LASTING = ("stall", "unplug", "stranger", "drop", "double", "disk")
 STILL_RAD_S = 0.15
 SAFE_S = 1.0
@@ -463,14 +466,8 @@ def digest_of(folder: Path) -> str:
 
 
 @contextlib.contextmanager
-def standing(plan: str, folder: Path, calibration: Path) -> Iterator[World]:
-    """A world in which what the plan asks for has worked, without a fault.
-
-    Args:
-        plan: One of `PLANS`.
-        folder: Empty; sequences are kept there.
-        calibration: Of the arm of virtual seed 1.
-    """
+def standing(plan: str, folder: Path) -> Iterator[World]:
+    """A world in which what the plan asks for, one of `PLANS`, has worked, without a fault; ``folder``: empty."""
     push, weigh = folder / "push.yaml", folder / "weigh.yaml"
     push.write_text(PUSH)
     weigh.write_text(WEIGH)
@@ -478,7 +475,7 @@ def standing(plan: str, folder: Path, calibration: Path) -> Iterator[World]:
         "virtual": {"object": "0.05"},
         "driver": {"rate": 100.0 if plan == "weigh" else 40.0},
         "excitation": {"probe": str(push)},
-        "identifier": {"calibration": str(calibration), "payload_sequence": str(weigh), "live_period": 0.0},
+        "identifier": {"calibration": str(CALIBRATION), "payload_sequence": str(weigh), "live_period": 0.0},
     }
     spaces = ("left", "right") if plan == "pair" else ("",)
     before = Path.cwd()
@@ -503,7 +500,7 @@ def standing(plan: str, folder: Path, calibration: Path) -> Iterator[World]:
         os.chdir(before)
 
 
-def played(seeds: Sequence[int], folder: Path, calibration: Path, digest: bool = False, together: int = 2) -> Iterator[Outcome]:
+def played(seeds: Sequence[int], folder: Path, digest: bool = False, together: int = 2) -> Iterator[Outcome]:
     """Play schedules: those of a plan together, each from a world of that plan that stands."""
 
     def live(made: World, seed: int) -> Outcome:
@@ -516,20 +513,20 @@ def played(seeds: Sequence[int], folder: Path, calibration: Path, digest: bool =
         if not of_plan:
             continue
         (folder / plan).mkdir()
-        with standing(plan, folder / plan, calibration) as made:
+        with standing(plan, folder / plan) as made:
             for seed, outcome in lives(made, of_plan, folder / plan, live, together):
                 if isinstance(outcome, str):
                     outcome = Outcome(seed, plan, list(drawn(seed).faults), broken=[outcome])
                 yield outcome
 
 
-def calibrated(folder: Path) -> Path:
-    """The arm of virtual seed 1 calibrates itself, in the simulated world; returns the file."""
+def calibrate(folder: Path) -> None:
+    """The arm of virtual seed 1 calibrates itself, in the simulated world, and the file is kept."""
     elbow = {"live_period": 0.0, "robot_sequence": "empty_hand_elbow", "reference_sequence": "reference_elbow"}
     with world(folder, seed=0, nodes={"virtual": {"object": "0.05"}, "identifier": elbow}) as made:
         answer = made.call("/identifier/calibrate_robot")
         assert answer.success, answer.message
-        return Path(re.search(r"calibration: (\S+?\.yaml)", answer.message)[1])  # type: ignore[index]
+        shutil.copyfile(re.search(r"calibration: (\S+?\.yaml)", answer.message)[1], CALIBRATION)  # type: ignore[index]
 
 
 def counted(outcomes: Iterable[Outcome], tell: bool) -> dict[str, Any]:
@@ -560,20 +557,20 @@ def counted(outcomes: Iterable[Outcome], tell: bool) -> dict[str, Any]:
 
 def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seeds", help="the first, or several with commas")
+    parser.add_argument("seeds", help="the first, or several with commas; or `calibrate`")
     parser.add_argument("count", nargs="?", type=int, default=1)
     parser.add_argument("--tell", action="store_true")
     parser.add_argument("--digest", action="store_true", help="of all that was recorded, by seed")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--together", type=int, default=2)
-    parser.add_argument("--calibration", type=Path, help="made before, of the arm of virtual seed 1")
     stated = parser.parse_args(words)
-    numbers = [int(word) for word in stated.seeds.split(",")]
-    seeds = numbers if len(numbers) > 1 else range(numbers[0], numbers[0] + stated.count)
     with tempfile.TemporaryDirectory() as folder:
-        calibration = stated.calibration or calibrated(Path(folder) / "calibration")
-        outcomes = played(seeds, Path(folder), calibration, stated.digest, stated.together)
-        found = counted(outcomes, stated.tell)
+        if stated.seeds == "calibrate":
+            calibrate(Path(folder))
+            return 0
+        numbers = [int(word) for word in stated.seeds.split(",")]
+        seeds = numbers if len(numbers) > 1 else range(numbers[0], numbers[0] + stated.count)
+        found = counted(played(seeds, Path(folder), stated.digest, stated.together), stated.tell)
     print(json.dumps(found))
     if stated.json:
         stated.json.write_text(json.dumps(found, indent=1) + "\n")
