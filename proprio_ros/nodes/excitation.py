@@ -41,6 +41,7 @@ STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
 UNPUSHED_S = 0.1  # from a current command to the driver's word that it flows: two cycles, and a late one
 DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
+STREAMS = 6  # that a node at rest hears one after the other: timer, joint states, what is applied, torque, driver, lease
 HOLD_PAUSE_S = 0.002
 """Between two wake-ups while efforts hold the arm: at 500 joint states a second each would have its own, and take a core."""
 INTERFACES = ("driver", *INPUT_TOPICS)
@@ -367,8 +368,9 @@ class ExcitationNode(ManagedNode):
     def _fresh(self) -> bool:
         """Whether joint states are coming."""
         sample = self._sample
-        # a sample from the future is of a simulation that was set back since
-        return sample is not None and abs(self.now_s() - sample.time_s) <= self.values["stale_after"]
+        # a sample from the future is of a simulation that was set back since; at rest, joint states wait for their turn
+        patience_s = self.values["stale_after"] + STREAMS * self.pause_s
+        return sample is not None and abs(self.now_s() - sample.time_s) <= patience_s
 
     def _state(self) -> tuple[Any, ...]:
         """What is published as soon as it changes."""

@@ -399,6 +399,8 @@ class Schedule:
         for side, (answered, _) in zip(self.sides, asked, strict=True):
             answered.wait(GONE_S if self.gone(side) else ANSWER_S)
         made.graph.network = Network()
+        if self.drawn.network.late:  # what was sent before comes before what is sent from now on
+            clock.sleep(self.drawn.network.late_s)
         for side in self.sides:
             side.heal()
             side.still("after all was mended")

@@ -225,6 +225,21 @@ def test_an_excitation_at_rest_knows_where_the_arm_is(tmp_path: Path) -> None:
         assert abs(excitation._sample.position["joint4"] - before) > 0.5
 
 
+def test_an_excitation_at_rest_misses_no_joint_states_that_come(tmp_path: Path) -> None:
+    """It pauses after each thing that it hears: just after torque was switched, runs were refused for joint states that came."""
+    with running(tmp_path, "virtual", "driver", "excitation", driver={"rate": 40.0}) as client:
+        excitation = client.world.processes["excitation"].node
+        oldest_s = 0.0
+        for _ in range(8):
+            for on in (False, True):
+                assert client.world.call("/driver/torque", SetBool, SetBool.Request(data=on)).success
+            for _ in range(40):
+                client.clock.sleep(0.0171)
+                assert excitation._fresh
+                oldest_s = max(oldest_s, excitation.now_s() - excitation._sample.time_s)
+        assert oldest_s > excitation.values["stale_after"], "else this shows nothing"
+
+
 def test_a_defect_in_mid_push_ends_the_current(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bench.drive()
 
