@@ -37,6 +37,7 @@ STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)  # only the newest command counts
 CALLS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """Of services: the default keeps ten requests, and whoever calls beside ten others is never answered."""
+NOT_GRANTED = "no real-time priority: beside other work messages come late (allow rtprio in limits.conf)"
 CALLED_S, CALLED_PAUSE_S = 0.1, 0.005
 """For so long after a call a node at rest pauses less: where many call at once, each would wait for its pauses. Without any, a
 caller that keeps ten answers, as rclpy's do, would lose some."""
@@ -90,8 +91,8 @@ class ManagedNode(LifecycleNode):
 
     def hear_in_real_time(self) -> None:
         """From now on what others say does not wait for other programs, nor for what this one computes in threads made later."""
-        if self.hearing:
-            run_in_real_time(self.hearing)
+        if self.hearing and not run_in_real_time(self.hearing):
+            self.say("info", NOT_GRANTED)
 
     def configure(self) -> None:
         """Read files, make publishers."""
@@ -279,7 +280,7 @@ class ManagedNode(LifecycleNode):
             gc.freeze()
             # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
             if not run_in_real_time():
-                self.say("info", "no real-time priority: beside other work messages come late (allow rtprio in limits.conf)")
+                self.say("info", NOT_GRANTED)
         result = self._transition("activate", self.activate)
         self.active = result == TransitionCallbackReturn.SUCCESS
         return result if not self.active else super().on_activate(state)
