@@ -89,6 +89,7 @@ class Controller:
         self.slipped: dict[str, float] = {}
         self._jump_rad = jump_rad
         self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in joints}
+        self._turn = {name: math.inf if robot.model.joint(name).kind == "prismatic" else math.tau for name in joints}
         self._position: dict[str, float] = {}
         self._time_s: dict[str, float] = {}
 
@@ -125,14 +126,16 @@ class Controller:
             raise ExcitationError(f"{sequence.name} moves {lacks}: {remedy}")
 
     def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> dict[str, float]:
-        """Take a reading; returns by how much encoders have slipped since the last one."""
+        """Take a reading; returns by how much positions have jumped since the last one."""
         jumps = {}
         for name in self.joints:
             if math.isfinite(value := position.get(name, math.nan)):
                 moved, step_s = value - self._position.get(name, value), time_s - self._time_s.get(name, time_s)
-                if step_s >= 0.0 and abs(moved) > max(self._jump_rad, FASTEST_RAD_S * step_s) * self._per_rad[name]:
+                if abs(moved) > self._jump_rad * self._per_rad[name]:
                     jumps[name] = moved
-                    self.slipped[name] = self.slipped.get(name, 0.0) + moved
+                    elsewhere = math.remainder(moved, self._turn[name])  # some drivers count turns anew
+                    if abs(elsewhere) > self._per_rad[name] * max(self._jump_rad, FASTEST_RAD_S * step_s) and step_s >= 0.0:
+                        self.slipped[name] = self.slipped.get(name, 0.0) + elsewhere
                 self._position[name], self._time_s[name] = value, time_s
         return jumps
 

@@ -137,6 +137,7 @@ def test_nothing_is_pushed_after_an_encoder_has_slipped(controller: Callable[[],
     made.check(sequence)
     made.observe(2.1, POSE)  # half a second later: somebody may have moved it there
     made.observe(1.0, slipped)  # the clock was set
+    made.observe(1.005, {**slipped, "shoulder_pan": POSE["shoulder_pan"] + math.tau - 0.01})  # its driver counts turns anew
     assert not made.slipped
 
 
