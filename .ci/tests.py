@@ -3,8 +3,7 @@
 
 What all of them import takes seconds, so it is imported once: a part is a fork of this process in which pytest runs. Two parts
 compute at a time, the longest first. Beside them runs `wiring`, one file after the other: real processes, DDS, pseudo-terminals.
-That waits more than it computes, and comes first where it does compute; after it a third part fills what two leave of two
-processors. No second try: a test that needs one is a defect.
+That waits more than it computes, and comes first where it does compute. No second try: a test that needs one is a defect.
 """
 
 from __future__ import annotations
@@ -87,22 +86,15 @@ def main(wiring: list[str]) -> int:
     """Run all parts; returns how many failed."""
     os.chdir(ROOT)
     import_what_they_share()
-    computing, wired = parts(wiring), [[file] for file in wiring]
+    queues = [parts(wiring), [[file] for file in wiring]]
+    at_once, nice = (TOGETHER, 1), (GIVES_WAY, 0)
     running: dict[int, tuple[int, IO[str]]] = {}
     failed = 0
-
-    def count(nice: int) -> int:
-        return sum(of == nice for of, _ in running.values())
-
-    def start(part: list[str], nice: int) -> None:
-        said = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115
-        running[begin(part, nice, said)] = nice, said
-
-    while computing or wired or running:
-        if wired and not count(0):
-            start(wired.pop(0), 0)
-        while computing and count(GIVES_WAY) < TOGETHER + (not count(0)):
-            start(computing.pop(0), GIVES_WAY)
+    while any(queues) or running:
+        for queue, waiting in enumerate(queues):
+            while waiting and sum(of == queue for of, _ in running.values()) < at_once[queue]:
+                said = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115
+                running[begin(waiting.pop(0), nice[queue], said)] = queue, said
         child, status, used = os.wait3(0)
         if child in running:
             _, said = running.pop(child)
