@@ -82,7 +82,7 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.delitem(sys.modules, name)
     weigh: Any = importlib.import_module("proprio_msgs.action").Weigh
     kind: Any = importlib.import_module("proprio_msgs.msg").MassEstimate
-    with running(tmp_path, virtual={"object": 0.05}, environment={"PYTHONPATH": built["PYTHONPATH"]}) as (_, client):
+    with running(tmp_path, virtual={"object": 0.05}, environment={"PYTHONPATH": built["PYTHONPATH"]}) as (graph, client):
         masses: list[Any] = []
         client.node.create_subscription(kind, "/identifier/mass_estimate", masses.append, LATCHED)
         action = ActionClient(client.node, weigh, "/identifier/weigh_action")
@@ -97,7 +97,7 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         facts = ["payload.shape=cube", "payload.size=0.03"]
         goal = send(sequence="payload_elbow", settings=facts)
         assert goal.accepted
-        assert wait_for(lambda: bool(heard), 120.0)
+        assert wait_for(lambda: bool(heard), 120.0), (client.statuses, graph.log("identifier"), graph.log("excitation"))
         assert not client.answer(action.send_goal_async(weigh.Goal()), 60.0).accepted, "one at a time"
         ended = client.answer(goal.get_result_async(), 600.0)
         result = ended.result
