@@ -26,6 +26,7 @@ BRISK_RAD_S = 15.0  # a hold as stiff as this follows as fast as a sequence says
 NUDGING_PACE = 0.1  # while the arm is asked for its delay
 UNITS = ("N.m", "A")  # what the drive takes an effort for: torque (N of a slide), or the motor's current
 DRIFT = 1e-4  # two clocks may run apart by so much
+_Moves = dict[str, tuple[float, float]]  # by joint: how far [rad or m], and in which time [s]
 FASTEST_RAD_S = 6.0  # an arm that others move, too
 CLOCK_SET_S = 0.5  # a clock that is off by more has been set
 
@@ -125,19 +126,18 @@ class Controller:
             remedy = "add to controller_joints, or choose a sequence without it"
             raise ExcitationError(f"{sequence.name} moves {lacks}: {remedy}")
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> dict[str, float]:
-        """Take a reading; returns by how much positions have jumped since the last one."""
-        jumps = {}
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> _Moves:
+        """Take a reading; returns how far joints that were read have moved since the last one, and in which time."""
+        moves = {}
         for name in self.joints:
             if math.isfinite(value := position.get(name, math.nan)):
                 moved, step_s = value - self._position.get(name, value), time_s - self._time_s.get(name, time_s)
-                if abs(moved) > self._jump_rad * self._per_rad[name]:
-                    jumps[name] = moved
-                    elsewhere = math.remainder(moved, self._turn[name])  # some drivers count turns anew
-                    if abs(elsewhere) > self._per_rad[name] * max(self._jump_rad, FASTEST_RAD_S * step_s) and step_s >= 0.0:
-                        self.slipped[name] = self.slipped.get(name, 0.0) + elsewhere
+                elsewhere = math.remainder(moved, self._turn[name])  # some drivers count turns anew
+                if abs(elsewhere) > self._per_rad[name] * max(self._jump_rad, FASTEST_RAD_S * step_s) and step_s >= 0.0:
+                    self.slipped[name] = self.slipped.get(name, 0.0) + elsewhere
                 self._position[name], self._time_s[name] = value, time_s
-        return jumps
+                moves[name] = moved, step_s
+        return moves
 
 
 class EffortController(Controller):
@@ -223,7 +223,7 @@ class EffortController(Controller):
         self.pushed_A = {}
         self._hold.here()
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> dict[str, float]:
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> _Moves:
         self._hold.observe(time_s, position, heard_s)
         return super().observe(time_s, position, heard_s)
 
@@ -315,19 +315,15 @@ class GoalController(Controller):
         self._stepped = {}
         self._want(self._position)
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> dict[str, float]:
-        before, before_s = dict(self._position), dict(self._time_s)
-        jumps = super().observe(time_s, position, heard_s)
-        for name, by in jumps.items():
-            if name in self._wanted:  # the arm is where it was: only what it reads has changed
-                self._wanted[name] += by
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> _Moves:
+        moves = super().observe(time_s, position, heard_s)
         self._pose.update({name: q for name, q in position.items() if name in self._pose and math.isfinite(q)})
-        for name, value in self._position.items():
-            step_s = self._time_s[name] - before_s.get(name, self._time_s[name])
-            moved = abs(value - before.get(name, value))
-            if 0.0 < step_s <= GAP_S and moved <= STILL_RAD_S * self._per_rad[name] * step_s:
+        for name, (moved, step_s) in moves.items():
+            if abs(moved) > self._jump_rad * self._per_rad[name] and name in self._wanted:
+                self._wanted[name] += moved  # the arm is where it was: only what it reads has changed
+            if 0.0 < step_s <= GAP_S and abs(moved) <= STILL_RAD_S * self._per_rad[name] * step_s:
                 self._sum_up(name, time_s, step_s)
-        return jumps
+        return moves
 
     def commands(self) -> list[float]:
         """A goal for each joint, in the controller's order [rad or m]."""
