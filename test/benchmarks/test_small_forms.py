@@ -44,7 +44,7 @@ ELSEWHERE = {
     "foreign_controller",  # minutes a seed: test/excitation/test_late_efforts.py calibrates such an arm
     "foreign_load",  # in real time and beside a load, for minutes
     "foreign_process",  # a process for whoever tries probes by hand
-    "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
+    "live",  # a minute an arm: test/world/test_services.py and test_effort_controller.py ask the same for some masses
     "idle",  # what real processes take while nothing is done: in real time, where the computer is not shared
     "first_time",  # asks an index of packages, for minutes
     "case", "figures", "filled_arm", "results",  # no benchmarks

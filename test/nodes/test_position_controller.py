@@ -1,6 +1,6 @@
 """An SO-101 behind a position controller, probed by steps of its goals; and held when its node is killed in one.
 
-How well it weighs is for test/benchmarks/effort_controller.py; the guards, for test/excitation/test_goal_controller.py.
+How well it weighs is for test/benchmarks/live.py; the guards, for test/excitation/test_goal_controller.py.
 """
 
 from __future__ import annotations

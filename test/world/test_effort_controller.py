@@ -1,6 +1,6 @@
 """An arm behind what looks like `ros2_control`, calibrated and asked for a mass by services alone, without this package's driver.
 
-How well it weighs five masses is for test/benchmarks/effort_controller.py; what becomes of the arm, for test_effort_output.py.
+How well it weighs five masses is for test/benchmarks/live.py; what becomes of the arm, for test_effort_output.py.
 """
 
 from __future__ import annotations
