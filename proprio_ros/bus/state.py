@@ -165,17 +165,18 @@ class Senders:
             del self._last[gone]
         return sender
 
-    def late_s(self, sender: int, lag_ns: int, set_ns: int = 0) -> float:
+    def late_s(self, sender: int, lag_ns: int, set_ns: int = 0, waited_ns: int = 0) -> float:
         """How late a message came that was sent so long ago [ns] by its publisher's clock, whose error is the least of that.
 
         ``set_ns``: by how much our clock was set just now; what was sent before seems late by that, and teaches nothing.
+        ``waited_ns``: for so long it may have been here before anybody took it.
         """
-        lags_ns = {lag_ns, lag_ns - set_ns}
+        lags_ns, longest_ns = {lag_ns, lag_ns - set_ns}, LATE_NS + waited_ns
         # of one that was not heard before: no message waits longer, so its clock is another one
-        error_ns = self._error_ns.get(sender, 0 if any(0 <= lag < LATE_NS for lag in lags_ns) else lag_ns)
+        error_ns = self._error_ns.get(sender, 0 if any(0 <= lag < longest_ns for lag in lags_ns) else lag_ns)
         if set_ns:
             late_ns = sorted(lag - error_ns for lag in lags_ns if lag >= error_ns)
-            return 1e-9 * max((one for one in late_ns if one < LATE_NS), default=late_ns[0] if late_ns else 0)
+            return 1e-9 * max((one for one in late_ns if one < longest_ns), default=late_ns[0] if late_ns else 0)
         # since ours was set, another's errs by as much, and the same one's by nothing; no message comes before it was sent
         errors_ns = error_ns, error_ns + self._moved_ns.pop(sender, 0)
         error_ns = max((one for one in errors_ns if one <= lag_ns + SLACK_NS), default=lag_ns)

@@ -49,6 +49,9 @@ IDLE_PAUSE_S = 0.02
 With 8 ms they took 7 and 8 % of a core, with 20 ms 4."""
 LONGEST_TURN_S = 0.02
 """For so long messages are handed on at one wake-up: where they come faster than they are taken, timers must have their turn."""
+LONG_TURN_S, TAKEN_S = 0.3, 1.0
+"""A turn, a callback or none in 0.1 s, takes longer where this program stood still, or a callback waited; so long after it all that
+came meanwhile has been taken."""
 NAMESAKE_S = 25.0
 """After so long a node looks for another of its name: one that was killed is listed until its lease of 20 s ends."""
 HEARD_OF_S, LOOK_S = 1.5, 0.02
@@ -78,6 +81,8 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.called_s = 0.0  # when a service was called last
+        self._turned_s = clock.now()
+        self._deaf_s = self._turned_s, self._turned_s  # from when to when no message was taken
         super().__init__(name, **kwargs)
         self.values = declare(self, [AUTOSTART, *self.parameters])
         self.active, self._alone = False, True
@@ -110,6 +115,14 @@ class ManagedNode(LifecycleNode):
     def pause_s(self) -> float:
         """Between two callbacks [s]: a flood of messages leaves room for the node's other threads, and for other programs."""
         return 0.0
+
+    def turn(self) -> float:
+        """A turn of the executor begins, or is under way; returns since when a message that is taken in it may have waited."""
+        now_s, (begun_s, ended_s) = clock.now(), self._deaf_s
+        if now_s - self._turned_s > LONG_TURN_S:
+            self._deaf_s = begun_s if self._turned_s - ended_s < TAKEN_S else self._turned_s, now_s
+        self._turned_s = now_s
+        return self._deaf_s[0] if now_s - self._deaf_s[1] < TAKEN_S else now_s
 
     def now_s(self) -> float:
         """Time that never runs back; with `use_sim_time` the simulation's, whose pauses and pace count [s]."""
@@ -422,6 +435,7 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
 
 def _turn(node: ManagedNode, spinner: SingleThreadedExecutor) -> None:
     """One callback. A defect in it costs its answer, not the node: whoever holds the arm goes on holding it."""
+    node.turn()
     try:
         spinner.spin_once(timeout_sec=0.1)
     except (ExternalShutdownException, ShutdownException):

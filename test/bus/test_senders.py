@@ -74,6 +74,8 @@ def test_how_late_a_message_came() -> None:
     # by one that is 5 s behind, or ahead, nobody knows of the first message; of the others it is known
     assert [round(senders.late_s(2, lag * MS), 3) for lag in (5001, 5000, 5400)] == [0.0, 0.0, 0.4]
     assert [round(senders.late_s(3, lag * MS), 3) for lag in (-4999, -5000, -4600)] == [0.0, 0.0, 0.4]
+    assert senders.late_s(4, 2700 * MS, waited_ns=3500 * MS) == 2.7, "nobody took it meanwhile"
+    assert senders.late_s(5, 5000 * MS, waited_ns=3500 * MS) == 0.0
 
 
 @pytest.mark.parametrize("set_ms", [-5000, -200, 200, 5000])
