@@ -55,6 +55,11 @@ def import_what_they_share() -> None:
                 importlib.import_module(module.name)
     for name in ("hypothesis", "mujoco", "pytest"):
         importlib.import_module(name)
+    # what Warp's headers are compiled to is kept for the thread that did it: two parts fill two cores, and each child has it
+    runtime = importlib.import_module("proprio_ros.sim.runtime")
+    runtime.COMPILERS = 1
+    runtime.start()
+    runtime.load([importlib.import_module("proprio_ros.sim.joint").plain_kernel(1, "rk4")], "cpu")
     gc.collect()
     gc.freeze()  # else the first collection of a child would touch, and so copy, everything
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from typing import Any
 
 import warp as wp
@@ -19,7 +20,8 @@ FLOAT = wp.float64
 """All rollouts run in double precision: on a CPU float32 is no faster, and its gradients are off by up to 0.1 %."""
 FLOATS = wp.array2d(dtype=FLOAT)
 
-COMPILERS = min(os.cpu_count() or 1, 4)  # kernels that are compiled at the same time
+COMPILERS = min(os.cpu_count() or 1, 4)
+"""Kernels that are compiled at the same time. Each thread first compiles Warp's headers, 1.2 s; a single one is the caller's."""
 _refusal = ""
 _alone = 0  # how many kernels were compiled in this process for the first who asked, and not ahead
 
@@ -58,14 +60,11 @@ def load(kernels: Sequence[Any], device: Any) -> None:
     """
     check()
     missing = [kernel.module for kernel in kernels if not _is_kept(kernel.module, device)]
-    pool = ThreadPoolExecutor(COMPILERS)
-    try:
-        compiled = [pool.submit(_load, module, device) for module in missing]
-        for number, each in enumerate(compiled, start=1):
+    with ThreadPoolExecutor(COMPILERS) as pool:
+        loaded = (pool.map if COMPILERS > 1 else map)(partial(_load, device=device), missing)
+        for number in range(1, len(missing) + 1):
             progress.say(f"compiling {number} of {len(missing)}, once on this computer")
-            each.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+            next(loaded)
     for kernel in kernels:
         _load(kernel.module, device)
 
