@@ -115,8 +115,7 @@ class ArmDriver:
         refused while a lease lasts, and so is what was sent before the last one ended: ``late_s`` is how long the command was on
         its way.
 
-        Returns:
-            Why the whole command was refused, or an empty string.
+        Returns: Why the whole command was refused, or an empty string.
         """
         reason = self._why_refused(current_A) or self._why_late(late_s)
         with self._lock:  # only the newest counts, so a flood of commands costs nothing
@@ -174,8 +173,7 @@ class ArmDriver:
         Another sender is refused while the first one's commands come in a row; what was sent before torque came on (``late_s``
         before now) is refused, too.
 
-        Returns:
-            Why the whole command was refused, or an empty string.
+        Returns: Why the whole command was refused, or an empty string.
         """
         reason = self._why_unfit(position, "position") or self._why_late(late_s)
         if reason:
@@ -250,8 +248,7 @@ class ArmDriver:
     def cycle(self) -> ArmSample | None:
         """One round: read, check, command; never raises for what happens on the bus.
 
-        Returns:
-            What was read; None when the round was not intact, or its instant is not known.
+        Returns: What was read; None when the round was not intact, or its instant is not known.
         """
         self.statistics.cycles += 1
         if self.state is BusState.DISCONNECTED and not self._connected():

@@ -248,8 +248,7 @@ def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise:
 def of_runs(kind: str, problem: Problem, posterior: Posterior) -> tuple[list[int], np.ndarray, np.ndarray]:
     """An unknown of each run, of onsets where nothing else makes them uncertain.
 
-    Returns:
-        The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
+    Returns: The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
     """
     stds = {row: problem.unknowns[problem.index[kind, row]].std for row in range(len(problem.runs))}
     rows = [row for row, std in stds.items() if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)]

@@ -73,8 +73,7 @@ def at_poses(robot: Robot, driven: str, poses: Mapping[str, np.ndarray]) -> tupl
     one follows; ``poses``: positions of all other independent joints [rad or m], each of shape (N,), or (1,) where it
     is the same in all.
 
-    Returns:
-        Inertia and gravity load of the arm, shape (N, 4), and per payload parameter, shape (N, 4, 10).
+    Returns: Inertia and gravity load of the arm, shape (N, 4), and per payload parameter, shape (N, 4, 10).
     """
     model = robot.model
     count, pseudo, at = max(map(len, poses.values()), default=1), np.zeros((1, 4, 4)), np.eye(4)[None]

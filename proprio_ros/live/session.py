@@ -95,8 +95,7 @@ class Session:
     def save(self) -> tuple[Path, str]:
         """Write the bag, where that is not possible into a temporary folder, so that nothing is lost on a full disk.
 
-        Returns:
-            The bag, and a sentence when it is not where it should be.
+        Returns: The bag, and a sentence when it is not where it should be.
 
         Raises `RecordingError`: It can be written nowhere; the messages are kept, and it can be tried again.
         """
@@ -161,8 +160,7 @@ def read_journal(path: Path) -> list[RawMessage]:
 def recover(root: Path) -> tuple[list[Path], list[str]]:
     """Make bags of what was being recorded below a root by processes that are gone.
 
-    Returns:
-        The bags, and a sentence about each that could not be written; it is tried again the next time.
+    Returns: The bags, and a sentence about each that could not be written; it is tried again the next time.
     """
     bags, problems = [], []
     for path in sorted(root.glob(f"*/{JOURNAL}")):
@@ -258,8 +256,7 @@ def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) 
         messages: Some tenths of a second of all topics.
         request: With which the recording will be identified; its robot should be in them.
 
-    Returns:
-        The repairs that reading it takes, one sentence each.
+    Returns: The repairs that reading it takes, one sentence each.
 
     Raises `RecordingError`: The folder cannot be written, or the messages cannot be read, or are of another robot.
     """

@@ -57,8 +57,7 @@ class Workspace:
     def find_calibration(self, stated: str) -> str:
         """Take the calibration that is stated by its path; empty: the one last taken of this robot; ``none``: none.
 
-        Returns:
-            Why the newest is not taken, or an empty string.
+        Returns: Why the newest is not taken, or an empty string.
 
         Raises `RobotError`: The stated one cannot be used.
         """
@@ -81,8 +80,7 @@ class Workspace:
     def keep_calibration(self, path: Path) -> str:
         """Take a new one from now on, unless the one in use knows all that it knows of joints under current, and of more joints.
 
-        Returns:
-            Why it is not taken, or an empty string.
+        Returns: Why it is not taken, or an empty string.
 
         Raises `ConfigurationError`: The link to it cannot be written.
         """

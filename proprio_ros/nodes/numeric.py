@@ -77,8 +77,7 @@ class StampedEstimates:
     def publish(self, link: str, entries: Mapping[str, Any]) -> Callable[[], None] | None:
         """An estimate of what a link holds, and nothing where the entries of ``~/estimate`` hold none, as those of the robot.
 
-        Returns:
-            What withdraws it; None where no number of it stands.
+        Returns: What withdraws it; None where no number of it stands.
         """
         probe = next((each for each in all_probes() if each.answer[0] in entries), None)
         if probe is None or probe.answer[1] not in self._publishers:

@@ -182,8 +182,7 @@ class ChainSimulator:
         ``p``: parameters of each world, shape (W, P); ``dp``: D tangent directions of each world in parameter space,
         shape (W, P, D).
 
-        Returns:
-            q [rad or m] (W, T, n), v [rad/s or m/s] (W, T, n) and dq (W, T, n, D).
+        Returns: q [rad or m] (W, T, n), v [rad/s or m/s] (W, T, n) and dq (W, T, n, D).
 
         Raises `SimulationError`: Parameters or directions have the wrong shape.
         """

@@ -133,8 +133,7 @@ def _sysid_row(case: _Case) -> dict[str, Any]:
 def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, float]]:
     """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, no resampling, RK4.
 
-    Returns:
-        A function that identifies from all starts and returns where they end, shape (5,), and the best of these [kg].
+    Returns: A function that identifies from all starts and returns where they end, shape (5,), and the best of these [kg].
     """
     from mujoco import sysid
 

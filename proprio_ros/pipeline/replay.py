@@ -57,8 +57,7 @@ def replay(paths: str | Path | Sequence[str | Path], options: Options | None = N
 def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Recorded]:
     """Read recordings of one object, and the baseline of the options.
 
-    Returns:
-        The robot, which a text recording may change, with as much of its calibration as was left by then; and what was read.
+    Returns: The robot, which a text recording may change, with as much of its calibration as was left by then; and what was read.
 
     Raises:
         RecordingError, ConfigurationError: One cannot be read, or they do not fit together or the probe.

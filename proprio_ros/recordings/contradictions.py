@@ -41,8 +41,7 @@ ELSEWHERE_SHARE = 0.3  # of the readings that are far from the command, above wh
 def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
     """How much faster header stamps run than the recorder's clock, as a share, where that is sure.
 
-    Returns:
-        The share (negative: slower), and whether both may be one clock; None where they keep the same pace or nothing is sure.
+    Returns: The share (negative: slower), and whether both may be one clock; None where they keep the same pace or nothing is sure.
     """
     stamped = columns.stamp_ns != 0
     stamp_s = 1e-9 * (columns.stamp_ns[stamped] - columns.stamp_ns[stamped][:1]).astype(np.float64)
@@ -65,8 +64,7 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
 def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     """Look at header stamps beside the times of their recording; bag and topic are for the sentence.
 
-    Returns:
-        A note where the stamps are of another clock, which runs at another pace.
+    Returns: A note where the stamps are of another clock, which runs at another pace.
 
     Raises `RecordingError`: They are of the same clock, and one of the two does not keep time.
     """

@@ -117,8 +117,7 @@ def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
 def velocity_lag_s(times_s: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[float, float] | None:
     """How far a recorded velocity is behind the derivative of its position, and how many times as large it is; all of shape (T,).
 
-    Returns:
-        Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
+    Returns: Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
     """
     even, both = evenly(times_s, np.column_stack([position, velocity]))
     period_s = float(even[1] - even[0])

@@ -111,8 +111,7 @@ def gravity_torques(model: ReducedModel, position: FloatArray) -> FloatArray:
 
     ``model``: the arm, n revolute joints; ``position``: of them [rad], shape (T, n).
 
-    Returns:
-        Shape (T, n, n, 10): pose, joint, body, parameter [N m per unit].
+    Returns: Shape (T, n, n, 10): pose, joint, body, parameter [N m per unit].
     """
     motion = kinematics(model, position, np.zeros_like(position))
     result = np.zeros((*position.shape, position.shape[1], PARAMETERS))

@@ -164,8 +164,7 @@ def joint_coefficients(pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, 
     unit vector in the joint's frame, shape (3,); ``gravity``: gravity in the joint's frame at q = 0 [m/s^2], shape
     (3,), or (..., 3) where it differs.
 
-    Returns:
-        shape (..., 4): inertia about (mass along) the axis, and the cosine, sine and constant part of the gravity load.
+    Returns: shape (..., 4): inertia about (mass along) the axis, and the cosine, sine and constant part of the gravity load.
     """
     out = np.zeros((*np.broadcast_shapes(pseudo_inertia.shape[:-2], gravity.shape[:-1]), 4))
     mass = pseudo_inertia[..., 3, 3]

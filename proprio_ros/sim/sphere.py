@@ -148,8 +148,7 @@ class SphereSimulator(JointSimulator):
     def path(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the sphere's centre is in the container at the sample instants, as for ``jacobian``.
 
-        Returns:
-            x (W, T, 3) [m], dx (W, T, 3, D), copies.
+        Returns: x (W, T, 3) [m], dx (W, T, 3, D), copies.
         """
         self._launch(np.asarray(world_run, dtype=np.int32), p, dp, None)
         x, dx = self.last_path(dp.shape[2])

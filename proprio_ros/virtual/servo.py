@@ -139,8 +139,7 @@ class VirtualServo:
     def read(self, address: int, length: int) -> tuple[Error, bytes]:
         """Bytes of the control table; addresses between the registers read as 0.
 
-        Returns:
-            `Error.DATA_RANGE` and no bytes beyond the end of the table; else `Error.NONE` and ``length`` bytes.
+        Returns: `Error.DATA_RANGE` and no bytes beyond the end of the table; else `Error.NONE` and ``length`` bytes.
         """
         if length < 1 or address + length > self._end:
             return Error.DATA_RANGE, b""

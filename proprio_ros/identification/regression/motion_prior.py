@@ -86,8 +86,7 @@ def prior_of_file(robot: Robot, arm: Arm, motions: int) -> Prior:
 def calibrated_prior(arm: Arm, calibration: MotionCalibration, motions: int) -> tuple[Prior, FloatArray]:
     """Of all unknowns of some motions by a calibration, and which of its terms each unknown behind the payload follows.
 
-    Returns:
-        The prior, without what recordings differ by, and the terms, shape (U - 10, 20 n), with a 1 for each that is one.
+    Returns: The prior, without what recordings differ by, and the terms, shape (U - 10, 20 n), with a 1 for each that is one.
     """
     count, shared, friction = arm.count, ARM_TERMS * arm.count, len(FRICTION_TERMS) * arm.count
     of_motion = np.zeros((own_terms(count), TERMS * count))

@@ -159,8 +159,7 @@ class OnlineEstimator:
             positions: [rad], length n.
             currents: Of the motors [A], length n.
 
-        Returns:
-            Whether a window became complete, so that there may be a new estimate.
+        Returns: Whether a window became complete, so that there may be a new estimate.
         """
         row = (time_s, tuple(map(float, positions)), tuple(map(float, currents)))
         if not np.isfinite([time_s, *row[1], *row[2]]).all():

@@ -45,8 +45,7 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
         parameters: Mass [kg], first moments [kg m], inertia about the frame's origin [kg m^2], shape (10,); the mass is positive.
         covariance: Of these, positive definite, shape (10, 10).
 
-    Returns:
-        Shape (10,); the same where a body already has these.
+    Returns: Shape (10,); the same where a body already has these.
     """
     length_m = float(np.sqrt(_second_moment(parameters, covariance) / parameters[0]))
     size = parameters[0] * np.array([1.0, *[length_m] * 3, *[length_m**2] * 6])
@@ -88,8 +87,7 @@ def inertia_about_centre(parameters: FloatArray) -> tuple[FloatArray, FloatArray
 
     ``parameters``: as for `nearest_body`, shape (10,).
 
-    Returns:
-        Shape (6,), and per unit of each parameter, shape (6, 10).
+    Returns: Shape (6,), and per unit of each parameter, shape (6, 10).
     """
     mass, moment = parameters[0], parameters[1:4]
     value, gradient = parameters[4:].copy(), np.zeros((6, PARAMETERS))

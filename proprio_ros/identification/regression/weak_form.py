@@ -75,8 +75,7 @@ def torque_regressor(
         period_s: Between samples [s].
         since: The first body that is asked for; others have zeros.
 
-    Returns:
-        Shape (W, n, n, 10): window, joint, body, parameter [N m per unit].
+    Returns: Shape (W, n, n, 10): window, joint, body, parameter [N m per unit].
     """
     motion = kinematics(model, position, velocity)
     result = np.zeros((len(windows.starts), *2 * position.shape[1:], PARAMETERS))

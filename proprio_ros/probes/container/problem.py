@@ -373,8 +373,7 @@ class ContainerProblem(Problem):
     def path(self, values: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Where the sphere is in the container in each run that has one, and how that changes with chosen unknowns (F,).
 
-        Returns:
-            x (K, 3) [m] and dx (K, 3, F) at the used samples of each rolling run.
+        Returns: x (K, 3) [m] and dx (K, 3, F) at the used samples of each rolling run.
         """
         p, dp = self.parameters(values[None], columns)
         rows = np.flatnonzero(self.rolling)
