@@ -245,16 +245,21 @@ class ContentsFound(Conclusion):
     def liquid_values(self, withheld: str) -> Iterator[Value]:
         """What is said of a liquid; with the reason where it is not."""
         withheld = withheld or ("" if self.kind() == "liquid" else "the recording does not say that it is a liquid")
-        withheld = withheld or ("" if self.fit.explains else "it moves otherwise than small waves do: push it less")
-        names, units = ("fill", "slosh_frequency", "slosh_damping"), ("m", "Hz", "1")
+        unsaid = (("fill", "m"), ("slosh_frequency", "Hz"), ("slosh_damping", "1"), ("viscosity", "Pa s"))
         if withheld:
-            yield from (Value(*of, None, reason=withheld) for of in zip(names, units, strict=True))
-            yield Value("viscosity", "Pa s", None, reason=withheld)
+            yield from (Value(*of, None, reason=withheld) for of in unsaid)
             return
         (fill, turn, _), (fill_std, turn_std, _) = self.of_liquid
+        if not self.fit.explains:  # its mass says how high it stands, however it moves
+            facts, mass = self.facts, self.assessed
+            fill = mass.value / (facts.density * np.pi * facts.radius**2)
+            fill_std = fill * np.hypot(mass.std / mass.value, facts.density_std / facts.density)
         wide = "it is not known to a tenth of the container's height"
         known = Z95 * fill_std <= FILL_SHARE * self.facts.height
         yield positive("fill", "m", float(fill), float(fill_std), "" if known else wide, self.facts.height)
+        if not self.fit.explains:
+            yield from (Value(*of, None, reason="it moves otherwise than small waves do: push it less") for of in unsaid[1:])
+            return
         yield positive("slosh_frequency", "Hz", float(turn), float(turn_std))
         if (damping := self.log_damping) is None:
             says = "the recording says too little of how fast the sloshing dies"
