@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes import probe_named, virtual_object
 from proprio_ros.probes.contents import models
 from proprio_ros.probes.contents.detail import KINDS_INSIDE
-from proprio_ros.probes.contents.identify import find_contents, surpassed, weighted
+from proprio_ros.probes.contents.identify import ContentsFound, find_contents, surpassed, weighted
 from proprio_ros.probes.contents.models import ContentsFacts, Slosh, damping_ratio, inside_terms, inside_unknowns
 
 FACTS = ContentsFacts(0.035, 0.1, np.array([0.015, 0.0, -0.04]))
@@ -78,6 +79,19 @@ def test_all_of_a_liquid_weighs_where_it_is() -> None:
     assert ten[0, 0] + moving[0, 0] == pytest.approx(0.2)
     height = ten[0, 3] + moving[0, 0] * (FACTS.bottom[2] + moving[0, 1])
     assert height == pytest.approx(0.2 * (FACTS.bottom[2] + 0.5 * fill), rel=2e-3)
+
+
+def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None:
+    nothing: Any = SimpleNamespace(
+        kind=lambda: "liquid", fit=SimpleNamespace(explains=False), facts=FACTS, of_liquid=(np.zeros(3), np.zeros(3)),
+        assessed=SimpleNamespace(value=0.1, std=0.002),
+    )  # fmt: skip
+    said = {value.name: value for value in ContentsFound.liquid_values(nothing, "")}
+    fill = 0.1 / (1000.0 * np.pi * 0.035**2)
+    assert said["fill"].value == pytest.approx(fill) and said["fill"].std == pytest.approx(fill * np.hypot(0.02, 0.15))
+    assert all(said[name].value is None and "small waves" in said[name].reason for name in ("slosh_frequency", "viscosity"))
+    nothing.assessed.value = 0.3  # 78 mm to 12: more than a tenth of a container's height of 100
+    assert next(ContentsFound.liquid_values(nothing, "")).value is None
 
 
 def test_a_virtual_hand_can_hold_it() -> None:
