@@ -1,6 +1,7 @@
 """What schedules found, as a file of `docs/results`: ``python test/support/schedule_results.py FILE FIRST:COUNTED,COUNTED.. ..``.
 
-COUNTED are what ``schedules.py`` wrote with ``--json``, of seeds in a row from FIRST on; all are added up.
+COUNTED are what ``schedules.py`` wrote with ``--json``, of seeds in a row from FIRST on; all are added up. In the place of
+FIRST:COUNTED a file that was made so before counts as well.
 """
 
 from __future__ import annotations
@@ -55,17 +56,36 @@ def tables(counted: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def known(results: dict[str, Any]) -> dict[str, Any]:
+    """What a file of results counts, as `schedules.py` would have it; of those that failed, how many."""
+    plans, kinds = ({words: key for key, words in names.items()} for names in (PLANS, KINDS))
+    rows = [row for row in results["tables"]["plans"]["rows"] if row["plan"] in plans]
+    faults = results["tables"]["kinds"]["rows"]
+    return {
+        "plans": {plans[row["plan"]]: row["schedules"] for row in rows},
+        "faults": {kinds[row["kind"]]: row["faults"] for row in faults if row["kind"] in kinds},
+        "failed": [0] * faults[-1]["faults"], "commit": results["commit"],
+        "cpu_s": {plans[row["plan"]]: row["cpu"] * row["schedules"] for row in rows},
+        "simulated_s": {plans[row["plan"]]: row["simulated"] * row["schedules"] for row in rows},
+    }  # fmt: skip
+
+
 def main(file: Path, rows: list[str]) -> None:
     counted: list[dict[str, Any]] = []
     ranges: list[str] = []
     for row in rows:
         first, _, paths = row.partition(":")
+        if not paths:
+            before = json.loads(Path(row).read_text())
+            ranges.append(before["command"].partition("schedules.py ")[2])
+            counted.append(known(before))
+            continue
         of_row = [json.loads(Path(path).read_text()) for path in paths.split(",")]
         ranges.append(f"{first} {sum(each['schedules'] for each in of_row)}")
         counted += of_row
     content = {
         "command": f"python test/support/schedules.py {', then '.join(ranges)}",
-        "commit": ", ".join(dict.fromkeys(each["commit"] for each in counted)),
+        "commit": ", ".join(dict.fromkeys(", ".join(each["commit"] for each in counted).split(", "))),
         "machine": {"platform": platform.platform(), "python": platform.python_version(), "cores": os.cpu_count()},
         "date": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d"), "tables": tables(counted),
     }  # fmt: skip
