@@ -74,7 +74,7 @@ class Excitation:
         Raises `JobError`: It was refused, aborted, cancelled, or the node fell silent.
         """
         named = RosParameter("probe", RosParameter.Type.STRING, sequence).to_parameter_msg()
-        results = self._call(self.set_probe, SetParameters.Request(parameters=[named])).results
+        results = self._call(self.set_probe, SetParameters.Request(parameters=[named]), tries=2).results
         if not results or not results[0].successful:
             raise JobError(f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}")
         begun_s = asked_s = clock.now()
@@ -118,12 +118,17 @@ class Excitation:
                 return
             clock.sleep(0.01)
 
-    def _call(self, client: Any, request: Any) -> Any:
-        """Call a service and wait for its answer, at most `CALL_S`."""
+    def _call(self, client: Any, request: Any, tries: int = 1) -> Any:
+        """Call a service and wait for its answer, at most `CALL_S` in all.
+
+        A call just after the start may have been obeyed and its answer lost, where who answers had not yet heard of who asks: what
+        may be asked twice is.
+        """
         answered = clock.event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(CALL_S):
+        for _ in range(tries):
+            future = client.call_async(request)
+            future.add_done_callback(lambda _: answered.set())
+            if answered.wait(CALL_S / tries):
+                return future.result()
             client.remove_pending_request(future)
-            raise JobError(f"{client.srv_name} does not answer: is the excitation node running?")
-        return future.result()
+        raise JobError(f"{client.srv_name} does not answer: is the excitation node running?")

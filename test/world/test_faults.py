@@ -21,6 +21,7 @@ pytest.importorskip("mujoco")
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from support.simulated_live import Client, running
+from support.simulated_ros import Future
 
 from proprio_ros.bus.driver import DriverSettings
 from proprio_ros.nodes.messages import joint_state, labelled, values_of
@@ -575,6 +576,23 @@ def test_one_probe_at_a_time(arm: Arm) -> None:
     assert answer.success and "held" in answer.message
     assert_braked(client, begun_s, now_s(client) - begun_s + COMMAND_TIMEOUT_S)
     assert client.call("/excitation/abort").message == client.call("/identifier/cancel").message == "nothing was under way"
+
+
+def test_of_a_call_whose_answer_is_lost_it_is_asked_again(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who answers drops what it would say to one that it has not heard of, and in the first moments it may not have."""
+    client = arm.client
+    named = client.world.processes["identifier"].node._excitation.set_probe
+    call, asked = named.call_async, list[Any]()
+
+    def lost(request: Any) -> Any:
+        asked.append(call(request))
+        return Future() if len(asked) == 1 else asked[-1]
+
+    monkeypatch.setattr(named, "call_async", lost)
+    future = client.begin("/identifier/calibrate_payload")
+    await_push(client)
+    assert len(asked) == 2
+    assert client.call("/identifier/cancel").success and not client.answer(future).success
 
 
 def torque_constants() -> dict[str, float]:
