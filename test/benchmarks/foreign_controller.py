@@ -64,7 +64,7 @@ def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Seq
             client.estimates.clear()
             answer = client.asked(f"/identifier/calibrate_{what}")
             print(f"  {what}: {answer.message}", flush=True)
-            return bool(answer.success)
+            return bool(answer.success) and client.wait_for(client.final)
 
         told = asked(once, lambda: client.estimates[-1], masses_kg)
         busy = arm.busy

@@ -85,7 +85,7 @@ def weighed(way: Way, seed: int, folder: Path) -> dict[str, Any]:
             assert client.set("/virtual", "object", f"{kg}" if kg else "none").successful
             answer = client.asked(f"/identifier/calibrate_{what}")
             print(f"  {what} {1e3 * kg:g} g: {answer.message}", flush=True)
-            return bool(answer.success) and client.wait_for(lambda: bool(client.estimates))
+            return bool(answer.success) and client.wait_for(client.final)
 
         return asked(once, lambda: client.estimates[-1], way.masses_kg)
 

@@ -126,7 +126,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
 def test_a_weighing_goes_through_all_of_them(arm: Arm) -> None:
     client = arm.client
     answer = client.asked("/identifier/calibrate_payload")
-    assert wait_for(lambda: bool(client.estimates) and client.estimates[-1]["final"] == "true"), answer
+    assert wait_for(client.final), answer
     final = client.estimates[-1]
     assert answer.success == (final["verdict"] == "accepted")
     results = list(arm.data.glob("*_payload/estimate.json"))

@@ -101,6 +101,10 @@ class Listener:
         self.masses.clear()
         return self.call(service)
 
+    def final(self) -> bool:
+        """Whether the newest estimate is one that stays; a service's answer may come before it."""
+        return bool(self.estimates) and self.estimates[-1]["final"] == "true"
+
     def torque(self, on: bool) -> Any:
         return self.answer(self.begin("/driver/torque", SetBool, SetBool.Request(data=on)))
 

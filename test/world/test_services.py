@@ -54,7 +54,7 @@ def test_the_robot_weighs_itself(arm: Calibrated) -> None:
     assert load_robot(newest.resolve()).calibration is not None
     assert str(newest.resolve()) in arm.answer.message
     assert (newest.resolve().parent / "report.html").is_file()
-    assert arm.client.wait_for(lambda: bool(arm.client.estimates) and arm.client.estimates[-1]["final"] == "true")
+    assert arm.client.wait_for(arm.client.final)
     told = arm.client.estimates[-1]
     assert told["verdict"] == "accepted"
     assert float(told["torque_constant[joint3].std"]) < 0.05, "the file's own word is 0.09"

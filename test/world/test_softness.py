@@ -72,7 +72,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
 
 def test_the_gripper_learns_itself(arm: Calibrated) -> None:
     assert arm.robot.success, arm.robot.message
-    assert arm.client.wait_for(lambda: bool(arm.client.estimates) and arm.client.estimates[-1]["final"] == "true")
+    assert arm.client.wait_for(arm.client.final)
     told = arm.client.estimates[-1]
     assert float(told[f"coulomb[{GRIPPER}].std"]) < 0.01, "the file's own word is 0.08"
 
@@ -94,7 +94,7 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
         return [value for value in arm.numbers[name] if math.isfinite(value)]
 
     assert client.wait_for(lambda: bool(said("lame_mu") and arm.markers and len(arm.markers[-1].markers) > 1))
-    assert client.wait_for(lambda: bool(client.estimates) and client.estimates[-1]["final"] == "true")
+    assert client.wait_for(client.final)
     final = client.estimates[-1]
     assert final["probe"] == "softness" and final["final"] == "true" and final["verdict"] == "accepted"
     assert client.wait_for(lambda: bool(said("youngs_modulus")))
