@@ -260,8 +260,10 @@ class ExcitationMachine:
                 for name in self.joints:
                     jump = abs(sample.position[name] - self._sample.position[name]) / self._per_rad[name]
                     if jump > allowed:
-                        words = f"{name} jumped by {jump:.2f} rad between two samples: check its encoder and cable"
-                        return "jump", words
+                        words = f"jumped by {jump:.2f} rad between two samples: check its encoder and cable"
+                        if allowed > self.guards.max_jump_rad:
+                            words = f"moved by {jump:.2f} rad in {gap_s:.2f} s without a sample: is the computer overloaded?"
+                        return "jump", f"{name} {words}"
                 self._sample = sample
                 self._recent.append((sample.time_s, sample.position[self._run.joint]))
         age_s = now_s - self._sample.time_s

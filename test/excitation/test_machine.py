@@ -505,6 +505,8 @@ def test_a_jump_is_what_no_joint_can_do(gap_s: float, jump: float, accepted: boo
     sample = JointSample(ready.sample.time_s + gap_s, moved, dict.fromkeys(JOINTS, 0.0))
     assert bool(ready.machine.tick(sample.time_s, sample).current_A) is accepted
     assert accepted or ready.machine.outcomes[-1].ended_by == "jump"
+    said = f"in {gap_s:.2f} s without a sample" if gap_s > 0.05 else "between two samples: check its encoder"
+    assert accepted or said in ready.machine.abort_reason
 
 
 def test_a_sample_that_is_repeated_grows_stale() -> None:

@@ -345,7 +345,7 @@ def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_
     node._excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
     asked: list[str] = []
 
-    def call(client: Any, request: Any) -> Any:
+    def call(client: Any, request: Any, tries: int = 1) -> Any:
         if client is node._excitation.set_probe:
             return SimpleNamespace(results=[SimpleNamespace(successful=True)])
         asked.append("run")
@@ -360,7 +360,7 @@ def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_
     assert len(asked) == 2
     assert [message.data for message in node._excitation._lease] == [True, False], "asked for, and not any more"
 
-    def refuse(client: Any, request: Any) -> Any:
+    def refuse(client: Any, request: Any, tries: int = 1) -> Any:
         if client is node._excitation.set_probe:
             return SimpleNamespace(results=[SimpleNamespace(successful=True)])
         asked.append("run")
