@@ -16,7 +16,9 @@ from proprio_ros.live.job import Job, JobError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
 
-READY_S = 4.0
+READY_S, SEEN_S = 4.0, 12.0
+"""Patience with whoever is not there, and from the node's own start on: who uses DDS announces itself every 3 s, and on a busy
+computer the first words are lost."""
 SILENT_S = 3.0
 """The excitation node publishes its state ten times a second while it is busy; without a word for so long it is gone."""
 LEASE_PERIOD_S = 0.1  # the excitation node ends a sequence when whoever asked for it has been silent for 1.5 s

@@ -35,7 +35,7 @@ from proprio_ros.live.session import (
     replay_command,
 )
 from proprio_ros.live.workspace import Workspace
-from proprio_ros.nodes.excitation_client import READY_S, Excitation
+from proprio_ros.nodes.excitation_client import READY_S, SEEN_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
@@ -104,7 +104,7 @@ class Jobs:
 
     def await_others(self) -> None:
         """Driver and excitation may have come up a moment ago; raises JobError where one of them is not there."""
-        deadline = clock.now() + READY_S
+        deadline = max(clock.now() + READY_S, self._node.begun_s + SEEN_S)
         while True:
             missing = "no joint states are coming; start the driver and check its bus"
             if self._inputs.has_states and not (missing := self._excitation.missing() or self._inputs.missing()):

@@ -81,7 +81,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.called_s = 0.0  # when a service was called last
-        self._turned_s = clock.now()
+        self.begun_s = self._turned_s = clock.now()
         self._deaf_s = self._turned_s, self._turned_s  # from when to when no message was taken
         super().__init__(name, **kwargs)
         self.values = declare(self, [AUTOSTART, *self.parameters])

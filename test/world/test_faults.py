@@ -24,6 +24,7 @@ from support.simulated_live import Client, running
 from support.simulated_ros import Future
 
 from proprio_ros.bus.driver import DriverSettings
+from proprio_ros.nodes.excitation_client import SEEN_S
 from proprio_ros.nodes.messages import joint_state, labelled, values_of
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
@@ -251,6 +252,11 @@ def rate_hz(states: list[JointState]) -> float:
 
 def test_what_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
     with running(tmp_path, "excitation", "identifier") as client:
+        begun_s = now_s(client)
+        # just after its start others are not known yet
+        answer = client.call("/identifier/calibrate_payload")
+        assert not answer.success and "no joint states are coming" in answer.message
+        assert SEEN_S - 1.0 < now_s(client) - begun_s < SEEN_S + 1.0
         begun_s = now_s(client)
         answer = client.call("/excitation/run")
         assert not answer.success and "start the driver" in answer.message
