@@ -92,7 +92,7 @@ class Jobs:
         """Whether a job succeeded, and what there is to say; raises ProprioError where it ended without a result."""
         if job.kind == WEIGH:
             return self._weighing.weigh(job, self.identify)
-        self.await_others()
+        self.await_others(job)
         if job.kind == ROBOT:
             return self._calibrate(job)
         if job.kind == REFRESH:
@@ -102,8 +102,8 @@ class Jobs:
                 return self._record_baseline(job, probe)
         return self._identify_object(job, probe_named(job.kind))
 
-    def await_others(self) -> None:
-        """Driver and excitation may have come up a moment ago; raises JobError where one of them is not there."""
+    def await_others(self, job: Job) -> None:
+        """Driver and excitation may have come up a moment ago; raises JobError where one is not there, or the job is cancelled."""
         deadline = max(clock.now() + READY_S, self._node.begun_s + SEEN_S)
         while True:
             missing = "no joint states are coming; start the driver and check its bus"
@@ -111,7 +111,8 @@ class Jobs:
                 return
             if clock.now() > deadline:
                 raise JobError(f"not ready: {missing}")
-            clock.sleep(0.05)
+            if job.cancelled.wait(0.05):
+                raise JobError("cancelled")
 
     # --- kinds of jobs ------------------------------------------------------------------------------------------------
 

@@ -22,7 +22,7 @@ from support.simulated_time import SimulatedClock
 
 from proprio_ros import clock
 from proprio_ros.excitation.commands import Command
-from proprio_ros.live.job import JobError
+from proprio_ros.live.job import Job, JobError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.nodes.identifier import IdentifierNode
@@ -207,7 +207,7 @@ def test_a_weighing_after_a_stop_is_refused_at_once(identifier: Any, monkeypatch
     values = {"driver": "stopped: the current is zero; /driver/torque true holds the arm again", "joint_states": True}
     identifier._excitation.on_status(messages.status("ok", "excitation", "waiting", values))
     with pytest.raises(JobError, match=r"the driver is stopped: the current is zero; /driver/torque true holds"):
-        identifier._jobs.await_others()
+        identifier._jobs.await_others(Job("payload", "calibrate_payload"))
     answers: list[tuple[bool, str]] = []
     identifier._begin("payload", lambda success, message: answers.append((success, message)))
     clock.sleep(10.0)

@@ -253,6 +253,10 @@ def rate_hz(states: list[JointState]) -> float:
 def test_what_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
     with running(tmp_path, "excitation", "identifier") as client:
         begun_s = now_s(client)
+        future = client.begin("/identifier/calibrate_payload")
+        client.clock.sleep(1.0)
+        assert client.call("/identifier/cancel").success and "cancelled" in client.answer(future).message
+        assert now_s(client) - begun_s < 2.0, "who waits for others hears that it need not"
         # just after its start others are not known yet
         answer = client.call("/identifier/calibrate_payload")
         assert not answer.success and "no joint states are coming" in answer.message
