@@ -201,7 +201,7 @@ class DriverNode(ManagedNode):
         if self._driver is None or not self.active or sender == OUTDATED:  # a newer one has been obeyed
             return ""
         now_ns = self.get_clock().now().nanoseconds
-        waited_ns = round(1e9 * (clock.now() - self.turn()))
+        waited_ns = round(1e9 * self.waited_s())
         late_s = senders.late_s(sender, now_ns - sent_ns, self._was_set_ns(now_ns), waited_ns) if sent_ns else 0.0
         values = messages.by_joint(message, self._order)
         return values if isinstance(values, str) else command(self._driver, values, sender, late_s)

@@ -116,13 +116,13 @@ class ManagedNode(LifecycleNode):
         """Between two callbacks [s]: a flood of messages leaves room for the node's other threads, and for other programs."""
         return 0.0
 
-    def turn(self) -> float:
-        """A turn of the executor begins, or is under way; returns since when a message that is taken in it may have waited."""
+    def waited_s(self) -> float:
+        """For how long a message that is taken now may have waited; asked at every turn, it sees those that take long [s]."""
         now_s, (begun_s, ended_s) = clock.now(), self._deaf_s
         if now_s - self._turned_s > LONG_TURN_S:
             self._deaf_s = begun_s if self._turned_s - ended_s < TAKEN_S else self._turned_s, now_s
         self._turned_s = now_s
-        return self._deaf_s[0] if now_s - self._deaf_s[1] < TAKEN_S else now_s
+        return now_s - self._deaf_s[0] if now_s - self._deaf_s[1] < TAKEN_S else 0.0
 
     def now_s(self) -> float:
         """Time that never runs back; with `use_sim_time` the simulation's, whose pauses and pace count [s]."""
@@ -435,7 +435,7 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
 
 def _turn(node: ManagedNode, spinner: SingleThreadedExecutor) -> None:
     """One callback. A defect in it costs its answer, not the node: whoever holds the arm goes on holding it."""
-    node.turn()
+    node.waited_s()
     try:
         spinner.spin_once(timeout_sec=0.1)
     except (ExternalShutdownException, ShutdownException):

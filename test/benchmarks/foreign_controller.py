@@ -90,6 +90,12 @@ def cell(masses: Sequence[dict[str, Any]], kg: float) -> str:
     return f"{value:.1f} ({low:.1f} to {high:.1f}){again(one['asked'])}"
 
 
+def held(known: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """How many intervals hold, and how far off the farthest answer is, in its standard deviations."""
+    farthest = max((abs(one["value"] - one["kg"]) / one["std"] for one in known), default=0.0)
+    return {"hold": sum(one["low"] <= one["kg"] <= one["high"] for one in known), "farthest": farthest}
+
+
 def tell(found: Sequence[dict[str, Any]], script: str, kept: Path | None, arguments: Sequence[str] | None) -> None:
     """Tables of what came of some arms."""
     results = Results(script, kept, arguments)
@@ -104,8 +110,7 @@ def tell(found: Sequence[dict[str, Any]], script: str, kept: Path | None, argume
     known = [one for each in found for one in each["masses"] if one["known"]]
     whole = {"arms": len(found), "calibrated": sum(each["robot"] for each in found), "answers": len(known)}
     whole["asked"] = len(found) * len(masses_kg)
-    whole["hold"] = sum(one["low"] <= one["kg"] <= one["high"] for one in known)
-    whole["farthest"] = max((abs(one["value"] - one["kg"]) / one["std"] for one in known), default=0.0)
+    whole |= held(known)
     results.table("all", {
         "arms": "{arms}", "calibrated": "{calibrated}", "masses answered": "{answers} of {asked}",
         "intervals that hold": "{hold}", "farthest, in sd": "{farthest:.1f}",

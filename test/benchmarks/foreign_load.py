@@ -52,9 +52,7 @@ def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, mas
         ends.callback(arm.kill)
         ends.enter_context(busy(load))
         _, client = ends.enter_context(running(folder, "excitation", "identifier", **nodes))
-        for subscription in list(client.node.subscriptions):  # 500 joint states a second are much for a client
-            if subscription.topic_name in ("/joint_states", "/applied_effort", "/joint_command"):
-                client.node.destroy_subscription(subscription)
+        client.hear_less()
         hand = client.node.create_publisher(Float64, "/hand", 1)
 
         def person() -> None:
@@ -69,8 +67,7 @@ def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, mas
             client.estimates.clear()
             answer = client.call(f"/identifier/calibrate_{what}", 1800.0)
             print(f"  {what}: {answer.message}", flush=True)
-            time.sleep(1.0)
-            return bool(answer.success)
+            return bool(answer.success) and client.wait_for(client.final)
 
         told = asked(once, lambda: client.estimates[-1], masses_kg)
     return {**about(seed, goals, rate_hz, Busy.draw(seed)), **told, "cpu_s": round(time.monotonic() - begun, 1)}

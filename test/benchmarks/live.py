@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from foreign_controller import asked
+from foreign_controller import asked, held
 from results import Results, parser_of
 
 BUS = ("virtual", "driver", "excitation", "identifier")
@@ -77,9 +77,7 @@ def weighed(way: Way, seed: int, folder: Path) -> dict[str, Any]:
     facts = {"settings": STATED, "live_period": 0.0, "report": False, **way.identifier}
     parameters = {"virtual": {"seed": seed, **way.virtual}, "excitation": dict(way.excitation), "identifier": facts}
     with running(folder, *way.nodes, **parameters) as client:
-        for subscription in list(client.node.subscriptions):
-            if subscription.topic_name in ("/joint_states", "/applied_effort"):
-                client.node.destroy_subscription(subscription)
+        client.hear_less()
 
         def once(what: str, kg: float) -> bool:
             assert client.set("/virtual", "object", f"{kg}" if kg else "none").successful
@@ -90,16 +88,14 @@ def weighed(way: Way, seed: int, folder: Path) -> dict[str, Any]:
         return asked(once, lambda: client.estimates[-1], way.masses_kg)
 
 
-def row(results: Results, way: str, held: str, asked_for: Sequence[dict[str, Any]]) -> None:
+def row(results: Results, way: str, mass: str, asked_for: Sequence[dict[str, Any]]) -> None:
     """Figures of some answers, each with its truth."""
     known = [one for one in asked_for if one["known"]]
     off_g = 1e3 * np.array([one["value"] - one["kg"] for one in known] or [math.nan])
     results.row(
-        "live", way=way, held=held, asked=len(asked_for), answered=len(known), again=sum(one["asked"] > 1 for one in asked_for),
+        "live", way=way, held=mass, asked=len(asked_for), answered=len(known), again=sum(one["asked"] > 1 for one in asked_for),
         rms=np.sqrt(np.mean(off_g**2)), worst=np.abs(off_g).max(),
-        half=np.median([0.5e3 * (one["high"] - one["low"]) for one in known] or [math.nan]),
-        hold=sum(one["low"] <= one["kg"] <= one["high"] for one in known),
-        farthest=max((abs(one["value"] - one["kg"]) / one["std"] for one in known), default=math.nan),
+        half=np.median([0.5e3 * (one["high"] - one["low"]) for one in known] or [math.nan]), **held(known),
     )  # fmt: skip
 
 

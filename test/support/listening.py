@@ -101,6 +101,12 @@ class Listener:
         self.masses.clear()
         return self.call(service)
 
+    def hear_less(self) -> None:
+        """Hundreds of joint states a second are much for who looks at none of them."""
+        for subscription in list(self.node.subscriptions):
+            if subscription.topic_name in ("/joint_states", "/applied_effort"):
+                self.node.destroy_subscription(subscription)
+
     def final(self) -> bool:
         """Whether the newest estimate is one that stays; a service's answer may come before it."""
         return bool(self.estimates) and self.estimates[-1]["final"] == "true"

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from std_msgs.msg import Float64MultiArray
-from support.simulated_live import Client, running
+from support.simulated_live import running
 
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
@@ -28,13 +28,6 @@ TOPIC = "/forward_effort_controller/commands"
 ORDER = ["joint3", "gripper_left_joint", "joint1", "joint4", "joint2"]
 MASS_KG = 0.12
 CONTROLLER: dict[str, Any] = {"controller_joints": ORDER, "effort_unit": "A"}
-
-
-def hear_less(client: Client) -> None:
-    """Nobody looks at 250 joint states a second."""
-    for subscription in list(client.node.subscriptions):
-        if subscription.topic_name in ("/joint_states", "/applied_effort"):
-            client.node.destroy_subscription(subscription)
 
 
 def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
@@ -52,7 +45,7 @@ def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
         state = client.states[-1]
         assert list(state.name) == sorted(state.name) and {*FOREIGN_JOINTS} < {*state.name}
         assert all(math.isnan(speed) for speed in state.velocity)
-        hear_less(client)
+        client.hear_less()
         # somebody else at the controller
         other = client.node.create_publisher(Float64MultiArray, TOPIC, 10)
         assert "somebody else publishes" in client.call("/excitation/run").message
@@ -62,7 +55,7 @@ def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
         assert answer.success, (answer.message, client.log("excitation"))
         answer = client.asked("/identifier/calibrate_payload")
         assert answer.success, (answer.message, client.log("excitation"))
-        assert client.wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true")
+        assert client.wait_for(lambda: bool(client.masses) and client.final())
         low, high = json.loads(client.estimates[-1]["payload_mass.ci95"])
         assert abs(client.masses[-1] - MASS_KG) < min(0.003, high - low), answer.message
     bag = Path(answer.message.split("recording: ")[1])

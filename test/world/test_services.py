@@ -66,7 +66,7 @@ def test_objects_are_weighed(arm: Calibrated, mass_kg: float) -> None:
     assert client.set("/virtual", "object", str(mass_kg)).successful
     answer = client.asked("/identifier/calibrate_payload")
     assert answer.success, answer.message
-    assert client.wait_for(lambda: bool(client.masses and client.estimates) and client.estimates[-1]["final"] == "true")
+    assert client.wait_for(lambda: bool(client.masses) and client.final())
     final = client.estimates[-1]
     low, high = json.loads(final["payload_mass.ci95"])
     # the interval reaches a gram at most to either side; how often it holds: test/benchmarks/coverage.py

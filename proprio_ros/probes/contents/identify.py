@@ -245,12 +245,17 @@ class ContentsFound(Conclusion):
     def liquid_values(self, withheld: str) -> Iterator[Value]:
         """What is said of a liquid; with the reason where it is not."""
         withheld = withheld or ("" if self.kind() == "liquid" else "the recording does not say that it is a liquid")
-        unsaid = (("fill", "m"), ("slosh_frequency", "Hz"), ("slosh_damping", "1"), ("viscosity", "Pa s"))
+        names = (("fill", "m"), ("slosh_frequency", "Hz"), ("slosh_damping", "1"), ("viscosity", "Pa s"))
+
+        def unsaid(first: int, why: str) -> Iterator[Value]:
+            return (Value(*of, None, reason=why) for of in names[first:])
+
         if withheld:
-            yield from (Value(*of, None, reason=withheld) for of in unsaid)
+            yield from unsaid(0, withheld)
             return
-        (fill, turn, _), (fill_std, turn_std, _) = self.of_liquid
-        if not self.fit.explains:  # its mass says how high it stands, however it moves
+        if self.fit.explains:
+            (fill, turn, _), (fill_std, turn_std, _) = self.of_liquid
+        else:  # its mass says how high it stands, however it moves
             facts, mass = self.facts, self.assessed
             fill = mass.value / (facts.density * np.pi * facts.radius**2)
             fill_std = fill * np.hypot(mass.std / mass.value, facts.density_std / facts.density)
@@ -258,13 +263,11 @@ class ContentsFound(Conclusion):
         known = Z95 * fill_std <= FILL_SHARE * self.facts.height
         yield positive("fill", "m", float(fill), float(fill_std), "" if known else wide, self.facts.height)
         if not self.fit.explains:
-            yield from (Value(*of, None, reason="it moves otherwise than small waves do: push it less") for of in unsaid[1:])
+            yield from unsaid(1, "it moves otherwise than small waves do: push it less")
             return
         yield positive("slosh_frequency", "Hz", float(turn), float(turn_std))
         if (damping := self.log_damping) is None:
-            says = "the recording says too little of how fast the sloshing dies"
-            yield Value("slosh_damping", "1", None, reason=says)
-            yield Value("viscosity", "Pa s", None, reason=says)
+            yield from unsaid(2, "the recording says too little of how fast the sloshing dies")
             return
         log, std = damping
         ends = [log + side * Z95 * std for side in (-1.0, 1.0)]
