@@ -47,6 +47,10 @@ class Client(Listener):
         while not self._ended.is_set():
             self._executor.spin_once(timeout_sec=0.05)
 
+    def hear_less(self) -> None:
+        """In the thread that spins: a subscription taken from under a wait ends it by an exception."""
+        self._executor.create_task(super().hear_less)
+
     def close(self) -> None:
         self._ended.set()
         self._thread.join(timeout=5.0)
