@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,31 +35,44 @@ from proprio_ros.robot.regressor import PARAMETERS, carriers, cross_product, gra
 class Windows:
     """Test functions over windows of equally spaced samples: ``(1 - x^2)^3``, zero with two derivatives at both ends."""
 
+    samples: int  # of the signals, T
     starts: NDArray[np.int64]  # first sample of each window, shape (W,)
     weight: FloatArray  # its values times the sampling period, normalised to a mean over time, shape (K,)
     slope: FloatArray  # those of its time derivative, shape (K,)
 
     @classmethod
+    @lru_cache(maxsize=4)  # a live estimate has the same ones each time
     def over(cls, samples: int, width: int, hop: int) -> Windows:
         """Windows of ``width`` samples, one every ``hop``; the derivative is that per sample."""
         x = (np.arange(width) + 0.5) * 2.0 / width - 1.0
         weight = (1.0 - x**2) ** 3
         slope = -6.0 * x * (1.0 - x**2) ** 2 * 2.0 / width
-        return cls(np.arange(0, samples - width + 1, hop), weight / weight.sum(), slope / weight.sum())
+        return cls(samples, np.arange(0, samples - width + 1, hop), weight / weight.sum(), slope / weight.sum())
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Weighted mean of a signal, shape (T, ...), over each window, shape (W, ...)."""
-        return self._over(self.weight, values)
+        return self._applied(self._means, values)
 
     def derivative(self, values: FloatArray, period_s: float) -> FloatArray:
         """Weighted mean of the signal's time derivative over each window, by parts: the signal itself is not differentiated."""
-        return -self._over(self.slope, values) / period_s
+        return -self._applied(self._slopes, values) / period_s
 
-    def _over(self, weight: FloatArray, values: FloatArray) -> FloatArray:
+    # building a matrix takes longer than using it
+    @cached_property
+    def _means(self) -> csr_matrix:
+        return self._matrix(self.weight)
+
+    @cached_property
+    def _slopes(self) -> csr_matrix:
+        return self._matrix(self.slope)
+
+    def _matrix(self, weight: FloatArray) -> csr_matrix:
         width, count = len(weight), len(self.starts)
         samples, rows = self.starts[:, None] + np.arange(width), np.arange(0, width * count + 1, width)
-        matrix = csr_matrix((np.tile(weight, count), samples.ravel(), rows), shape=(count, len(values)))
-        result: FloatArray = (matrix @ values.reshape(len(values), -1)).reshape(count, *values.shape[1:])
+        return csr_matrix((np.tile(weight, count), samples.ravel(), rows), shape=(count, self.samples))
+
+    def _applied(self, matrix: csr_matrix, values: FloatArray) -> FloatArray:
+        result: FloatArray = (matrix @ values.reshape(len(values), -1)).reshape(len(self.starts), *values.shape[1:])
         return result
 
 
