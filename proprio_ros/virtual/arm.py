@@ -24,13 +24,10 @@ from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.virtual.objects import HandObject, set_inertia
 from proprio_ros.virtual.truth import LinkTruth, Truth
 
-LONGEST_SUBSTEP_S = 0.001
-"""The arm moves as with steps of 0.05 ms to 1e-6 rad then, where an encoder counts 1.5e-3."""
-FINE_SUBSTEP_S = 0.0005
-"""The longest where what the hand holds moves or pushes by itself: its forces are constant over a step."""
+LONGEST_SUBSTEP_S = 0.0005
 STICKING_SOLREF = (0.001, 1.0)
 STICKING_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""MuJoCo's constraints are soft: with these a stuck joint creeps at 1e-4 of its acceleration times two steps."""
+"""MuJoCo's constraints are soft: with these a stuck joint creeps at 1e-4 of its acceleration times half a millisecond."""
 SOLVER_TOLERANCE = 1e-14
 LIMIT_SOLREF = (0.004, 1.0)
 
@@ -74,7 +71,8 @@ class VirtualArm:
         self.truth = truth
         self.robot = robot
         self._rng = np.random.default_rng(seed)
-        self._control_period_s = control_period_s
+        self._substeps = math.ceil(control_period_s / LONGEST_SUBSTEP_S - 1e-9)
+        self._substep_s = control_period_s / self._substeps
 
         def columns(*terms: str) -> FloatArray:
             return np.array([[getattr(truth.joints[name], term) for name in self.joints] for term in terms], float)
@@ -227,6 +225,7 @@ class VirtualArm:
         mujoco, robot = self.mujoco, self.robot
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
+        spec.option.timestep = self._substep_s
         # second order and more: a first-order method would be half a step ahead of the true motion
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
         spec.option.gravity = robot.gravity
@@ -252,13 +251,11 @@ class VirtualArm:
                 f"{robot.name}: MuJoCo refuses it ({' '.join(str(error).split())}); correct the URDF or the object"
             ) from error
         self.model, self.data, self.object = model, mujoco.MjData(model), held
-        moving = [joint for joint in robot.model.joints if joint.kind != "fixed"]
-        by_itself = held is not None and (held.acts or model.nv > len(moving))
-        self._substeps = math.ceil(self._control_period_s / (FINE_SUBSTEP_S if by_itself else LONGEST_SUBSTEP_S) - 1e-9)
-        model.opt.timestep = self._control_period_s / self._substeps
         # the memory itself: asking for it takes as long as using it
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._force, self._friction = self.data.qfrc_applied, model.dof_frictionloss
+
+        moving = [joint for joint in robot.model.joints if joint.kind != "fixed"]
         made = {joint.name: model.joint(joint.name) for joint in moving}
         places = {name: int(one.qposadr[0]) for name, one in made.items()}
         dofs = {name: int(one.dofadr[0]) for name, one in made.items()}

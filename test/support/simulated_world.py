@@ -129,7 +129,7 @@ class HandledRobot(virtual_robot.VirtualRobot):
     def _coarsen(self) -> None:
         if self.coarse:
             arm = self.arm
-            arm._substeps = 1
+            arm._substeps, arm._substep_s = 1, CONTROL_PERIOD_S
             arm.model.opt.timestep = CONTROL_PERIOD_S
             arm.model.opt.integrator = arm.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
