@@ -210,6 +210,8 @@ class OnlineEstimator:
         self._hop_s = 0.5 * self._window_s
         self._smoothed = max(round(SMOOTHED_S / period_s), SMOOTHED_SAMPLES)
         self._thin = max(int(THINNED_S / period_s), 1)
+        inside = len(range(0, self._width, self._thin))
+        self._windows = Windows.over(inside, inside, inside)
         self._next_s = times_s[0] + (self._smoothed + 1) * period_s
         self._filter = _Filter(self._knows, self._window_s)
         return True
@@ -245,19 +247,18 @@ class OnlineEstimator:
         self._jitter = 0.8 * self._jitter + 0.2 * left_over.T @ left_over / len(smooth) / (1.0 - design[0][reach])
         torque = np.lib.stride_tricks.sliding_window_view(current, thin, axis=0)[reach : reach + width : thin].mean(-1)
         inside_s: FloatArray = np.asarray(start_s + period_s * np.arange(0, width, thin), dtype=np.float64)
-        windows = Windows.over(len(smooth), len(smooth), len(smooth))
         constants = self._calibration.torque_constants
         moves = np.ptp(position, axis=0) > self._least_rad
-        made = self._arm.rows(windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves)
-        return _Window(made, self._of_acceleration(windows, design[1], smooth[len(smooth) // 2]))
+        made = self._arm.rows(self._windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves)
+        return _Window(made, self._of_acceleration(design[1], smooth[len(smooth) // 2]))
 
-    def _of_acceleration(self, windows: Windows, slope: FloatArray, position: FloatArray) -> FloatArray:
+    def _of_acceleration(self, slope: FloatArray, position: FloatArray) -> FloatArray:
         """What noise of positions and stamps makes of the torque that accelerates the arm, covariance, shape (n, n).
 
         Late or early stamps move all joints at once, so their errors go together.
         """
-        weights = np.zeros((len(windows.slope) - 1) * self._thin + len(slope))
-        for number, share in enumerate(windows.slope):
+        weights = np.zeros((len(self._windows.slope) - 1) * self._thin + len(slope))
+        for number, share in enumerate(self._windows.slope):
             weights[number * self._thin : number * self._thin + len(slope)] += share * slope
         per_position = float(weights @ weights) / (self._thin * self._period_s**2) ** 2
         inertia = inertia_matrix(self._arm.model, position, self._calibration.values[: 11 * self._arm.count])

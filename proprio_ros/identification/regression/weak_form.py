@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,6 @@ class Windows:
     slope: FloatArray  # those of its time derivative, shape (K,)
 
     @classmethod
-    @lru_cache(maxsize=4)  # a live estimate has the same ones each time
     def over(cls, samples: int, width: int, hop: int) -> Windows:
         """Windows of ``width`` samples, one every ``hop``; the derivative is that per sample."""
         x = (np.arange(width) + 0.5) * 2.0 / width - 1.0
