@@ -37,8 +37,10 @@ class VirtualRobot:
         RobotError: A motor's model is not known.
     """
 
+    control_period_s = CONTROL_PERIOD_S  # of each servo
+
     def __init__(self, robot: Robot, truth: Truth, *, link: Path | None = None, seed: int = 0) -> None:
-        self.arm = VirtualArm(robot, truth, position=parked(robot), seed=seed, control_period_s=CONTROL_PERIOD_S)
+        self.arm = VirtualArm(robot, truth, position=parked(robot), seed=seed, control_period_s=self.control_period_s)
         self.faults = Faults(seed=seed)
         self.servos: dict[str, VirtualServo] = {}
         for name in self.arm.joints:
@@ -52,6 +54,7 @@ class VirtualRobot:
                 back_emf_V_s_per_rad=drive.back_emf_V_s_per_rad,
                 resistance_ohm=drive.resistance_ohm or 5.0,
                 latency_s=truth.latency_s,
+                control_period_s=self.control_period_s,
             )
             servo["baud_rate"] = list(BAUD_RATES.values()).index(1_000_000)
             self.servos[name] = servo
@@ -67,14 +70,14 @@ class VirtualRobot:
     def advance(self, now_s: float) -> None:
         """Move servos and arm on to an instant of the monotonic clock; called by the bus."""
         if self._time_s is None or now_s - self._time_s > LONGEST_PAUSE_S:
-            self._time_s = now_s - CONTROL_PERIOD_S
+            self._time_s = now_s - self.control_period_s
         if now_s - self._time_s > LATE_S:
             # this process was not run; what waits on the wire came meanwhile, so no watchdog may count that as silence
             for servo in self._all:
                 servo.heard(now_s)
-        arm, servos = self.arm, self._all
-        while self._time_s + CONTROL_PERIOD_S <= now_s:
-            time_s = self._time_s = self._time_s + CONTROL_PERIOD_S
+        arm, servos, period_s = self.arm, self._all, self.control_period_s
+        while self._time_s + period_s <= now_s:
+            time_s = self._time_s = self._time_s + period_s
             seen = zip(servos, self._shift, *arm.sensed(), strict=True)
             current = self._current = [servo.control(time_s, angle + shift, velocity) for servo, shift, angle, velocity in seen]
             if self._supported:

@@ -35,7 +35,6 @@ _TICK_WRAP = 32768  # Realtime Tick counts 0..32767 ms
 _VELOCITY_AVERAGE = 8  # periods
 _THERMAL_RESISTANCE_K_W = 4.0
 _THERMAL_TIME_S = 300.0
-_WARMING = CONTROL_PERIOD_S / _THERMAL_TIME_S
 _OVERLOAD_FRACTION = 0.9
 _OVERLOAD_S = 5.0
 # divisors of the velocity controller's gains, and what one count of its output means; assumed: current
@@ -53,8 +52,8 @@ class VirtualServo:
     """A servo that obeys its control table.
 
     Angles, velocities and currents are those of the shaft in the servo's own direction; the plant behind it calls
-    `control` once per `CONTROL_PERIOD_S` and lets the returned current flow. ``servo["current_limit"]`` reads or sets a
-    register without the bus's rules, as the factory does.
+    `control` once per period and lets the returned current flow. ``servo["current_limit"]`` reads or sets a register
+    without the bus's rules, as the factory does.
 
     Attributes:
         model: Control table and units.
@@ -73,8 +72,10 @@ class VirtualServo:
         back_emf_V_s_per_rad: float = 2.49,
         resistance_ohm: float = 5.22,
         latency_s: float = 0.0,
+        control_period_s: float = CONTROL_PERIOD_S,
     ) -> None:
         self.model = model
+        self._period_s, self._warming = control_period_s, control_period_s / _THERMAL_TIME_S
         self.supply_voltage_V = supply_voltage_V
         self.temperature_C = AMBIENT_C
         self.latency_s = latency_s
@@ -275,8 +276,7 @@ class VirtualServo:
     def control(self, now_s: float, angle_rad: float, velocity_rad_s: float) -> float:
         """One period of the controller: measure, look for trouble, choose the current that flows until the next call [A].
 
-        It comes `CONTROL_PERIOD_S` after the last one, with the shaft's angle and velocity, and is a whole number of
-        counts.
+        It comes a period after the last one, with the shaft's angle and velocity, and is a whole number of counts.
         """
         if self._tuned_V != self.supply_voltage_V:
             self._tune()
@@ -304,7 +304,7 @@ class VirtualServo:
         current_A = counts * self.model.current_unit_A
         # heat of the winding into one thermal mass; assumed values
         final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * (current_A * current_A)
-        self.temperature_C += (final_C - self.temperature_C) * _WARMING
+        self.temperature_C += (final_C - self.temperature_C) * self._warming
         return sign * current_A
 
     def _tune(self) -> None:
@@ -384,7 +384,7 @@ class VirtualServo:
         if values["present_temperature"] > values["temperature_limit"]:
             self.fail(HardwareError.OVERHEATING)
         straining = abs(values["present_current"]) >= self._straining_counts and not values["moving"]
-        self._overloaded_s = self._overloaded_s + CONTROL_PERIOD_S if straining else 0.0
+        self._overloaded_s = self._overloaded_s + self._period_s if straining else 0.0
         if self._overloaded_s > _OVERLOAD_S:
             self.fail(HardwareError.OVERLOAD)
 
