@@ -8,33 +8,30 @@ from __future__ import annotations
 import functools
 import multiprocessing
 import os
+import sys
 import threading
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
-_here = threading.local()
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 
 
-def one_blas_thread(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
-    """Decorates the calls that do the work, so that a script, a notebook and the command line all have it.
+@functools.lru_cache(maxsize=1)
+def _libraries(_modules: int) -> ThreadpoolController:
+    """Of BLAS, that came with so many modules: to look for them takes as long as a tenth of an episode."""
+    return ThreadpoolController()
 
-    One within another costs nothing: looking for the libraries takes as long as a tenth of an episode.
-    """
+
+def one_blas_thread(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+    """Decorates the calls that do the work, so that a script, a notebook and the command line all have it."""
 
     @functools.wraps(function)
     def limited(*arguments: _Given.args, **named: _Given.kwargs) -> _Result:
-        if getattr(_here, "limited", False):
+        with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
             return function(*arguments, **named)
-        with threadpool_limits(1, user_api="blas"):
-            _here.limited = True
-            try:
-                return function(*arguments, **named)
-            finally:
-                _here.limited = False
 
     return limited
 
