@@ -231,8 +231,8 @@ class VirtualArm:
         spec.option.gravity = robot.gravity
         # the default counts relative to the mean inertia, which a geared slide of 90 kg makes large: joints would stick
         spec.option.tolerance = SOLVER_TOLERANCE
-        # an arm that diverged must not silently begin anew at zero
-        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        # an arm that diverged must not silently begin anew at zero; to look for joints that press on nothing costs a tenth
+        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND)
         links = {link.name: link for link in robot.model.links}
         bodies = {robot.model.root: spec.worldbody.add_body(name=robot.model.root)}
         for joint in robot.model.joints:

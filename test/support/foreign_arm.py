@@ -85,6 +85,7 @@ class ForeignArm:
         self.data.qpos[:] = [START[name] for name in JOINTS]
         self.scale = 1.0 + truth.normal(0.0, 0.03, 3)  # torque over that which was commanded
         self._columns = [JOINTS.index(name) for name in ORDER]
+        self._limits = np.array([EFFORT_N_M[name] for name in JOINTS])
         self._coming: deque[tuple[float, np.ndarray]] = deque()
         self._last_s, self._now_s = -math.inf, math.nan
         self._wanted: np.ndarray | None = None
@@ -150,11 +151,10 @@ class ForeignArm:
             step_kg = STEP_S / LOADING_S
             self._held_kg += min(max(self._to_hold_kg - self._held_kg, -step_kg), step_kg)
             self.model.body_mass[self._hand] = self._empty_kg + self._held_kg
-            limits = np.array([EFFORT_N_M[name] for name in JOINTS])
-            torque = self._wanted
+            limits, torque = self._limits, self._wanted
             if self.goals:
                 torque = limits * (STIFFNESS_PER_RAD * (self._wanted - self.data.qpos) - DAMPING_S_PER_RAD * self.data.qvel)
-            self.data.qfrc_applied[:] = self.scale * np.clip(torque, -limits, limits)
+            self.data.qfrc_applied[:] = self.scale * np.minimum(np.maximum(torque, -limits), limits)
             self.mujoco.mj_step(self.model, self.data)
 
     def positions(self) -> list[float]:

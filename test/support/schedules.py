@@ -476,7 +476,7 @@ def standing(plan: str, folder: Path) -> Iterator[World]:
     weigh.write_text(WEIGH)
     nodes: dict[str, dict[str, Any]] = {
         "virtual": {"object": "0.05"},
-        "driver": {"rate": 100.0 if plan == "weigh" else 40.0},
+        "driver": {"rate": 50.0 if plan == "weigh" else 40.0},
         "excitation": {"probe": str(push)},
         "identifier": {"calibration": str(CALIBRATION), "payload_sequence": str(weigh), "live_period": 0.0},
     }
