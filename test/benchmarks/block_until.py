@@ -40,6 +40,8 @@ from proprio_ros.robot import Robot
 
 FIXED_AT_MOST = 12
 """Squeezes of the fixed sequence."""
+BLOCKS = 2
+"""That each robot squeezes."""
 FACTS = BlockFacts(np.full(3, EDGE_M))
 
 
@@ -94,7 +96,7 @@ def one_robot(job: tuple[int, Until]) -> list[Case]:
     rng = np.random.default_rng([seed, 5])
     sequence = replace(load_sequence("block_until", ROBOT), until=until)
     cases = []
-    for _ in range(2):
+    for _ in range(BLOCKS):
         modulus, ratio = float(np.exp(rng.uniform(np.log(4e3), np.log(2e5)))), float(rng.uniform(0.1, 0.4))
         block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
         runs, decision, decided, time_s = squeezed(robot, Hand(seed, block), sequence)

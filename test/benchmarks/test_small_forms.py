@@ -27,7 +27,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "mistakes": ("--arms", "pushes", "--only", "*alone*, effort, sign of all joints*", "--jobs", "1"),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
-    "running": ("--arms", "1", "--first", "6", "--sensing", "1", "--minutes", "0.5", "--stays", "2"),
+    "running": ("--arms", "1", "--first", "6", "--sensing", "1", "--minutes", "0.3", "--stays", "1"),
     "servos": ("--servos", "1", "--questions", "1"),
     "simulated": ("weighing", "container", "blocks", "paper", "--robots", "quantised_s00", "--at-most", "1"),
     "so101": ("--arms", "1", "--first", "1", "--seconds", "10"),
@@ -49,6 +49,8 @@ ELSEWHERE = {
     "first_time",  # asks an index of packages, for minutes
     "case", "figures", "filled_arm", "results",  # no benchmarks
 }  # fmt: skip
+SHORTER = {"FIXED_AT_MOST": 2, "BLOCKS": 1, "FINER": 1.0}
+"""What some benchmarks make: pushes to compare with, blocks a robot squeezes, and how much finer the second grid is."""
 NEEDS = {"distorted": "recordings_real", "mistakes": "recordings", "real": "recordings_real", "simulated": "recordings"}
 
 
@@ -72,7 +74,8 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     from support import hand
 
     monkeypatch.setattr(hand, "RATE_HZ", hand.RATE_HZ)  # a benchmark has another; the tests after it have their own again
-    monkeypatch.setattr(importlib.import_module(name), "FIXED_AT_MOST", 2, raising=False)  # where pushes to compare with are made
+    for constant, value in SHORTER.items():
+        monkeypatch.setattr(importlib.import_module(name), constant, value, raising=False)
     if name in NEEDS and not (SHARED / NEEDS[name]).is_dir():
         pytest.skip(f"needs {SHARED / NEEDS[name]}")
     kept = ran(name, SMALL[name], tmp_path / f"{name}.json")

@@ -18,7 +18,7 @@ from support.schedules import FAULTY, KINDS, PLANS, drawn
 
 SCHEDULES = Path(__file__).resolve().parents[1] / "support" / "schedules.py"
 PLAYED = sorted(range(1000), key=lambda seed: list(PLANS).index(drawn(seed).plan))
-BLOCKS = PLAYED[:690], PLAYED[690:]
+BLOCKS = PLAYED[:650], PLAYED[650:]
 """Two workers may play them, a process each: pushes alone, and weighings with so many pushes that both take as long."""
 FEW = [seed for seed in range(1000, 1040) if drawn(seed).plan == "push"][:10]
 """Without ``--long``."""
