@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import pytest
 import servos
 import swings
 from support.arm_in_motion import SIX, Twin, write_robot
-from support.browser import DARK, MEASURE, PAPER_PX, Look, brightness, on_paper
+from support.browser import DARK, MEASURE, PAPER_PX, Look, Style, brightness, on_paper
 from support.fleet import write_bag
 from support.machines import pendulum_urdf
 from support.paper_rows import synthetic
@@ -143,25 +141,27 @@ NAMES = ["payload", "softness", "calibration", "container", "motion", "motion_ca
 NAMES += ["contents", "swing", "swing_calibration", "servo", "servo_calibration"]
 
 
+WAYS: dict[int | str, tuple[int, Style]] = {1400: (1400, str), 400: (400, str), "paper": (PAPER_PX, on_paper)}
+Bright = dict[tuple[str, int | str], dict[str, Any]]
+
+
 @pytest.fixture(scope="module")
-def bright(pages: dict[str, Path], look: Look) -> Callable[[str], dict[Any, dict[str, Any]]]:
-    """What is measured on a page: by width, and on paper."""
-
-    @functools.cache
-    def measured(name: str) -> dict[Any, dict[str, Any]]:
-        seen = look.frames(pages[name], MEASURE, [(1400, str), (400, str), (PAPER_PX, on_paper)])
-        return dict(zip((1400, 400, "paper"), seen, strict=True))
-
-    return measured
+def bright(pages: dict[str, Path], look: Look) -> Bright:
+    """What is measured on each page: by width, and on paper."""
+    seen = look.frames(MEASURE, [(pages[name], *way) for name in NAMES for way in WAYS.values()])
+    return dict(zip(((name, way) for name in NAMES for way in WAYS), seen, strict=True))
 
 
-Bright = Callable[[str], dict[Any, dict[str, Any]]]
+@pytest.fixture(scope="module")
+def dark(pages: dict[str, Path], look: Look) -> dict[str, dict[str, Any]]:
+    """The same where the reader wants dark pages."""
+    return dict(zip(NAMES, look.frames(MEASURE, [(pages[name], 1400, str) for name in NAMES], DARK), strict=True))
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_is_wider_than_the_window(bright: Bright, name: str, width: int) -> None:
-    seen = bright(name)[width]
+    seen = bright[name, width]
     assert seen["width"] == width and seen["scroll"] <= width
     assert seen["smallest"] > 9.0, "px: what stands at the axes can be read"
     assert seen["title"] != "run"
@@ -170,16 +170,16 @@ def test_nothing_is_wider_than_the_window(bright: Bright, name: str, width: int)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_bright_on_dark_where_the_reader_wants_that(pages: dict[str, Path], bright: Bright, look: Look, name: str) -> None:
-    light, dark = bright(name)[1400], look(pages[name], MEASURE, 1400, DARK)
-    assert brightness(light["paper"]) > 0.95 and brightness(dark["paper"]) < 0.15
+def test_bright_on_dark_where_the_reader_wants_that(bright: Bright, dark: dict[str, dict[str, Any]], name: str) -> None:
+    light, night = bright[name, 1400], dark[name]
+    assert brightness(light["paper"]) > 0.95 and brightness(night["paper"]) < 0.15
     assert max(map(brightness, light["inks"])) < 0.7
-    assert min(map(brightness, dark["inks"])) > 0.4, "no ink is left from the bright page"
+    assert min(map(brightness, night["inks"])) > 0.4, "no ink is left from the bright page"
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_on_paper_the_verdict_and_every_column_can_be_read(bright: Bright, name: str) -> None:
-    seen = bright(name)["paper"]
+    seen = bright[name, "paper"]
     ink, ground, border = seen["verdict"]
     if name not in ("choices", "paper"):  # they judge nothing
         assert brightness(ink) < 0.1 and brightness(ground) == 1.0 and brightness(border) < 0.1

@@ -74,13 +74,13 @@ class Look:
 
     def __call__(self, page: Path, script: str, width: int = 1400, *more: str, style: Style = str) -> Any:
         """What a script says on a page so wide [px], with more options of the browser."""
-        return self.frames(page, script, [(width, style)], *more)[0]
+        return self.frames(script, [(page, width, style)], *more)[0]
 
-    def frames(self, page: Path, script: str, copies: Sequence[tuple[int, Style]], *more: str) -> list[Any]:
+    def frames(self, script: str, copies: Sequence[tuple[Path, int, Style]], *more: str) -> list[Any]:
         """The same of several copies in one start of the browser."""
-        text, frames = re.sub(r"default-src 'none'[^\"]*", "", page.read_text(), count=1), ""
-        for number, (width, style) in enumerate(copies):
-            copy = style(text)
+        frames = ""
+        for number, (page, width, style) in enumerate(copies):
+            copy = style(re.sub(r"default-src 'none'[^\"]*", "", page.read_text(), count=1))
             copy += f"<script>parent.document.body.dataset.said{number} = JSON.stringify((() => {{{script}}})())</script>"
             # a window cannot be as narrow as a telephone, a frame can
             frames += f'<iframe style="width:{width}px; height:900px; border:0" srcdoc="{html.escape(copy)}"></iframe>'
