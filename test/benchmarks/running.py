@@ -36,15 +36,17 @@ from proprio_ros.identification.regression.online import STEP_SIGMAS, OnlineEsti
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
+EMPTY_S, PART_S = 30.0, 10.0
+"""How long each motion lasts that calibrates, and each part of a day at least."""
 Day = tuple[list[Motion], list[tuple[float, Motion]]]
 
 
 def work(robot: Robot, seed: int) -> Day:
     """Empty motions, and the parts of a working day with the mass that is held."""
     arm, rng = Worker(robot, seed), np.random.default_rng(seed)
-    empty = [arm.work(30.0) for _ in range(2)]
+    empty = [arm.work(EMPTY_S) for _ in range(2)]
     masses = (0.0, 0.05, 0.0, 0.02 if seed % 2 else 0.1, 0.0)
-    return empty, [(mass, arm.work(10.0 + rng.uniform(0.0, 1.0), mass)) for mass in masses]
+    return empty, [(mass, arm.work(PART_S + rng.uniform(0.0, 1.0), mass)) for mass in masses]
 
 
 def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
