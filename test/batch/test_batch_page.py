@@ -138,7 +138,7 @@ def test_dark_and_on_paper(page: Path, look: Look) -> None:
 
 @pytest.mark.long
 def test_what_scrolls_casts_a_shadow_and_printed_headers_stay_whole(page: Path, look: Look) -> None:
-    narrow, paper = look.frames(page, READABLE, [(400, str), (PAPER_PX, on_paper)])
+    narrow, paper = look.frames(READABLE, [(page, 400, str), (page, PAPER_PX, on_paper)])
     assert narrow["unsigned"] == [] and paper["broken"] == []
 
 
