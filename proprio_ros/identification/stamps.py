@@ -87,9 +87,11 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     if not len(onsets):
         return None
     since_s = np.maximum(times_s - onsets[:, None], 0.0)
-    basis = np.linalg.qr(np.stack([np.ones_like(since_s), since_s**2, since_s**3], axis=2) * weight[:, None])[0]
+    basis, upper = np.linalg.qr(np.stack([np.ones_like(since_s), since_s**3, since_s**2], axis=2) * weight[:, None])
     seen = (position - position[0]) * weight
-    chi2 = seen @ seen - np.sum((seen @ basis) ** 2, axis=1)
+    along = seen @ basis
+    along[along[:, 2] / upper[:, 2, 2] * seen[-1] < 0.0, 2] = 0.0  # what first moves the other way is a joint that creeps at rest
+    chi2 = seen @ seen - np.sum(along**2, axis=1)
     best = float(chi2.min())
     good = onsets[chi2 <= best + SURE * max(best / (count - 5), 1.0)]
     return float(good[-1]) if good[-1] < least_s else None

@@ -98,6 +98,18 @@ def test_a_load_that_is_hardly_moved_is_no_sign_of_wrong_stamps() -> None:
     assert moves_before(recorded(t, position), -0.001, JITTER_S) is None
 
 
+def test_a_joint_that_creeps_the_other_way_before_a_push_that_hardly_moves_it() -> None:
+    """One count up in the last half second, and then slowly down: taken together they seemed to begin with the creep."""
+    t = PERIOD_S * np.arange(-20, 24)
+    away = -0.02 * (np.cosh(5.0 * np.clip(t, 0.0, None)) - 1.0)
+    for creeps_rad in (0.6, 1.1, 2.1):
+        crept = creeps_rad * COUNT_RAD * np.clip((t + 0.5) / 0.3, 0.0, 1.0)
+        assert moves_before(recorded(t, crept + away), -0.0056, 2e-4) is None
+    begins = -0.02 * (np.cosh(5.0 * np.clip(t + 0.15, 0.0, None)) - 1.0)
+    begun_s = moves_before(recorded(t, crept + begins), -0.0056, 2e-4)
+    assert begun_s is not None and -0.2 < begun_s < -0.02
+
+
 def test_the_earliest_onset_that_is_allowed_is_tried_itself() -> None:
     """Onsets are searched for 4 ms apart, at 0 and 4 ms here; that this one began 1.5 ms early cannot be seen."""
     t = 0.002 * np.arange(-250, 300)
