@@ -33,7 +33,7 @@ from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.recordings.description import robot_named
 
 _G, _H = Guards(), HoldGains()
-STATUS_PERIOD_S = 0.1
+STATUS_PERIOD_S, REST_PERIOD_S = 0.1, 1.0  # at rest, too: who missed the last word of a sequence waits for the next
 LEASE_S = 1.5
 """Whoever says on ~/lease that it wants the sequence says so ten times a second; without a word for so long it is gone."""
 STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
@@ -122,7 +122,8 @@ class ExcitationNode(ManagedNode):
         if value_of(self, "probe") != DEFAULT_PROBE:  # not every robot can make the default
             load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._output = self._driver_output() if ours else self._controller_output(interface)
+        topics = (self.create_publisher(Float64MultiArray, name, COMMANDS) for name in ("current_command", "position_command"))
+        self._output = DriverOutput(*topics) if ours else self._controller_output(interface)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not (ours and self._machine.busy))
         if ours:  # else this node says itself what it commands
@@ -157,10 +158,6 @@ class ExcitationNode(ManagedNode):
         self._output.close()
         self._switched = None
         self.remove_on_set_parameters_callback(self._on_parameters)
-
-    def _driver_output(self) -> Output:
-        currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
-        return DriverOutput(currents, self.create_publisher(Float64MultiArray, "position_command", COMMANDS))
 
     def _controller_output(self, interface: str) -> Output:
         topic = self.values["input_topic"] or INPUT_TOPICS[interface]
@@ -360,7 +357,7 @@ class ExcitationNode(ManagedNode):
 
     def _tell_when_due(self) -> None:
         """By the clock on the wall: who listens must hear that we are alive, though a simulation may pause."""
-        due = self._machine.busy and clock.now() - self._published_at_s >= STATUS_PERIOD_S
+        due = clock.now() - self._published_at_s >= (STATUS_PERIOD_S if self._machine.busy else REST_PERIOD_S)
         if self.active and (due or self._state() != self._published):
             self._tell()
 

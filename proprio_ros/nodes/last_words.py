@@ -37,7 +37,9 @@ SILENT_S = 0.25
 NODE = "excitation_last_words"
 LAST_WORDS_S, AGAIN = 0.3, 6
 START_S = 60.0
+FOUND_S = 4.0  # who uses DDS announces itself every 3 s, should the first words be lost
 SWITCHED = "switched"
+HEARD, UNHEARD = b"+", b"-"
 SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for controller_manager
 
 
@@ -55,7 +57,7 @@ class LastWords:
         switched = [] if controllers is None else [json.dumps(asdict(controllers))]
         command = [sys.executable, "-m", "proprio_ros.nodes.last_words", topic, *switched]
         # a session of its own: Ctrl-C is for the node alone, which then ends in order
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+        self._process = subprocess.Popen(command, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
         assert self._process.stdin is not None and self._process.stdout is not None
         ready, _, _ = select.select([self._process.stdout], [], [], START_S)
         said = self._process.stdout.readline() if ready else b""
@@ -66,10 +68,20 @@ class LastWords:
         os.set_blocking(self._process.stdin.fileno(), False)
         self._publisher = said.decode().split()[1:]
         self._told_s = -1e9
+        self._heard = False
+        select.select([self._process.stdout], [], [], FOUND_S)
 
     @property
     def alive(self) -> bool:
         return self._process.poll() is None
+
+    @property
+    def heard(self) -> bool:
+        """Whether it has found who listens on the topic, which the node itself may have before: until then it speaks to nobody."""
+        assert self._process.stdout is not None
+        if select.select([self._process.stdout], [], [], 0.0)[0]:
+            self._heard = os.read(self._process.stdout.fileno(), 4096).endswith(HEARD)
+        return self._heard
 
     def is_publisher(self, info: Any) -> bool:
         """Whether a publisher on the topic is this process's, or that of one before it.
@@ -123,9 +135,13 @@ def main(topic: str, switched: str = "") -> int:
     sys.stdout.flush()
     run_in_real_time()
     last: list[float] = []
-    engaged, rest = False, b""
+    engaged, heard, rest = False, False, b""
     while True:
-        ready, _, _ = select.select([sys.stdin], [], [], SILENT_S if last else None)
+        if (publisher.get_subscription_count() > 0) != heard:
+            heard = not heard
+            with contextlib.suppress(OSError):  # nobody is left to read it
+                os.write(sys.stdout.fileno(), HEARD if heard else UNHEARD)
+        ready, _, _ = select.select([sys.stdin], [], [], SILENT_S)
         read = os.read(sys.stdin.fileno(), 65536) if ready else b""
         if ready and not read:
             break

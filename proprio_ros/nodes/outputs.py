@@ -154,6 +154,8 @@ class ControllerOutput(Output):
             raise ExcitationError(f"somebody else publishes on {self._topic}, too: end it first, for the last command counts")
         if not self._last_words.alive:
             raise ExcitationError("the process that holds the arm if this one is killed has ended: start this node again")
+        if not self._last_words.heard:
+            raise ExcitationError(f"the process that holds a killed node's arm has not found {self._topic} yet: ask again")
         self.controller.check(sequence)
 
     def begin(self) -> None:

@@ -22,7 +22,7 @@ from support.domains import free_domain
 from support.live import wait_for
 
 from proprio_ros import clock
-from proprio_ros.nodes import excitation, messages
+from proprio_ros.nodes import excitation, last_words, messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.nodes.last_words import LastWords
 from proprio_ros.robot import load_robot
@@ -49,7 +49,7 @@ class Speaker:
     """In the place of the process that says last words."""
 
     told: list[list[float]] = field(default_factory=list)
-    alive = due = True
+    alive = due = heard = True
 
     def is_publisher(self, info: Any) -> bool:
         return False
@@ -281,13 +281,25 @@ def test_release_lets_go_in_mid_push(make: Any) -> None:
     assert arm.node._on_release(Trigger.Request(), Trigger.Response()).message == "nothing was held"
 
 
-def test_nothing_begins_where_nobody_would_hold_the_arm_of_a_killed_node(make: Any) -> None:
+@pytest.mark.parametrize(("lacks", "cure"), [("alive", "start this node again"), ("heard", "has not found")])
+def test_nothing_begins_where_nobody_would_hold_the_arm_of_a_killed_node(make: Any, lacks: str, cure: str) -> None:
     arm = make()
     arm.advance(0.2)
-    arm.speaker.alive = False
+    setattr(arm.speaker, lacks, False)
     response = arm.node._on_run(Trigger.Request(), Trigger.Response())
-    assert not response.success and "start this node again" in response.message
+    assert not response.success and cure in response.message
     assert not arm.commands
+
+
+def test_the_state_is_told_at_rest_too(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every second: the last word of a sequence may be lost."""
+    arm = make()
+    arm.advance(0.2)
+    told = Published()
+    monkeypatch.setattr(arm.node, "_status", told)
+    arm.advance(5.0)
+    assert 4 <= len(told) <= 6
+    assert all(each.message == told[0].message for each in told)
 
 
 @pytest.mark.long
@@ -308,7 +320,7 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(monkeypatch: pytest
 
     speaker = LastWords(topic)
     try:
-        assert wait_for(lambda: node.count_publishers(topic) == 1)
+        assert wait_for(lambda: node.count_publishers(topic) == 1 and speaker.heard)
         (publisher,) = node.get_publishers_info_by_topic(topic)
         publisher.node_name = "_NODE_NAME_UNKNOWN_"  # as it is until the name comes
         assert speaker.is_publisher(publisher)
@@ -329,6 +341,15 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(monkeypatch: pytest
         for _ in range(20):  # the first one's last words are said again and again
             executor.spin_once(timeout_sec=0.05)
         assert [5.0, 6.0] not in heard, "who was dismissed says nothing"
+        monkeypatch.setattr(last_words, "FOUND_S", 0.0)
+        alone = LastWords("/nobody_listens/commands")
+        assert alone.alive and not alone.heard
+        listening = node.create_subscription(Float64MultiArray, "/nobody_listens/commands", lambda _: None, 10)
+        assert wait_for(lambda: alone.heard)
+        node.destroy_subscription(listening)
+        assert wait_for(lambda: not alone.heard), "the controller has gone"
+        alone.close()
+        assert wait_for(lambda: not alone.alive)
     finally:
         executor.shutdown()
         node.destroy_node()

@@ -63,7 +63,7 @@ class Arm:
         self.told: list[list[float]] = []
         self.commands, self.goals = Published(), Published()
         speaker = SimpleNamespace(
-            alive=True, due=True, tell=self.told.append, dismiss=lambda: self.told.append([]), close=lambda: None,
+            alive=True, due=True, heard=True, tell=self.told.append, dismiss=lambda: self.told.append([]), close=lambda: None,
             is_publisher=lambda info: False,
         )  # fmt: skip
         monkeypatch.setattr(excitation, "LastWords", lambda *_given: speaker)

@@ -157,7 +157,7 @@ def test_without_the_messages_the_node_says_so_and_works(monkeypatch: pytest.Mon
     said: list[str] = []
     monkeypatch.setattr(ExcitationNode, "say", lambda self, severity, words: said.append(words))
     monkeypatch.setattr(ExcitationNode, "real_time", False)
-    speaker = SimpleNamespace(alive=True, due=True, close=lambda: None, dismiss=lambda: None, tell=lambda _: None)
+    speaker = SimpleNamespace(alive=True, due=True, heard=True, close=lambda: None, dismiss=lambda: None, tell=lambda _: None)
     monkeypatch.setattr(excitation, "LastWords", lambda *_given: speaker)
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
