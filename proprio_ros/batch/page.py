@@ -155,7 +155,8 @@ def _refused(whole: Sequence[Row], reports: Mapping[str, str], options: Options 
             parts.append(f"<p>{said}</p><p><b>What to do:</b> {_HELP.get(code, _HELP['']).replace('CHECK', checked)}</p>")
         else:
             meaning, remedy = (escape(words[0].upper() + words[1:]) for words in (CODES[code], REMEDIES[code]))
-            parts.append(f"<p>{meaning}.</p><p><b>What to do:</b> {_coded(remedy)}.</p><p class=small>One of them: {said}</p>")
+            remedy = re.sub(r"`([^`]*)`", r"<code>\1</code>", remedy)  # commands are between backticks
+            parts.append(f"<p>{meaning}.</p><p><b>What to do:</b> {remedy}.</p><p class=small>One of them: {said}</p>")
         examples = ", ".join(_linked(row, reports) for row in own[:EXAMPLES])
         more = f" and {len(own) - EXAMPLES} more" if len(own) > EXAMPLES else ""
         jump = f" <a class=jump href='#all' data-cause='{number}'>Show {'all' if more else 'in the list'}</a>"
@@ -163,11 +164,6 @@ def _refused(whole: Sequence[Row], reports: Mapping[str, str], options: Options 
     if (left := len(rows) - MOST_CAUSES) > 0:
         parts.append(f"<p class=small>And {left} other causes, each of fewer rows: choose them in the list below.</p>")
     return parts
-
-
-def _coded(words: str) -> str:
-    """Commands between backticks as such."""
-    return re.sub(r"`([^`]*)`", r"<code>\1</code>", words)
 
 
 def _linked(row: Row, reports: Mapping[str, str]) -> str:

@@ -56,7 +56,8 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
 
     Raises `ConfigurationError`: No driven joint that turns feels a weight in the hand where there is room for a push.
     """
-    loads, steps, found = Loads(robot), _by_goals(robot), poses_of(robot)
+    goals = [drive.driven_by is not None and drive.driven_by.follows_goal for drive in robot.drive_trains.values()]
+    loads, steps, found = Loads(robot), any(goals), poses_of(robot)
 
     def shows(name: str) -> float:
         """How much of a weight in the hand: against what rubs, which grows with what the joint can lift."""
@@ -109,11 +110,6 @@ def lever_m(robot: Robot, joint: str, pose: Mapping[str, float]) -> float:
     up = -robot.gravity / np.linalg.norm(robot.gravity)
     ends = [robot.model.frame_transform(robot.payload_frame, {**pose, joint: pose[joint] + d}) for d in (-1e-4, 1e-4)]
     return float(up @ (ends[1][:3, 3] - ends[0][:3, 3])) / 2e-4
-
-
-def _by_goals(robot: Robot) -> bool:
-    laws = [drive.driven_by for drive in robot.drive_trains.values()]
-    return any(law is not None and law.follows_goal for law in laws)
 
 
 def _limits(robot: Robot, name: str) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -347,20 +348,16 @@ def _check_unpacked(path: Path) -> None:
             raise RecordingError(f"{file}: unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read")
 
 
-def _unzstd(data: bytes, size: int = MOST_BYTES_OF_ONE) -> bytes:
-    """At most the given number of bytes, and one more."""
-    return bytes(zstd.ZstdDecompressor().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
-
-
-def _unlz4(data: bytes, size: int) -> bytes:
-    return bytes(LZ4FrameDecompressor().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
+def _unpacked(kind: Any, data: bytes, size: int = MOST_BYTES_OF_ONE) -> bytes:
+    """By a kind of decompressor, at most the given number of bytes, and one more."""
+    return bytes(kind().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
 
 
 class _Zstd:
     """What rosbags uses of zstd for whole files and single messages, with a limit on the latter."""
 
     open = staticmethod(zstd.open)
-    decompress = staticmethod(_unzstd)
+    decompress = partial(_unpacked, zstd.ZstdDecompressor)
     ZstdError = zstd.ZstdError
 
 
@@ -372,5 +369,5 @@ class _Yaml(YAML):
 
 
 # a kilobyte of zstd or YAML can stand for gigabytes, and rosbags has no option that limits what it unpacks
-storage_mcap.DECOMPRESSORS.update(zstd=_unzstd, lz4=_unlz4)
+storage_mcap.DECOMPRESSORS.update(zstd=partial(_unpacked, zstd.ZstdDecompressor), lz4=partial(_unpacked, LZ4FrameDecompressor))
 rosbag2_reader.zstd, rosbag2_reader.YAML, metadata.YAML = _Zstd, _Yaml, _Yaml

@@ -47,7 +47,9 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
 
     Returns: Shape (10,); the same where a body already has these.
     """
-    length_m = float(np.sqrt(_second_moment(parameters, covariance) / parameters[0]))
+    # by the largest inertia that the estimate allows, the rest is a number near one
+    second_moment = (np.abs(parameters) + np.sqrt(np.diag(covariance)))[[4, 7, 9]].max()
+    length_m = float(np.sqrt(second_moment / parameters[0]))
     size = parameters[0] * np.array([1.0, *[length_m] * 3, *[length_m**2] * 6])
     wanted = parameters / size
     if np.linalg.eigvalsh(pseudo_inertia(wanted)).min() > 0.0:
@@ -75,11 +77,6 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
         barrier *= 0.2
     result: FloatArray = np.concatenate([parameters[:1], rest * size[1:]])
     return result
-
-
-def _second_moment(parameters: FloatArray, covariance: FloatArray) -> float:
-    """The largest inertia that the estimate allows [kg m^2]: what makes the rest a number near one."""
-    return float((np.abs(parameters) + np.sqrt(np.diag(covariance)))[[4, 7, 9]].max())
 
 
 def inertia_about_centre(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
