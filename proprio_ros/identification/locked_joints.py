@@ -44,6 +44,25 @@ class Motion:
         return position @ self.acceleration, velocity @ self.acceleration, hat @ self.acceleration
 
 
+@dataclass(frozen=True)
+class Followed:
+    """A motion that is known at instants, from rest at the first."""
+
+    times_s: np.ndarray  # shape (T,)
+    position: np.ndarray  # [rad]
+    velocity: np.ndarray  # [rad/s]
+
+    @property
+    def start(self) -> float:
+        return float(self.position[0])
+
+    def at(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `Motion.at`."""
+        known = self.position - self.start, self.velocity, np.gradient(self.velocity, self.times_s)
+        position, velocity, acceleration = (np.interp(times_s, self.times_s, each, left=0.0) for each in known)
+        return position, velocity, acceleration
+
+
 def _basis(times_s: np.ndarray, knots_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What one unit of acceleration at each knot does to position, velocity and acceleration; shapes (T, K)."""
     step = knots_s[1] - knots_s[0]
@@ -142,11 +161,12 @@ def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> tuple[dic
 
 
 def loads_of_yielding(
-    robot: Robot, run: Run, motions: Mapping[str, Motion], facts: PayloadFacts, noise: float
+    robot: Robot, run: Run, motions: Mapping[str, Motion | Followed], facts: PayloadFacts, noise: float, own: Followed | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Load that yielding joints, whose motions are given, put on the driven one, beside what it carries when they stand still.
 
-    The driven joint's own motion, which enters weakly, is its smoothed reading with ``noise`` as standard deviation [rad].
+    The driven joint's own motion, which enters weakly, is its smoothed reading with ``noise`` as standard deviation [rad], if
+    ``own`` does not state it, at even instants.
 
     Returns:
         Instants from which each value holds [s], shape (S,), the first 0; with an empty hand [N m] and per kilogram of payload
@@ -156,9 +176,9 @@ def loads_of_yielding(
     model = robot.model.lock([run.joint, *motions], held, robot.gravity)
     rests = rests_from(run.before_times_s, run.before_position, robot.drive_trains[run.joint])
     times_s = np.concatenate([run.before_times_s, run.times_s])[rests:]
-    driven = smooth(times_s, np.concatenate([run.before_position, run.position])[rests:], noise, DRIVEN_SCALES)
+    driven = own or smooth(times_s, np.concatenate([run.before_position, run.position])[rests:], noise, DRIVEN_SCALES)
     # the torque is constant over half of what is between two knots, at its value in the middle; its bends are ten times slower
-    segment_s = 0.5 * float(driven.knots_s[1])
+    segment_s = float(driven.times_s[1]) if isinstance(driven, Followed) else 0.5 * float(driven.knots_s[1])
     begins = np.arange(0.0, float(run.times_s[-1]), segment_s)
     rest = np.zeros(len(begins))
     still, moving = [], []
@@ -167,14 +187,19 @@ def loads_of_yielding(
         away, velocity, acceleration = motion.at(begins + 0.5 * segment_s)
         moving.append((motion.start + away, velocity, acceleration))
         still.append(moving[-1] if name == run.joint else (rest + motion.start, rest, rest))
+    inertias = arm_and_payload(robot, model, facts)
+    row = model.joint_names.index(run.joint)
+    return begins, joint_torque(model, moving, row, inertias) - joint_torque(model, still, row, inertias)
+
+
+def arm_and_payload(robot: Robot, model: ReducedModel, facts: PayloadFacts) -> np.ndarray:
+    """Pseudo-inertias of the arm's moving bodies, and of each kilogram of payload, shape (2, n, 4, 4)."""
     body, body_from_payload = model.frames[robot.payload_frame]
     payload = np.zeros_like(model.pseudo_inertia)
     if body >= 0:
         unit = np.tensordot(facts.per_kg, pseudo_inertia_basis(), axes=1)
         payload[body] = body_from_payload @ unit @ body_from_payload.T
-    inertias = np.array([model.pseudo_inertia, payload])
-    row = model.joint_names.index(run.joint)
-    return begins, joint_torque(model, moving, row, inertias) - joint_torque(model, still, row, inertias)
+    return np.array([model.pseudo_inertia, payload])
 
 
 def joint_torque(
@@ -185,9 +210,8 @@ def joint_torque(
     With T a body's transform, P its pseudo-inertia and g gravity as a transform's last column, the torque on joint i is the sum
     over bodies of ``trace(dT/dq_i  P  (T'' - g)^T)``.
 
-    ``model``: the moving bodies and their joints; ``motion``: position, velocity and acceleration of each joint over
-    time, each of shape (T,); ``joint``: place of the joint; ``inertias``: sets of pseudo-inertias, one of each body,
-    shape (I, n, 4, 4).
+    ``model``: the moving bodies and their joints; ``motion``: position, velocity and acceleration of each joint over time, each of
+    shape (T,); ``joint``: place of the joint; ``inertias``: sets of pseudo-inertias, one of each body, shape (I, n, 4, 4).
     """
     gravity = np.zeros((4, 4))
     gravity[:3, 3] = model.gravity

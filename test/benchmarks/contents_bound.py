@@ -22,7 +22,6 @@ from proprio_ros.identification import solvers
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.identification.unknowns import Role
 from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.probes.contents.models import ContentsFacts, ContentsProblem, Slosh, damping_ratio
@@ -151,7 +150,7 @@ def driven(arm: Arm, push: Push, facts: ContentsFacts, kg: float, fill: float) -
     for _ in range(22):
         current = 0.5 * (low + high)
         run = prepare_run(arm.robot, bare(arm, push, hz, current), None, facts.shell)
-        problem = ContentsProblem(arm.robot, [run], facts, [True], "liquid", Role.FREE)
+        problem = ContentsProblem(arm.robot, [run], facts, [True], "liquid")
         shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.free[:1])[0][0, 0]
         # of a shaken one where it is on average in the end
         moved = float(shown[: run.used][run.times_s > run.times_s[-1] - period_s].mean()) - push.start[push.joint]
@@ -170,7 +169,7 @@ def bound(arm: Arm, pushes: Sequence[Push], radius: float, kg: float) -> dict[st
     if any(run is None for run in runs):
         return None
     made = [run for run in runs if run is not None]
-    problem = ContentsProblem(arm.robot, made, facts, [True] * len(made), "liquid", Role.FREE)
+    problem = ContentsProblem(arm.robot, made, facts, [True] * len(made), "liquid")
     values = truth_of(problem, kg, fill, facts)
     found = Posterior(problem, values)
     names = ("contents_density", "slosh_tuning", "slosh_damping_log")
@@ -183,7 +182,7 @@ def bound(arm: Arm, pushes: Sequence[Push], radius: float, kg: float) -> dict[st
     covariance = np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
     density, tuning, damping = (float(np.sqrt(covariance[place, place])) for place in places)
     hz = float(np.sqrt(Slosh.of(radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
-    rigid = ContentsProblem(arm.robot, made, facts, [True] * len(made), "rigid", Role.FREE)
+    rigid = ContentsProblem(arm.robot, made, facts, [True] * len(made), "rigid")
     shown = problem.simulate(values[None], problem.free[:1])[0][0]
     rigid.measured = np.where(rigid.weight > 0.0, shown, 0.0)
     start = rigid.base.copy()

@@ -15,7 +15,7 @@ from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes import probe_named, virtual_object
 from proprio_ros.probes.contents import models
 from proprio_ros.probes.contents.detail import KINDS_INSIDE
-from proprio_ros.probes.contents.identify import ContentsFound, find_contents, surpassed, weighted
+from proprio_ros.probes.contents.identify import ContentsFound, find_contents, weighted
 from proprio_ros.probes.contents.models import ContentsFacts, Slosh, damping_ratio, inside_terms, inside_unknowns
 
 FACTS = ContentsFacts(0.035, 0.1, np.array([0.015, 0.0, -0.04]))
@@ -49,26 +49,15 @@ def test_slopes_of_the_models_are_differences(model: str) -> None:
                 np.testing.assert_allclose(exact.imag / 1e-30, slope, rtol=1e-5, atol=1e-7 * max(1.0, np.abs(slope).max()))
 
 
-def test_motion_is_no_more_probable_than_its_advantage_is_more_than_chance() -> None:
+def test_probabilities_are_the_evidences() -> None:
     moves = np.array([False, False, True, True])
-    np.testing.assert_allclose(weighted(np.log([0.0001, 0.4, 0.5, 0.0999]), moves, 0.9), [0.0001, 0.4, 0.5, 0.0999])
-    np.testing.assert_allclose(weighted(np.log([1e-9, 0.1, 0.6, 0.3]), moves, 0.6), [0, 0.4, 0.4, 0.2], atol=1e-6)
-    # where neither has an advantage nothing is said, of what is rigid as little as of what moves
-    np.testing.assert_allclose(weighted(np.log([1e-9, 0.2, 0.5, 0.3]), moves, 0.1), [0, 0.5, 0.3125, 0.1875], atol=1e-6)
-    # nor of what is rigid and explains nothing
-    np.testing.assert_allclose(weighted(np.log([1e-9, 0.98, 0.01, 0.01]), moves, 0.1, 0.5), [0, 0.5, 0.25, 0.25], atol=1e-6)
+    np.testing.assert_allclose(weighted(np.log([0.0001, 0.4, 0.5, 0.0999]), moves), [0.0001, 0.4, 0.5, 0.0999])
+    # what is rigid and explains nothing is not said to be rigid
+    np.testing.assert_allclose(weighted(np.log([1e-9, 0.98, 0.01, 0.01]), moves, 0.5), [0, 0.5, 0.25, 0.25], atol=1e-6)
+    np.testing.assert_allclose(weighted(np.log([1e-9, 0.1, 0.6, 0.3]), moves, 0.5), [0, 0.1, 0.6, 0.3], atol=1e-6)
     # what is rigid may be out of the question beside what moves, in the digits that numbers have
-    np.testing.assert_allclose(weighted(np.array([-1e5, -5e3, 0.0, -9e3]), moves, 0.99), [0.0, 0.01, 0.99, 0.0])
+    np.testing.assert_allclose(weighted(np.array([-1e5, -5e3, 0.0, -9e3]), moves), [0.0, 0.0, 1.0, 0.0])
     np.testing.assert_allclose(weighted(np.array([0.0, -1.0, -5e3, -6e3]), moves, 0.5).sum(), 1.0)
-
-
-@pytest.mark.parametrize(("won_by", "more_than", "at_most"), [(1, 0.5, 0.9), (30, 0.999, 1.0)])
-def test_an_advantage_counts_by_the_stretches_that_have_it(won_by: int, more_than: float, at_most: float) -> None:
-    residual = np.ones(240)
-    other = residual.copy()
-    other[: 8 * won_by] = 0.5
-    mine, its = (SimpleNamespace(residual=each) for each in (residual, other))
-    assert more_than < surpassed(mine, its) <= at_most and surpassed(its, mine) == pytest.approx(1 - surpassed(mine, its))
 
 
 def test_all_of_a_liquid_weighs_where_it_is() -> None:

@@ -1,10 +1,9 @@
 """From runs with a filled container to what is inside: every model is fitted, and their evidence compared.
 
 The evidence of a model is Laplace's: its fit's probability times the share of the prior that the recording leaves (MacKay 2003,
-Information Theory, Inference and Learning Algorithms, chapter 28). Where the best model leaves more of the empty container's runs
-than the encoder explains, residuals count for less, in all models alike. Masses are averaged over what is probable. That something
-moves is no more probable than that its advantage over what is rigid is more than one stretch's (Vuong 1989, Econometrica 57(2)),
-where it is not even.
+Information Theory, Inference and Learning Algorithms, chapter 28). Under each model held joints shake as their servos let them
+(`held_by_servos`), or what they leave would look like a liquid. Where the best model leaves more of the empty container's runs than
+the encoder explains, residuals count for less, in all models alike. Masses are averaged over what is probable.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr, softmax
+from scipy.special import softmax
 
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification import solvers
@@ -26,7 +25,6 @@ from proprio_ros.identification.judge import Refusal, Useful, positive
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.contents import models as law
 from proprio_ros.probes.contents.detail import KINDS_INSIDE, MOVING, ContentsDetail
 from proprio_ros.probes.contents.models import ContentsFacts
@@ -34,24 +32,14 @@ from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-SURE, UNTOLD = 0.95, 0.9  # probability from which on a kind is said, and motion's at most where held joints may be all
-ALIKE_RUNS = 2.0  # what the robot's model leaves goes together within a run: models differ by so many times less than chi-square
-STRETCH = 16  # samples whose residuals go together: about a period of a shake
-GIVES_WAY = 2.5  # times what the empty container's runs leave by themselves: held joints give way and leave twice as much
+SURE = 0.95  # probability from which on a kind is said
+ALIKE_RUNS = 2.0  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
 STARTS_KG = (0.03, 0.1, 0.3)
+PASSES = 2  # so often held joints are found to give way anew
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
 """Dynamic viscosity below which a liquid is of a class [Pa s]."""
 FILL_SHARE = 0.1  # of the container's height: how well a fill has to be known
-
-
-@dataclass(frozen=True)
-class Modelled:
-    """A model as it was fitted."""
-
-    model: str
-    nominal: FitResult
-    opened: FitResult
 
 
 def evidence(known: Posterior) -> float:
@@ -70,35 +58,30 @@ def left_over(fit: FitResult) -> np.ndarray:
     return np.asarray(squares / np.count_nonzero(fit.problem.weight, axis=1))
 
 
-def surpassed(known: Posterior, other: Posterior) -> float:
-    """Probability that the other model is nearer to the truth, by how alike the stretches of the recording say so."""
-    gained = known.residual**2 - other.residual**2
-    gained = np.array([part.sum() for part in np.array_split(gained, max(2, len(gained) // STRETCH))])
-    return float(ndtr(gained.sum() / max(np.sqrt(len(gained)) * gained.std(), 1e-9)))
-
-
-def weighted(logs: np.ndarray, of_group: np.ndarray, most: float, least: float = 0.0) -> np.ndarray:
-    """Probabilities by logarithms of evidence, shape (M,); of a group (M,) together from ``least`` to ``most``, or even."""
-    share = max(min(float(softmax(logs)[of_group].sum()), max(most, 0.5)), least)
+def weighted(logs: np.ndarray, of_group: np.ndarray, least: float = 0.0) -> np.ndarray:
+    """Probabilities by logarithms of evidence, shape (M,); of a group (M,) together at ``least`` that."""
+    share = max(float(softmax(logs)[of_group].sum()), least)
     # each side by itself: beside the other's its evidence may be nothing
     within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (of_group, ~of_group))
     return share * within + (1.0 - share) * beside
 
 
-def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str) -> Modelled:
-    """A model fitted with the robot as it is stated, and from its best end with all that is open."""
-    fits: list[FitResult] = []
-    for role in (Role.FROZEN, Role.FREE):
-        problem = law.ContentsProblem(robot, runs, facts, filled, model, role)
-        starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
-        if problem.inside:
-            starts[:, problem.index["contents_mass"]] = STARTS_KG
-        if fits:  # with a robot that is held still the search may end far off, so all starts are made again
-            starts = np.concatenate([fits[0].values_of(problem.unknowns)[None], starts])
+def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str) -> list[FitResult]:
+    """A model's search from all starts; then from its end, again and again, with held joints as the motion before moves them."""
+
+    def search(problem: law.ContentsProblem, starts: np.ndarray) -> FitResult:
         internal = problem.coordinates.internal(starts[:, problem.free])
-        solution = solvers.levenberg_marquardt(problem, internal, problem.simulator.windows, tolerance=1e-3)
-        fits.append(FitResult.of(problem, solution))
-    return Modelled(model, *fits)
+        return FitResult.of(problem, solvers.levenberg_marquardt(problem, internal, problem.simulator.windows, tolerance=1e-3))
+
+    problem = law.ContentsProblem(robot, runs, facts, filled, model)
+    starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
+    if problem.inside:
+        starts[:, problem.index["contents_mass"]] = STARTS_KG
+    fits = [search(problem, starts)]
+    for _ in range(PASSES):
+        problem = law.ContentsProblem(robot, problem.held(fits[-1].values), facts, filled, model)
+        fits.append(search(problem, fits[-1].values[None]))
+    return fits
 
 
 def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, baseline: Sequence[Run] = ()) -> Estimate:
@@ -124,32 +107,24 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
-    best, rows = min((model.opened for model in models), key=lambda fit: fit.reduced_chi2), np.array(filled)
+    best, rows = min((fits[-1] for fits in models), key=lambda fit: fit.reduced_chi2), np.array(filled)
     inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best)[~rows].max())
-    known = [Posterior(model.opened.problem, model.opened.values, inflation) for model in models]
-    kinds = [law.MODELS[model.model] for model in models]
+    known = [Posterior(fits[-1].problem, fits[-1].values, inflation) for fits in models]
+    kinds = [*law.MODELS.values()]
     # each kind is as likely beforehand
     logs = np.array([evidence(each) - np.log(kinds.count(kind)) for each, kind in zip(known, kinds, strict=True)])
-    moves = np.isin(kinds, MOVING)
-    rigid, moving = (int(np.argmax(np.where(side, logs, -np.inf))) for side in (np.isin(kinds, "rigid"), moves))
-    # what no rigid thing explains may move otherwise than any of these models, or be heavy and make held joints give way
-    left = left_over(as_rigid := models[rigid].opened)[rows].max()
-    bare = [run for run, has in zip(used, filled, strict=True) if not has]
-    if (tells := left > GIVES_WAY) and bare:
-        # by themselves: what a liquid bends of the robot, which all runs share, is no fault of theirs
-        alone = fitted(robot, bare, facts, [False] * len(bare), "nothing")
-        tells = left > GIVES_WAY * left_over(alone.opened).max()
-    most = surpassed(known[rigid], known[moving]) if tells else UNTOLD
-    weight = weighted(logs, moves, most, 0.0 if as_rigid.explains else 0.5)
+    rigid = max((row for row, kind in enumerate(kinds) if kind == "rigid"), key=lambda row: logs[row])
+    # where nothing that is rigid explains the recording, nobody says that it is
+    weight = weighted(logs, np.isin(kinds, MOVING), 0.0 if models[rigid][-1].explains else 0.5)
     first = models[1 + int(np.argmax(weight[1:]))]
-    return ContentsFound(first.nominal, first.opened, found, len(runs), models, weight, facts).estimate()
+    return ContentsFound(first[0], first[-1], found, len(runs), [fits[-1] for fits in models], weight, facts).estimate()
 
 
 @dataclass(eq=False)
 class ContentsFound(Conclusion):
     """What the models together say: values are those of the most probable one that has contents."""
 
-    models: list[Modelled]
+    models: list[FitResult]
     weights: np.ndarray  # their probabilities
     facts: ContentsFacts
 
@@ -169,7 +144,7 @@ class ContentsFound(Conclusion):
 
     def widen(self) -> None:
         # by how far apart the models' masses are, as probable as they are
-        masses = [0.0, *(model.opened.value_of(self.name) for model in self.models[1:])]
+        masses = [0.0, *(model.value_of(self.name) for model in self.models[1:])]
         off = np.array(masses) - self.assessed.value
         self.count(float(np.sqrt(self.weights @ off**2)), "models of the contents")
 

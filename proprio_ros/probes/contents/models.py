@@ -14,6 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from proprio_ros.identification.coefficients import axis_and_gravity, reduced_model
+from proprio_ros.identification.held_by_servos import give_way
+from proprio_ros.identification.locked_joints import Followed, loads_of_yielding
 from proprio_ros.identification.prepared_runs import PreparedRun, turning_with
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import load_unknowns
@@ -34,6 +36,7 @@ LOWEST_FILL_M = 2e-3  # below this a fill is smoothed, so that a search may pass
 LEVEL = 0.3  # cosine between joint's and container's axes up to which the law holds
 MASS_STD_KG = 0.3  # of a prior that is the same for all, so wide that it moves nothing
 COMPLEX_STEP = 1e-30
+FINE_S = 0.0025  # what held joints do is computed at instants so far apart
 
 
 @dataclass(frozen=True)
@@ -185,13 +188,13 @@ class ContentsProblem(Problem):
     """
 
     def __init__(
-        self, robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str, role: Role
+        self, robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str
     ) -> None:  # fmt: skip
         self.container, self.filled, self.model = facts, np.asarray(filled, dtype=bool), model
         self.inside = inside_unknowns(model, facts)
         self._prepared, self._turns = tuple(runs), [turning_with(robot, run) for run in runs]
         self._now: tuple[np.ndarray, ...] = ()
-        known = load_unknowns(robot, runs, facts.shell, role, facts.mass)
+        known = load_unknowns(robot, runs, facts.shell, Role.FREE, facts.mass)
         known[0] = replace(known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG).at_role(Role.FREE)
         super().__init__(robot, runs, facts.shell, [*self.inside, *known])
         self._affine &= model == "nothing"
@@ -259,6 +262,23 @@ class ContentsProblem(Problem):
         if first:
             p[:, ~self.filled, first + 2] = 1.0
         return p, dp
+
+    def held(self, values: np.ndarray) -> list[PreparedRun]:
+        """The runs with held joints that give way as their servos let them where all else moves by these unknowns, shape (N,)."""
+        p = self.parameters(values[None], self.free[:1])[0][0]
+        fine = [replace(run, sample_times_s=np.arange(0.0, run.sample_times_s[-1] + FINE_S, FINE_S)) for run in self.simulator.runs]
+        q, v, _ = self._simulator(fine, "rk4").jacobian(np.arange(len(p), dtype=np.int32), p, np.zeros((*p.shape, 1)))
+        driven = [
+            Followed(run.sample_times_s, *(each[row, : len(run.sample_times_s)] for each in (q, v))) for row, run in enumerate(fine)
+        ]
+        inside = values[self.index["contents_mass"]] if self.inside else 0.0
+        runs = [run.run for run in self.runs]
+        motions = give_way(self.robot, runs, driven, self.facts, values[self.index["payload_mass"]] + inside * self.filled)
+        found = []
+        for run, own, others in zip(self.runs, driven, motions, strict=True):
+            times_s, load = loads_of_yielding(self.robot, run.run, others, self.facts, 0.0, own)
+            found.append(replace(run, yielding_times_s=times_s, yielding_load=load) if others else run)
+        return found
 
     def path(self, values: np.ndarray) -> list[tuple[str, np.ndarray, np.ndarray]]:
         """Of each filled run its name, times [s] and how far the moving part is from the container's axis [m]; none is rigid."""
