@@ -106,8 +106,6 @@ class ArmDriver:
         """Whether any joint is without torque: all of them, or one that a lease drives with a current of zero."""
         return any(joint.limp for joint in self._joints.values())
 
-    # --- what others ask for ------------------------------------------------------------------------------------------
-
     def command_currents(self, current_A: Mapping[str, float], sender: int = 0, late_s: float = 0.0) -> str:
         """Drive these joints with these currents [A], and hold the others, until the next command or the deadline.
 
@@ -242,8 +240,6 @@ class ArmDriver:
     def await_torque(self, seconds: float) -> bool:
         """Wait until the last `set_torque` was obeyed, or failed; returns whether that was in time."""
         return self._torque_set.wait(seconds)
-
-    # --- the loop -----------------------------------------------------------------------------------------------------
 
     def cycle(self) -> ArmSample | None:
         """One round: read, check, command; never raises for what happens on the bus.

@@ -17,16 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 import dynamixel_sdk
 
 from proprio_ros import clock
-from proprio_ros.bus.control_table import (
-    BAUD_RATES,
-    BUS_WATCHDOG_TRIPPED,
-    BUS_WATCHDOG_UNIT_S,
-    OperatingMode,
-    ServoModel,
-    hardware_errors,
-    model_name,
-    servo_model,
-)
+from proprio_ros.bus import control_table
 from proprio_ros.bus.port import PORT_FAULTS, REPLY_TIMEOUT_S, Port, SerialLike, first_line, latency_warnings, why_not_open
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
 from proprio_ros.errors import BusError, PortLostError, RobotError
@@ -52,7 +43,7 @@ class BusServo:
 
     joint: str
     id: int
-    model: ServoModel
+    model: control_table.ServoModel
 
 
 def servos_of(robot: Robot) -> tuple[BusServo, ...]:
@@ -66,7 +57,7 @@ def servos_of(robot: Robot) -> tuple[BusServo, ...]:
             raise RobotError(
                 f"{robot.name}: joints.{joint}.motor needs model and id to be driven; state them in {robot.source.name}"
             )
-        servos.append(BusServo(joint, motor.id, servo_model(motor.model)))
+        servos.append(BusServo(joint, motor.id, control_table.servo_model(motor.model)))
     ids = [servo.id for servo in servos]
     if len(set(ids)) != len(ids):
         raise RobotError(f"{robot.name}: two motors share an id ({ids}); every servo on a bus needs one of its own")
@@ -134,10 +125,9 @@ class DynamixelBus:
         fast_sync_read: bool = True,
         connect: Callable[[], SerialLike] | None = None,
     ) -> None:
-        if baud_rate not in BAUD_RATES.values():
-            raise BusError(
-                f"baud rate {baud_rate} is not known to the servos; choose from {', '.join(map(str, BAUD_RATES.values()))}"
-            )
+        if baud_rate not in control_table.BAUD_RATES.values():
+            known = ", ".join(map(str, control_table.BAUD_RATES.values()))
+            raise BusError(f"baud rate {baud_rate} is not known to the servos; choose from {known}")
         self.port_name, self.baud_rate = port, baud_rate
         self.servos = tuple(servos)
         self.warnings: list[str] = []
@@ -152,8 +142,6 @@ class DynamixelBus:
         table = self.servos[0].model.registers
         self._state_start, self._state_length = table["present_current"].address, 10
         self._goal_start, self._goal_length = table["goal_current"].address, 18
-
-    # --- the port -----------------------------------------------------------------------------------------------------
 
     @property
     def is_open(self) -> bool:
@@ -200,8 +188,6 @@ class DynamixelBus:
         """After a lost reply: whatever still comes belongs to the past."""
         clock.sleep(wait_s)
         self._guarded(lambda port: port.clearPort())
-
-    # --- single servos ------------------------------------------------------------------------------------------------
 
     def ping(self, servo_id: int) -> int:
         """Model number of a servo."""
@@ -255,8 +241,6 @@ class DynamixelBus:
             return f"only corrupted packets in {TRIES} tries: check cable, ground and baud rate"
         return f"the packet could not be sent ({result})"
 
-    # --- the arm ------------------------------------------------------------------------------------------------------
-
     def handshake(self) -> None:
         """Check that every servo is there and of the model that the robot file states; an error names all that are not."""
         wrong, slow = [], False
@@ -270,7 +254,7 @@ class DynamixelBus:
                 wrong.append(f"no servo {servo.id} ({servo.joint})")
                 continue
             if number != servo.model.number:
-                wrong.append(f"servo {servo.id} ({servo.joint}) is a {model_name(number)}, not a {servo.model.name}")
+                wrong.append(f"servo {servo.id} ({servo.joint}) is a {control_table.model_name(number)}, not a {servo.model.name}")
                 continue
             registers = ("firmware_version", "homing_offset", "drive_mode", "moving_threshold")
             motors[servo.joint] = MotorIdentity(number, servo.id, *(self.read(servo.id, name) for name in registers))
@@ -285,17 +269,16 @@ class DynamixelBus:
     def prepare(self, *, watchdog_s: float, position_d_gain: int) -> None:
         """Put every servo into current-based position mode with torque on, holding where it is.
 
-        A servo with a hardware error is rebooted first, one whose watchdog tripped is woken. Where the mode has to
-        change, torque is off for the few milliseconds that this takes (EEPROM). Return delay is set to zero. A servo
-        stops by itself when the bus is silent for as long as its watchdog says [s], 0: never; its own D gain of 0 lets
-        a held joint ring.
+        A servo with a hardware error is rebooted first, one whose watchdog tripped is woken. Where the mode has to change, torque
+        is off for the few milliseconds that this takes (EEPROM). Return delay is set to zero. A servo stops by itself when the bus
+        is silent for as long as its watchdog says [s], 0: never; its own D gain of 0 lets a held joint ring.
         """
         for servo in self.servos:
             if self.read(servo.id, "hardware_error_status"):
                 self.reboot(servo.id)
             self._set(servo, "bus_watchdog", 0)
             self._set(servo, "status_return_level", 2)
-            wanted = {"return_delay_time": 0, "operating_mode": int(OperatingMode.CURRENT_BASED_POSITION)}
+            wanted = {"return_delay_time": 0, "operating_mode": int(control_table.OperatingMode.CURRENT_BASED_POSITION)}
             if any(self.read(servo.id, name) != value for name, value in wanted.items()):
                 self.write(servo.id, "torque_enable", 0)
                 for name, value in wanted.items():
@@ -303,7 +286,7 @@ class DynamixelBus:
             self._set(servo, "position_d_gain", position_d_gain)
             if self.read(servo.id, "torque_enable") == 0:
                 self.write(servo.id, "torque_enable", 1)
-            units = round(watchdog_s / BUS_WATCHDOG_UNIT_S)
+            units = round(watchdog_s / control_table.BUS_WATCHDOG_UNIT_S)
             self.write(servo.id, "bus_watchdog", min(max(units, 1), 127) if watchdog_s > 0.0 else 0)
 
     def _set(self, servo: BusServo, register: str, value: int) -> None:
@@ -351,7 +334,7 @@ class DynamixelBus:
                     raise
                 continue
             if status:
-                faults = "; ".join(hardware_errors(status))
+                faults = "; ".join(control_table.hardware_errors(status))
                 raise BusError(f"{self._called(servo_id)}: {faults}: it remains after a reboot")
             return
 
@@ -361,8 +344,8 @@ class DynamixelBus:
         return ServoHealth(
             float(self.read(servo_id, "present_temperature")),
             self.read(servo_id, "present_input_voltage") * model.voltage_unit_V,
-            hardware_errors(self._twice(servo_id, "hardware_error_status")),
-            self.read(servo_id, "bus_watchdog") == BUS_WATCHDOG_TRIPPED,
+            control_table.hardware_errors(self._twice(servo_id, "hardware_error_status")),
+            self.read(servo_id, "bus_watchdog") == control_table.BUS_WATCHDOG_TRIPPED,
         )
 
     def _twice(self, servo_id: int, register: str) -> int:

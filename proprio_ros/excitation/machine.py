@@ -141,8 +141,6 @@ class ExcitationMachine:
         """Number of runs in the sequence."""
         return 0 if self.sequence is None else len(self.sequence.runs)
 
-    # ------------------------------------------------------------------------------------------------------- interface
-
     def start(self, sequence: plans.ExcitationSequence, sample: JointSample) -> None:
         """Begin a sequence at the pose of a sample; the first command holds that pose.
 
@@ -229,8 +227,6 @@ class ExcitationMachine:
         if self.busy:
             self._stop("abort", reason)
 
-    # --------------------------------------------------------------------------------------------------- what comes in
-
     def _observe(self, now_s: float, sample: JointSample | None) -> _Problem | None:
         """Take in the time and a sample, unless something is wrong with them."""
         driven = self.phase in (Phase.PROBE, Phase.CATCH)
@@ -274,8 +270,6 @@ class ExcitationMachine:
         if gap_s > longest_s:
             return "stale", f"two samples are {gap_s:.2f} s apart: is the computer overloaded?"
         return None
-
-    # -------------------------------------------------------------------------------------------------- what goes wrong
 
     def _watch(self) -> _Problem | None:
         """What the joints do that they should not, in the phase of this tick."""
@@ -343,8 +337,6 @@ class ExcitationMachine:
         self.phase, self.aborted_by = Phase.ABORTED, ended_by
         self.abort_reason, self.message = reason, f"stopped in run {self.run_number} of {self.runs}: {reason}"
         self.command = self._commanded()
-
-    # --------------------------------------------------------------------------------------------------- what comes next
 
     @property
     def _run(self) -> plans.ExcitationRun:
@@ -505,8 +497,6 @@ class ExcitationMachine:
         limit_A = self.robot.motors[joint].current_limit_A
         current_A = -(weight_N_m + braking_N_m) / drive.torque_constant.value * min(elapsed_s / CATCH_RISE_S, 1.0)
         return min(max(current_A, -limit_A), limit_A)
-
-    # ----------------------------------------------------------------------------------------------------------- words
 
     @property
     def _unit(self) -> str:

@@ -196,9 +196,6 @@ def check_sequence(sequence: ExcitationSequence, robot: Robot) -> None:
         raise ConfigurationError(f"{sequence.name}: {problem}")
 
 
-# ------------------------------------------------------------------------------------------- what is wrong, in this order
-
-
 def _of_sequence(sequence: ExcitationSequence, robot: Robot) -> Iterator[str]:
     drives = f"{robot.name} drives {', '.join(robot.drive_trains)}"
     if not sequence.runs and sequence.until is None:
@@ -319,9 +316,6 @@ def _of_pose(stated: Mapping[str, float], known: Mapping[str, float], sequence: 
             f"the arm would be {100 * height:.1f} cm above the base's plane, less than "
             f"min_clearance_m={sequence.min_clearance_m:g}; choose a higher pose"
         )
-
-
-# ----------------------------------------------------------------------------------------------------------------- YAML
 
 
 def _inline(text: str) -> Any:

@@ -95,8 +95,7 @@ def words_of(decision: Decision) -> str:
 class Chooser(ABC):
     """One identification whose pushes are chosen one by one; ``whole`` is asked before the target counts as met.
 
-    The sequence's settings of ways, rest and brake count for every push. Raises `ConfigurationError`: It has no
-    `until`.
+    The sequence's settings of ways, rest and brake count for every push. Raises `ConfigurationError`: It has no `until`.
     """
 
     no_push = "no push of any joint stays inside the limits with what the hand may hold"  # where `ranked` has none
@@ -113,8 +112,6 @@ class Chooser(ABC):
         self._ended_at: list[tuple[str, float]] = []
         self._widening = 0.0
         self._last: Push | None = None
-
-    # --- what a probe knows -------------------------------------------------------------------------------------------
 
     @abstractmethod
     def learn(self, runs: Sequence[Run]) -> Found:
@@ -134,8 +131,6 @@ class Chooser(ABC):
     def stood_still(self) -> None:
         """Told when the last push moved nothing."""
         return
-
-    # --- what comes next ----------------------------------------------------------------------------------------------
 
     @property
     def first_runs(self) -> int:

@@ -177,8 +177,6 @@ class Catalogue:
             found.append(_Place(run, {**pose, joint: q}, *p_and_dp, variance, heights))
         return found
 
-    # ------------------------------------------------------------------------------------------------------- knowledge
-
     def nothing_known(self) -> Known:
         """Before the first run."""
         return Known(0.5 * sum(UNKNOWN_KG), UNKNOWN_STD_KG, np.linalg.inv(self._shared.prior), 0)
@@ -224,8 +222,6 @@ class Catalogue:
 
     def _place_of(self, push: Push) -> _Place:
         return next(p for p in self._places if p.prepared.run.joint == push.joint and p.start == push.start)
-
-    # --------------------------------------------------------------------------------------------------------- ranking
 
     def rank(
         self,

@@ -69,9 +69,8 @@ def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficie
 def at_poses(robot: Robot, driven: str, poses: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """What one joint moves in N poses at once.
 
-    ``robot``: as `ReducedModel` has it with every joint locked but the driven one; ``driven``: A joint that no other
-    one follows; ``poses``: positions of all other independent joints [rad or m], each of shape (N,), or (1,) where it
-    is the same in all.
+    ``robot``: as `ReducedModel` has it with every joint locked but the driven one; ``driven``: A joint that no other one follows;
+    ``poses``: positions of all other independent joints [rad or m], each of shape (N,), or (1,) where it is the same in all.
 
     Returns: Inertia and gravity load of the arm, shape (N, 4), and per payload parameter, shape (N, 4, 10).
     """

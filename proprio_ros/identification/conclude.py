@@ -59,8 +59,6 @@ class Conclusion:
         self.outlier: int | None = None  # the run that says so
         self.guesses: list[Guess] = []
 
-    # --- what a probe must say; `withheld` is in a few words why no value is stated, and empty where it is ---------------
-
     def values(self, withheld: str) -> tuple[Value, ...]:
         """What is stated."""
         raise NotImplementedError
@@ -72,8 +70,6 @@ class Conclusion:
     def solver(self) -> SolverSummary:
         """What every start did."""
         raise NotImplementedError
-
-    # --- what it may say ----------------------------------------------------------------------------------------------------
 
     @property
     def fit(self) -> FitResult:
@@ -111,8 +107,6 @@ class Conclusion:
         """What only this probe's answers have."""
         return None
 
-    # --- refusals that probes share -----------------------------------------------------------------------------------------
-
     def misfit(self, suspects: Callable[[], Sequence[str]] = tuple) -> Iterator[Refusal]:
         """Where the model does not explain the recording; ``suspects`` may be why, default what the robot file leaves open."""
         if self.fit.reduced_chi2 > MISFIT_LIMIT:
@@ -147,8 +141,6 @@ class Conclusion:
             several = "more than one mass explains the recording"
             masses = ", ".join(f"{1e3 * each:.1f} g" for each in sorted((mass, *others)))
             yield not_identifiable("several_values", several, f"{several}: {masses}{cure}")
-
-    # --- the answer ---------------------------------------------------------------------------------------------------------
 
     def count(self, std: float, source: str) -> None:
         """Widen the interval by an uncertainty of its own, and show it in the budget."""

@@ -279,10 +279,9 @@ def summary(
 ) -> SolverSummary:
     """What every start did, of a search from all of them.
 
-    First guesses of the unknown ``name`` are taken in turn where there are more starts. Ends agree that are no farther
-    from the best than the tolerance, in its unit, and whose cost is above the best by less than the margin; iterations
-    are those of all searches together. ``final`` is the fit that gave the answer, where that is another one, started
-    from the ends of this.
+    First guesses of the unknown ``name`` are taken in turn where there are more starts. Ends agree that are no farther from the
+    best than the tolerance, in its unit, and whose cost is above the best by less than the margin; iterations are those of all
+    searches together. ``final`` is the fit that gave the answer, where that is another one, started from the ends of this.
     """
     refined = () if final is None or final is fit else _paths(final, name, tolerance, margin)
     paths = _paths(fit, name, tolerance, margin, starts)

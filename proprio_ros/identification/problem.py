@@ -158,8 +158,7 @@ class Problem:
     def parameters(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Simulator parameters of every guess and run, shape (S, R, P), and their derivative, shape (S, R, P, F).
 
-        ``values``: all unknowns of each guess, shape (S, N); ``columns``: which unknowns to differentiate by, shape
-        (F,).
+        ``values``: all unknowns of each guess, shape (S, N); ``columns``: which unknowns to differentiate by, shape (F,).
         """
         p, dp = self._all_parameters(values)
         return p, dp[..., columns]

@@ -55,10 +55,9 @@ def held_views(
 ) -> tuple[HeldView, ...]:
     """An arm in motion and what it held, from the side and from above; nothing where a position is not known.
 
-    ``robot``: whose joints moved; ``motion``: the arm is drawn where the hand is farthest out, and fainter at other
-    instants; ``load``: mass [kg], centre in the payload's frame [m], shape (3,), and inertia about it [kg m^2], shape
-    (3, 3); ``inertia_is``: where the inertia is from; ``within_m``: half 95 % intervals of the centre [m], shape (3,),
-    where it was identified.
+    ``robot``: whose joints moved; ``motion``: the arm is drawn where the hand is farthest out, and fainter at other instants;
+    ``load``: mass [kg], centre in the payload's frame [m], shape (3,), and inertia about it [kg m^2], shape (3, 3); ``inertia_is``:
+    where the inertia is from; ``within_m``: half 95 % intervals of the centre [m], shape (3,), where it was identified.
     """
     rows = [int(row) for row in np.linspace(0, len(motion.times_s) - 1, AROUND)]
     poses = [

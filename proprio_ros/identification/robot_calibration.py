@@ -14,20 +14,10 @@ import numpy as np
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification import solvers
+from proprio_ros.identification import gates, solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate, EmptyHand, HeldOutRun
 from proprio_ros.identification.calibration_fit import Fitted, fit, foretold, of_runs, spread_of_runs, with_another_rise
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
-from proprio_ros.identification.gates import (
-    LEFT_OUT_AT_MOST,
-    Findings,
-    contradicting,
-    never_reversed,
-    said_left_out,
-    screen_run,
-    surprising,
-    unusable,
-)
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
@@ -76,7 +66,7 @@ def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str],
     started = time.perf_counter()
     if not runs:
         raise ConfigurationError("no run given: a calibration needs empty-hand runs")
-    found = Findings()
+    found = gates.Findings()
     usable = usable_runs(robot, runs, found)
     if not usable:
         return nothing_usable(robot, "every probed", len(runs), found)
@@ -96,7 +86,7 @@ def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str],
     if not refusals:
         verdict, reasons, calibration = _separated(whole, problem.runs, one_way)
     if left_out:
-        reasons.append(said_left_out(left_out, len(usable), "was the hand as stated, and nothing in the way?"))
+        reasons.append(gates.said_left_out(left_out, len(usable), "was the hand as stated, and nothing in the way?"))
     rows = shared_rows(problem, values, fitted.covariance)
     if not swings:  # swings differ by more than a run says of itself: a good servo's loads would be doubted
         reasons += _not_as_stated(empty_hand(problem, values, posterior, references=True))
@@ -108,7 +98,7 @@ def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str],
         instead = "weigh from free swings with this calibration"
         found.notes.append(f"{nothing}: {instead}; what a current drives would carry the robot file's torque constant")
     else:
-        reasons += never_reversed(problem.runs)
+        reasons += gates.never_reversed(problem.runs)
     fits, rms, expected = run_fits(problem, values, problem.runs)
     chi2 = float(posterior.residual @ posterior.residual) / len(posterior.residual)
     return CalibrationEstimate(
@@ -131,7 +121,7 @@ def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str],
 
 
 def usable_runs(
-    robot: Robot, runs: Sequence[LoadedRun], found: Findings, refused: Callable[[PreparedRun], str] = lambda _: ""
+    robot: Robot, runs: Sequence[LoadedRun], found: gates.Findings, refused: Callable[[PreparedRun], str] = lambda _: ""
 ) -> list[PreparedRun]:
     """The runs that a calibration can use; what is wrong with the others, and unusual about these, goes to the notes of ``found``.
 
@@ -142,17 +132,17 @@ def usable_runs(
     usable = []
     for loaded in runs:
         prepared = prepare_run(robot, loaded.run, loaded.load)
-        if why := unusable(prepared) or refused(prepared):
+        if why := gates.unusable(prepared) or refused(prepared):
             found.notes.append(f"{loaded.run.name} was left out: {why}")
             continue
         usable.append(prepared)
-        alone = Findings()
-        screen_run(robot, prepared, alone)
+        alone = gates.Findings()
+        gates.screen_run(robot, prepared, alone)
         found.notes += [*alone.reasons, *alone.notes]  # of one run among many
     return usable
 
 
-def nothing_usable(robot: Robot, which: str, given: int, found: Findings) -> CalibrationEstimate:
+def nothing_usable(robot: Robot, which: str, given: int, found: gates.Findings) -> CalibrationEstimate:
     """The answer where no run can be used; ``which`` joint must move, in words."""
     reason = f"no run can be used: {which} joint must move by at least 0.1 rad inside its limits"
     return CalibrationEstimate(robot.name, Verdict.NOT_IDENTIFIABLE, (reason,), given, None, notes=tuple(found.notes))
@@ -161,7 +151,7 @@ def nothing_usable(robot: Robot, which: str, given: int, found: Findings) -> Cal
 def _misfits(robot: Robot, fitted: Fitted, left_out: Sequence[str], count: int) -> list[str]:
     """Why these runs are no calibration of this robot, in a sentence; empty where they are one."""
     noise = fitted.noise
-    if len(left_out) > LEFT_OUT_AT_MOST * count:
+    if len(left_out) > gates.LEFT_OUT_AT_MOST * count:
         return ["the runs contradict each other: was the hand empty in all of them, and is this the right robot?"]
     unlike = "does not describe the robot in the recordings"
     if noise.residual_scale > COARSE:
@@ -281,10 +271,10 @@ def _fit_what_agrees(robot: Robot, runs: list[PreparedRun], progress: Callable[[
     if late:
         progress(f"{', '.join(run.run.name for run in late)} began late; fitting without")
         others = fit(robot, _without(late, runs))
-        left_out = [run for run in late if surprising(*foretold(robot, others, run)) > 1.0]
+        left_out = [run for run in late if gates.surprising(*foretold(robot, others, run)) > 1.0]
     late, kept = left_out[:], _without(left_out, runs)
     fitted = fit(robot, kept)
-    while len(left_out) <= LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
+    while len(left_out) <= gates.LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
         if (outlier := _outlier(robot, fitted)) is None:
             break
         left_out.append(kept.pop(outlier))
@@ -308,7 +298,7 @@ def _late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
         return []
     begins_s, joints = np.array([_begins_s(run) for run in runs]), np.array([run.run.joint for run in runs])
     off_s = begins_s - [np.median(begins_s[joints == joint]) for joint in joints]
-    latest = np.argsort(-off_s, kind="stable")[: int(LEFT_OUT_AT_MOST * len(runs))]
+    latest = np.argsort(-off_s, kind="stable")[: int(gates.LEFT_OUT_AT_MOST * len(runs))]
     return [runs[row] for row in latest if off_s[row] > LATE_S]
 
 
@@ -325,7 +315,7 @@ def _begins_s(run: PreparedRun) -> float:
 
 def _outlier(robot: Robot, fitted: Fitted) -> int | None:
     """The run that contradicts the others: predicted badly, or explained only by a torque or an onset that no other run needs."""
-    outlier = contradicting(fitted.posterior)
+    outlier = gates.contradicting(fitted.posterior)
     if outlier is not None or fitted.problem.runs[0].run.free:
         return outlier
     strange = [(STRANGE, -1)]

@@ -47,8 +47,6 @@ class Workspace:
         """The robot, as calibrated and with what the settings say of it; raises as `robot_of` does."""
         return robot_of(replace(self.options(), settings=settings))
 
-    # --- the calibration ----------------------------------------------------------------------------------------------
-
     @property
     def newest_calibration(self) -> Path:
         """A link to it."""
@@ -105,8 +103,6 @@ class Workspace:
     def used(self) -> str:
         """With which calibration, as part of an answer."""
         return f"; calibration: {self.calibration}" if self.calibration else " (robot not calibrated)"
-
-    # --- baselines ----------------------------------------------------------------------------------------------------
 
     def newest_baseline(self, probe: Probe[Any]) -> Path:
         """A link to it."""

@@ -142,8 +142,6 @@ class DriverNode(ManagedNode):
             self._thread.join(timeout=5.0)
             self._thread = None
 
-    # --- the bus thread -----------------------------------------------------------------------------------------------
-
     def _loop(self) -> None:
         driver = self._driver
         assert driver is not None
@@ -179,8 +177,6 @@ class DriverNode(ManagedNode):
         self._effort.publish(messages.joint_state(stamp, names, effort=applied))
         self._states.publish(messages.joint_state(stamp, names, position, velocity, measured))
         self._current.publish(messages.labelled(sample.commanded_A))
-
-    # --- callbacks ----------------------------------------------------------------------------------------------------
 
     # each logs for itself, since a place in the code is throttled, not a sentence
 

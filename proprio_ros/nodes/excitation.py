@@ -183,8 +183,6 @@ class ExcitationNode(ManagedNode):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    # --- the way of the data ------------------------------------------------------------------------------------------
-
     def _on_joint_state(self, message: JointState) -> None:
         now = self.now_s()
         sample = self._joint_states.add(now, message.name, message.position, message.velocity)
@@ -278,8 +276,6 @@ class ExcitationNode(ManagedNode):
     def _send(self, command: Command) -> None:
         self._output.send(command, slipped=self._machine.aborted_by == "jump")
 
-    # --- services -----------------------------------------------------------------------------------------------------
-
     def _hand_back(self) -> None:
         """However a sequence ended, controllers are what they were."""
         if self._switched is not None:
@@ -352,8 +348,6 @@ class ExcitationNode(ManagedNode):
         held = self._switched if self._switched is not None and self._switched.engaged else self._output
         response.success, response.message = True, held.release()
         return response
-
-    # --- status -------------------------------------------------------------------------------------------------------
 
     def _tell_when_due(self) -> None:
         """By the clock on the wall: who listens must hear that we are alive, though a simulation may pause."""

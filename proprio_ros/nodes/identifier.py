@@ -132,8 +132,6 @@ class IdentifierNode(ManagedNode):
     def pause_s(self) -> float:
         return 0.0 if self._busy() else IDLE_PAUSE_S
 
-    # --- lifecycle ----------------------------------------------------------------------------------------------------
-
     def configure(self) -> None:
         # two arms on one network must not take each other's calibration for their own
         data = Path(self.values["data_directory"]).expanduser() / self.get_namespace().strip("/")
@@ -263,8 +261,6 @@ class IdentifierNode(ManagedNode):
         if (job := self._job) is not None:
             entries = {key: values.get(key, "") for key in ("fraction", "phase")}
             self._results.tell(job.kind, words, entries)
-
-    # --- services -----------------------------------------------------------------------------------------------------
 
     def _refused(self) -> str:
         """Why no job can be begun now, or an empty string."""

@@ -75,8 +75,6 @@ class Inputs:
         if self.conventions.radians != 1.0:
             raise ConfigurationError(f"driver {self.conventions.driver}: live, positions must come in rad")
 
-    # --- topics -------------------------------------------------------------------------------------------------------
-
     def stated_topics(self) -> dict[str, Any]:
         """What a replay must be told to take the same topics; nothing where they have their usual names."""
         values = self._node.values
@@ -230,8 +228,6 @@ class Inputs:
             told.append(RawMessage(self._temperatures_topic, kind, now_ns, self._temperatures))
         return told
 
-    # --- whether it comes ---------------------------------------------------------------------------------------------
-
     @property
     def has_states(self) -> bool:
         """Whether joint states are coming."""
@@ -281,8 +277,6 @@ class Inputs:
         was_set = was_set or stamp_ns < self.stamp_ns - 1e9 * BEHIND_S
         self.stamp_ns, self._lag_ns = stamp_ns, now_ns - stamp_ns
         self._least_lag_ns = self._lag_ns if was_set else min(self._lag_ns, self._least_lag_ns)
-
-    # --- begin and end of a recording ---------------------------------------------------------------------------------
 
     def catch_up(self) -> None:
         """Until joint states are heard as soon as ever, so that none from before becomes part of a recording."""

@@ -114,8 +114,6 @@ class Jobs:
             if job.cancelled.wait(0.05):
                 raise JobError("cancelled")
 
-    # --- kinds of jobs ------------------------------------------------------------------------------------------------
-
     def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
         """Have the runs of a probe made, and identify the object from them."""
         baseline = None
@@ -280,8 +278,6 @@ class Jobs:
         self._node.say("info", f"{len(runs)} further pushes with {mass_kg:g} kg in the hand were chosen")
         return as_text(replace(plan, runs=tuple(runs), until=None)) if runs else ""
 
-    # --- from a recording to an estimate ------------------------------------------------------------------------------
-
     def identify(self, job: Job, bag: Path, options: Options, publish: Callable[[Estimate], None]) -> Estimate:
         """The estimate from a bag: published, then written beside it with a report."""
         self._results.tell(job.kind, "identifying")
@@ -321,8 +317,6 @@ class Jobs:
                 published_samples = samples
                 self._results.publish_estimate("ok", estimate.probe, words, entries)
             clock.sleep(period_s)
-
-    # --- recording ----------------------------------------------------------------------------------------------------
 
     def record(self, job: Job, kind: str, sequence: str, request: Request, chooser: Chooser | None = None) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""

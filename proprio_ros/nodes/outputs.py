@@ -123,9 +123,8 @@ class DriverOutput(Output):
 class ControllerOutput(Output):
     """Efforts or goals to a `forward_command_controller`, or another that takes the same.
 
-    ``node``: that publishes; ``controller``: whose commands they are; ``commands``: publisher to it; ``applied``:
-    publisher of what pushes, or of the goals, for whoever records; ``speaker``: speaks where this process cannot any
-    more.
+    ``node``: that publishes; ``controller``: whose commands they are; ``commands``: publisher to it; ``applied``: publisher of what
+    pushes, or of the goals, for whoever records; ``speaker``: speaks where this process cannot any more.
     """
 
     holds = True

@@ -81,8 +81,6 @@ class Results:
     def _now_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
 
-    # --- progress -----------------------------------------------------------------------------------------------------
-
     def tell(self, doing: str, message: str, entries: Mapping[str, Any] | None = None, level: str = "ok") -> None:
         """The status."""
         values = {"doing": doing, "calibration": self._calibration, **(entries or {})}
@@ -104,8 +102,6 @@ class Results:
         frame = self._node.values["frame_prefix"] + robot.model.root
         self._planned.publish(messages.planned(self._now_ns(), frame, place, words_of(decision), path))
         self._standing["choice"] = partial(self._planned.publish, messages.no_markers())
-
-    # --- estimates ----------------------------------------------------------------------------------------------------
 
     def publish_estimate(self, level: str, name: str, message: str, entries: Mapping[str, Any]) -> None:
         """Keys and values as they are, and the calibration used."""
@@ -143,8 +139,6 @@ class Results:
         words = "; ".join(estimate.reasons) or estimate.verdict.value
         self.concluded, self.entries = True, entries
         self.publish_estimate("ok" if estimate.verdict is Verdict.ACCEPTED else "warning", name, words, entries)
-
-    # --- the hand -----------------------------------------------------------------------------------------------------
 
     def publish(self, request: Request, estimate: Estimate) -> None:
         """The answer, and where it is accepted its numbers and the load it stands for; how it looks, in amber if it is too wide."""

@@ -69,8 +69,7 @@ def waiting(subscription: Any, data: Any) -> Iterator[Any]:
 class ManagedNode(LifecycleNode):
     """A lifecycle node whose transitions fail with one line instead of a traceback.
 
-    Subclasses give `parameters` and override `configure`, `activate`, `deactivate` and `cleanup`, which may raise
-    `ProprioError`.
+    Subclasses give `parameters` and override `configure`, `activate`, `deactivate` and `cleanup`, which may raise `ProprioError`.
     """
 
     parameters: Sequence[Parameter] = ()
@@ -91,8 +90,6 @@ class ManagedNode(LifecycleNode):
                 service.callback = partial(self._change_state, service.callback)
         self.every(NAMESAKE_S, self._look_for_namesake)
         self._own = [*self.publishers, *self.subscriptions, *self.services, *self.clients, *self.timers]
-
-    # --- for subclasses -----------------------------------------------------------------------------------------------
 
     def hear_in_real_time(self) -> None:
         """From now on what others say does not wait for other programs, nor for what this one computes in threads made later."""
@@ -241,8 +238,6 @@ class ManagedNode(LifecycleNode):
 
         timer = self.create_timer(LOOK_S, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return None
-
-    # --- the lifecycle ------------------------------------------------------------------------------------------------
 
     def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         """Refuse a transition that is not due: rclpy 7.1 raises then, which would end the node that holds the arm."""

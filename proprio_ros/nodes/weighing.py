@@ -83,8 +83,6 @@ class Weighing:
             self._link = request.robot.payload_frame
         return self._robot
 
-    # --- the last seconds ---------------------------------------------------------------------------------------------
-
     def weigh(self, job: Job, identify: Identify) -> tuple[bool, str]:
         """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would."""
         seconds = self._node.values["weigh_seconds"]
@@ -123,8 +121,6 @@ class Weighing:
         if answer:
             return True, f"{request.probe.subject} {answer}, {said}"
         return False, f"{refusal_of(estimate)}; {said}"
-
-    # --- all the time -------------------------------------------------------------------------------------------------
 
     def begin(self) -> str:
         """Begin the running estimate, in a thread of its own; returns what to say of it, empty where there is none."""

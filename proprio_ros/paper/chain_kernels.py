@@ -47,9 +47,6 @@ class ChainData:
     supply: TABLE
 
 
-# ------------------------------------------------------------------------------------------------------- one rigid body
-
-
 @wp.func
 def _rotation(pose: VEC12):
     return MAT33(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5], pose[6], pose[7], pose[8])
@@ -103,9 +100,6 @@ def _momentum(pi: VEC10, x: VEC6):
     moment = turning + wp.cross(h, u)
     force = pi[0] * u + wp.cross(w, h)
     return VEC6(moment[0], moment[1], moment[2], force[0], force[1], force[2])
-
-
-# ------------------------------------------------------------------------------------------------------------- the tree
 
 
 @cache

@@ -316,9 +316,8 @@ def write_calibration(
 ) -> None:
     """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
 
-    Dotted settings that were in force come back with the file, and its comment says what can be weighed with it. It
-    takes the place of a calibration that it is ``like``: all else stands as it does there. Raises `ConfigurationError`:
-    The file cannot be written.
+    Dotted settings that were in force come back with the file, and its comment says what can be weighed with it. It takes the place
+    of a calibration that it is ``like``: all else stands as it does there. Raises `ConfigurationError`: The file cannot be written.
     """
     section = CommentedMap({key: _laid_out(key, value) for key, value in calibration.as_settings().items()})
     settings = nested_settings(robot.model.independent_joints, overrides or {})

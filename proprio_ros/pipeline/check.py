@@ -20,14 +20,7 @@ from proprio_ros.identification.regression.one_joint_fit import fit_one_joint
 from proprio_ros.identification.regression.one_joint_known import tables_of
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.loading import (
-    bag_recording,
-    plausible_units,
-    refuse_uncalibrated,
-    runs_or_motion,
-    turning_joints,
-    unit_not_used,
-)
+from proprio_ros.pipeline import loading
 from proprio_ros.pipeline.looked_into import BagCheck, MotionCheck, RunCheck
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import all_probes
@@ -97,13 +90,13 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     runs: tuple[RunCheck, ...] = ()
     motion: Motion | None = None
     try:
-        recording = bag_recording(path, request)
-        found = runs_or_motion(recording, request)
+        recording = loading.bag_recording(path, request)
+        found = loading.runs_or_motion(recording, request)
         if isinstance(found, Motion):
             _refuse_motion(robot, found)
             motion = found
         else:
-            refuse_uncalibrated(robot, found)
+            loading.refuse_uncalibrated(robot, found)
             runs = tuple(_run_check(robot, run) for run in found)
     except (RecordingError, RobotError) as error:
         problem = str(error)
@@ -135,7 +128,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
                 motion, problem = None, f"of no use as a motion: {finding.sentence}"
     useless = {name for finding in seen if finding.code in DOUBTFUL_EFFORT for name in finding.joints}
     by_voltage = voltage_driven(robot)
-    per_torque, units = ({}, ()) if by_voltage else plausible_units(recording, robot, useless)
+    per_torque, units = ({}, ()) if by_voltage else loading.plausible_units(recording, robot, useless)
     # a joint alone whose torque's scale is open is weighed with known loads, not with an empty hand
     tells = None if by_voltage and len(robot.drive_trains) == 1 else _motion_check(robot, recording, motion)
     driven_by, driven_in = _input_of(recording, runs, types, effort_unit)
@@ -148,7 +141,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         input_unit=driven_in or None,
         runs=runs,
         problem=problem,
-        notes=recording.notes + (() if motion is not None else unit_not_used(recording.inputs, options.effort_unit)),
+        notes=recording.notes + (() if motion is not None else loading.unit_not_used(recording.inputs, options.effort_unit)),
         motion=motion,
         moves=moved,
         still=tuple(name for name in names if name not in moved),
@@ -215,7 +208,7 @@ def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
 
 def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> MotionCheck | None:
     """What a motion determines; also of one whose currents are not known, since none is looked at."""
-    turning = turning_joints(robot)
+    turning = loading.turning_joints(robot)
     if motion is None:
         if recording.inputs is not None or set(turning) - set(recording.joints.names):
             return None

@@ -88,9 +88,8 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
 def refuse_other_current(recording: Recording, effort: Effort, usable_velocity: Mapping[str, float]) -> None:
     """Look at commanded currents beside measured efforts, joint by joint, where the joint is slow and the command does not change.
 
-    Where the command is the input the unit of the effort does not matter: that which fits best is taken. Up to its
-    usable velocity [rad/s] the supply drives what a joint is commanded. Raises `RecordingError`: What flowed is not
-    that.
+    Where the command is the input the unit of the effort does not matter: that which fits best is taken. Up to its usable velocity
+    [rad/s] the supply drives what a joint is commanded. Raises `RecordingError`: What flowed is not that.
     """
     record, inputs = recording.joints, recording.commanded or recording.inputs
     if inputs is None or inputs.measured or inputs.computed or record.reported_effort is None:

@@ -342,12 +342,8 @@ def _usable(
 
 def _ending(by_name: Mapping[str, records.FloatArray], *endings: str) -> dict[str, records.FloatArray]:
     """The entries whose names have one of these endings, by joint."""
-    return {_SUFFIX.sub("", name): column for name, column in by_name.items() if _suffix(name) in endings}
-
-
-def _suffix(name: str) -> str:
-    found = _SUFFIX.search(name)
-    return "" if found is None else found[1]
+    of_each = {name: "".join(_SUFFIX.findall(name)) for name in by_name}
+    return {_SUFFIX.sub("", name): column for name, column in by_name.items() if of_each[name] in endings}
 
 
 def _by_name(data: DataSet, column: str, values: records.FloatArray, called: str) -> dict[str, records.FloatArray]:

@@ -284,9 +284,6 @@ def _command_as_effort(recording: Recording) -> Iterator[Finding]:
         yield Finding("effort_is_command", sentence, tuple(same))
 
 
-# --- effort against gravity ------------------------------------------------------------------------------------------
-
-
 def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
     """Torque at each revolute joint that holds the arm at positions [rad]; both of shape (T, n) [N m]."""
     motion = kinematics(model, position, np.zeros_like(position))

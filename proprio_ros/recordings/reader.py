@@ -197,9 +197,6 @@ def _in_order(messages: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, byte
         yield message
 
 
-# --- many messages at once -------------------------------------------------------------------------------------------
-
-
 class Rows(NamedTuple):
     """Messages that differ only in their numbers."""
 
@@ -302,9 +299,6 @@ def _layout(raw: bytes, message: Any, numbers: Mapping[str, Any]) -> _Layout | N
     _, stamps, found = layout.read([raw])
     fits = all(np.array_equal(found[key][0], np.asarray(values), equal_nan=True) for key, values in numbers.items())
     return layout if fits and (stamps is None or int(stamps[0]) == stamp_ns(message)) else None
-
-
-# --- files and their compression -------------------------------------------------------------------------------------
 
 
 def _files(path: Path) -> list[Path]:

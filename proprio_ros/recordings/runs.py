@@ -76,12 +76,11 @@ class _Interval(NamedTuple):
 def cut_runs(recording: Recording, *, held: Mapping[str, float] | None = None, joints: Sequence[str]) -> tuple[Run, ...]:
     """Cut the runs out of a recording, in the order in which they happened, of joints that have a motor.
 
-    A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods
-    (at most 0.3 s) belongs to the run, a longer one ends it. Where the recording says that torque was off, a joint that
-    then falls gives a free response. Of a recording that has both, the excitations that a command drove are taken,
-    except those that only held the joint, let go of it or caught it; a zero current alone never makes a free response,
-    since a driver may hold the joint at rest then. ``held`` are positions of joints that are not recorded, or that
-    replace recorded ones [rad or m].
+    A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods (at most 0.3
+    s) belongs to the run, a longer one ends it. Where the recording says that torque was off, a joint that then falls gives a free
+    response. Of a recording that has both, the excitations that a command drove are taken, except those that only held the joint,
+    let go of it or caught it; a zero current alone never makes a free response, since a driver may hold the joint at rest then.
+    ``held`` are positions of joints that are not recorded, or that replace recorded ones [rad or m].
 
     Raises:
         DrivenAtOnce: Several joints were, or one under a controller.

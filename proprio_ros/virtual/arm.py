@@ -218,8 +218,6 @@ class VirtualArm:
             if joint.kind != "fixed":
                 places[int(self.model.joint(joint.name).qposadr[0])] = position(joint)
 
-    # ---------------------------------------------------------------------------------------------------------- building
-
     def _build(self, held: HandObject | None) -> None:
         """Compile the model with what the hand holds; the arm is at zero then."""
         mujoco, robot = self.mujoco, self.robot

@@ -56,8 +56,7 @@ class Outbox:
 class PtyPort:
     """A pseudo-terminal with the emulated bus behind it, in a thread that keeps the world in the pace of real time.
 
-    The bus's ``advance`` is called at least every 2 ms, from that thread only. ``link`` points to it, as a udev rule
-    would make it.
+    The bus's ``advance`` is called at least every 2 ms, from that thread only. ``link`` points to it, as a udev rule would make it.
 
     Attributes:
         lock: Held while bus and world are touched; hold it to change faults, servos or the world from outside.

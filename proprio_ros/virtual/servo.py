@@ -12,15 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from proprio_ros.bus.control_table import (
-    BAUD_RATES,
-    BUS_WATCHDOG_TRIPPED,
-    BUS_WATCHDOG_UNIT_S,
-    RETURN_DELAY_UNIT_S,
-    HardwareError,
-    OperatingMode,
-    ServoModel,
-)
+from proprio_ros.bus import control_table
 from proprio_ros.virtual.protocol import ALERT, Error
 
 CONTROL_PERIOD_S = 0.001  # period of the current controller: `VirtualServo.control` is called once per period [s]
@@ -42,8 +34,9 @@ _VELOCITY_P_DIVISOR = 128.0
 _VELOCITY_I_DIVISOR = 65536.0
 
 # as plain numbers: looked at by each servo in each period
-_CURRENT, _VELOCITY, _PWM = int(OperatingMode.CURRENT), int(OperatingMode.VELOCITY), int(OperatingMode.PWM)
-_CURRENT_BASED_POSITION = int(OperatingMode.CURRENT_BASED_POSITION)
+_MODE = control_table.OperatingMode
+_CURRENT, _VELOCITY, _PWM = int(_MODE.CURRENT), int(_MODE.VELOCITY), int(_MODE.PWM)
+_CURRENT_BASED_POSITION = int(_MODE.CURRENT_BASED_POSITION)
 
 Goals = Mapping[str, int]
 
@@ -64,7 +57,7 @@ class VirtualServo:
 
     def __init__(
         self,
-        model: ServoModel,
+        model: control_table.ServoModel,
         servo_id: int,
         *,
         firmware: int = 46,
@@ -98,8 +91,6 @@ class VirtualServo:
         self._overloaded_s = 0.0
         self._reset_mode()
 
-    # --- registers without the bus
-
     def __getitem__(self, name: str) -> int:
         if self._unread:
             self._measure()
@@ -117,13 +108,11 @@ class VirtualServo:
     @property
     def baud(self) -> int:
         """Bits per second that it understands."""
-        return BAUD_RATES[self._values["baud_rate"]]
+        return control_table.BAUD_RATES[self._values["baud_rate"]]
 
     @property
     def return_delay_s(self) -> float:
-        return self._values["return_delay_time"] * RETURN_DELAY_UNIT_S
-
-    # --- the bus side
+        return self._values["return_delay_time"] * control_table.RETURN_DELAY_UNIT_S
 
     def awake(self, now_s: float) -> bool:
         """Whether it hears and answers; not while it boots."""
@@ -196,16 +185,16 @@ class VirtualServo:
         register = self._registers[name]
         if not register.writable or (register.eeprom and self._values["torque_enable"]):
             return Error.ACCESS
-        if self._values["bus_watchdog"] == BUS_WATCHDOG_TRIPPED:
+        if self._values["bus_watchdog"] == control_table.BUS_WATCHDOG_TRIPPED:
             if name in _GOALS or (name == "bus_watchdog" and value != 0):
                 return Error.DATA_RANGE
         if not register.lowest <= value <= register.highest:
             return Error.DATA_RANGE
-        if name == "operating_mode" and value not in set(OperatingMode):
+        if name == "operating_mode" and value not in set(_MODE):
             return Error.DATA_RANGE
         if register.limit is not None and abs(value) > self._values[register.limit]:
             return Error.DATA_LIMIT
-        if name == "goal_position" and self._values["operating_mode"] == OperatingMode.POSITION:
+        if name == "goal_position" and self._values["operating_mode"] == _MODE.POSITION:
             if not self._values["min_position_limit"] <= value <= self._values["max_position_limit"]:
                 return Error.DATA_LIMIT
         if name == "torque_enable" and value and self._shut_down:
@@ -227,8 +216,6 @@ class VirtualServo:
         elif name == "bus_watchdog":
             self._heard_s = now_s
 
-    # --- modes, starting and stopping
-
     @property
     def _shut_down(self) -> bool:
         return bool(self._values["hardware_error_status"] & self._values["shutdown"])
@@ -247,8 +234,8 @@ class VirtualServo:
         """Goals that ask for nothing, and bounds that allow everything."""
         mode = self._values["operating_mode"]
         self._values["goal_velocity"] = 0
-        self._values["goal_pwm"] = 0 if mode == OperatingMode.PWM else self._values["pwm_limit"]
-        self._values["goal_current"] = 0 if mode == OperatingMode.CURRENT else self._values["current_limit"]
+        self._values["goal_pwm"] = 0 if mode == _MODE.PWM else self._values["pwm_limit"]
+        self._values["goal_current"] = 0 if mode == _MODE.CURRENT else self._values["current_limit"]
         self._values["goal_position"] = self._values["present_position"]
         self._stop()
 
@@ -264,14 +251,12 @@ class VirtualServo:
         self._pending = deque()
         self._velocity_integral = 0.0
 
-    def fail(self, error: HardwareError) -> None:
+    def fail(self, error: control_table.HardwareError) -> None:
         """Report a hardware error; torque goes off when the register Shutdown says so."""
         self._values["hardware_error_status"] |= 1 << error
         if self._shut_down:
             self._values["torque_enable"] = 0
             self._stop()
-
-    # --- the motor side
 
     def control(self, now_s: float, angle_rad: float, velocity_rad_s: float) -> float:
         """One period of the controller: measure, look for trouble, choose the current that flows until the next call [A].
@@ -290,15 +275,15 @@ class VirtualServo:
         else:
             self._overloaded_s = 0.0
         if values["bus_watchdog"] > 0 and values["torque_enable"]:
-            if now_s - self._heard_s > values["bus_watchdog"] * BUS_WATCHDOG_UNIT_S:
-                values["bus_watchdog"] = BUS_WATCHDOG_TRIPPED
+            if now_s - self._heard_s > values["bus_watchdog"] * control_table.BUS_WATCHDOG_UNIT_S:
+                values["bus_watchdog"] = control_table.BUS_WATCHDOG_TRIPPED
                 # the manual's example gives a new goal after the error is cleared: the old one is gone
                 self._stop()
         while self._pending and self._pending[0][0] <= now_s:
             self._goals = self._pending.popleft()[1]
         self._powered = bool(values["torque_enable"]) and self._goals is not None and now_s >= self._silent_until_s
         counts = 0
-        if self._powered and values["bus_watchdog"] != BUS_WATCHDOG_TRIPPED:
+        if self._powered and values["bus_watchdog"] != control_table.BUS_WATCHDOG_TRIPPED:
             counts = self._bounded(self._wanted(velocity_rad_s), velocity_rad_s)
         values["present_current"], self._unread = counts, True
         current_A = counts * self.model.current_unit_A
@@ -380,13 +365,13 @@ class VirtualServo:
         self._measure()
         values = self._values
         if self._ailing:
-            self.fail(HardwareError.INPUT_VOLTAGE)
+            self.fail(control_table.HardwareError.INPUT_VOLTAGE)
         if values["present_temperature"] > values["temperature_limit"]:
-            self.fail(HardwareError.OVERHEATING)
+            self.fail(control_table.HardwareError.OVERHEATING)
         straining = abs(values["present_current"]) >= self._straining_counts and not values["moving"]
         self._overloaded_s = self._overloaded_s + self._period_s if straining else 0.0
         if self._overloaded_s > _OVERLOAD_S:
-            self.fail(HardwareError.OVERLOAD)
+            self.fail(control_table.HardwareError.OVERLOAD)
 
 
 def _clip(value: float, bound: float) -> float:

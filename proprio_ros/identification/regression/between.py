@@ -50,9 +50,8 @@ SPREADS = np.geomspace(1e-4, 1.0, 200)  # At which the posterior of that is take
 def spread_of_runs(stated: float, found: FloatArray, learnt: FloatArray, pseudo_runs: float) -> float:
     """Standard deviation of what differs from run to run, a stated one counting as ``pseudo_runs``.
 
-    ``stated``: standard deviation that is expected; ``found``: what each run has, shape (R,); ``learnt``: how much of
-    it the run determines rather than its prior, 0 to 1, shape (R,); ``pseudo_runs``: of how many runs the expectation
-    is worth.
+    ``stated``: standard deviation that is expected; ``found``: what each run has, shape (R,); ``learnt``: how much of it the run
+    determines rather than its prior, 0 to 1, shape (R,); ``pseudo_runs``: of how many runs the expectation is worth.
     """
     total = float(np.sum(np.square(found))) + pseudo_runs * stated**2
     return float(np.sqrt(total / (max(float(np.sum(learnt)), 0.0) + pseudo_runs)))
@@ -179,9 +178,8 @@ def effective_freedom(total: FloatArray | float, parts: Sequence[tuple[float, fl
 def half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, float]]) -> float:
     """Of the 95 % interval [kg].
 
-    ``posterior``: see `spread_posterior`; ``mass``: that the spread is relative to [kg]; ``rest``: variance of
-    everything else [kg^2]; ``freedom``: of its parts that are known from a few only: variance [kg^2] and degrees of
-    freedom.
+    ``posterior``: see `spread_posterior`; ``mass``: that the spread is relative to [kg]; ``rest``: variance of everything else
+    [kg^2]; ``freedom``: of its parts that are known from a few only: variance [kg^2] and degrees of freedom.
     """
     total = rest + np.square(SPREADS * mass)
     effective, stds = effective_freedom(total, freedom), np.sqrt(total)

@@ -91,8 +91,7 @@ def _design(table: Table, load: FloatArray, share: float) -> FloatArray:
 def terms_of(tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carried: Carried) -> tuple[FloatArray, float]:
     """The terms that motions with known loads show, shape (6,), and rms of the torque that is left over, in true torque [N m].
 
-    ``tables``: of each motion, by the length of the windows; ``loads_kg``: of each; ``carried``: what hangs on the
-    joint.
+    ``tables``: of each motion, by the length of the windows; ``loads_kg``: of each; ``carried``: what hangs on the joint.
     """
     found, left = [], []
     heaviest = max(float(np.abs(part.columns[:, :3] @ (carried.arm + kg * carried.per_kg)).max()) for parts, kg in

@@ -145,8 +145,6 @@ class OnlineEstimator:
         self._told_until_s = -np.inf
         self._same, self._jitter = 0, np.zeros((self._arm.count, self._arm.count))
 
-    # --- what comes in ------------------------------------------------------------------------------------------------
-
     @property
     def frozen(self) -> bool:
         return self._same >= FROZEN
@@ -264,8 +262,6 @@ class OnlineEstimator:
         inertia = inertia_matrix(self._arm.model, position, self._calibration.values[: 11 * self._arm.count])
         result: FloatArray = per_position * inertia @ self._jitter @ inertia
         return result
-
-    # --- what it says -------------------------------------------------------------------------------------------------
 
     def _hear(self, window: _Window) -> None:
         """Go on by a window, and look for a step; where exactly it was shows in the windows after it."""

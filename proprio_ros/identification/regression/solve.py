@@ -40,8 +40,7 @@ def posterior(information: FloatArray, side: FloatArray, prior: Prior) -> tuple[
 
     Both are scaled by the prior's standard deviations, which differ by ten orders of magnitude.
 
-    ``information``: of the data, N, shape (U, U); ``side``: what they say, weighted alike, shape (U,); ``prior``: of
-    the unknowns.
+    ``information``: of the data, N, shape (U, U); ``side``: what they say, weighted alike, shape (U,); ``prior``: of the unknowns.
     """
     spread = np.sqrt(np.diag(prior.covariance))
     correlation = prior.covariance / spread[:, None] / spread
