@@ -51,12 +51,15 @@ def test_slopes_of_the_models_are_differences(model: str) -> None:
 
 def test_probabilities_are_the_evidences() -> None:
     moves = np.array([False, False, True, True])
-    np.testing.assert_allclose(weighted(np.log([0.0001, 0.4, 0.5, 0.0999]), moves), [0.0001, 0.4, 0.5, 0.0999])
+    np.testing.assert_allclose(weighted(np.log([0.0001, 0.4, 0.5, 0.0999]), moves, 0.1), [0.0001, 0.4, 0.5, 0.0999])
+    # what moves as little as a rigid thing cannot be told from one
+    np.testing.assert_allclose(weighted(np.log([1e-9, 0.98, 0.01, 0.01]), moves, 0.1), [0, 0.9, 0.05, 0.05], atol=1e-6)
+    # but that nothing is there can be told
+    np.testing.assert_allclose(weighted(np.log([0.98, 0.015, 0.004, 0.001]), moves, 0.1), [0.98, 0.015, 0.004, 0.001], atol=1e-6)
     # what is rigid and explains nothing is not said to be rigid
     np.testing.assert_allclose(weighted(np.log([1e-9, 0.98, 0.01, 0.01]), moves, 0.5), [0, 0.5, 0.25, 0.25], atol=1e-6)
-    np.testing.assert_allclose(weighted(np.log([1e-9, 0.1, 0.6, 0.3]), moves, 0.5), [0, 0.1, 0.6, 0.3], atol=1e-6)
     # what is rigid may be out of the question beside what moves, in the digits that numbers have
-    np.testing.assert_allclose(weighted(np.array([-1e5, -5e3, 0.0, -9e3]), moves), [0.0, 0.0, 1.0, 0.0])
+    np.testing.assert_allclose(weighted(np.array([-1e5, -5e3, 0.0, -9e3]), moves, 0.1), [0.0, 0.0, 1.0, 0.0])
     np.testing.assert_allclose(weighted(np.array([0.0, -1.0, -5e3, -6e3]), moves, 0.5).sum(), 1.0)
 
 

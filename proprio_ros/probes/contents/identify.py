@@ -34,6 +34,7 @@ from proprio_ros.robot import Robot
 
 SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.0  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
+UNSEEN = 0.1  # probability that what seems rigid is not: honey and grains that do not slide move as a rigid thing does
 STARTS_KG = (0.03, 0.1, 0.3)
 PASSES = 2  # so often held joints are found to give way anew
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
@@ -58,16 +59,17 @@ def left_over(fit: FitResult) -> np.ndarray:
     return np.asarray(squares / np.count_nonzero(fit.problem.weight, axis=1))
 
 
-def weighted(logs: np.ndarray, of_group: np.ndarray, least: float = 0.0) -> np.ndarray:
-    """Probabilities by logarithms of evidence, shape (M,); of a group (M,) together at ``least`` that."""
-    share = max(float(softmax(logs)[of_group].sum()), least)
+def weighted(logs: np.ndarray, of_group: np.ndarray, least: float) -> np.ndarray:
+    """Probabilities by logarithms of evidence, shape (M,); of all but the first, a group (M,) has at ``least`` that part."""
+    plain = softmax(logs)
+    share = max(float(plain[of_group].sum()), least * (1.0 - float(plain[0])))
     # each side by itself: beside the other's its evidence may be nothing
     within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (of_group, ~of_group))
     return share * within + (1.0 - share) * beside
 
 
 def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str) -> list[FitResult]:
-    """A model's search from all starts; then from its end, again and again, with held joints as the motion before moves them."""
+    """A model's search from all starts, and the best from there on, with held joints as the motion before moves them."""
 
     def search(problem: law.ContentsProblem, starts: np.ndarray) -> FitResult:
         internal = problem.coordinates.internal(starts[:, problem.free])
@@ -81,7 +83,7 @@ def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, fill
     for _ in range(PASSES):
         problem = law.ContentsProblem(robot, problem.held(fits[-1].values), facts, filled, model)
         fits.append(search(problem, fits[-1].values[None]))
-    return fits
+    return [fits[0], min(fits, key=lambda fit: fit.chi2)]
 
 
 def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, baseline: Sequence[Run] = ()) -> Estimate:
@@ -115,7 +117,7 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     logs = np.array([evidence(each) - np.log(kinds.count(kind)) for each, kind in zip(known, kinds, strict=True)])
     rigid = max((row for row, kind in enumerate(kinds) if kind == "rigid"), key=lambda row: logs[row])
     # where nothing that is rigid explains the recording, nobody says that it is
-    weight = weighted(logs, np.isin(kinds, MOVING), 0.0 if models[rigid][-1].explains else 0.5)
+    weight = weighted(logs, np.isin(kinds, MOVING), UNSEEN if models[rigid][-1].explains else 0.5)
     first = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first[0], first[-1], found, len(runs), [fits[-1] for fits in models], weight, facts).estimate()
 
