@@ -72,7 +72,7 @@ def forced_on(
 
     middle_s, none = times_s + 0.5 * times_s[1], np.zeros(len(times_s))
     load, still = torque(middle_s), float(torque(np.array([-1.0]))[0])
-    if np.ptp([*load, still]) < LEAST_TORQUE_N_M:
+    if not np.ptp([*load, still]) >= LEAST_TORQUE_N_M:  # nor where a fit that failed says how the driven joint moved
         return None
     spring, damper, inertia = (float(np.mean(torque(middle_s, more) - load)) / STEP for more in STEP * np.eye(3))
     rubs = max(drive.coulomb.value + drive.load_friction.value * abs(still), LEAST_FRICTION_N_M)

@@ -111,3 +111,9 @@ def test_gradients_are_those_of_finite_differences() -> None:
         exact = servo.jacobian(z).T
         for mine, its in zip(exact, differences, strict=True):
             assert np.linalg.norm(mine - its) < 2e-3 * np.linalg.norm(its) + 1e-6
+
+
+def test_a_fit_that_failed_moves_no_held_joint() -> None:
+    robot, run, elbow, _ = shaken(1, 0.02)
+    lost = replace(elbow, velocity=np.full_like(elbow.velocity, np.nan))
+    assert give_way(robot, [run], [lost], FACTS, [KG]) == [{}]
