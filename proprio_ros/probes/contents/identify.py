@@ -33,7 +33,7 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
 SURE = 0.95  # probability from which on a kind is said
-ALIKE_RUNS = 2.0  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
+ALIKE_RUNS = 2.5  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
 UNSEEN = 0.1  # probability that what seems rigid is not: honey and grains that do not slide move as a rigid thing does
 STARTS_KG = (0.03, 0.1, 0.3)
 PASSES = 2  # so often held joints are found to give way anew
