@@ -42,7 +42,6 @@ PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
         ("excitation_client:Excitation.__init__", {}),
     ),
     "excitation": (
-        ("excitation:ExcitationNode._driver_output", {}),
         ("excitation:ExcitationNode._controller_output", {"interface": "effort"}),
         ("excitation:ExcitationNode._controller_output", {"interface": "position"}),
     ),

@@ -122,8 +122,12 @@ class ExcitationNode(ManagedNode):
         if value_of(self, "probe") != DEFAULT_PROBE:  # not every robot can make the default
             load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
-        topics = (self.create_publisher(Float64MultiArray, name, COMMANDS) for name in ("current_command", "position_command"))
-        self._output = DriverOutput(*topics) if ours else self._controller_output(interface)
+        self._output: Output
+        if ours:
+            currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
+            self._output = DriverOutput(currents, self.create_publisher(Float64MultiArray, "position_command", COMMANDS))
+        else:
+            self._output = self._controller_output(interface)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not (ours and self._machine.busy))
         if ours:  # else this node says itself what it commands
