@@ -92,7 +92,7 @@ class Excitation:
         if not answer.success:
             raise JobError(f"the excitation node refuses: {answer.message}")
         number = answer.message.split(":")[0].removeprefix("sequence ")
-        self._asking = True
+        self._asking, heard_s = True, clock.now()
         self._renew_lease()
         begun()
         try:
@@ -100,9 +100,11 @@ class Excitation:
                 if job.cancelled.wait(0.02):
                     self._stop(number)
                     raise JobError("cancelled")
-                values, heard_s = self.values, max(self._heard_s, begun_s)
-                if values.get("sequence") == number and values.get("busy") == "false":
-                    break
+                values = self.values
+                if values.get("sequence") == number:  # one that was started again knows nothing of it, and says so at rest
+                    heard_s = max(self._heard_s, heard_s)
+                    if values.get("busy") == "false":
+                        break
                 if clock.now() - heard_s > SILENT_S:
                     raise JobError("the excitation node has fallen silent: the driver holds the arm; restart the node")
         finally:
