@@ -36,7 +36,7 @@ SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.5  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
 UNSEEN = 0.1  # probability that what seems rigid is not: honey and grains that do not slide move as a rigid thing does
 STARTS_KG = (0.03, 0.1, 0.3)
-PASSES = 2  # so often held joints are found to give way anew
+PASSES, HOPELESS = 2, 100.0  # so often held joints are found to give way anew, unless the reduced chi-square is beyond that
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
 """Dynamic viscosity below which a liquid is of a class [Pa s]."""
@@ -80,7 +80,7 @@ def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, fill
     if problem.inside:
         starts[:, problem.index["contents_mass"]] = STARTS_KG
     fits = [search(problem, starts)]
-    for _ in range(PASSES):
+    for _ in range(PASSES if fits[0].reduced_chi2 < HOPELESS else 0):
         problem = law.ContentsProblem(robot, problem.held(fits[-1].values), facts, filled, model)
         fits.append(search(problem, fits[-1].values[None]))
     return [fits[0], min(fits, key=lambda fit: fit.chi2)]
