@@ -34,7 +34,7 @@ from proprio_ros.robot import Robot
 
 SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.5  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
-UNSEEN = 0.1  # probability that what seems rigid is not: honey and grains that do not slide move as a rigid thing does
+UNSEEN = 0.1  # probability at least that what seems rigid moves (honey, still sand), and that what seems to be grains is rigid
 STARTS_KG = (0.03, 0.1, 0.3)
 PASSES, HOPELESS = 2, 100.0  # so often held joints are found to give way anew, unless the reduced chi-square is beyond that
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
@@ -112,11 +112,11 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     best, rows = min((fits[-1] for fits in models), key=lambda fit: fit.reduced_chi2), np.array(filled)
     inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best)[~rows].max())
     known = [Posterior(fits[-1].problem, fits[-1].values, inflation) for fits in models]
-    kinds = [*law.MODELS.values()]
-    # each kind is as likely beforehand
-    logs = np.array([evidence(each) - np.log(kinds.count(kind)) for each, kind in zip(known, kinds, strict=True)])
-    rigid = max((row for row, kind in enumerate(kinds) if kind == "rigid"), key=lambda row: logs[row])
-    # where nothing that is rigid explains the recording, nobody says that it is
+    kinds = np.array([*law.MODELS.values()])
+    logs = np.array([evidence(each) for each in known]) - np.log([np.sum(kinds == kind) for kind in kinds])  # kinds are as likely
+    rigid = max(np.flatnonzero(kinds == "rigid"), key=lambda row: logs[row])
+    # what grains explain a robot's friction may; and where nothing that is rigid explains the recording, nobody says that it is
+    logs = np.where(kinds == "granular", np.minimum(logs, logs[rigid] + np.log(1.0 / UNSEEN - 1.0)), logs)
     weight = weighted(logs, np.isin(kinds, MOVING), UNSEEN if models[rigid][-1].explains else 0.5)
     first = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first[0], first[-1], found, len(runs), [fits[-1] for fits in models], weight, facts).estimate()
