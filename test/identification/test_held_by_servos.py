@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
 from random_arm import JOINTS, HiddenRobot, Load, simulate
 
 from proprio_ros.identification import held_by_servos

@@ -109,17 +109,17 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
-    best, rows = min((fits[-1] for fits in models), key=lambda fit: fit.reduced_chi2), np.array(filled)
+    opened, rows, kinds = [fit for _, fit in models], np.array(filled), np.array([*law.MODELS.values()])
+    best = min(opened, key=lambda fit: fit.reduced_chi2)
     inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best)[~rows].max())
-    known = [Posterior(fits[-1].problem, fits[-1].values, inflation) for fits in models]
-    kinds = np.array([*law.MODELS.values()])
-    logs = np.array([evidence(each) for each in known]) - np.log([np.sum(kinds == kind) for kind in kinds])  # kinds are as likely
+    logs = np.array([evidence(Posterior(fit.problem, fit.values, inflation)) for fit in opened])
+    logs -= np.log([np.sum(kinds == kind) for kind in kinds])  # each kind is as likely beforehand
     rigid = max(np.flatnonzero(kinds == "rigid"), key=lambda row: logs[row])
     # what grains explain a robot's friction may; and where nothing that is rigid explains the recording, nobody says that it is
     logs = np.where(kinds == "granular", np.minimum(logs, logs[rigid] + np.log(1.0 / UNSEEN - 1.0)), logs)
-    weight = weighted(logs, np.isin(kinds, MOVING), UNSEEN if models[rigid][-1].explains else 0.5)
-    first = models[1 + int(np.argmax(weight[1:]))]
-    return ContentsFound(first[0], first[-1], found, len(runs), [fits[-1] for fits in models], weight, facts).estimate()
+    weight = weighted(logs, np.isin(kinds, MOVING), UNSEEN if opened[rigid].explains else 0.5)
+    first, best = models[1 + int(np.argmax(weight[1:]))]
+    return ContentsFound(first, best, found, len(runs), opened, weight, facts).estimate()
 
 
 @dataclass(eq=False)
