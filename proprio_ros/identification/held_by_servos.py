@@ -74,7 +74,7 @@ def forced_on(
     load, still = torque(middle_s), float(torque(np.array([-1.0]))[0])
     if not np.ptp([*load, still]) >= LEAST_TORQUE_N_M:  # nor where a fit that failed says how the driven joint moved
         return None
-    spring, damper, inertia = (float(np.mean(torque(middle_s, more) - load)) / STEP for more in STEP * np.eye(3))
+    spring, damper, inertia = (float(np.mean(torque(middle_s[::10], more) - load[::10])) / STEP for more in STEP * np.eye(3))
     rubs = max(drive.coulomb.value + drive.load_friction.value * abs(still), LEAST_FRICTION_N_M)
     known = {
         "inertia": inertia + drive.armature.value, "gravity_sin": spring, "viscous": damper + drive.viscous.value,
