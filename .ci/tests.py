@@ -3,15 +3,18 @@
 
 What all of them import takes seconds, so it is imported once: a part is a fork of this process in which pytest runs. Two parts
 compute at a time, the longest first. Beside them runs `wiring`, one file after the other: real processes, DDS, pseudo-terminals.
-That waits more than it computes, and comes first where it does compute. No second try: a test that needs one is a defect.
+That waits more than it computes, and comes first where it does compute. All but the first wait for the process `DEBIAN`, which
+installs what they need. No second try: a test that needs one is a defect.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import os
 import pkgutil
+import select
 import sys
 import tempfile
 from pathlib import Path
@@ -24,6 +27,8 @@ ENOUGH_S = 30
 """Files that take less share a process."""
 SCHEDULES = "test/world/test_schedules.py::test_schedules["
 """A thousand of them are blocks, each a part."""
+NEED_NOTHING = SCHEDULES, "test/nodes/test_demo.py"
+"""Of what is installed meanwhile: those come first."""
 
 
 def parts(wiring: list[str]) -> list[list[str]]:
@@ -74,6 +79,9 @@ def begin(part: list[str], nice: int, said: IO[str]) -> int:
         for stream in (1, 2):
             os.dup2(said.fileno(), stream)
         os.nice(nice)
+        if (debian := os.environ.get("DEBIAN")) and not part[0].startswith(NEED_NOTHING):
+            with contextlib.suppress(ProcessLookupError):  # it has ended
+                select.select([os.pidfd_open(int(debian))], [], [])
         import pytest
 
         # pytest warns of plugins that are imported before it begins

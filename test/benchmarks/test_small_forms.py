@@ -16,8 +16,8 @@ SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
     "at_rest": ("--arms", "1", "--first", "2", "--masses", "0.3", "--seconds", "10"),
     "between_recordings": ("--arms=0", "--servos=0", "--pendulums=1", "--first=400", "--jobs=1", "--real"),
-    "block_until": ("--robots", "1", "--at-most", "12", "--jobs", "1"),
-    "container_until": ("--robots=1", "--first=9001", "--reference=none", "--fixed-every=2", "--at-most=20", "--jobs=1"),
+    "block_until": ("--robots", "1", "--at-most", "6", "--jobs", "1"),
+    "container_until": ("--robots=1", "--first=9001", "--reference=none", "--fixed-every=2", "--at-most=10", "--jobs=1"),
     "contents": ("--particles", "--at-most", "1"),
     "coverage": ("--robots", "1", "--per-effect", "0", "--jobs", "1"),
     "distorted": ("--only", "every fourth sample"),
