@@ -36,7 +36,7 @@ SURE = 0.95  # probability from which on a kind is said
 ALIKE_RUNS = 2.5  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
 UNSEEN = 0.1  # probability at least that what seems rigid moves (honey, still sand), and that what seems to be grains is rigid
 STARTS_KG = (0.03, 0.1, 0.3)
-HOPELESS = 100.0  # reduced chi-square beyond which nobody asks how held joints give way
+HOPELESS, PASSES, WORTH = 100.0, 6, 1.0  # held joints give way anew below this reduced chi-square, so often, while it gains so much
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
 """Dynamic viscosity below which a liquid is of a class [Pa s]."""
@@ -69,7 +69,7 @@ def weighted(logs: np.ndarray, of_group: np.ndarray, least: float) -> np.ndarray
 
 
 def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str) -> list[FitResult]:
-    """A model's search from all starts, and the best from there on, with held joints as the motion of that moves them."""
+    """A model's search from all starts, and the best from there on, with held joints as the motion before moves them."""
 
     def search(problem: law.ContentsProblem, starts: np.ndarray, windows: Callable[[float], np.ndarray] | None) -> FitResult:
         internal = problem.coordinates.internal(starts[:, problem.free])
@@ -79,11 +79,11 @@ def fitted(robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, fill
     starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
     if problem.inside:
         starts[:, problem.index["contents_mass"]] = STARTS_KG
-    first = search(problem, starts, problem.simulator.windows)
-    if first.reduced_chi2 >= HOPELESS:
-        return [first, first]
-    problem = law.ContentsProblem(robot, problem.held(first.values), facts, filled, model)
-    return [first, min(first, search(problem, first.values[None], None), key=lambda fit: fit.chi2)]
+    fits = [search(problem, starts, problem.simulator.windows)]
+    while fits[0].reduced_chi2 < HOPELESS and len(fits) <= PASSES and (len(fits) < 2 or fits[-2].chi2 - fits[-1].chi2 > WORTH):
+        problem = law.ContentsProblem(robot, problem.held(fits[-1].values), facts, filled, model)
+        fits.append(search(problem, fits[-1].values[None], None))
+    return [fits[0], min(fits, key=lambda fit: fit.chi2)]
 
 
 def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, baseline: Sequence[Run] = ()) -> Estimate:
