@@ -116,7 +116,7 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     logs -= np.log([np.sum(kinds == kind) for kind in kinds])  # each kind is as likely beforehand
     rigid = max(np.flatnonzero(kinds == "rigid"), key=lambda row: logs[row])
     # what grains explain a robot's friction may; and where nothing that is rigid explains the recording, nobody says that it is
-    logs = np.where(kinds == "granular", np.minimum(logs, logs[rigid] + np.log(1.0 / UNSEEN - 1.0)), logs)
+    logs[rigid] = max(logs[rigid], logs[kinds == "granular"].max() - np.log(1.0 / UNSEEN - 1.0))
     weight = weighted(logs, np.isin(kinds, MOVING), UNSEEN if opened[rigid].explains else 0.5)
     first, best = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first, best, found, len(runs), opened, weight, facts).estimate()
