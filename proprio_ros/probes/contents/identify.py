@@ -59,12 +59,16 @@ def left_over(fit: FitResult) -> np.ndarray:
     return np.asarray(squares / np.count_nonzero(fit.problem.weight, axis=1))
 
 
-def weighted(logs: np.ndarray, of_group: np.ndarray, least: float) -> np.ndarray:
-    """Probabilities by logarithms of evidence, shape (M,); of all but the first, a group (M,) has at ``least`` that part."""
-    plain = softmax(logs)
-    share = max(float(plain[of_group].sum()), least * (1.0 - float(plain[0])))
+def weighted(logs: np.ndarray, kinds: np.ndarray, explains: np.ndarray) -> np.ndarray:
+    """Probabilities of M models by logarithms of evidence, shape (M,), the first of nothing inside; whether each explains it."""
+    logs, moves = logs.copy(), np.isin(kinds, MOVING)
+    rigid = max(np.flatnonzero(kinds == "rigid"), key=lambda row: logs[row])
+    # what grains explain a robot's friction may; and where nothing that is rigid explains the recording, nobody says that it is
+    logs[rigid] = max(logs[rigid], logs[kinds == "granular"].max() - np.log(1.0 / UNSEEN - 1.0))
+    plain, least = softmax(logs), UNSEEN if explains[rigid] else 0.5
+    share = max(float(plain[moves].sum()), least * (1.0 - float(plain[0])))
     # each side by itself: beside the other's its evidence may be nothing
-    within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (of_group, ~of_group))
+    within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (moves, ~moves))
     return share * within + (1.0 - share) * beside
 
 
@@ -114,10 +118,7 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best)[~rows].max())
     logs = np.array([evidence(Posterior(fit.problem, fit.values, inflation)) for fit in opened])
     logs -= np.log([np.sum(kinds == kind) for kind in kinds])  # each kind is as likely beforehand
-    rigid = max(np.flatnonzero(kinds == "rigid"), key=lambda row: logs[row])
-    # what grains explain a robot's friction may; and where nothing that is rigid explains the recording, nobody says that it is
-    logs[rigid] = max(logs[rigid], logs[kinds == "granular"].max() - np.log(1.0 / UNSEEN - 1.0))
-    weight = weighted(logs, np.isin(kinds, MOVING), UNSEEN if opened[rigid].explains else 0.5)
+    weight = weighted(logs, kinds, np.array([fit.explains for fit in opened]))
     first, best = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first, best, found, len(runs), opened, weight, facts).estimate()
 
@@ -146,8 +147,7 @@ class ContentsFound(Conclusion):
 
     def widen(self) -> None:
         # by how far apart the models' masses are, as probable as they are
-        masses = [0.0, *(model.value_of(self.name) for model in self.models[1:])]
-        off = np.array(masses) - self.assessed.value
+        off = np.array([0.0, *(model.value_of(self.name) for model in self.models[1:])]) - self.assessed.value
         self.count(float(np.sqrt(self.weights @ off**2)), "models of the contents")
 
     def comparable(self) -> bool:
