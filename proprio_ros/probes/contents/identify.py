@@ -40,6 +40,7 @@ HOPELESS, PASSES, WORTH = 100.0, 6, 1.0  # held joints give way anew below this 
 LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
 """Dynamic viscosity below which a liquid is of a class [Pa s]."""
+KINDS = np.array([*law.MODELS.values()])  # of each model
 FILL_SHARE = 0.1  # of the container's height: how well a fill has to be known
 
 
@@ -113,12 +114,12 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
-    opened, rows, kinds = [fit for _, fit in models], np.array(filled), np.array([*law.MODELS.values()])
+    opened, rows = [fit for _, fit in models], np.array(filled)
     best = min(opened, key=lambda fit: fit.reduced_chi2)
     inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best)[~rows].max())
     logs = np.array([evidence(Posterior(fit.problem, fit.values, inflation)) for fit in opened])
-    logs -= np.log([np.sum(kinds == kind) for kind in kinds])  # each kind is as likely beforehand
-    weight = weighted(logs, kinds, np.array([fit.explains for fit in opened]))
+    logs -= np.log([np.sum(kind == KINDS) for kind in KINDS])  # each kind is as likely beforehand
+    weight = weighted(logs, KINDS, np.array([fit.explains for fit in opened]))
     first, best = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first, best, found, len(runs), opened, weight, facts).estimate()
 
@@ -138,8 +139,7 @@ class ContentsFound(Conclusion):
         super().__post_init__()
         assert isinstance(self.opened.problem, law.ContentsProblem)
         self.problem = self.opened.problem
-        kinds = np.array([*law.MODELS.values()])
-        self.probabilities = np.array([self.weights[kinds == kind].sum() for kind in KINDS_INSIDE])
+        self.probabilities = np.array([self.weights[kind == KINDS].sum() for kind in KINDS_INSIDE])
 
     def kind(self, sure: float = SURE) -> str:
         """What is inside, where that is so sure; empty where it is not."""
