@@ -1,15 +1,18 @@
 """One driven joint that carries a container whose contents move sideways in part: a liquid that sloshes, or grains that slide.
 
-The first mode of a liquid in an upright cylinder is a mass on a spring and a damper (Abramson, NASA SP-106, chapter 6; Dodge, The
-new dynamic behavior of liquids in moving containers, 2000): it moves by x [m] across the container's axis, at a fixed height. With
-``s = a x z`` (a the joint's axis, z the container's, at a right angle), it is at ``(X, H)`` along s and z from the joint's axis,
-``X = x + reach``, and with gravity g(q) in the container's frame Lagrange's equations are
+The first mode of a liquid in an upright cylinder swings as a pendulum does (Abramson, NASA SP-106, chapter 6; Dodge, The new
+dynamic behavior of liquids in moving containers, 2000): a mass moves by x [m] across the container's axis, and rises by x^2 / 2 R,
+R = g / w2, as the centre of a liquid under a plane surface does. A mass on a spring at a fixed height has the same small waves, but
+not what a container does that is also moved up and down. With ``s = a x z`` (a the joint's axis, z the container's, at a right angle)
+it is at ``(X, Z)`` along s and z from the joint's axis, ``X = x + reach``, its way there slopes by ``c = x / R``, and with gravity
+g(q) in the container's frame Lagrange's equations are
 
-    x'' = g_s(q) - w2 x - c x' - f tanh(x' / v_f) + v^2 X - H v'
-    (J + m X^2) v' = joint's torques + m (H (w2 x + c x' + f tanh(x' / v_f)) - g_z(q) X - 2 v x' X - H v^2 X)
+    (1 + c^2) x'' = P - E v'
+    (J + m N^2 / (1 + c^2)) v' = joint's torques + m (Z g_s(q) - X g_z(q) + X x'^2 / R - 2 v x' N - E P / (1 + c^2))
+    P = g_s(q) + c g_z(q) + v^2 N - c x'^2 / R - d x' - f tanh(x' / v_f),  N = X + c Z,  E = Z - c X
 
-where J is the inertia of all else. Of grains the surface slopes until friction f [m/s^2] no longer holds it: the same law, whose
-spring is then the weight of the slope. Runs start at rest: a liquid is level (``settled`` 1), grains lie as the container was (0).
+where J is the inertia of all else. Of grains the surface slopes until friction f [m/s^2] no longer holds it: the same law. Runs
+start at rest: a liquid is level (``settled`` 1), grains lie as the container was (0).
 """
 
 from collections.abc import Sequence

@@ -28,6 +28,7 @@ much further than its encoder shows the joint has turned the container."""
 SLOSH_PARAMETERS = (*PARAMETERS, *SLOSH_TERMS)
 MASS, HEIGHT, STIFFNESS, DAMPING, FRICTION, SETTLED, TILT = range(len(PARAMETERS), len(SLOSH_PARAMETERS))
 REACH, BOTTOM, G_S, G_Z = 0, 1, 2, 5  # columns of ``SloshData.geometry``; gravity's constant, cos and sin parts
+GRAVITY = 9.81
 FRICTION_SPEED = 0.02  # over which grains' friction is smoothed [m/s]
 VEC4 = wp.types.vector(length=4, dtype=FLOAT)
 
@@ -66,10 +67,15 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
 
     @wp.func
     def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32):
-        gs, by_angle = _gravity(data.geometry, r, G_S, p[w, Q0] + p[w, TILT])
-        x = p[w, SETTLED] * gs / p[w, STIFFNESS]
-        dx = (p[w, SETTLED] * by_angle) * (dp[w, Q0] + dp[w, TILT]) + gs * dp[w, SETTLED] - x * dp[w, STIFFNESS]
-        return (VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)), wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx / p[w, STIFFNESS], vec()))
+        gs, gs_by = _gravity(data.geometry, r, G_S, p[w, Q0] + p[w, TILT])
+        gz, gz_by = _gravity(data.geometry, r, G_Z, p[w, Q0] + p[w, TILT])
+        gz = wp.min(gz, FLOAT(-1.0))  # a container that stands nowhere near upright
+        slope = -gs / gz
+        radius = FLOAT(GRAVITY) / p[w, STIFFNESS]
+        x = p[w, SETTLED] * slope * radius
+        dx = (-(gs_by + slope * gz_by) / gz * p[w, SETTLED] * radius) * (dp[w, Q0] + dp[w, TILT])
+        dx = dx + (slope * radius) * dp[w, SETTLED] - (x / p[w, STIFFNESS]) * dp[w, STIFFNESS]
+        return (VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)), wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx, vec()))
 
     @wp.func
     def rates(y: VEC4, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32):
@@ -79,26 +85,41 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         v = y[1]
         s = y[3]
         m = p[w, MASS]
-        high = data.geometry[r, BOTTOM] + p[w, HEIGHT]
+        bend = p[w, STIFFNESS] / FLOAT(GRAVITY)
+        d_bend = dp[w, STIFFNESS] / FLOAT(GRAVITY)
+        slope = bend * y[2]
+        d_slope = bend * dy[2] + y[2] * d_bend
         far = data.geometry[r, REACH] + y[2]
+        high = data.geometry[r, BOTTOM] + p[w, HEIGHT] + FLOAT(0.5) * slope * y[2]
+        d_high = dp[w, HEIGHT] + FLOAT(0.5) * (y[2] * d_slope + slope * dy[2])
         turned = dy[0] + dp[w, TILT]
         gs, gs_by = _gravity(data.geometry, r, G_S, y[0] + p[w, TILT])
         gz, gz_by = _gravity(data.geometry, r, G_Z, y[0] + p[w, TILT])
         side = wp.tanh(s / FLOAT(FRICTION_SPEED))
-        pull = p[w, STIFFNESS] * y[2] + p[w, DAMPING] * s + p[w, FRICTION] * side
-        d_pull = p[w, STIFFNESS] * dy[2] + y[2] * dp[w, STIFFNESS] + s * dp[w, DAMPING] + side * dp[w, FRICTION]
         steep = p[w, FRICTION] * (FLOAT(1.0) - side * side) / FLOAT(FRICTION_SPEED)
-        d_pull = d_pull + (p[w, DAMPING] + steep) * dy[3]
-        moment = high * (pull - v * v * far) - (gz + FLOAT(2.0) * v * s) * far
-        d_moment = (pull - v * v * far) * dp[w, HEIGHT] + high * d_pull - (gz_by * far) * turned
-        d_moment = d_moment - (FLOAT(2.0) * (high * v * far + s * far)) * dy[1] - (FLOAT(2.0) * v * far) * dy[3]
-        d_moment = d_moment - (high * v * v + gz + FLOAT(2.0) * v * s) * dy[2]
-        inverse = FLOAT(1.0) / (p[w, INERTIA] + m * far * far)
+        d_rub = s * dp[w, DAMPING] + side * dp[w, FRICTION] + (p[w, DAMPING] + steep) * dy[3]
+        wide = FLOAT(1.0) + slope * slope
+        d_wide = (FLOAT(2.0) * slope) * d_slope
+        over = high - slope * far
+        d_over = d_high - far * d_slope - slope * dy[2]
+        out = far + slope * high
+        d_out = dy[2] + high * d_slope + slope * d_high
+        pull = gs + slope * gz + v * v * out - slope * bend * s * s - p[w, DAMPING] * s - p[w, FRICTION] * side
+        d_pull = (gs_by + slope * gz_by) * turned + gz * d_slope + (v * v) * d_out + (FLOAT(2.0) * v * out) * dy[1]
+        d_pull = d_pull - (s * s) * (bend * d_slope + slope * d_bend) - (FLOAT(2.0) * slope * bend * s) * dy[3] - d_rub
+        moment = high * gs - far * gz + bend * s * s * far - FLOAT(2.0) * v * s * out - over * pull / wide
+        d_moment = (high * gs_by - far * gz_by) * turned + gs * d_high - gz * dy[2] + (s * s) * (far * d_bend + bend * dy[2])
+        d_moment = d_moment + (FLOAT(2.0) * bend * far * s) * dy[3] - (FLOAT(2.0) * v * s) * d_out
+        d_moment = d_moment - (FLOAT(2.0) * out) * (s * dy[1] + v * dy[3])
+        d_moment = d_moment - (pull * d_over + over * d_pull - (over * pull / wide) * d_wide) / wide
+        inertia = m * out * out / wide
+        d_inertia = (out * out / wide) * dp[w, MASS] + (FLOAT(2.0) * m * out / wide) * d_out - (inertia / wide) * d_wide
+        inverse = FLOAT(1.0) / (p[w, INERTIA] + inertia)
         b = (a * p[w, INERTIA] + m * moment) * inverse
-        db = p[w, INERTIA] * da + (a - b) * dp[w, INERTIA] + m * d_moment + (moment - b * far * far) * dp[w, MASS]
-        db = inverse * (db - (FLOAT(2.0) * b * m * far) * dy[2])
-        k = gs - pull + v * v * far - high * b
-        dk = gs_by * turned - d_pull + (FLOAT(2.0) * v * far) * dy[1] + (v * v) * dy[2] - high * db - b * dp[w, HEIGHT]
+        db = p[w, INERTIA] * da + (a - b) * dp[w, INERTIA] + m * d_moment + moment * dp[w, MASS] - b * d_inertia
+        db = inverse * db
+        k = (pull - b * over) / wide
+        dk = (d_pull - b * d_over - over * db - k * d_wide) / wide
         return VEC4(v, b, s, k), wp.matrix_from_rows(dy[1], db, dy[3], dk)
 
     @wp.func

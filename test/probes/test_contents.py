@@ -108,7 +108,7 @@ def test_its_settings_are_read() -> None:
 
 @pytest.mark.long
 def test_the_virtual_arm_s_liquid_is_weighed_and_an_empty_one_is_empty() -> None:
-    """MuJoCo's spring and slides, of which this law is no copy; the demo's own object, so no truth of real liquids."""
+    """MuJoCo's pendulum, of which this law is no copy; the demo's own object, so no truth of real liquids."""
     pytest.importorskip("mujoco")
     from support.hand import ROBOT, Hand
     from support.squeezing import made, played

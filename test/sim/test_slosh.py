@@ -50,14 +50,15 @@ def test_tangents_are_the_slopes_of_the_rollout(others: dict[str, float]) -> Non
 
 
 def test_the_rollout_is_lagranges_by_scipy() -> None:
-    """Energies differentiated numerically: a mass on a slide in a turning frame, written without the law's equations."""
+    """Energies differentiated numerically: a mass in a bowl in a turning frame, written without the law's equations."""
     p = values(viscous=0.0, coulomb=0.0, load_friction=0.0, delay=0.0, tilt=0.0, slosh_friction=0.4)
-    mass, height, spring, loss, dry = (p[0, at] for at in (MASS, HEIGHT, STIFFNESS, DAMPING, FRICTION))
+    mass, height, stiffness, loss, dry = (p[0, at] for at in (MASS, HEIGHT, STIFFNESS, DAMPING, FRICTION))
+    radius = 9.81 / stiffness
 
     def place(q: float, x: float) -> np.ndarray:
         """In the world: level, and up; s points down where q grows, as gravity's sine says."""
         s, z = np.array([np.cos(q), -np.sin(q)]), np.array([np.sin(q), np.cos(q)])
-        return np.asarray((REACH + x) * s + (BELOW + height) * z)
+        return np.asarray((REACH + x) * s + (BELOW + height + 0.5 * x**2 / radius) * z)
 
     def rates(_: float, y: np.ndarray) -> np.ndarray:
         q, v, x, u = y
@@ -67,13 +68,13 @@ def test_the_rollout_is_lagranges_by_scipy() -> None:
         bias = (place(q + e * v, x + e * u) - 2 * place(q, x) + place(q - e * v, x - e * u)) / e**2
         weight = np.array([0.0, -9.81])
         torque = 1.8 * 0.25 - 0.1 * np.cos(q) - 0.2 * np.sin(q)
-        inner = -spring * x - loss * u - dry * np.tanh(u / FRICTION_SPEED)
-        matrix = np.array([[0.03 + mass * by_q @ by_q, mass * by_q @ by_x], [mass * by_q @ by_x, mass]])
+        inner = -loss * u - dry * np.tanh(u / FRICTION_SPEED)
+        matrix = np.array([[0.03 + mass * by_q @ by_q, mass * by_q @ by_x], [mass * by_q @ by_x, mass * by_x @ by_x]])
         right = np.array([torque, mass * inner]) + mass * np.array([by_q @ (weight - bias), by_x @ (weight - bias)])
         a, k = np.linalg.solve(matrix, right)
         return np.array([v, a, u, k])
 
-    start = np.array([0.1, 0.0, 9.81 * np.sin(0.1) / spring, 0.0])
+    start = np.array([0.1, 0.0, radius * np.tan(0.1), 0.0])
     expected = solve_ivp(rates, (0.0, 0.7), start, t_eval=TIMES, rtol=1e-8, atol=1e-10, max_step=2e-3).y
     world = np.zeros(1, dtype=np.int32)
     rolled = simulator()
@@ -82,13 +83,13 @@ def test_the_rollout_is_lagranges_by_scipy() -> None:
 
 
 def test_small_motions_are_two_coupled_oscillators() -> None:
-    """Without gravity a constant torque turns all at once, and the mass swings at the frequency of the pair."""
+    """Where gravity turns with the container a constant torque turns all at once, and the mass swings at the frequency of the pair."""
     still = JointRun(TIMES, np.zeros(1), np.array([1e-4]), friction_velocity=1e-2, step_s=1 / 480)
-    rolled = SloshSimulator([SloshRun(still, 0.0, 0.2, np.zeros(3), np.zeros(3))])
+    rolled = SloshSimulator([SloshRun(still, 0.0, 0.2, np.zeros(3), np.array([-9.81, 0.0, 0.0]))])
     for mass in (0.05, 0.15, 0.4):
         p = values(viscous=0.0, coulomb=0.0, load_friction=0.0, stribeck=0.0, gravity_cos=0.0, gravity_sin=0.0, delay=0.0, q0=0.0,
                    slosh_mass=mass, slosh_height=0.0, slosh_damping=0.0, tilt=0.0, settled=0.0)  # fmt: skip
-        torque, high, spring, inertia = 1.8e-4, 0.2, 400.0, 0.03
-        turn = np.sqrt(spring * (1.0 + mass * high**2 / inertia))
+        torque, high, stiffness, inertia = 1.8e-4, 0.2, 400.0, 0.03
+        turn = np.sqrt(stiffness * (1.0 + mass * high**2 / inertia) + 9.81 * mass * high / inertia)
         x = -high * torque / inertia / turn**2 * (1.0 - np.cos(turn * TIMES))
         np.testing.assert_allclose(rolled.path(np.zeros(1, dtype=np.int32), p)[0], x, rtol=1e-4, atol=1e-10)

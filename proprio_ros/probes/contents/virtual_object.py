@@ -1,4 +1,4 @@
-"""What the virtual hand holds for this probe: a cylinder with a liquid in it, a mass on springs and dampers in MuJoCo."""
+"""What the virtual hand holds for this probe: a cylinder with a liquid in it, a damped pendulum in MuJoCo."""
 
 from __future__ import annotations
 
@@ -75,10 +75,9 @@ class Filled(HandObject):
         set_inertia(cup, self.mass_kg, (0.0, 0.0, 0.0), shell.inertia)
         lower = hand.add_body(name="held/still", pos=np.add(self.bottom_m, (0.0, 0.0, low)))
         set_inertia(lower, rest, (0.0, 0.0, 0.0), self._solid(rest, self.fill_m))
+        # a pendulum that swings as often
+        long = 9.81 / float(slosh.stiffness)
         upper = hand.add_body(name="held/moving", pos=np.add(self.bottom_m, (0.0, 0.0, float(slosh.height))))
-        set_inertia(upper, moving, (0.0, 0.0, 0.0), (1e-9, 1e-9, 1e-9, 0.0, 0.0, 0.0))
-        pull = float(slosh.stiffness) * moving
-        loss = 2.0 * DAMPING_RATIO * moving * float(np.sqrt(slosh.stiffness))
-        for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
-            joint = upper.add_joint(name=f"held/slosh_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-            joint.stiffness[0], joint.damping[0] = pull, loss
+        set_inertia(upper, moving, (0.0, 0.0, 0.0), (*[0.01 * moving * long**2] * 3, 0.0, 0.0, 0.0))
+        joint = upper.add_joint(name="held/slosh", type=mujoco.mjtJoint.mjJNT_BALL, pos=(0.0, 0.0, long))
+        joint.damping[0] = 2.0 * DAMPING_RATIO * moving * float(np.sqrt(slosh.stiffness)) * long**2
