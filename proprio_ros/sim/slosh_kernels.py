@@ -97,6 +97,7 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         gz, gz_by = _gravity(data.geometry, r, G_Z, y[0] + p[w, TILT])
         side = wp.tanh(s / FLOAT(FRICTION_SPEED))
         steep = p[w, FRICTION] * (FLOAT(1.0) - side * side) / FLOAT(FRICTION_SPEED)
+        rub = p[w, DAMPING] * s + p[w, FRICTION] * side
         d_rub = s * dp[w, DAMPING] + side * dp[w, FRICTION] + (p[w, DAMPING] + steep) * dy[3]
         wide = FLOAT(1.0) + slope * slope
         d_wide = (FLOAT(2.0) * slope) * d_slope
@@ -104,22 +105,22 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         d_over = d_high - far * d_slope - slope * dy[2]
         out = far + slope * high
         d_out = dy[2] + high * d_slope + slope * d_high
-        pull = gs + slope * gz + v * v * out - slope * bend * s * s - p[w, DAMPING] * s - p[w, FRICTION] * side
-        d_pull = (gs_by + slope * gz_by) * turned + gz * d_slope + (v * v) * d_out + (FLOAT(2.0) * v * out) * dy[1]
-        d_pull = d_pull - (s * s) * (bend * d_slope + slope * d_bend) - (FLOAT(2.0) * slope * bend * s) * dy[3] - d_rub
-        moment = high * gs - far * gz + bend * s * s * far - FLOAT(2.0) * v * s * out - over * pull / wide
-        d_moment = (high * gs_by - far * gz_by) * turned + gs * d_high - gz * dy[2] + (s * s) * (far * d_bend + bend * dy[2])
-        d_moment = d_moment + (FLOAT(2.0) * bend * far * s) * dy[3] - (FLOAT(2.0) * v * s) * d_out
-        d_moment = d_moment - (FLOAT(2.0) * out) * (s * dy[1] + v * dy[3])
-        d_moment = d_moment - (pull * d_over + over * d_pull - (over * pull / wide) * d_wide) / wide
+        along = gs + slope * gz + v * v * out - slope * bend * s * s - rub
+        d_along = (gs_by + slope * gz_by) * turned + gz * d_slope + (v * v) * d_out + (FLOAT(2.0) * v * out) * dy[1] - d_rub
+        d_along = d_along - (s * s) * (bend * d_slope + slope * d_bend) - (FLOAT(2.0) * slope * bend * s) * dy[3]
+        across = slope * gs - gz + bend * s * s - v * v * over - FLOAT(2.0) * v * s * wide
+        d_across = (slope * gs_by - gz_by) * turned + (gs - FLOAT(4.0) * v * s * slope) * d_slope + (s * s) * d_bend
+        d_across = d_across + FLOAT(2.0) * ((bend * s - v * wide) * dy[3] - (v * over + s * wide) * dy[1]) - (v * v) * d_over
+        moment = (out * across + over * rub) / wide
+        d_moment = (across * d_out + out * d_across + rub * d_over + over * d_rub - moment * d_wide) / wide
         inertia = m * out * out / wide
         d_inertia = (out * out / wide) * dp[w, MASS] + (FLOAT(2.0) * m * out / wide) * d_out - (inertia / wide) * d_wide
         inverse = FLOAT(1.0) / (p[w, INERTIA] + inertia)
         b = (a * p[w, INERTIA] + m * moment) * inverse
         db = p[w, INERTIA] * da + (a - b) * dp[w, INERTIA] + m * d_moment + moment * dp[w, MASS] - b * d_inertia
         db = inverse * db
-        k = (pull - b * over) / wide
-        dk = (d_pull - b * d_over - over * db - k * d_wide) / wide
+        k = (along - b * over) / wide
+        dk = (d_along - b * d_over - over * db - k * d_wide) / wide
         return VEC4(v, b, s, k), wp.matrix_from_rows(dy[1], db, dy[3], dk)
 
     @wp.func
@@ -130,9 +131,7 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
     def record(out: Out, w: wp.int32, k: wp.int32, y: VEC4, dy: mat, lead: FLOAT, d_lead: vec):
         out.v[w, k] = y[1]
         out.q[w, k] = y[0] + y[1] * lead
-        out.dq[w, k] = dy[0] + lead * dy[1]
-        if lead < FLOAT(0.0):
-            out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
         out.x[w, k] = y[2]
         out.dx[w, k] = dy[2]
 

@@ -83,7 +83,7 @@ def test_the_rollout_is_lagranges_by_scipy() -> None:
 
 
 def test_small_motions_are_two_coupled_oscillators() -> None:
-    """Where gravity turns with the container a constant torque turns all at once, and the mass swings at the frequency of the pair."""
+    """Gravity that turns with the container: a constant torque turns all at once, the mass swings at the frequency of the pair."""
     still = JointRun(TIMES, np.zeros(1), np.array([1e-4]), friction_velocity=1e-2, step_s=1 / 480)
     rolled = SloshSimulator([SloshRun(still, 0.0, 0.2, np.zeros(3), np.array([-9.81, 0.0, 0.0]))])
     for mass in (0.05, 0.15, 0.4):

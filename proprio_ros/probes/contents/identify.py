@@ -33,7 +33,7 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
 SURE = 0.95  # probability from which on a kind is said
-ALIKE_RUNS = 2.5  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
+ALIKE_RUNS = 2.0  # robot and held joints are models, too: what is inside differs by so many times less than chi-square says
 UNSEEN = 0.1  # probability at least that what seems rigid moves (honey, still sand), and that what seems to be grains is rigid
 STARTS_KG = (0.03, 0.1, 0.3)
 HOPELESS, PASSES, WORTH = 100.0, 6, 1.0  # held joints give way anew below this reduced chi-square, so often, while it gains so much
@@ -53,11 +53,11 @@ def evidence(known: Posterior) -> float:
     return 0.5 * (float(kept) - fit)
 
 
-def left_over(fit: FitResult) -> np.ndarray:
-    """Mean square of what is left of each run, in that of its encoder, shape (R,)."""
-    shown = fit.problem.simulate(fit.values[None], fit.problem.free[:1])[0][0]
-    squares = np.square((shown - fit.problem.measured) * fit.problem.weight).sum(axis=1)
-    return np.asarray(squares / np.count_nonzero(fit.problem.weight, axis=1))
+def left_over(fit: FitResult, rows: np.ndarray) -> float:
+    """Mean square of what is left of some runs, in that of their encoders."""
+    shown, weight = fit.problem.simulate(fit.values[None], fit.problem.free[:1])[0][0], fit.problem.weight
+    squares = np.square((shown - fit.problem.measured) * weight)[rows]
+    return float(squares.sum() / np.count_nonzero(weight[rows]))
 
 
 def weighted(logs: np.ndarray, kinds: np.ndarray, explains: np.ndarray) -> np.ndarray:
@@ -114,9 +114,9 @@ def find_contents(robot: Robot, runs: Sequence[Run], facts: ContentsFacts, basel
     if not any(filled):
         return no_answer("contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
-    opened, rows = [fit for _, fit in models], np.array(filled)
+    opened, empty = [fit for _, fit in models], ~np.array(filled)
     best = min(opened, key=lambda fit: fit.reduced_chi2)
-    inflation = ALIKE_RUNS * max(1.0, best.reduced_chi2 if rows.all() else left_over(best)[~rows].max())
+    inflation = ALIKE_RUNS * max(1.0, left_over(best, empty) if empty.any() else best.reduced_chi2)
     logs = np.array([evidence(Posterior(fit.problem, fit.values, inflation)) for fit in opened])
     logs -= np.log([np.sum(kind == KINDS) for kind in KINDS])  # each kind is as likely beforehand
     weight = weighted(logs, KINDS, np.array([fit.explains for fit in opened]))

@@ -26,11 +26,10 @@ from proprio_ros.sim.joint import JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.slosh import SloshRun, SloshSimulator
-from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS
+from proprio_ros.sim.slosh_kernels import GRAVITY, SLOSH_PARAMETERS
 
 MODELS = {"nothing": "nothing", "rigid": "rigid", "frozen": "rigid", "liquid": "liquid", "granular": "granular"}
 """Each is of a kind: what is rigid lies anywhere, or fills the bottom as what flows does, so that lying low tells neither."""
-GRAVITY = 9.81
 FIRST_MODE = 1.8412  # least root of J1'
 LOWEST_FILL_M = 2e-3  # below this a fill is smoothed, so that a search may pass through nothing
 LEVEL = 0.3  # cosine between joint's and container's axes up to which the law holds
@@ -107,14 +106,14 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
             Unknown("contents_density", facts.density, facts.density_std, 300.0, 15000.0),
             Unknown("slosh_tuning", 1.0, 0.05, 0.5, 2.0),
             Unknown("slosh_share", 1.0, 0.15, 0.0, 2.0),
-            Unknown("slosh_damping_log", -3.2, 1.3, -7.0, 0.5),
+            Unknown("slosh_damping_log", -3.2, 2.0, -7.0, 0.5),
             Unknown("contents_spread", 0.6, 0.3, 0.0, 5.0),
         ]
     return [
         mass,
         dense,
         Unknown("slosh_share", 0.7, 0.3, 0.0, 2.0),
-        Unknown("grain_friction", 0.35, 0.2, 0.02, 1.2),
+        Unknown("grain_friction", 0.5, 0.2, 0.15, 1.2),
         Unknown("slosh_damping_log", -1.2, 1.0, -7.0, 0.5),
         spread,
     ]

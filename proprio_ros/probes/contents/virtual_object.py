@@ -65,6 +65,7 @@ class Filled(HandObject):
         import numpy as np
 
         from proprio_ros.probes.contents.models import Slosh
+        from proprio_ros.sim.slosh_kernels import GRAVITY
 
         slosh = Slosh.of(self.radius_m, np.array(self.fill_m))
         moving = float(slosh.share) * self.liquid_kg
@@ -76,8 +77,9 @@ class Filled(HandObject):
         lower = hand.add_body(name="held/still", pos=np.add(self.bottom_m, (0.0, 0.0, low)))
         set_inertia(lower, rest, (0.0, 0.0, 0.0), self._solid(rest, self.fill_m))
         # a pendulum that swings as often
-        long = 9.81 / float(slosh.stiffness)
+        long = GRAVITY / float(slosh.stiffness)
         upper = hand.add_body(name="held/moving", pos=np.add(self.bottom_m, (0.0, 0.0, float(slosh.height))))
-        set_inertia(upper, moving, (0.0, 0.0, 0.0), (*[0.01 * moving * long**2] * 3, 0.0, 0.0, 0.0))
+        small = 0.01 * moving * long**2
+        set_inertia(upper, moving, (0.0, 0.0, 0.0), (small, small, small, 0.0, 0.0, 0.0))
         joint = upper.add_joint(name="held/slosh", type=mujoco.mjtJoint.mjJNT_BALL, pos=(0.0, 0.0, long))
         joint.damping[0] = 2.0 * DAMPING_RATIO * moving * float(np.sqrt(slosh.stiffness)) * long**2
