@@ -96,9 +96,9 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         gs, gs_by = _gravity(data.geometry, r, G_S, y[0] + p[w, TILT])
         gz, gz_by = _gravity(data.geometry, r, G_Z, y[0] + p[w, TILT])
         side = wp.tanh(s / FLOAT(FRICTION_SPEED))
-        steep = p[w, FRICTION] * (FLOAT(1.0) - side * side) / FLOAT(FRICTION_SPEED)
         rub = p[w, DAMPING] * s + p[w, FRICTION] * side
-        d_rub = s * dp[w, DAMPING] + side * dp[w, FRICTION] + (p[w, DAMPING] + steep) * dy[3]
+        loss = p[w, DAMPING] + p[w, FRICTION] * (FLOAT(1.0) - side * side) / FLOAT(FRICTION_SPEED)
+        d_rub = s * dp[w, DAMPING] + side * dp[w, FRICTION] + loss * dy[3]
         wide = FLOAT(1.0) + slope * slope
         d_wide = (FLOAT(2.0) * slope) * d_slope
         over = high - slope * far
@@ -115,10 +115,9 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         d_moment = (across * d_out + out * d_across + rub * d_over + over * d_rub - moment * d_wide) / wide
         inertia = m * out * out / wide
         d_inertia = (out * out / wide) * dp[w, MASS] + (FLOAT(2.0) * m * out / wide) * d_out - (inertia / wide) * d_wide
-        inverse = FLOAT(1.0) / (p[w, INERTIA] + inertia)
-        b = (a * p[w, INERTIA] + m * moment) * inverse
+        b = (a * p[w, INERTIA] + m * moment) / (p[w, INERTIA] + inertia)
         db = p[w, INERTIA] * da + (a - b) * dp[w, INERTIA] + m * d_moment + moment * dp[w, MASS] - b * d_inertia
-        db = inverse * db
+        db = db / (p[w, INERTIA] + inertia)
         k = (along - b * over) / wide
         dk = (d_along - b * d_over - over * db - k * d_wide) / wide
         return VEC4(v, b, s, k), wp.matrix_from_rows(dy[1], db, dy[3], dk)

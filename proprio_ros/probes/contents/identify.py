@@ -211,13 +211,13 @@ class ContentsFound(Conclusion):
         covariance = self.assessed.covariance
         together = float(np.sqrt(np.sum(covariance[np.ix_((mass, shell), (mass, shell))])))
         total = float(self.fit.values[mass] + self.fit.values[shell])
-        values = [
+        shares = zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True)
+        return (
             positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld),
             positive("total_mass", "kg", total, together, withheld),
-        ]
-        for kind, probability in zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True):
-            values.append(Value(f"{kind}_inside", "1", None if withheld else probability, reason=withheld))
-        return (*values, *self.liquid_values(withheld))
+            *(Value(f"{kind}_inside", "1", None if withheld else share, reason=withheld) for kind, share in shares),
+            *self.liquid_values(withheld),
+        )
 
     def liquid_values(self, withheld: str) -> Iterator[Value]:
         """What is said of a liquid; with the reason where it is not."""

@@ -76,8 +76,7 @@ class Filled(HandObject):
         set_inertia(cup, self.mass_kg, (0.0, 0.0, 0.0), shell.inertia)
         lower = hand.add_body(name="held/still", pos=np.add(self.bottom_m, (0.0, 0.0, low)))
         set_inertia(lower, rest, (0.0, 0.0, 0.0), self._solid(rest, self.fill_m))
-        # a pendulum that swings as often
-        long = GRAVITY / float(slosh.stiffness)
+        long = GRAVITY / float(slosh.stiffness)  # a pendulum's that swings as often
         upper = hand.add_body(name="held/moving", pos=np.add(self.bottom_m, (0.0, 0.0, float(slosh.height))))
         small = 0.01 * moving * long**2
         set_inertia(upper, moving, (0.0, 0.0, 0.0), (small, small, small, 0.0, 0.0, 0.0))
