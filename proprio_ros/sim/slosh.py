@@ -3,7 +3,7 @@
 The first mode of a liquid in an upright cylinder swings as a pendulum does (Abramson, NASA SP-106, chapter 6; Dodge, The new
 dynamic behavior of liquids in moving containers, 2000): a mass moves by x [m] across the container's axis, and rises by x^2 / 2 R,
 R = g / w2, as the centre of a liquid under a plane surface does; one on a spring at a fixed height has the same small waves only.
-With ``s = a x z`` (a the joint's axis, z the container's, at a right angle) it is at ``(X, Z)`` along s and z from the joint's axis,
+With ``s = a x z`` (a the joint's axis, z the container's, at right angles) it is at ``(X, Z)`` along s and z from the joint's axis,
 ``X = x + reach``, its way there slopes by ``c = x / R``, and with gravity g(q) in the container's frame Lagrange's equations are
 
     (1 + c^2) x'' = P - E v',  (J + m N^2 / (1 + c^2)) v' = joint's torques + m (N Q + E F) / (1 + c^2)
