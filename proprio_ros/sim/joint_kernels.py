@@ -182,8 +182,12 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
     @wp.func
     def record(out: Out, w: wp.int32, k: wp.int32, y: VEC2, dy: mat, lead: FLOAT, d_lead: vec):
         out.v[w, k] = y[1]
-        out.q[w, k] = y[0] + y[1] * lead
-        out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        if lead < FLOAT(0.0):
+            out.q[w, k] = y[0] + y[1] * lead
+            out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        else:
+            out.q[w, k] = y[0]
+            out.dq[w, k] = dy[0]
 
     return Law(directions, VEC2, VEC3, mat, data_type, Out, DELAY, start, rates, moved, standstill(VEC2, data_type), record)
 

@@ -50,7 +50,7 @@ class Law:
     # (y, dy, z, dz, k, dk, data, r) -> the rates k, dk with those of positions made anew from the velocities in z
     moved: Callable[..., Any]
     still: Callable[..., Any]  # (y, k, data, r, step) -> whether it is, or may come within a step, near standstill
-    # (out, w, sample, y, dy, lead, d_lead), which writes a result; ``lead`` is below 0 before the onset [s], else 0
+    # (out, w, sample, y, dy, lead, d_lead), which writes a result; ``lead`` is below 0 before the onset [s]
     record: Callable[..., Any]
     # of the outer and the inner stages of RK4, and what their sum is multiplied by
     weights: tuple[float, float, float] = (1.0, 2.0, 1.0 / 6.0)
@@ -169,6 +169,6 @@ def rollout(law: Law, integrator: str) -> Any:
                     if arrived == 0:
                         segment = segment + 1
                         u = inputs[r, segment]
-            record(out, w, k, y, dy, wp.min(goal, FLOAT(0.0)), wp.where(goal < FLOAT(0.0), d_goal, vec()))
+            record(out, w, k, y, dy, wp.min(goal, FLOAT(0.0)), d_goal)
 
     return kernel

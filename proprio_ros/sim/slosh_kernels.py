@@ -130,7 +130,9 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
     def record(out: Out, w: wp.int32, k: wp.int32, y: VEC4, dy: mat, lead: FLOAT, d_lead: vec):
         out.v[w, k] = y[1]
         out.q[w, k] = y[0] + y[1] * lead
-        out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        out.dq[w, k] = dy[0] + lead * dy[1]
+        if lead < FLOAT(0.0):
+            out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
         out.x[w, k] = y[2]
         out.dx[w, k] = dy[2]
 

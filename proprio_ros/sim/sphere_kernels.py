@@ -355,8 +355,12 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
     @wp.func
     def record(out: Out, w: wp.int32, k: wp.int32, y: STATE, dy: whole, lead: FLOAT, d_lead: vec):
         out.v[w, k] = y[1]
-        out.q[w, k] = y[0] + y[1] * lead
-        out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        if lead < FLOAT(0.0):
+            out.q[w, k] = y[0] + y[1] * lead
+            out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        else:
+            out.q[w, k] = y[0]
+            out.dq[w, k] = dy[0]
         out.x[w, k] = part(y, 2)
         out.dx[w, k] = three(dy, 2)
 

@@ -66,15 +66,11 @@ class Container(
         "container.mass=KG)",
     )
     example = base.Example(
-        help="of the sphere in it",
-        truth=0.012,
-        held="container:0.03,sphere={truth:g}",
-        now="now there is a sphere in the container",
-        was="the sphere in the virtual container weighed",
-        takes="two minutes",
+        help="of the sphere in it", truth=0.012, held="container:0.03,sphere={truth:g}",
+        now="now there is a sphere in the container", was="the sphere in the virtual container weighed", takes="two minutes",
         sequences={"robot_sequence": "empty_hand_container"},  # the wrist moves it, too
         stated=("container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01"),
-    )
+    )  # fmt: skip
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> ContainerJob:
         from proprio_ros.probes.container.facts import FORMS, container_facts

@@ -58,15 +58,10 @@ class Payload(
     solvers = ("lm", "adam", "cma")
     profiles = ("default", "paper")
     example = base.Example(
-        help="of the object in the virtual hand",
-        truth=0.05,
-        held="{truth:g}",
-        now="now something is in its hand",
-        was="the virtual hand held",
-        takes="under a minute",
-        sequences={"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"},
-        stated=("payload.com=[0,0,0]",),
-    )
+        help="of the object in the virtual hand", truth=0.05, held="{truth:g}",
+        now="now something is in its hand", was="the virtual hand held", takes="under a minute",
+        sequences={"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"}, stated=("payload.com=[0,0,0]",),
+    )  # fmt: skip
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> PayloadJob:
         from proprio_ros.probes.payload.facts import payload_facts

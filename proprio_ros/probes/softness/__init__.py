@@ -67,12 +67,7 @@ class Softness(
     refusal = "A softness_sequence that may squeeze the block further, as a share of its length, is refused."
     limits = (base.Limit(LIMIT, 0.4, refusal, 0.01, 0.95),)
     example = base.Example(
-        flag="modulus",
-        metavar="PA",
-        help="Young's modulus of the block",
-        truth=12e3,
-        lowest=100.0,
-        highest=1e7,
+        flag="modulus", metavar="PA", help="Young's modulus of the block", truth=12e3, lowest=100.0, highest=1e7,
         units="moduli are in Pa, foam has 1e3 to 1e5",
         held=f"block:{{truth:g}},gap={GAP_M:g}",
         now="now a block of 30 mm is between its fingers",
@@ -81,7 +76,7 @@ class Softness(
         sequences={"robot_sequence": "empty_hand_gripper"},
         reference=False,  # nothing that the gripper does moves a weight
         stated=("block.size=0.03",),
-    )
+    )  # fmt: skip
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> SoftnessJob:
         from proprio_ros.probes.softness.facts import block_facts
