@@ -93,9 +93,12 @@ def test_the_law_turns_a_joint_as_the_particles_do(radius: float, fill: float, v
         inertia = joint + about[1, 1] + liquid.kg * (place @ place - centre @ centre)
         q, v, angles, more = 0.0, 0.0, [], [0.0, 0.0]
 
+        def weight(q: float) -> float:
+            return float(liquid.kg * 9.81 * (place[0] * np.cos(q) + place[2] * np.sin(q)))
+
         def speeding(pull: float, q: float, v: float) -> float:
-            weight = liquid.kg * 9.81 * (place[0] * np.cos(q) + place[2] * np.sin(q) - reach)
-            return float(pull - spring * np.sin(q) - loss * v + weight + 2.0 * more[1] - more[0]) / inertia
+            rest = weight(q) - liquid.kg * 9.81 * reach + 2.0 * more[1] - more[0]
+            return float(pull - spring * np.sin(q) - loss * v + rest) / inertia
 
         for pull in torque:
             angles.append(q)
@@ -106,7 +109,7 @@ def test_the_law_turns_a_joint_as_the_particles_do(radius: float, fill: float, v
                 gravity = 9.81 * np.array([np.sin(middle), 0.0, -np.cos(middle)])
                 drag = np.array([a * low - fast**2 * reach, 0.0, -a * reach - fast**2 * low])
                 force = liquid.step(gravity, drag, np.array([0.0, a, 0.0]), np.array([0.0, fast, 0.0]), step_s)
-                free = 9.81 * liquid.kg * (place[0] * np.cos(middle) + place[2] * np.sin(middle)) - a * (inertia - joint)
+                free = weight(middle) - a * (inertia - joint)
                 more = [more[1], force[4] + low * force[0] - reach * force[2] - free]
         return np.array(angles)
 

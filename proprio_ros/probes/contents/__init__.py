@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
 from proprio_ros.probes import base
+from proprio_ros.probes.contents.detail import KINDS_INSIDE
 from proprio_ros.probes.contents.virtual_object import Filled
 
 if TYPE_CHECKING:
@@ -33,11 +34,13 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         "slosh_tuning": Kind("1", "slosh frequency over that of the theory"),
         "slosh_share": Kind("1", "moving share over that of the theory"),
         "slosh_damping_log": Kind("1", "logarithm of the slosh's damping ratio"),
-        "grain_friction": Kind("1", "friction between grains"), "nothing_inside": Kind("1", "probability of nothing"),
-        "rigid_inside": Kind("1", "probability of one rigid thing"), "liquid_inside": Kind("1", "probability of a liquid"),
-        "granular_inside": Kind("1", "probability of grains"), "fill": Kind("m", "fill height"),
-        "slosh_frequency": Kind("Hz", "slosh frequency"), "slosh_damping": Kind("1", "damping ratio of the slosh"),
-        "viscosity": Kind("Pa s", "viscosity"),
+        "grain_friction": Kind("1", "friction between grains"),
+        **{
+            f"{kind}_inside": Kind("1", f"probability of {said}")
+            for kind, said in zip(KINDS_INSIDE, ("nothing", "one rigid thing", "a liquid", "grains"), strict=True)
+        },
+        "fill": Kind("m", "fill height"), "slosh_frequency": Kind("Hz", "slosh frequency"),
+        "slosh_damping": Kind("1", "damping ratio of the slosh"), "viscosity": Kind("Pa s", "viscosity"),
     }  # fmt: skip
     hand = "the filled container has to be upright in the hand"
     default_sequence = "contents"
