@@ -7,6 +7,9 @@
 
 Each recording is of another random arm, calibrated on its twelve empty-hand runs; the empty container's runs are the baseline
 (``filled_arm.py``). A kind is said where its probability, or that of what moves or does not, is `SAID` or more.
+
+"The bound allows" a liquid where no rigid thing comes within `ODDS_NATS` of what the law's liquid of that mass, damped as its
+particles are, does to this arm without noise, driven by the currents of the recording.
 """
 
 from __future__ import annotations
@@ -25,29 +28,35 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from contents_bound import short_of
 from filled_arm import CONTAINERS, EXCHANGE_S, FILLS_M, VISCOSITIES, all_recorded, cases, dummies
 from results import Results, parser_of
 from support.contents import sloshing, theory_hz
 
 from proprio_ros.errors import ProprioError
+from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import replay
-from proprio_ros.pipeline.request import Options
+from proprio_ros.pipeline.replay import read_for, replay
+from proprio_ros.pipeline.request import Options, request_of
+from proprio_ros.probes.contents.models import ContentsFacts, ContentsProblem
 
 KINDS = ("nothing", "rigid", "liquid", "granular")
 SAID = 0.95
+ODDS_NATS = 3.0
+"""Odds of 20 to 1."""
 FINER = 1.35
 """So many more cells along each axis for the second resolution."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What was said about one recording; `why` where it was refused."""
+    """What was said about one recording; `why` where it was refused, and `nats` that a rigid thing falls short of a liquid."""
 
     truth: dict[str, Any]
     values: dict[str, dict[str, Any]]
     verdict: str
     why: str
+    nats: float = 0.0
 
     @property
     def kind(self) -> str:
@@ -95,12 +104,30 @@ def answer(folder: Path, truth: dict[str, Any]) -> Answer:
         if not file.exists():
             return Answer(truth, {}, learnt.verdict.value, "not calibrated")
         options = Options(probe="contents", settings=settings, calibration=file, baseline=sorted(folder.glob("baseline_*")))
+        runs = sorted(folder.glob("run_*"))
+        nats = allowed(runs, options, truth) if truth["kind"] == "liquid" else 0.0
         try:
-            said = replay(sorted(folder.glob("run_*")), options).as_json()
+            said = replay(runs, options).as_json()
         except ProprioError as error:
-            return Answer(truth, {}, "error", str(error))
+            return Answer(truth, {}, "error", str(error), nats)
     why = "" if said["verdict"] == "accepted" else str((said["reason_codes"] or said["reasons"] or [""])[0])
-    return Answer(truth, {value["name"]: value for value in said["estimates"]}, said["verdict"], why)
+    return Answer(truth, {value["name"]: value for value in said["estimates"]}, said["verdict"], why, nats)
+
+
+def allowed(bags: Sequence[Path], options: Options, truth: dict[str, Any]) -> float:
+    """How many nats the best rigid thing falls short of the liquid that is in the container, at best."""
+    request = request_of(options.for_recordings(bags))
+    robot, recorded = read_for(request, bags)
+    facts, inside = request.facts, truth["contents"]
+    assert isinstance(facts, ContentsFacts)
+    runs = [prepare_run(robot, run, None, facts.shell) for run in (*recorded.runs, *recorded.baseline)]
+    filled = [True] * len(recorded.runs) + [False] * len(recorded.baseline)
+    problem = ContentsProblem(robot, runs, facts, filled, "liquid")
+    values = problem.base.copy()
+    values[problem.index["payload_mass"]] = truth["container"]["mass"]
+    values[problem.index["contents_mass"]] = inside["mass"]
+    values[problem.index["slosh_damping_log"]] = np.log(inside["damping_ratio"])
+    return min(short_of(problem, values, model) for model in ("rigid", "frozen"))
 
 
 def judged(results: Results, found: Sequence[Answer]) -> None:
@@ -116,6 +143,7 @@ def judged(results: Results, found: Sequence[Answer]) -> None:
             "rms error, g": "{rms:.1f}",
             "median half interval, g": "{half:.1f}",
             "rigid or moving right, of those said": "{right} of {said}",
+            "moving, of those that the bound allows": "{told} of {allowed}",
             "kind": "{kind_right} of {kind_said}",
             "fill told (h < R)": "{fill_answered} of {fills}",
             "within 10 %": "{fill_near}",
@@ -155,6 +183,8 @@ def _figures(found: Sequence[Answer]) -> dict[str, Any]:
         "half": float(np.median(halves)) if halves else None,
         "said": len(moved),
         "right": sum(each.said_moving == (each.kind in ("liquid", "granular")) for each in moved),
+        "allowed": sum(each.nats > ODDS_NATS for each in found),
+        "told": sum(each.said_moving is True for each in found if each.nats > ODDS_NATS),
         "kind_said": len(said), "kind_right": sum(each.said == each.kind for each in said),
         "fills": len(shallow), "fill_answered": len(filled),
         "fill_near": sum(o <= 0.1 * h for o, h in zip(off, heights, strict=True)),
@@ -206,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = []
         for each in answers(options.folder, options.at_most, options.jobs):
             found.append(each)
-            print(each.truth["name"], each.verdict, each.why, each.said, each.moving, flush=True)
+            print(each.truth["name"], each.verdict, each.why, each.said, each.moving, f"{each.nats:.1f} nats", flush=True)
         judged(results, found)
     if options.particles:
         particles(results, options.at_most)

@@ -182,19 +182,25 @@ def bound(arm: Arm, pushes: Sequence[Push], radius: float, kg: float) -> dict[st
     covariance = np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
     density, tuning, damping = (float(np.sqrt(covariance[place, place])) for place in places)
     hz = float(np.sqrt(Slosh.of(radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
-    rigid = ContentsProblem(arm.robot, made, facts, [True] * len(made), "rigid")
-    shown = problem.simulate(values[None], problem.free[:1])[0][0]
-    rigid.measured = np.where(rigid.weight > 0.0, shown, 0.0)
-    start = rigid.base.copy()
-    start[rigid.index["contents_mass"]] = kg
-    ends = solvers.levenberg_marquardt(rigid, rigid.coordinates.internal(start[None, rigid.free]), None, iterations=40)
     mass = list(problem.free).index(problem.index["contents_mass"])
     factor = float(np.exp(min(damping, 20.0)))
     return {
         "arm": arm.name, "radius_mm": 1e3 * radius, "g": 1e3 * kg, "fill_mm": 1e3 * fill, "hz": hz,
         "mass_std_g": 1e3 * float(np.sqrt(covariance[mass, mass])), "fill_std_mm": fill * density, "hz_std": hz * tuning,
-        "damping": f"{factor:.1f}" if factor < 20.0 else "-", "nats": float(ends.cost.min()),
+        "damping": f"{factor:.1f}" if factor < 20.0 else "-", "nats": short_of(problem, values, "rigid"),
     }  # fmt: skip
+
+
+def short_of(problem: ContentsProblem, values: np.ndarray, model: str) -> float:
+    """By how many nats a model's best fit falls short of what a problem has at its values, shape (N,), without noise."""
+    other = ContentsProblem(problem.robot, problem.runs, problem.container, problem.filled, model)
+    shown = problem.simulate(values[None], problem.free[:1])[0][0]
+    other.measured = np.where(other.weight > 0.0, shown, 0.0)
+    start = other.base.copy()
+    for name in ("contents_mass", "payload_mass"):
+        start[other.index[name]] = values[problem.index[name]]
+    ends = solvers.levenberg_marquardt(other, other.coordinates.internal(start[None, other.free]), None, iterations=40)
+    return float(ends.cost.min())
 
 
 def rows() -> Iterator[dict[str, object]]:
