@@ -13,7 +13,10 @@ import pytest
 
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.pipeline.replay import read_for
+from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.probes import probe_named, virtual_object
 from proprio_ros.probes.contents import models
 from proprio_ros.probes.contents.detail import KINDS_INSIDE
@@ -21,6 +24,7 @@ from proprio_ros.probes.contents.identify import ContentsFound, find_contents, w
 from proprio_ros.probes.contents.models import ContentsFacts, Slosh, damping_ratio, inside_terms, inside_unknowns
 
 FACTS = ContentsFacts(0.035, 0.1, np.array([0.015, 0.0, -0.04]))
+SETTINGS: dict[str, Any] = {"contents.radius": 0.035, "contents.height": 0.1, "contents.bottom": [0.015, 0.0, -0.04]}
 
 
 def test_the_first_mode_is_that_of_the_books() -> None:
@@ -40,10 +44,11 @@ def test_slopes_of_the_models_are_differences(model: str) -> None:
     unknowns = inside_unknowns(model, FACTS)
     for kg in (0.02, 0.1, 0.3):
         at = {u.kind: np.array([kg if u.kind == "contents_mass" else u.value]) for u in unknowns}
-        for unknown in unknowns:
-            step = 1e-6 * max(abs(float(at[unknown.kind][0])), 0.01)
+        at |= {name: np.array([value + 0.1 * kg]) for name, value in zip(models.PLACE, FACTS.shell.com, strict=True)}
+        for kind in [*at]:
+            step = 1e-6 * max(abs(float(at[kind][0])), 0.01)
 
-            def shifted(by: complex, name: str = unknown.kind, at: dict[str, np.ndarray] = at) -> tuple[np.ndarray, ...]:
+            def shifted(by: complex, name: str = kind, at: dict[str, np.ndarray] = at) -> tuple[np.ndarray, ...]:
                 return inside_terms(model, FACTS, {**at, name: at[name] + by})
 
             for exact, up, down in zip(shifted(1e-30j), shifted(step), shifted(-step), strict=True):
@@ -75,6 +80,12 @@ def test_all_of_a_liquid_weighs_where_it_is() -> None:
     assert ten[0, 0] + moving[0, 0] == pytest.approx(0.2)
     height = ten[0, 3] + moving[0, 0] * (FACTS.bottom[2] + moving[0, 1])
     assert height == pytest.approx(0.2 * (FACTS.bottom[2] + 0.5 * fill), rel=2e-3)
+    # where the container stands 3 mm beside what was stated, all of it is there; how high it stands is another matter
+    beside = {name: np.array([at + 0.003]) for name, at in zip(models.PLACE, FACTS.shell.com, strict=True)}
+    for model in ("frozen", "liquid"):
+        at = {u.kind: np.array([0.2 if u.kind == "contents_mass" else u.value]) for u in inside_unknowns(model, FACTS)}
+        moved = inside_terms(model, FACTS, at | beside)[0] - inside_terms(model, FACTS, at)[0]
+        np.testing.assert_allclose(moved[0, 1:4], 0.2 * np.array([0.003, 0.003, 0.0]), atol=1e-12)
 
 
 def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None:
@@ -104,6 +115,35 @@ def test_its_settings_are_read() -> None:
     assert facts.radius == 0.04 and facts.mass == 0.06 and not probe_named("contents").needs_baseline(facts)
     with pytest.raises(ConfigurationError, match=r"35 mm is 0\.035"):
         probe_named("contents").facts(Settings({"contents.radius": 35.0}))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("model", [*models.MODELS][1:])
+def test_slopes_of_a_recording_s_problem_are_differences(bags: Path, model: str) -> None:
+    """By what is inside, and by where the container stands."""
+    folder, options = bags / "contents_liquid_r35_h30_1mPas", Options(probe="contents", settings=SETTINGS)
+    paths = [folder / "run_0", folder / "run_2"]
+    robot, recorded = read_for(request := request_of(options.for_recordings(paths)), paths)
+    facts = request.facts
+    assert isinstance(facts, ContentsFacts)
+    runs = [prepare_run(robot, run, None, facts.shell) for run in recorded.runs]
+    problem = models.ContentsProblem(robot, runs, facts, [True, False], model)
+    rows = [problem.index[name] for name in [*(unknown.kind for unknown in problem.inside), *models.PLACE, "payload_mass"]]
+    for kg, beside in ((0.05, -0.004), (0.12, 0.0), (0.25, 0.006)):
+        values = problem.base.copy()
+        values[[problem.index[name] for name in ("contents_mass", "payload_mass")]] = kg, 0.04
+        values[[problem.index[name] for name in models.PLACE]] += beside
+        exact = problem.simulate(values[None], np.array(rows))[2][0]
+        step = 1e-5
+        moved = np.array([values + side * step * np.eye(len(values))[row] for row in rows for side in (1.0, -1.0)])
+        shown = problem.simulate(moved, np.array(rows[:1]))[0]
+        for n, name in enumerate(rows):
+            slope = (shown[2 * n] - shown[2 * n + 1]) / (2.0 * step)
+            for run in range(2):
+                used = problem.weight[run] > 0.0
+                largest = max(float(np.abs(slope[run][used]).max()), 1e-6)
+                off = float(np.abs(exact[run, ..., n][used] - slope[run][used]).max())
+                assert off < 2e-3 * largest, (problem.unknowns[name].kind, run, off, largest)
 
 
 @pytest.mark.long

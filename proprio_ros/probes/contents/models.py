@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from proprio_ros.identification.held_by_servos import give_way
 from proprio_ros.identification.locked_joints import Followed, loads_of_yielding
 from proprio_ros.identification.prepared_runs import PreparedRun, turning_with
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import load_unknowns
+from proprio_ros.identification.robot_unknowns import PAYLOAD_TERMS, load_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.probes.contents.detail import MOVING
 from proprio_ros.robot import Robot
@@ -30,6 +31,7 @@ from proprio_ros.sim.slosh_kernels import GRAVITY, SLOSH_PARAMETERS
 
 MODELS = {"nothing": "nothing", "rigid": "rigid", "frozen": "rigid", "liquid": "liquid", "granular": "granular"}
 """Each is of a kind: what is rigid lies anywhere, or fills the bottom as what flows does, so that lying low tells neither."""
+PLACE = PAYLOAD_TERMS[1:4]  # of the empty container's centre
 FIRST_MODE = 1.8412  # least root of J1'
 LOWEST_FILL_M = 2e-3  # below this a fill is smoothed, so that a search may pass through nothing
 LEVEL = 0.3  # cosine between joint's and container's axes up to which the law holds
@@ -52,7 +54,7 @@ class ContentsFacts:
     density: float = 1000.0  # of a liquid [kg/m^3], and its standard deviation
     density_std: float = 150.0
 
-    @property
+    @cached_property
     def shell(self) -> PayloadFacts:
         """The empty container as a payload; where its centre is, a lid and a thick bottom may shift."""
         walls = PayloadShape.hollow("cylinder", np.array([2.0 * self.radius] * 2 + [self.height]))
@@ -94,9 +96,8 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
     if model == "rigid":
         centre = facts.bottom + facts.rotation @ np.array([0.0, 0.0, 0.3 * facts.height])
         off = np.abs(facts.rotation @ np.array([0.2 * facts.radius] * 2 + [0.2 * facts.height]))
-        places = zip("xyz", centre.tolist(), off.tolist(), strict=True)
-        of_it = [Unknown(f"contents_com_{axis}", at, std, -1.0, 1.0) for axis, at, std in places]
-        return [mass, *of_it, spread]
+        of_it = zip("xyz", centre.tolist(), off.tolist(), strict=True)
+        return [mass, *(Unknown(f"contents_com_{axis}", at, std, -1.0, 1.0) for axis, at, std in of_it), spread]
     dense = Unknown("contents_density", 1000.0, 500.0, 300.0, 15000.0)
     if model == "frozen":
         return [mass, dense, spread]
@@ -130,10 +131,9 @@ def inside_terms(model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]) 
     area, axis = np.pi * facts.radius**2, facts.rotation[:, 2]
 
     def ten(part: np.ndarray, com: np.ndarray, tall: np.ndarray) -> np.ndarray:
-        turn = facts.rotation
         level, up = u["contents_spread"] * facts.radius**2 / 4.0, u["contents_spread"] * tall**2 / 12.0
-        across, along = np.eye(3) - np.outer(axis, axis), np.outer(turn[:, 2], turn[:, 2])
-        spread = level[:, None, None] * across + up[:, None, None] * along
+        along = np.outer(axis, axis)
+        spread = level[:, None, None] * (np.eye(3) - along) + up[:, None, None] * along
         whole = np.zeros((len(part), 4, 4), dtype=np.result_type(part, com, spread))
         whole[:, 0, 0], whole[:, 0, 1:] = part, part[:, None] * com
         whole[:, 1:, 1:] = part[:, None, None] * (com[:, :, None] * com[:, None, :]) + mass[:, None, None] * spread
@@ -144,21 +144,25 @@ def inside_terms(model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]) 
         com = np.stack([u[f"contents_com_{name}"] for name in "xyz"], axis=1)
         return ten(mass, com, zero + 0.5 * facts.height), np.stack([zero] * 5, axis=1)
     fill = np.sqrt((mass / (u["contents_density"] * area)) ** 2 + LOWEST_FILL_M**2)
+    # beside where the container was said to stand, as its own centre is
+    beside = np.stack([u.get(name, at) - at + zero for name, at in zip(PLACE, facts.shell.com, strict=True)], axis=1)
+    beside = beside - (beside @ axis)[:, None] * axis
     if model == "frozen":
-        return ten(mass, facts.bottom + 0.5 * fill[:, None] * axis, fill), np.stack([zero] * 5, axis=1)
+        return ten(mass, facts.bottom + beside + 0.5 * fill[:, None] * axis, fill), np.stack([zero] * 5, axis=1)
     slosh = Slosh.of(facts.radius, fill)
     share = slosh.share * u["slosh_share"]
     stiffness, friction = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2, GRAVITY * u.get("grain_friction", zero)
     damping = 2.0 * np.exp(u["slosh_damping_log"]) * np.sqrt(stiffness)
     rigid = mass * (1.0 - share)
     height = (0.5 * fill - share * slosh.height) / (1.0 - share)
-    place = facts.bottom + height[:, None] * axis
+    # the bowl stays where it was said to be: to first order the rest may have its share of the difference
+    place = facts.bottom + beside / (1.0 - share)[:, None] + height[:, None] * axis
     return ten(rigid, place, fill), np.stack([mass * share, slosh.height + zero, stiffness, damping, friction], axis=1)
 
 
 def slosh_of(facts: ContentsFacts, u: Mapping[str, np.ndarray]) -> np.ndarray:
     """Fill [m], slosh frequency [Hz] and damping ratio of a liquid, shape (S, 3); of complex unknowns, too."""
-    _, moving = inside_terms("liquid", facts, u)
+    moving = inside_terms("liquid", facts, u)[1]
     fill = np.sqrt((u["contents_mass"] / (u["contents_density"] * np.pi * facts.radius**2)) ** 2 + LOWEST_FILL_M**2)
     return np.stack([fill, np.sqrt(moving[:, 2]) / (2.0 * np.pi), np.exp(u["slosh_damping_log"])], axis=1)
 
@@ -170,14 +174,12 @@ def container_seen(robot: Robot, run: PreparedRun, facts: ContentsFacts) -> tupl
     axis, gravity = axis_and_gravity(model)
     up = body_from_payload[:3, :3] @ facts.rotation[:, 2]
     bottom = body_from_payload[:3, :3] @ facts.bottom + body_from_payload[:3, 3]
-    along = np.cross(axis, up)
-    along /= max(float(np.linalg.norm(along)), 1e-9)
+    along = np.cross(axis, up) / max(float(np.linalg.norm(np.cross(axis, up))), 1e-9)
     high = np.cross(along, axis)
     fixed = axis * float(axis @ gravity)
     turning = np.stack([fixed, gravity - fixed, -np.cross(axis, gravity)])
     nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
-    seen = SloshRun(nothing, float(along @ bottom), float(high @ bottom), turning @ along, turning @ high)
-    return float(axis @ up), seen
+    return float(axis @ up), SloshRun(nothing, float(along @ bottom), float(high @ bottom), turning @ along, turning @ high)
 
 
 class ContentsProblem(Problem):
@@ -213,10 +215,9 @@ class ContentsProblem(Problem):
 
     def _terms(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """`inside_terms` at values (S, N), and their derivatives by each of the contents' unknowns, by complex steps."""
-        names = [unknown.kind for unknown in self.inside]
+        names = [*(unknown.kind for unknown in self.inside), *PLACE]
         columns = [self.index[name] for name in names]
-        found = inside_terms(self.model, self.container, dict(zip(names, values[:, columns].T, strict=True)))
-        slopes = []
+        found, slopes = inside_terms(self.model, self.container, dict(zip(names, values[:, columns].T, strict=True))), []
         for row in columns:
             shifted = values.astype(complex)
             shifted[:, row] += 1j * COMPLEX_STEP
@@ -230,7 +231,8 @@ class ContentsProblem(Problem):
         if self.inside and self.filled[row]:
             assert payload is not None
             ten, _, columns, by_ten, _ = self._now
-            payload = payload[0] + ten, {**payload[1], **dict(zip(columns.tolist(), by_ten, strict=True))}
+            change = dict(zip(columns.tolist(), by_ten, strict=True))
+            payload = payload[0] + ten, {**payload[1], **{n: payload[1].get(n, 0.0) + each for n, each in change.items()}}
         return super()._moving_part(row, values, payload)
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -286,5 +288,4 @@ class ContentsProblem(Problem):
             return []
         p, _ = self.parameters(values[None], self.free[:1])
         x = self.simulator.special.path(np.arange(len(rows)), p[0, rows])
-        runs = [self.runs[row] for row in rows]
-        return [(run.run.name, run.times_s, x[n, : run.used]) for n, run in enumerate(runs)]
+        return [(run.run.name, run.times_s, x[n, : run.used]) for n, run in enumerate(self.runs[row] for row in rows)]
