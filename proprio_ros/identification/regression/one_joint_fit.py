@@ -153,22 +153,12 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     frequency_squared = float(np.hypot(alone[0], alone[1]))
     torques = np.concatenate([motion.current_A[:, motion.joints.index(joint)] for motion in motions])
     return OneJointFit(
-        joint,
-        values,
-        covariance,
-        len(stretches),
-        float(student.ppf(0.975, len(stretches) - 1)),
-        rms(solution.residual),
-        rms(np.concatenate([part.torque for part in parts])),
-        rms(matrix[:, :3] @ solution.load),
-        1.0 - (rms(idle) / max(rms(acceleration), 1e-12)) ** 2,
-        1.0 / max(frequency_squared, 1e-9),
-        float(np.mean(solution.friction[:, 0])),
-        float(np.mean(solution.friction[:, 1])),
-        bool(np.all(torques >= 0.0) or np.all(torques <= 0.0)),
-        parts,
-        solution.residual,
-    )
+        joint, values, covariance, len(stretches), float(student.ppf(0.975, len(stretches) - 1)), rms(solution.residual),
+        rms(np.concatenate([part.torque for part in parts])), rms(matrix[:, :3] @ solution.load),
+        1.0 - (rms(idle) / max(rms(acceleration), 1e-12)) ** 2, 1.0 / max(frequency_squared, 1e-9),
+        float(np.mean(solution.friction[:, 0])), float(np.mean(solution.friction[:, 1])),
+        bool(np.all(torques >= 0.0) or np.all(torques <= 0.0)), parts, solution.residual,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

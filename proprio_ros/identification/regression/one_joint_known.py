@@ -7,9 +7,11 @@ and an offset that each recording has of its own. Known loads tell the terms; wi
 
 A few seconds of one motion know their error badly, so nothing formal is used. How much a mass errs is made of: leaving out
 stretches of 1 s of the recording itself; leaving out one recording of the calibration at a time; and by how much masses of the
-calibration's own recordings, each weighed by the others, err beyond what their stretches explain. The last is where friction goes
-that differs from run to run: servos warm up. A few recordings say little about their spread, so all of its posterior counts, under
-a half Cauchy prior (Gelman 2006, Bayesian Analysis 1); and whether it grows with the mass is not known, so the wider counts.
+calibration's own recordings, each weighed by the others, err beyond what their stretches explain. Servos warm up: how much Coulomb
+friction a recording has, it shows itself, as far as recordings of arms differ. What it does not show goes into the last: the scale
+of the torque, and what gears lose of a load, which would take the load's place. A few recordings say little about their spread, so
+all of its posterior counts, under a half Cauchy prior (Gelman 2006, Bayesian Analysis 1); and whether it grows with the mass is not
+known, so the wider counts.
 """
 
 from __future__ import annotations
@@ -23,9 +25,10 @@ from scipy.optimize import lsq_linear, minimize_scalar
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import JointFit
-from proprio_ros.identification.regression.between import half_width, spread_of, spread_posterior
+from proprio_ros.identification.regression.between import PUBLISHED, half_width, spread_of, spread_posterior
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE
 from proprio_ros.identification.regression.one_joint_fit import (
+    HOP_SHARE,
     WINDOWS_S,
     Carried,
     Hinge,
@@ -124,18 +127,28 @@ def terms_of(tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carri
     return np.mean(found, axis=0), float(np.mean(left))
 
 
-def _left_over(parts: Sequence[Table], terms: FloatArray, carried: Carried, mass: float) -> list[FloatArray]:
-    """Torque of each motion beside the terms' with a mass, less an offset of its own [N m]."""
-    load = carried.arm + mass * carried.per_kg
-    residuals = [part.torque - _design(part, load, terms[0]) @ terms for part in parts]
-    return [residual - residual.mean() for residual in residuals]
+def _left_over(
+    parts: Sequence[Table], terms: FloatArray, carried: Carried, mass: float, noise: float
+) -> list[tuple[FloatArray, float]]:
+    """Of each motion the torque beside the terms' with a mass, less an offset and a change of Coulomb friction of its own [N m].
+
+    With it comes how improbable that change is, in squares of what windows leave over, whose rms is ``noise`` [N m].
+    """
+    load, found = carried.arm + mass * carried.per_kg, []
+    prior = max((noise / PUBLISHED["friction"]) ** 2 / HOP_SHARE, 1e-18)  # windows overlap
+    for part in parts:
+        design = _design(part, load, terms[0])
+        residual, friction = (each - each.mean() for each in (part.torque - design @ terms, design[:, 3] * terms[3]))
+        change = float(friction @ residual) / (float(friction @ friction) + prior)
+        found.append((residual - change * friction, prior * change**2))
+    return found
 
 
-def _mass(parts: Sequence[Table], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float]) -> float:
+def _mass(parts: Sequence[Table], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float], noise: float) -> float:
     """The mass that leaves least over [kg]."""
 
     def cost(mass: float) -> float:
-        return sum(float(np.sum(np.square(each))) for each in _left_over(parts, terms, carried, mass))
+        return sum(float(left @ left) + more for left, more in _left_over(parts, terms, carried, mass, noise))
 
     grid = np.linspace(*reach_kg, GRID)
     best = int(np.argmin([cost(float(mass)) for mass in grid]))
@@ -144,17 +157,17 @@ def _mass(parts: Sequence[Table], terms: FloatArray, carried: Carried, reach_kg:
 
 
 def _by_stretches(
-    tables: Sequence[Sequence[Table]], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float]
+    tables: Sequence[Sequence[Table]], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float], noise: float
 ) -> tuple[float, float, int]:
     """Mass [kg], the variance that stretches and windows put on it [kg^2], and the number of stretches."""
     by_window = list(zip(*tables, strict=True))
-    masses = [_mass(parts, terms, carried, reach_kg) for parts in by_window]
+    masses = [_mass(parts, terms, carried, reach_kg, noise) for parts in by_window]
     mass = float(np.mean(masses))
     moved = []
     for stretch in stretches_of(by_window[0]):
         rest = [[part for part in without(parts, *stretch) if len(part.torque) > 2] for parts in by_window]
         if all(rest):
-            moved.append(float(np.mean([_mass(parts, terms, carried, reach_kg) for parts in rest])) - mass)
+            moved.append(float(np.mean([_mass(parts, terms, carried, reach_kg, noise) for parts in rest])) - mass)
     count = len(moved)
     scatter = (count - 1) / count * float(np.sum(np.square(moved))) if count > 1 else np.inf
     return mass, scatter + float(np.var(masses, ddof=1)), count
@@ -192,17 +205,12 @@ def learn_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[floa
         [terms_of([tables[k] for k in everyone if k != n], [float(loads[k]) for k in everyone if k != n], carried)[0]
          for n in everyone]
     )  # fmt: skip
-    read = [_by_stretches([tables[n]], without[n], carried, reach_of(loads)) for n in everyone]
+    read = [_by_stretches([tables[n]], without[n], carried, reach_of(loads), residual * abs(values[0])) for n in everyone]
     runs = tuple(
-        {
-            "name": motion.name,
-            "duration_s": float(motion.times_s[-1]),
-            "load_kg": float(kg),
-            "read_kg": mass,
-            "std_kg": min(float(np.sqrt(variance)), 1e6),
-        }
+        {"name": motion.name, "duration_s": float(motion.times_s[-1]), "load_kg": float(kg), "read_kg": mass,
+         "std_kg": min(float(np.sqrt(variance)), 1e6)}
         for motion, kg, (mass, variance, _) in zip(motions, loads, read, strict=True)
-    )
+    )  # fmt: skip
     constant = robot.drive_trains[joint].torque_constant.value
     learnt = JointCalibration(joint, constant, values, without, 0.0, residual, runs)
     return replace(learnt, spread=spread_of(_spread_by(learnt)))
@@ -232,10 +240,11 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
     carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]
     loads = calibration.loads_kg
-    reach_kg = reach_of(loads)
-    mass, by_stretches, stretches = _by_stretches(tables, calibration.values, carried, reach_kg)
+    reach_kg, noise = reach_of(loads), calibration.residual * abs(float(calibration.values[0]))
+    mass, by_stretches, stretches = _by_stretches(tables, calibration.values, carried, reach_kg, noise)
     by_window = list(zip(*tables, strict=True))
-    others = np.array([np.mean([_mass(parts, terms, carried, reach_kg) for parts in by_window]) for terms in calibration.without])
+    by_others = [[_mass(parts, terms, carried, reach_kg, noise) for parts in by_window] for terms in calibration.without]
+    others = np.mean(by_others, axis=1)
     count = len(others)
     by_calibration = (count - 1) / count * float(np.sum(np.square(others - others.mean())))
     lever = float(np.linalg.norm(carried.per_kg[1:]))
@@ -252,18 +261,15 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
     }
     rest = max(sum(variances.values()), 1e-18)
     freedom = [(by_stretches, max(stretches - 1, 1)), (by_calibration, count - 1)]
-    half, spread_kg = 0.0, 0.0
+    half, spread_kg, usual_kg = 0.0, 0.0, float(held.mean())
     # what differs is a share of the load, as that of gears, or of its own, as dry friction is
-    for posterior, times in (
-        (_spread_by(calibration), abs(mass)),
-        (_spread_by(calibration, float(held.mean())), float(held.mean())),
-    ):
+    for posterior, times in ((_spread_by(calibration), abs(mass)), (_spread_by(calibration, usual_kg), usual_kg)):
         half = max(half, half_width(posterior, times, rest, freedom)) if np.isfinite(rest) else np.inf
         spread_kg = max(spread_kg, spread_of(posterior) * times)
     variances[RUNS] = spread_kg**2
     std = float(np.sqrt(rest + variances[RUNS]))
     longest, scale = by_window[-1], max(abs(calibration.values[0]), 1e-9)
-    left_over = np.concatenate(_left_over(longest, calibration.values, carried, mass))
+    left_over = np.concatenate([left for left, _ in _left_over(longest, calibration.values, carried, mass, noise)])
     names = [motion.name for motion in motions]
     return KnownJointFit(
         mass,
