@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from between_recordings import Answer, arm_answers, pendulum_answers
+from servos import FILE, KNOWN_KG, POINT, Servo
+from support.machines import pendulum_urdf
+from support.servo_bag import write
 
 from proprio_ros.identification.regression.between import (
     DIFFERS,
@@ -20,6 +24,9 @@ from proprio_ros.identification.regression.between import (
     spread_of_runs,
     under,
 )
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 
 FRICTION = np.full(6, 0.2)
 
@@ -111,6 +118,25 @@ def test_arms_whose_recordings_differ() -> None:
     answers = [answer for seed in (400, 401) for answer in arm_answers(seed)]
     mostly_hold(answers, 4.5)
     assert np.mean([answer.given for answer in answers]) > 0.6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_servo_whose_coulomb_friction_has_grown_by_half(tmp_path: Path, seed: int) -> None:
+    """A fit with the calibration's friction refused the second, and knew the first to 7 %."""
+    pytest.importorskip("mujoco")
+    random = np.random.default_rng(seed)
+    servo = Servo(random)
+    servo.coulomb_N_m, servo.lost = 0.1, 0.02
+    pendulum_urdf(tmp_path, "servo", 0.01, 0.1)
+    (tmp_path / "servo.yaml").write_text(FILE)
+    known = {str(write(tmp_path / f"known{n}", servo.moved(kg, random, 100.0))): kg for n, kg in enumerate(KNOWN_KG)}
+    calibrate_from_bags([], known, Options(robot=str(tmp_path / "servo.yaml"), settings=POINT), tmp_path / "known.yaml")
+    servo.coulomb_N_m *= 1.5
+    bag = write(tmp_path / "asked", servo.moved(0.5, random, 100.0))
+    mass = replay(bag, Options(calibration=tmp_path / "known.yaml", settings=POINT)).values[0]
+    assert mass.value == pytest.approx(0.5, rel=0.03) and mass.ci95[0] < 0.5 < mass.ci95[1]
+    assert mass.ci95[1] - mass.ci95[0] < 0.06
 
 
 @pytest.mark.long
