@@ -15,7 +15,8 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.pipeline.replay import read_for
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import read_for, replay
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.probes import probe_named, virtual_object
 from proprio_ros.probes.contents import models
@@ -89,8 +90,11 @@ def test_all_of_a_liquid_weighs_where_it_is() -> None:
 
 
 def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None:
+    unknowns = inside_unknowns("liquid", FACTS)
+    problem = SimpleNamespace(unknowns=unknowns, index={unknown.kind: row for row, unknown in enumerate(unknowns)})
+    fit = SimpleNamespace(explains=False, values=np.array([unknown.value for unknown in unknowns]))
     nothing: Any = SimpleNamespace(
-        kind=lambda: "liquid", fit=SimpleNamespace(explains=False), facts=FACTS, of_liquid=(np.zeros(3), np.zeros(3)),
+        kind=lambda: "liquid", fit=fit, facts=FACTS, of_liquid=(np.zeros(3), np.zeros(3)), problem=problem,
         assessed=SimpleNamespace(value=0.1, std=0.002),
     )  # fmt: skip
     said = {value.name: value for value in ContentsFound.liquid_values(nothing, "")}
@@ -99,6 +103,20 @@ def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None
     assert all(said[name].value is None and "small waves" in said[name].reason for name in ("slosh_frequency", "viscosity"))
     nothing.assessed.value = 0.3  # 78 mm to 12: more than a tenth of a container's height of 100
     assert next(ContentsFound.liquid_values(nothing, "")).value is None
+    nothing.assessed.value, fit.values[problem.index["slosh_tuning"]] = 0.1, 1.16
+    assert all(value.value is None and "contents.radius" in value.reason for value in ContentsFound.liquid_values(nothing, ""))
+
+
+@pytest.mark.long
+def test_a_liquid_in_another_cylinder_than_was_stated_has_no_fill(bags: Path, tmp_path: Path) -> None:
+    """Stated 10 mm wider than it is, 30 mm were 18 (13 to 24): the frequency says what the mass does not."""
+    folder, file = bags / "contents_liquid_r35_h30_1mPas", tmp_path / "arm.yaml"
+    calibrate_from_bags(sorted(folder.glob("empty_*")), {}, output=file)
+    settings, baseline = SETTINGS | {"contents.radius": 0.045}, sorted(folder.glob("baseline_*"))
+    options = Options(probe="contents", settings=settings, calibration=file, baseline=baseline)
+    found = replay(sorted(folder.glob("run_*")), options)
+    assert found.verdict.value == "accepted" and found.value("liquid_inside").value > 0.95
+    assert found.value("fill").value is None and "contents.radius" in found.value("fill").reason
 
 
 def test_a_virtual_hand_can_hold_it() -> None:

@@ -41,6 +41,7 @@ LEARNT = 0.6  # of its prior's standard deviation: what a recording must leave a
 CLASSES = ((0.02, "thin, like water or alcohol"), (0.3, "like oil or syrup"), (np.inf, "thick, like honey"))
 """Dynamic viscosity below which a liquid is of a class [Pa s]."""
 KINDS = np.array([*law.MODELS.values()])  # of each model
+UNLIKE = 3.0  # standard deviations of frequency and density together from which on a cylinder is not as stated
 FILL_SHARE = 0.1  # of the container's height: how well a fill has to be known
 
 
@@ -230,15 +231,18 @@ class ContentsFound(Conclusion):
         if withheld:
             yield from unsaid(0, withheld)
             return
+        priors = [self.problem.unknowns[self.problem.index[name]] for name in ("slosh_tuning", "contents_density")]
+        if np.hypot(*((self.fit.values[self.problem.index[of.kind]] - of.value) / of.std for of in priors)) > UNLIKE:
+            yield from unsaid(0, "it sloshes as its mass does in another cylinder: check contents.radius and contents.density")
+            return
         if self.fit.explains:
             (fill, turn, _), (fill_std, turn_std, _) = self.of_liquid
         else:  # its mass says how high it stands, however it moves
             facts, mass = self.facts, self.assessed
             fill = mass.value / (facts.density * np.pi * facts.radius**2)
             fill_std = fill * np.hypot(mass.std / mass.value, facts.density_std / facts.density)
-        wide = "it is not known to a tenth of the container's height"
-        known = Z95 * fill_std <= FILL_SHARE * self.facts.height
-        yield positive("fill", "m", float(fill), float(fill_std), "" if known else wide, self.facts.height)
+        wide = "" if Z95 * fill_std <= FILL_SHARE * self.facts.height else "it is not known to a tenth of the container's height"
+        yield positive("fill", "m", float(fill), float(fill_std), wide, self.facts.height)
         if not self.fit.explains:
             yield from unsaid(1, "it moves otherwise than small waves do: push it less")
             return
