@@ -236,7 +236,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = []
         for each in answers(options.folder, options.at_most, options.jobs):
             found.append(each)
-            print(each.truth["name"], each.verdict, each.why, each.said, each.moving, f"{each.nats:.1f} nats", flush=True)
+            mass = each.values.get("contents_mass", {}).get("ci95"), each.truth["contents"]["mass"]
+            print(each.truth["name"], each.verdict, each.why, each.said, each.moving, f"{each.nats:.1f} nats", *mass, flush=True)
         judged(results, found)
     if options.particles:
         particles(results, options.at_most)
