@@ -91,11 +91,10 @@ def test_all_of_a_liquid_weighs_where_it_is() -> None:
 
 def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None:
     unknowns = inside_unknowns("liquid", FACTS)
-    problem = SimpleNamespace(unknowns=unknowns, index={unknown.kind: row for row, unknown in enumerate(unknowns)})
-    fit = SimpleNamespace(explains=False, values=np.array([unknown.value for unknown in unknowns]))
+    values, problem = np.array([unknown.value for unknown in unknowns]), SimpleNamespace(unknowns=unknowns)
     nothing: Any = SimpleNamespace(
-        kind=lambda: "liquid", fit=fit, facts=FACTS, of_liquid=(np.zeros(3), np.zeros(3)), problem=problem,
-        assessed=SimpleNamespace(value=0.1, std=0.002),
+        kind=lambda: "liquid", fit=SimpleNamespace(explains=False, values=values, problem=problem), facts=FACTS,
+        of_liquid=(np.zeros(3), np.zeros(3)), assessed=SimpleNamespace(value=0.1, std=0.002, covariance=np.eye(len(values))),
     )  # fmt: skip
     said = {value.name: value for value in ContentsFound.liquid_values(nothing, "")}
     fill = 0.1 / (1000.0 * np.pi * 0.035**2)
@@ -103,7 +102,7 @@ def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None
     assert all(said[name].value is None and "small waves" in said[name].reason for name in ("slosh_frequency", "viscosity"))
     nothing.assessed.value = 0.3  # 78 mm to 12: more than a tenth of a container's height of 100
     assert next(ContentsFound.liquid_values(nothing, "")).value is None
-    nothing.assessed.value, fit.values[problem.index["slosh_tuning"]] = 0.1, 1.16
+    nothing.assessed.value, values[[unknown.kind for unknown in unknowns].index("slosh_tuning")] = 0.1, 1.16
     assert all(value.value is None and "contents.radius" in value.reason for value in ContentsFound.liquid_values(nothing, ""))
 
 

@@ -19,7 +19,7 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
-from proprio_ros.identification.fit import FitResult, SearchOptions, summary
+from proprio_ros.identification.fit import FitResult, SearchOptions, summary, unknown_rows
 from proprio_ros.identification.gates import Findings, admitted
 from proprio_ros.identification.judge import Refusal, Useful, positive
 from proprio_ros.identification.posterior import Posterior
@@ -231,8 +231,8 @@ class ContentsFound(Conclusion):
         if withheld:
             yield from unsaid(0, withheld)
             return
-        priors = [self.problem.unknowns[self.problem.index[name]] for name in ("slosh_tuning", "contents_density")]
-        if np.hypot(*((self.fit.values[self.problem.index[of.kind]] - of.value) / of.std for of in priors)) > UNLIKE:
+        rows = unknown_rows(self.fit, self.assessed.covariance)
+        if np.linalg.norm([row.pull or 0.0 for row in rows if row.kind in ("slosh_tuning", "contents_density")]) > UNLIKE:
             yield from unsaid(0, "it sloshes as its mass does in another cylinder: check contents.radius and contents.density")
             return
         if self.fit.explains:
