@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtri, ndtr
 
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
@@ -67,13 +68,8 @@ def contradiction(name: str, unit: str, one: float, others: float, alike: float,
 
 
 def chi2_limit(dof: float, sigmas: float = MISFIT_SIGMAS) -> float:
-    """Chi-square that chance exceeds as rarely as a normal exceeds ``sigmas`` standard deviations on one side.
-
-    Wilson & Hilferty 1931: the cube root of chi-square over its degrees of freedom is nearly normal; good to 1.5 % from four
-    degrees of freedom on, and it saves the half second that importing ``scipy.stats`` takes.
-    """
-    spread = 2.0 / (9.0 * dof)
-    return float(dof * (1.0 - spread + sigmas * np.sqrt(spread)) ** 3)
+    """Chi-square that chance exceeds as rarely as a normal exceeds ``sigmas`` standard deviations on one side."""
+    return float(chdtri(dof, ndtr(-sigmas)))
 
 
 def unusable(run: PreparedRun) -> str:

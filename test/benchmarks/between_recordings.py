@@ -10,7 +10,8 @@ offset of its torque (10 % of its Coulomb friction). Nothing of that is told.
 * Arms (six joints and 12 kg, four joints and 0.6 kg in turn) move under a computed-torque controller for 12 s in each recording.
   Known are one empty recording, three, one and one with a known load, or three and three. Asked are a load that nobody stated,
   nothing, and both where the middle of the motion is 0.7 rad away in every joint and 1.4 times as fast. "As a minute later" differs
-  in a quarter of the friction alone, but all efforts of what is asked are 3, 5 and 10 % larger.
+  in a quarter of the friction alone, but all efforts of what is asked are 3, 5 and 10 % larger; the last is over three times as
+  much as recordings differ by, and shows where intervals end to hold.
 * Arms of three joints with much dry friction, which goes with the place, calibrated by one empty recording; 1 kg and nothing are
   asked where the calibration moved, and 0.7 and 1.2 rad away.
 * Servos under their own position law (`servos.py`), two motions with each of three loads known.

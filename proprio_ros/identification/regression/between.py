@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.special import stdtr
 
 from proprio_ros.records import FloatArray
 
@@ -185,9 +186,7 @@ def half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequenc
     effective, stds = effective_freedom(total, freedom), np.sqrt(total)
 
     def beyond(half: float) -> float:
-        from scipy.stats import t as student  # half of a second to import
-
-        return float(posterior @ student.cdf(half / stds, effective)) - 0.975
+        return float(posterior @ stdtr(effective, half / stds)) - 0.975
 
     highest = float(stds[-1])
     while beyond(highest) < 0.0:

@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, BODY_TERMS, FRICTION_TERMS, TERMS, Key, MotionCalibration
 from proprio_ros.errors import RecordingError, RobotError
@@ -69,9 +70,10 @@ class MotionFit:
     arm_prior: FloatArray
     arm_std: FloatArray
     # torque_ratio, torque_ratio_std: torques of the motions with the payload over what arm and payload need by the
-    # empty motions, shape (n,): 1 unless units or torque constants differ
+    # empty motions, shape (n,): 1 unless units or torque constants differ; the latter infinite where nothing tells
     torque_ratio: FloatArray
     torque_ratio_std: FloatArray
+    louder_kg: float  # what the mass is too large by per part that all these torques are read too large by, if nothing shows that
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
     shown: tuple[JointFit, ...]  # torque over time, for a picture
 
@@ -94,10 +96,6 @@ class MotionFit:
     def half_width(self) -> float:
         """Of the mass's 95 % interval [kg]."""
         return self.quantile * float(self.std[0])
-
-    def budget(self) -> tuple[tuple[str, float], ...]:
-        """What puts how much standard deviation on the mass [kg], the most first."""
-        return tuple(sorted(self.parts.items(), key=lambda part: -part[1]))
 
     def unseen(self) -> tuple[str, ...]:
         """Of the payload's ten parameters, those that the motion says less about than what any load of that mass may have."""
@@ -206,12 +204,6 @@ def _friction_between(problem: Problem, solution: Solution) -> Between:
     return now
 
 
-def _quantile(freedom: np.ndarray) -> float:
-    from scipy.stats import t as student  # half of a second to import
-
-    return float(student.ppf(0.975, freedom))
-
-
 def fit_payload(
     robot: Robot,
     loaded: Sequence[Motion],
@@ -278,7 +270,7 @@ def fit_payload(
         residual=residual,
         empty_residual=empty_residual,
         driven=problem.rms_by_joint(problem.torque, carrying),
-        quantile=_quantile(effective_freedom(sum(variances.values()), freedom)),
+        quantile=float(stdtrit(effective_freedom(sum(variances.values()), freedom), 0.975)),
         halves=halves,
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
@@ -288,6 +280,7 @@ def fit_payload(
         arm_prior=known.values[PARAMETERS:][followed],
         arm_std=np.sqrt(np.diag(solution.prior.covariance))[PARAMETERS:][followed],
         **dict(zip(("torque_ratio", "torque_ratio_std"), _torque_ratio(problem, opened), strict=True)),
+        louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
         shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
     )
@@ -388,7 +381,13 @@ def _torque_ratio(problem: Problem, solution: Solution) -> tuple[FloatArray, Flo
     # of a joint that tells nothing nothing is said
     told = 1.0 - after / before
     found = np.where(told > LEAST_TOLD, share @ solution.values / np.maximum(told, LEAST_TOLD), 0.0)
-    return 1.0 / (1.0 + found), np.sqrt(after / np.maximum(told, LEAST_TOLD))
+    return 1.0 / (1.0 + found), np.where(told > LEAST_TOLD, np.sqrt(after / np.maximum(told, LEAST_TOLD)), np.inf)
+
+
+def _follows_torque(problem: Problem, solution: Solution) -> float:
+    """How the mass follows the loaded motions' share of the torque in common [kg]."""
+    shares = [problem.own(number).stop - 1 for number in range(problem.loaded)]
+    return float(solution.covariance[0, shares].sum() / solution.covariance[np.ix_(shares, shares)].sum())
 
 
 def _weight_by_joint(problem: Problem, residual: FloatArray, correlation: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import JointFit
@@ -125,8 +126,6 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
 
     Raises `RecordingError`: They are too short, or gravity does not turn the joint.
     """
-    from scipy.stats import t as student  # half of a second to import
-
     hinge = Hinge.of(robot, joint, motions[0])
     across_gravity = hinge.gravity - (hinge.gravity @ hinge.axis) * hinge.axis
     if np.linalg.norm(across_gravity) < UPRIGHT_SHARE * np.linalg.norm(hinge.gravity):
@@ -153,7 +152,7 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     frequency_squared = float(np.hypot(alone[0], alone[1]))
     torques = np.concatenate([motion.current_A[:, motion.joints.index(joint)] for motion in motions])
     return OneJointFit(
-        joint, values, covariance, len(stretches), float(student.ppf(0.975, len(stretches) - 1)), rms(solution.residual),
+        joint, values, covariance, len(stretches), float(stdtrit(len(stretches) - 1, 0.975)), rms(solution.residual),
         rms(np.concatenate([part.torque for part in parts])), rms(matrix[:, :3] @ solution.load),
         1.0 - (rms(idle) / max(rms(acceleration), 1e-12)) ** 2, 1.0 / max(frequency_squared, 1e-9),
         float(np.mean(solution.friction[:, 0])), float(np.mean(solution.friction[:, 1])),

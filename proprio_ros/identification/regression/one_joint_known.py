@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize_scalar
+from scipy.special import stdtrit
 
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
 from proprio_ros.errors import RecordingError
@@ -201,10 +202,7 @@ def learn_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[floa
     loads = np.asarray(loads_kg, dtype=np.float64)
     values, residual = terms_of(tables, loads.tolist(), carried)
     everyone = range(len(motions))
-    without = np.array(
-        [terms_of([tables[k] for k in everyone if k != n], [float(loads[k]) for k in everyone if k != n], carried)[0]
-         for n in everyone]
-    )  # fmt: skip
+    without = np.array([terms_of(tables[:n] + tables[n + 1 :], np.delete(loads, n).tolist(), carried)[0] for n in everyone])
     read = [_by_stretches([tables[n]], without[n], carried, reach_of(loads), residual * abs(values[0])) for n in everyone]
     runs = tuple(
         {"name": motion.name, "duration_s": float(motion.times_s[-1]), "load_kg": float(kg), "read_kg": mass,
@@ -234,8 +232,6 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
 
     Raises `RecordingError`: A motion is of no use.
     """
-    from scipy.stats import t as student  # half of a second to import
-
     joint = calibration.joint
     carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]
@@ -274,7 +270,7 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
     return KnownJointFit(
         mass,
         std,
-        half / std if np.isfinite(half) else float(student.ppf(0.975, 1)),
+        half / std if np.isfinite(half) else float(stdtrit(1, 0.975)),
         tuple((name, float(np.sqrt(variance))) for name, variance in variances.items()),
         stretches,
         rms(left_over) / scale,

@@ -194,11 +194,9 @@ def drift(mass: float, std: float) -> Iterator[Refusal]:
 
 def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
     name = motions[0].name
-    off = np.abs(fit.torque_ratio - 1.0)
-    decides = off > np.where(fit.tells < refusals.DECIDES, np.inf, RATIO_SHARE)
-    far = np.where(decides, off / np.hypot(fit.torque_ratio_std, RATIO_STD), 0.0)
+    far = np.abs(fit.torque_ratio - 1.0) / _noticed(fit)
     worst = int(np.argmax(far))
-    if far[worst] > refusals.APART_SIGMAS:
+    if far[worst] > 1.0:
         yield rejected(
             "other_torque",
             "torques are not those of the empty arm",
@@ -230,6 +228,19 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
     yield from refusals.lighter_than_empty(float(fit.values[0]), fit.half_width, "are the recordings mixed up?")
 
 
+def _noticed(fit: MotionFit) -> np.ndarray:
+    """By how much of a joint's torque this has to differ from the empty arm's to be noticed, shape (n,)."""
+    least = np.maximum(RATIO_SHARE, refusals.APART_SIGMAS * np.hypot(fit.torque_ratio_std, RATIO_STD))
+    return np.where(fit.tells < refusals.DECIDES, np.inf, least)
+
+
+def _louder(fit: MotionFit) -> str:
+    """What it would do if all torques were read too large, and whether that would be noticed."""
+    least, much = float(_noticed(fit).min()), shown("kg", 0.1 * fit.louder_kg, spec="+.0f")
+    shows = f"shows that from some {100.0 * least:.0f} % on" if np.isfinite(least) else "does not show that"
+    return f"torques are read as with the empty hand: were all 10 % larger, the mass would err by up to {much}; this motion {shows}"
+
+
 def _too_wide(fit: MotionFit) -> Iterator[Refusal]:
     """Why an answer that nothing else speaks against is not accepted."""
     half = fit.half_width
@@ -253,7 +264,7 @@ def _assumptions(
         f"{known}, the arm's own inertia and friction included",
         f"torque constants as {'the reference showed them' if referenced else f'in {robot.source.name}'}, to "
         f"{100.0 * torque_std:.1f} %: a mass errs as they do",
-        *([] if fit is None else [f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says"]),
+        *([] if fit is None else [f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says", _louder(fit)]),
         "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset per joint",
     )
 

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from between_recordings import Answer, arm_answers, pendulum_answers
 from servos import FILE, KNOWN_KG, POINT, Servo
+from support.arm_in_motion import FOUR, SIX, write_robot
+from support.differing import DifferingArm, louder
 from support.machines import pendulum_urdf
 from support.servo_bag import write
 
+from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.between import (
     DIFFERS,
     FACTORS,
@@ -27,6 +30,9 @@ from proprio_ros.identification.regression.between import (
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
+from proprio_ros.probes.payload.moving import identify_in_motion
+from proprio_ros.robot import load_robot
+from proprio_ros.sim.payload import PayloadFacts
 
 FRICTION = np.full(6, 0.2)
 
@@ -118,6 +124,32 @@ def test_arms_whose_recordings_differ() -> None:
     answers = [answer for seed in (400, 401) for answer in arm_answers(seed)]
     mostly_hold(answers, 4.5)
     assert np.mean([answer.given for answer in answers]) > 0.6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [3000, 3049, 3051])
+def test_efforts_a_tenth_too_large_are_refused_or_the_answer_says_what_they_do(tmp_path: Path, seed: int) -> None:
+    """A large arm's motion shows it; two of small arms do not, and say what they then err by."""
+    pytest.importorskip("mujoco")
+    build = (SIX, FOUR)[seed % 2]
+    arm, robot = DifferingArm(seed, build, 12.0), load_robot(write_robot(tmp_path, build=build))
+    held = arm.held()
+    empty, loaded = arm.recorded("before", alike=True), arm.recorded("later", held, alike=True)
+    louder_by = (0.95, 1.05, 1.1)
+    right, *wrong = (identify_in_motion(robot, [louder(loaded, by)], [empty], PayloadFacts()) for by in (1.0, *louder_by))
+    (said,) = (line for line in right.assumptions if line.startswith("torques are read"))
+    mass = right.values[0]
+    assert mass.ci95[0] < held[0] < mass.ci95[1]
+    if build is SIX:
+        assert said.endswith("shows that from some 8 % on")
+        assert wrong[-1].verdict is Verdict.REJECTED and wrong[-1].reasons[0].code == "other_torque"
+        return
+    assert said.endswith("does not show that") or float(said.split("from some ")[1].split(" %")[0]) > 12.0
+    tenth_kg = 1e-3 * float(said.split("up to +")[1].split(" g")[0])
+    moved = [(answer.values[0].value - mass.value) / (by - 1.0) for by, answer in zip(louder_by, wrong, strict=True)]
+    # what stands out of the noise is followed, so by less where that is little
+    assert 3.0 * tenth_kg < min(moved) and max(moved) < 11.0 * tenth_kg
+    assert moved[-1] == pytest.approx(10.0 * tenth_kg, rel=0.15)
 
 
 @pytest.mark.long
