@@ -242,5 +242,5 @@ def joint_torque(
             varied @ local + (place @ by_q if n == joint else 0.0),
         )
         bodies.append(here)
-        torque += np.einsum("tab,ibc,tac->ti", here[3], inertias[:, n], here[2] - gravity, optimize=True)
+        torque += (here[3].swapaxes(1, 2) @ (here[2] - gravity)).reshape(-1, 16) @ inertias[:, n].reshape(-1, 16).T
     return torque
