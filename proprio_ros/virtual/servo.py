@@ -185,12 +185,10 @@ class VirtualServo:
         register = self._registers[name]
         if not register.writable or (register.eeprom and self._values["torque_enable"]):
             return Error.ACCESS
-        if self._values["bus_watchdog"] == control_table.BUS_WATCHDOG_TRIPPED:
-            if name in _GOALS or (name == "bus_watchdog" and value != 0):
-                return Error.DATA_RANGE
-        if not register.lowest <= value <= register.highest:
+        tripped = self._values["bus_watchdog"] == control_table.BUS_WATCHDOG_TRIPPED
+        if tripped and (name in _GOALS or (name == "bus_watchdog" and value != 0)):
             return Error.DATA_RANGE
-        if name == "operating_mode" and value not in set(_MODE):
+        if not register.lowest <= value <= register.highest or (name == "operating_mode" and value not in set(_MODE)):
             return Error.DATA_RANGE
         if register.limit is not None and abs(value) > self._values[register.limit]:
             return Error.DATA_LIMIT

@@ -293,8 +293,8 @@ def pendulum_answers(seed: int) -> list[Answer]:
 # --- recordings of real machines --------------------------------------------------------------------------------------
 
 
-def bent(bag: Path, folder: Path, effort: float = 1.0, zero_rad: float = 0.0) -> Path:
-    """A bag with every effort so many times as large, and every position so much larger."""
+def bent(bag: Path, folder: Path, effort: float = 1.0, zero_rad: float = 0.0, joint: str = "") -> Path:
+    """A bag with every effort so many times as large, and positions so much larger: every one, or those of a joint."""
     if folder.is_dir():
         return folder
     types = get_typestore(Stores.ROS2_JAZZY)
@@ -304,7 +304,7 @@ def bent(bag: Path, folder: Path, effort: float = 1.0, zero_rad: float = 0.0) ->
             if connection.msgtype.endswith("JointState"):
                 message = types.deserialize_cdr(raw, connection.msgtype)
                 message.effort = effort * message.effort
-                message.position = message.position + zero_rad
+                message.position = message.position + zero_rad * np.array([joint in ("", name) for name in message.name])
                 raw = bytes(types.serialize_cdr(message, connection.msgtype))
             writer.write(topics[connection.id], time_ns, raw)
     return folder
@@ -367,6 +367,10 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
             for by_times in (0.9, 0.95, 0.97, *WARMER):
                 wrong = bent(bag, folder / f"louder_{k}_{by_times}", effort=by_times)
                 yield said("real UR10e, efforts 3, 5, 10 % off", UR10E_KG, baseline(wrong, by), f"{k} by {n}, {by_times}")
+            for joint, zero in itertools.product(("shoulder_lift_joint", "elbow_joint"), (0.02, -0.1, 0.3)):
+                wrong = bent(bag, folder / f"{joint}_{k}_{zero}", zero_rad=zero, joint=joint)
+                row = "real UR10e, a joint's zero 0.02, 0.1, 0.3 rad off"
+                yield said(row, UR10E_KG, baseline(wrong, by), f"{k} by {n}, {joint} {zero:+g}")
         for k, other in ((14, 15), (15, 14)):
             file = folder / f"ur10e_{n}_{k}.yaml"
             learnt = _calibrated({loaded[k]: UR10E_KG}, Options(robot=robot, **unit), file, [by])  # type: ignore[arg-type]

@@ -24,11 +24,13 @@ from support.simulated import bag_in
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.judge import not_negative
+from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.payload.moving import identify_in_motion
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -40,8 +42,8 @@ real_machines = [pytest.mark.long, pytest.mark.skipif(not REAL.is_dir(), reason=
 
 @cache
 def real(machine: str) -> list[Answer]:
-    # of the UR10e by the first of its three empty recordings: 30 of 90 questions
-    fewer = {"real_ur10e": {"at_most": 30}, "real_swings": {"every": 2}}
+    # of the UR10e by the first of its three empty recordings: 42 of 126 questions
+    fewer = {"real_ur10e": {"at_most": 42}, "real_swings": {"every": 2}}
     return real_answers(machine, REAL, **fewer.get(machine, {}))
 
 
@@ -85,10 +87,44 @@ class TestRealMachines:
         tenth = [answer for answer in answers if answer.asked.split(":")[0].endswith((", 0.9", ", 1.1"))]
         assert [answer.code for answer in tenth] == ["other_torque"] * 4
 
+    def test_a_joint_of_the_loaded_recording_alone_is_read_elsewhere(self) -> None:
+        """By 0.3 rad 2.169 kg (1.70 to 2.64) were accepted for 2.805."""
+        answers = [answer for answer in real("real_ur10e") if "a joint's zero" in answer.row]
+        hold(answers)
+        off = [answer for answer in answers if answer.asked.split(":")[0].endswith(("-0.1", "+0.3"))]
+        assert len(off) == 8 and {answer.code for answer in off} == {"other_zero"}
+        for answer in off:
+            asked, _, words = answer.asked.partition(": ")
+            joint, zero_rad = asked.split()[-2:]
+            said_rad = float(words.split(f"{joint} is read ")[1].split(" rad")[0])
+            assert said_rad == pytest.approx(float(zero_rad), abs=0.03)
+
     def test_a_wrist_that_hardly_matters_does_not_decide(self) -> None:
         answers = real("real_kuka")
         assert all(answer.given for answer in answers)
         hold(answers)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("joint", "zero_rad"), [(1, 0.1), (2, -0.1), (2, 0.2)])
+def test_a_joint_that_was_put_together_anew_is_named(tmp_path: Path, joint: int, zero_rad: float) -> None:
+    pytest.importorskip("mujoco")
+    arm, robot = DifferingArm(3004, SIX, 30.0), load_robot(write_robot(tmp_path))
+    held = arm.held()
+    empty, loaded, known = arm.recorded("empty"), arm.recorded("loaded", held), arm.recorded("known", held)
+
+    def off(motion: Motion) -> Motion:
+        return replace(motion, position=motion.position + zero_rad * np.eye(6)[joint])
+
+    assert identify_in_motion(robot, [loaded], [empty], PayloadFacts()).verdict.value == "accepted"
+    for answer in (
+        identify_in_motion(robot, [off(loaded)], [empty], PayloadFacts()),
+        calibrate_motions(robot, [empty], [(off(known), held[0])]),
+    ):
+        assert answer.verdict.value == "rejected" and answer.reasons[0].code == "other_zero"
+        assert f"j{joint + 1} is read" in answer.reasons[0]
+        said_rad = float(answer.reasons[0].split(" is read ")[1].split(" rad")[0])
+        assert said_rad == pytest.approx(zero_rad, abs=0.03)
 
 
 @pytest.mark.long

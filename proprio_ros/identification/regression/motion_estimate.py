@@ -125,10 +125,11 @@ def _scaled(
     fits = [(fit_payload(robot, [motion], open_scale, centre=centre), motion, kg) for motion, kg in references]
     # the best one first: one that is too coarse beside others says nothing, and does no harm
     for fit, motion, mass_kg in sorted(fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]):
+        doubts = list(refusals.other_zero(motion.name, fit))
         if centre is not None:
-            free = fit_payload(robot, [motion], open_scale)
-            for refusal in refusals.centre_elsewhere(motion.name, centre, fit, free):
-                return calibration, refusal
+            doubts += refusals.centre_elsewhere(motion.name, centre, fit, fit_payload(robot, [motion], open_scale))
+        if doubts:
+            return calibration, doubts[0]
         read, std = float(fit.values[0]), float(fit.std[0])
         coarse = read <= 0.0 or fit.half_width > LIGHT_REFERENCE * mass_kg
         if coarse and (ratios or said_coarse):

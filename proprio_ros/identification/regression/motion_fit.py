@@ -57,6 +57,7 @@ class MotionFit:
     # residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m], shape (n,)
     residual: FloatArray
     empty_residual: FloatArray
+    misfit: float  # mean square of the former over that of the latter, each joint as much as it tells: reduced chi-square
     driven: FloatArray  # rms of the mean torque itself [N m], shape (n,)
     quantile: float  # half width of a 95 % interval in standard deviations: Student's, by the number of stretches
     # mass and its standard deviation from the first and from the second half [kg]; None where they are too short
@@ -69,18 +70,12 @@ class MotionFit:
     arm: FloatArray
     arm_prior: FloatArray
     arm_std: FloatArray
-    # torque_ratio, torque_ratio_std: torques of the motions with the payload over what arm and payload need by the
-    # empty motions, shape (n,): 1 unless units or torque constants differ; the latter infinite where nothing tells
-    torque_ratio: FloatArray
-    torque_ratio_std: FloatArray
+    # how much less the motions with the payload are read than the empty ones, and its std, shape (n,) each: by zero, positions
+    # [rad or m], by own_scale, torques, relative to what is read; 0 and infinite where nothing tells
+    off: Mapping[str, tuple[FloatArray, FloatArray]]
     louder_kg: float  # what the mass is too large by per part that all these torques are read too large by, if nothing shows that
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
     shown: tuple[JointFit, ...]  # torque over time, for a picture
-
-    @property
-    def misfit(self) -> float:
-        """Mean square of what is left over, over that of the empty motions, each joint as much as it tells: reduced chi-square."""
-        return _misfit(self.tells, self.residual, self.empty_residual)
 
     @property
     def unexplained(self) -> FloatArray:
@@ -245,17 +240,16 @@ def fit_payload(
     covariances = _covariances(problem, solution, scatter[:PARAMETERS, :PARAMETERS], terms, calibration)
     # what is explained worse than the empty motions is not only noise: the arm is not where it was calibrated
     empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
-    covariances[CALIBRATION] *= max(1.0, _misfit(tells, residual, empty_residual))
+    misfit = float(np.nansum(tells * np.square(residual / empty_residual)))
+    covariances[CALIBRATION] *= max(1.0, misfit)
     variances = {name: float(part[0, 0]) for name, part in covariances.items()}
     # what few stretches or recordings say of their own scatter is uncertain
     freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
     freedom += [(variances[word], number) for word, number in solution.between.by_word.items() if word != DIFFERS]
     halves = None
     if stretches >= 2 * MIN_STRETCHES:
-        late = np.zeros(len(problem.joint), dtype=bool)
-        for number in range(len(loaded)):
-            mine = problem.motion == number
-            late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
+        each = [problem.motion == number for number in range(len(loaded))]
+        late = np.any([mine & (problem.stretch > np.median(problem.stretch[mine])) for mine in each], axis=0)
         first, second = (
             solve(problem.only(kept), known, between, per_kg, calibration).mass_and_std() for kept in (~late, late | ~carrying)
         )
@@ -269,6 +263,7 @@ def fit_payload(
         stretches=stretches,
         residual=residual,
         empty_residual=empty_residual,
+        misfit=misfit,
         driven=problem.rms_by_joint(problem.torque, carrying),
         quantile=float(stdtrit(effective_freedom(sum(variances.values()), freedom), 0.975)),
         halves=halves,
@@ -279,7 +274,7 @@ def fit_payload(
         arm=solution.values[PARAMETERS:][followed],
         arm_prior=known.values[PARAMETERS:][followed],
         arm_std=np.sqrt(np.diag(solution.prior.covariance))[PARAMETERS:][followed],
-        **dict(zip(("torque_ratio", "torque_ratio_std"), _torque_ratio(problem, opened), strict=True)),
+        off={kind: _of_its_own(problem, opened, kind) for kind in ("zero", "own_scale")},
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
         shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
@@ -300,11 +295,6 @@ def _shown(
         problem.by_mass * _weights(calibration.residual, calibration.correlation)[problem.joint],
     )
     return explained.joint_fits(names, calibration.joints, calibration.residual)
-
-
-def _misfit(tells: FloatArray, residual: FloatArray, empty_residual: FloatArray) -> float:
-    """See `MotionFit.misfit`."""
-    return float(np.nansum(tells * np.square(residual / empty_residual)))
 
 
 def check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> None:
@@ -369,19 +359,20 @@ def _covariances(
     }
 
 
-def _torque_ratio(problem: Problem, solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """See `MotionFit`: what the loaded motions' own shares of the torque say, were nothing known of how far recordings differ."""
-    count, size = problem.count, len(solution.values)
-    share = np.zeros((count, size))
+def _of_its_own(problem: Problem, solution: Solution, kind: str) -> tuple[FloatArray, FloatArray]:
+    """What the loaded motions have of their own by joint, were nothing known of how far recordings differ, and its std, shape (n,).
+
+    ``kind``: zero, or own_scale, which then counts with what all joints have in common. Where nothing tells it is 0, and infinite.
+    """
+    share = np.zeros((problem.count, len(solution.values)))
     for number in range(problem.loaded):
         own = problem.own(number)
-        share[:, own.stop - 1 - 2 * count : own.stop - 1 - count] = np.eye(count) / problem.loaded
-        share[:, own.stop - 1] = 1.0 / problem.loaded
+        share[:, own][:, solution.between.kinds == kind] = np.eye(problem.count) / problem.loaded
+        if kind == "own_scale":
+            share[:, own.stop - 1] = 1.0 / problem.loaded
     before, after = (np.sum(share @ each * share, axis=1) for each in (solution.prior.covariance, solution.covariance))
-    # of a joint that tells nothing nothing is said
-    told = 1.0 - after / before
-    found = np.where(told > LEAST_TOLD, share @ solution.values / np.maximum(told, LEAST_TOLD), 0.0)
-    return 1.0 / (1.0 + found), np.where(told > LEAST_TOLD, np.sqrt(after / np.maximum(told, LEAST_TOLD)), np.inf)
+    tells, told = 1.0 - after / before > LEAST_TOLD, np.maximum(1.0 - after / before, LEAST_TOLD)
+    return np.where(tells, share @ solution.values / told, 0.0), np.where(tells, np.sqrt(after / told), np.inf)
 
 
 def _follows_torque(problem: Problem, solution: Solution) -> float:

@@ -22,6 +22,9 @@ APART_SIGMAS = 4.0  # What differs by more standard deviations is not the same.
 LEAST_SIGMAS = 5.0  # A mass that is not known so many times better than it is large is no divisor.
 DECIDES = 0.05
 """A joint that tells less than this share of what is known of a mass does not decide whether that is believed."""
+RATIO_SHARE, RATIO_STD, ZERO_RAD = 0.08, 0.01, 0.06
+"""A joint whose torque is by more than this share another one than the empty arm's was recorded in another unit, and one whose
+positions are so far off was put together anew, where a recording knows that: those of one machine differ by 3 % and 5 mrad."""
 
 
 def deciding(tells: FloatArray | None, values: FloatArray) -> FloatArray:
@@ -32,10 +35,8 @@ def deciding(tells: FloatArray | None, values: FloatArray) -> FloatArray:
 def passed_over(joints: Sequence[str], tells: FloatArray, share: FloatArray) -> tuple[str, ...]:
     """A sentence for each joint whose torque is not explained and does not decide.
 
-    Args:
-        joints: Their names.
-        tells: How much of what is known of the mass each tells, sum 1.
-        share: Of the torque, that is left over by joint; NaN where one did not move.
+    ``joints``: their names; ``tells``: how much of what is known of the mass each tells, sum 1; ``share``: of the torque, that is
+    left over by joint; NaN where one did not move.
     """
     return tuple(
         f"{_percent(share[n])} of the torque of {joint} is not explained; it tells {100.0 * tells[n]:.1f} % of the mass, and "
@@ -77,6 +78,25 @@ def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
             f"by its torques the arm weighs {arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
             f"check the effort's {'unit' if arm_over_urdf > 0.0 else 'sign'}, the torque constants and the URDF's masses, "
             "and that empty and loaded recordings are not mixed up",
+        )
+
+
+def noticed(fit: MotionFit) -> FloatArray:
+    """By how much of a joint's torque this has to differ from the empty arm's to be noticed, shape (n,)."""
+    least = np.maximum(RATIO_SHARE, APART_SIGMAS * np.hypot(fit.off["own_scale"][1], RATIO_STD))
+    return np.where(fit.tells < DECIDES, np.inf, least)
+
+
+def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:
+    """Where positions of recording ``name`` are not read as those of the empty arm were."""
+    zero, zero_std = fit.off["zero"]
+    far = np.abs(zero) / np.maximum(ZERO_RAD, APART_SIGMAS * zero_std)
+    if far[worst := int(np.argmax(far))] > 1.0:
+        yield rejected(
+            "other_zero",
+            "positions are not those of the empty arm",
+            f"{name}: {fit.joints[worst]} is read {-zero[worst]:+.2f} rad (m, where it slides) off from the empty hand's motion: "
+            "was its zero set, or its horn or encoder put on, anew?",
         )
 
 

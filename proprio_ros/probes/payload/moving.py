@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -31,9 +32,6 @@ from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
-RATIO_SHARE, RATIO_STD = 0.08, 0.01
-"""A joint whose torque is by more than this share larger or smaller than the empty arm's was recorded in another unit or with
-another torque constant, where the recording knows that: recordings of one machine differ by some 3 %."""
 DRIFT_SIGMAS = 3.0  # How far from nothing an empty hand may weigh before the calibration is called out of date.
 SEEN_SHARE = 0.5  # Of the spread of any load's parameters: what is known no better is not seen.
 WIDEST_OF_ARM = 0.04
@@ -194,13 +192,14 @@ def drift(mass: float, std: float) -> Iterator[Refusal]:
 
 def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
     name = motions[0].name
-    far = np.abs(fit.torque_ratio - 1.0) / _noticed(fit)
-    worst = int(np.argmax(far))
-    if far[worst] > 1.0:
+    yield from refusals.other_zero(name, fit)
+    ratio = 1.0 / (1.0 + fit.off["own_scale"][0])
+    far = np.abs(ratio - 1.0) / refusals.noticed(fit)
+    if far[worst := int(np.argmax(far))] > 1.0:
         yield rejected(
             "other_torque",
             "torques are not those of the empty arm",
-            f"{name}: the torque of {fit.joints[worst]} is {fit.torque_ratio[worst]:.2f} times what it should be by the empty "
+            f"{name}: the torque of {fit.joints[worst]} is {ratio[worst]:.2f} times what it should be by the empty "
             "hand's motion: were both recorded with the same driver, unit and torque constants, and is it the same arm?",
         )
     if fit.halves is not None:
@@ -228,15 +227,9 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
     yield from refusals.lighter_than_empty(float(fit.values[0]), fit.half_width, "are the recordings mixed up?")
 
 
-def _noticed(fit: MotionFit) -> np.ndarray:
-    """By how much of a joint's torque this has to differ from the empty arm's to be noticed, shape (n,)."""
-    least = np.maximum(RATIO_SHARE, refusals.APART_SIGMAS * np.hypot(fit.torque_ratio_std, RATIO_STD))
-    return np.where(fit.tells < refusals.DECIDES, np.inf, least)
-
-
 def _louder(fit: MotionFit) -> str:
     """What it would do if all torques were read too large, and whether that would be noticed."""
-    least, much = float(_noticed(fit).min()), shown("kg", 0.1 * fit.louder_kg, spec="+.0f")
+    least, much = float(refusals.noticed(fit).min()), shown("kg", 0.1 * fit.louder_kg, spec="+.0f")
     shows = f"shows that from some {100.0 * least:.0f} % on" if np.isfinite(least) else "does not show that"
     return f"torques are read as with the empty hand: were all 10 % larger, the mass would err by up to {much}; this motion {shows}"
 
@@ -305,14 +298,9 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     reason = ""
     if names:
         reason = f"{', '.join(names)} not determined by this motion: turn the hand faster about the axes that it is about"
-    return Value(
-        "payload_inertia",
-        "kg m^2",
-        [float(v) if told else None for v, told in zip(value, seen, strict=True)],
-        [float(s) if told else None for s, told in zip(stds, seen, strict=True)],
-        [
-            [float(v - fit.quantile * s), float(v + fit.quantile * s)] if told else None
-            for v, s, told in zip(value, stds, seen, strict=True)
-        ],
-        reason,
-    )
+    bounds = np.stack([value - fit.quantile * stds, value + fit.quantile * stds], axis=1)
+
+    def told(values: np.ndarray) -> list[Any]:
+        return [each if known else None for each, known in zip(values.tolist(), seen, strict=True)]
+
+    return Value("payload_inertia", "kg m^2", told(value), told(stds), told(bounds), reason)

@@ -98,7 +98,7 @@ def test_mass_and_place_are_found_by_what_the_empty_motion_said(robot: Robot, se
     fit = fit_payload(robot, [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)], known)
     assert abs(fit.values[0] - mass_kg) < min(0.01 * mass_kg, fit.half_width)
     np.testing.assert_allclose(fit.values[1:4] / fit.values[0], centre, atol=0.005)
-    assert np.all(np.abs(fit.torque_ratio - 1.0) < 0.01)
+    assert np.all(np.abs(fit.off["own_scale"][0]) < 0.01)
     nothing = fit_payload(robot, [arm.motion(12.0, phase_s=3.0)], known)
     assert abs(nothing.values[0]) < min(0.003, nothing.half_width)
 
