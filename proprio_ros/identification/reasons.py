@@ -73,7 +73,7 @@ REMEDIES = {
     "coarse_fit": "nothing, if the interval is narrow enough; else calibrate the robot",
     "arm_unlike_urdf": "check the effort's unit and sign, the torque constants, the URDF's masses and zeros, and payload.com",
     "other_torque": "record both with the same driver, unit and torque constants, on the same arm",
-    "other_zero": "calibrate again, or set the joint's zero as it was; nobody says by how much the URDF's own is off",
+    "other_zero": "put the joint together as it was, or calibrate again; where its URDF's zero is off, correct it there",
     "lighter_than_empty": "see that bags are not swapped, and that the baseline's hand was empty",
     "says_too_little": "move faster, further and longer, through more attitudes of the hand; for a reference take a heavier one",
     "one_sided": "squeeze harder, or with several currents; calibrate the gripper",

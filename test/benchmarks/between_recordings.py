@@ -367,9 +367,9 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
             for by_times in (0.9, 0.95, 0.97, *WARMER):
                 wrong = bent(bag, folder / f"louder_{k}_{by_times}", effort=by_times)
                 yield said("real UR10e, efforts 3, 5, 10 % off", UR10E_KG, baseline(wrong, by), f"{k} by {n}, {by_times}")
-            for joint, zero in itertools.product(("shoulder_lift_joint", "elbow_joint"), (0.02, -0.1, 0.3)):
+            for joint, zero in itertools.product(("shoulder_lift_joint", "elbow_joint"), (0.02, -0.15, 0.3)):
                 wrong = bent(bag, folder / f"{joint}_{k}_{zero}", zero_rad=zero, joint=joint)
-                row = "real UR10e, a joint's zero 0.02, 0.1, 0.3 rad off"
+                row = "real UR10e, a joint's zero 0.02, 0.15, 0.3 rad off"
                 yield said(row, UR10E_KG, baseline(wrong, by), f"{k} by {n}, {joint} {zero:+g}")
         for k, other in ((14, 15), (15, 14)):
             file = folder / f"ur10e_{n}_{k}.yaml"

@@ -21,6 +21,7 @@ from scipy.signal import butter, lfilter
 from support.machines import REAL
 
 from proprio_ros.errors import ProprioError
+from proprio_ros.identification.regression.motion_equations import once_each
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, Request
@@ -156,9 +157,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             (0.0, robot, wrong_other, [wrong_empty]),
         ]
         sigmas, codes = [], []
-        for truth, arm, motion, baseline in questions:
-            said = answer(arm, motion, baseline, truth)
-            (codes if isinstance(said, str) else sigmas).append(said)
+        with once_each():
+            for truth, arm, motion, baseline in questions:
+                said = answer(arm, motion, baseline, truth)
+                (codes if isinstance(said, str) else sigmas).append(said)
         holding = sum(sigma <= Z95 for sigma in sigmas)
         results.row(
             "distorted", distortion=name, answered=len(sigmas), asked=len(questions), hold=holding,

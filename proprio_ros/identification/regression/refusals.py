@@ -22,9 +22,10 @@ APART_SIGMAS = 4.0  # What differs by more standard deviations is not the same.
 LEAST_SIGMAS = 5.0  # A mass that is not known so many times better than it is large is no divisor.
 DECIDES = 0.05
 """A joint that tells less than this share of what is known of a mass does not decide whether that is believed."""
-RATIO_SHARE, RATIO_STD, ZERO_RAD = 0.08, 0.01, 0.06
+RATIO_SHARE, RATIO_STD, ZERO_RAD = 0.08, 0.01, 0.12
 """A joint whose torque is by more than this share another one than the empty arm's was recorded in another unit, and one whose
-positions are so far off was put together anew, where a recording knows that: those of one machine differ by 3 % and 5 mrad."""
+positions are so far off was put together anew, where a recording knows that: those of one machine differ by 3 % and 5 mrad. Where
+both are off alike, as from their URDF, a load shows it, too, and an interval holds that is off by less."""
 
 
 def deciding(tells: FloatArray | None, values: FloatArray) -> FloatArray:
@@ -53,11 +54,8 @@ def _percent(share: float) -> str:
 def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: str = "") -> Iterator[Refusal]:
     """Where the worst joint's torque is not what the model makes of it.
 
-    Args:
-        joints: Their names.
-        share: Of the torque, that is left over by joint; NaN where one did not move.
-        by: What the model consists of.
-        name: Of the recording and a colon, before the sentence.
+    ``joints``: their names; ``share``: of the torque, that is left over by joint; NaN where one did not move; ``by``: what the
+    model consists of; ``name``: of the recording and a colon, before the sentence.
     """
     worst = int(np.argmax(np.nan_to_num(share)))
     if share[worst] > UNEXPLAINED_SHARE:
@@ -95,8 +93,8 @@ def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:
         yield rejected(
             "other_zero",
             "positions are not those of the empty arm",
-            f"{name}: {fit.joints[worst]} is read {-zero[worst]:+.2f} rad (m, where it slides) off from the empty hand's motion: "
-            "was its zero set, or its horn or encoder put on, anew?",
+            f"{name}: {fit.joints[worst]} is read {-zero[worst]:+.2f} rad (m, where it slides) off from where URDF and empty "
+            "hand have it: was its zero set, or its horn or encoder put on, anew?",
         )
 
 
