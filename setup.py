@@ -22,7 +22,16 @@ setup(
     version="0.1.0",
     description="A robot arm's sense of weight and softness from its own joints",
     packages=find_packages(include=["proprio_ros", "proprio_ros.*"]),
-    package_data={"proprio_ros": ["resource/*", "report/*.css", "report/*.js", "batch/*.css", "batch/*.js", "py.typed"]},
+    package_data={
+        "proprio_ros": [
+            "resource/*",
+            "report/*.css",
+            "report/*.js",
+            "batch/*.css",
+            "batch/*.js",
+            "py.typed",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["proprio_ros/resource/proprio_ros"]),
         (SHARE, ["package.xml"]),

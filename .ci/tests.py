@@ -45,7 +45,9 @@ def parts(wiring: list[str]) -> list[list[str]]:
                 break
         else:
             made.append((seconds, [file]))
-    return [[f"{SCHEDULES}{block}]"] for block in range(2)] + [of for _, of in sorted(made, reverse=True)]
+    return [[f"{SCHEDULES}{block}]"] for block in range(2)] + [
+        of for _, of in sorted(made, reverse=True)
+    ]
 
 
 def import_what_they_share() -> None:
@@ -113,7 +115,9 @@ def main(wiring: list[str]) -> int:
             _, said = running.pop(child)
             said.seek(0)
             spent = f"== {used.ru_utime + used.ru_stime:.0f} s of a processor\n"
-            sys.stdout.write(said.read() + spent + (f"== ended with status {status}\n" if status else ""))
+            sys.stdout.write(
+                said.read() + spent + (f"== ended with status {status}\n" if status else "")
+            )
             sys.stdout.flush()
             failed += status != 0
     return failed

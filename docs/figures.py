@@ -44,7 +44,10 @@ def numbers(name: str, table: str, **where: Any) -> dict[str, Any]:
 def cells(columns: Mapping[str, str], row: Mapping[str, Any]) -> list[str]:
     """A row as a page shows it: each column's words with the row's numbers; `-` where a number is missing."""
     missing = {key for key, value in row.items() if value is None or value != value}
-    return ["-" if any(f"{{{key}" in words for key in missing) else words.format(**row) for words in columns.values()]
+    return [
+        "-" if any(f"{{{key}" in words for key in missing) else words.format(**row)
+        for words in columns.values()
+    ]
 
 
 def line(words: list[str]) -> str:
@@ -92,7 +95,10 @@ def _span(values: list[float], digits: int = 2) -> str:
 
 
 def _two(table: str, **where: Any) -> list[dict[str, Any]]:
-    return [numbers("simulated", table, level=level, **where) for level in ("realistic_s00", "realistic_s01")]
+    return [
+        numbers("simulated", table, level=level, **where)
+        for level in ("realistic_s00", "realistic_s01")
+    ]
 
 
 def _real(*asked: str) -> list[dict[str, Any]]:
@@ -104,20 +110,33 @@ def _together(rows: list[dict[str, Any]], digits: int = 1) -> tuple[str, str, in
     errors = [each for row in rows for each in row["errors"]]
     halves = [each for row in rows for each in row["half_intervals"]]
     worst = f"worst {max(map(abs, errors)):.{digits}f} %"
-    return (worst, f"{_span(halves, digits)} % half wide", sum(row["hold"] for row in rows), sum(row["given"] for row in rows))
+    return (
+        worst,
+        f"{_span(halves, digits)} % half wide",
+        sum(row["hold"] for row in rows),
+        sum(row["given"] for row in rows),
+    )
 
 
 def _simulated() -> list[Row]:
     found = []
     for words, known in (
-        ("mass of 10 to 50 g, calibrated on 16 empty runs (two simulated robots)", "calibrated on its empty runs"),
+        (
+            "mass of 10 to 50 g, calibrated on 16 empty runs (two simulated robots)",
+            "calibrated on its empty runs",
+        ),
         ("the same, and three runs with a 100 g reference", "and on three with 100 g"),
     ):
         one, two = _two("weighing", known=known)
-        answered, asked = one["answered"] + two["answered"], one["asked"] + two["asked"]
-        holds = f"{_all(one['hold'] + two['hold'], answered)}; {asked - answered} of {asked} refused"
+        answered = one["answered"] + two["answered"]
+        asked = one["asked"] + two["asked"]
+        holds = (
+            f"{_all(one['hold'] + two['hold'], answered)}; {asked - answered} of {asked} refused"
+        )
         found.append((words, f"rms {one['rms']:.2f} and {two['rms']:.2f} g", holds, "weighing"))
-    many = numbers("coverage", "coverage", robots=kept("coverage")["tables"]["coverage"]["rows"][0]["robots"])
+    many = numbers(
+        "coverage", "coverage", robots=kept("coverage")["tables"]["coverage"]["rows"][0]["robots"]
+    )
     found.append((
         f"mass of 10 to 100 g, {many['robots'].partition(',')[0]} random robots, {many['answered']} answers of {many['asked']}",
         f"rms {many['rms']:.2f} g, median {many['median']:.2f} g", f"{many['hold']:.1f} ± {many['margin']:.1f} %",
@@ -160,7 +179,11 @@ def _simulated() -> list[Row]:
 def _recorded() -> list[Row]:
     found = []
     for words, asked, section in (
-        ("a real UR10e in motion, 2.805 kg, against each of three empty recordings", ("UR10e, 2.805 kg, `--baseline`",), 0),
+        (
+            "a real UR10e in motion, 2.805 kg, against each of three empty recordings",
+            ("UR10e, 2.805 kg, `--baseline`",),
+            0,
+        ),
         ("15 s of it, against each", ("the same, 15 s",), 0),
         (
             "a real servo that lets go of a pendulum, calibrated on two or three other loads of 0.5 to 1.2 kg",
@@ -181,7 +204,9 @@ def _recorded() -> list[Row]:
         worst, halves, held, given = _together(rows)
         questions = sum(row["questions"] for row in rows)
         refused = f"; {questions - given} of {questions} refused" if given < questions else ""
-        where = ("while-several-joints-move", "free-response", "servos-that-a-voltage-drives")[section]
+        where = ("while-several-joints-move", "free-response", "servos-that-a-voltage-drives")[
+            section
+        ]
         found.append((words, worst, f"{_all(held, given)}; {halves}{refused}", where))
     every = numbers("real", "real", asked="all")
     found.append((
@@ -195,7 +220,14 @@ def _rows() -> list[Row]:
     return [*_simulated(), *_recorded()]
 
 
-IN_README = ("random robots", "closed box", "one squeeze", "SO-101", "UR10e in motion", "five real machines")
+IN_README = (
+    "random robots",
+    "closed box",
+    "one squeeze",
+    "SO-101",
+    "UR10e in motion",
+    "five real machines",
+)
 """Words of the rows that README has; the validation page has all."""
 
 
@@ -208,7 +240,9 @@ def readme() -> str:
 
 def summary() -> str:
     """The validation page's first table."""
-    rows = [line([f"[{asked}](#{section})", error, holds]) for asked, error, holds, section in _rows()]
+    rows = [
+        line([f"[{asked}](#{section})", error, holds]) for asked, error, holds, section in _rows()
+    ]
     return "\n".join([line(["what", "error", "the 95 % interval holds"]), "|---|---|---|", *rows])
 
 
@@ -224,8 +258,18 @@ def speed() -> str:
         for table in tables.values()
         for row in table["rows"]
     ]
-    said = f"{source('speed')[:-1]}; {machine['cores']} cores, load {machine['load']} when it began."
-    return "\n".join([said, "", line(["what", "fastest", "median", "beside it", ""]), "|---|---|---|---|---|", *rows])
+    said = (
+        f"{source('speed')[:-1]}; {machine['cores']} cores, load {machine['load']} when it began."
+    )
+    return "\n".join(
+        [
+            said,
+            "",
+            line(["what", "fastest", "median", "beside it", ""]),
+            "|---|---|---|---|---|",
+            *rows,
+        ]
+    )
 
 
 def speed_in_short() -> str:
@@ -236,11 +280,17 @@ def speed_in_short() -> str:
         (found,) = [row for row in tables[part]["rows"] if row["what"].startswith(what)]
         return dict(found)
 
-    fit, scipy = of("ours", "ours: five-start fit"), of("scipy", "scipy solve_ivp")
+    fit = of("ours", "ours: five-start fit")
+    scipy = of("scipy", "scipy solve_ivp")
     return (
         f"A five-start fit of one recording takes {fit['fastest']} on a CPU; SciPy's `solve_ivp` and `least_squares` take "
         f"{scipy['ratio'].partition('x')[0]} times as long."
     )
 
 
-VIEWS: dict[str, Callable[[], str]] = {"readme": readme, "summary": summary, "speed": speed, "speed in short": speed_in_short}
+VIEWS: dict[str, Callable[[], str]] = {
+    "readme": readme,
+    "summary": summary,
+    "speed": speed,
+    "speed in short": speed_in_short,
+}

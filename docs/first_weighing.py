@@ -36,11 +36,17 @@ calibration.plot()
 # A ball of 50 g. What is known about it is stated: that it is a sphere, and its diameter in metres.
 
 # %%
-ball = weigh(bag("realistic_s00_fixed_heavy_ball_50g_joint3"), calibration=calibration, payload={"shape": "sphere", "size": 0.043})
+ball = weigh(
+    bag("realistic_s00_fixed_heavy_ball_50g_joint3"),
+    calibration=calibration,
+    payload={"shape": "sphere", "size": 0.043},
+)
 ball
 
 # %%
-print(f"{1e3 * ball.mass:.1f} g, and between {1e3 * ball.ci95[0]:.1f} and {1e3 * ball.ci95[1]:.1f} g (95 %)")
+print(
+    f"{1e3 * ball.mass:.1f} g, and between {1e3 * ball.ci95[0]:.1f} and {1e3 * ball.ci95[1]:.1f} g (95 %)"
+)
 ball.plot()
 
 # %% [markdown]

@@ -33,7 +33,12 @@ import figures
 
 PAGES = Path(__file__).resolve().parent / "pages"
 NOTE = "<!-- written by docs/generate.py from the code: change that instead -->"
-NODES = {"driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode", "virtual": "VirtualNode"}
+NODES = {
+    "driver": "DriverNode",
+    "excitation": "ExcitationNode",
+    "identifier": "IdentifierNode",
+    "virtual": "VirtualNode",
+}
 PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
     "identifier": (
         ("results:Results.__init__", {}),
@@ -127,21 +132,34 @@ def command_line() -> str:
         "130 interrupted. `proprio --version` prints the version; every command explains itself with `--help`.",
         _table(
             ("command", "does"),
-            [(f"[`proprio {name}`](#proprio-{name.replace(' ', '-')})", about) for name, (about, _) in commands.items()],
+            [
+                (f"[`proprio {name}`](#proprio-{name.replace(' ', '-')})", about)
+                for name, (about, _) in commands.items()
+            ],
         ),
     ]
     for name, (_, command) in commands.items():
-        parts += [f"## proprio {name}", command.description or "", f"```\n{_usage(name, command)}\n```"]
+        parts += [
+            f"## proprio {name}",
+            command.description or "",
+            f"```\n{_usage(name, command)}\n```",
+        ]
         options = [action for action in command._actions if action.dest != "help"]
-        parts.append(_table(("argument", "default", "meaning"), [_option(action) for action in options]))
+        parts.append(
+            _table(("argument", "default", "meaning"), [_option(action) for action in options])
+        )
         if command.epilog:
             parts.append(command.epilog)
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _commands(parser: argparse.ArgumentParser, before: str = "") -> Iterator[tuple[str, tuple[Any, argparse.ArgumentParser]]]:
+def _commands(
+    parser: argparse.ArgumentParser, before: str = ""
+) -> Iterator[tuple[str, tuple[Any, argparse.ArgumentParser]]]:
     """Name, help and parser of every command; of a command with commands of its own, those."""
-    for group in [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]:
+    for group in [
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    ]:
         helps = {choice.dest: choice.help for choice in group._choices_actions}
         for name, command in group.choices.items():
             inner = dict(_commands(command, f"{before}{name} "))
@@ -150,7 +168,11 @@ def _commands(parser: argparse.ArgumentParser, before: str = "") -> Iterator[tup
 
 def _invocation(action: argparse.Action) -> str:
     """As it is written on the command line, without brackets."""
-    value = action.metavar or (None if action.choices is None else "|".join(map(str, action.choices))) or action.dest.upper()
+    value = (
+        action.metavar
+        or (None if action.choices is None else "|".join(map(str, action.choices)))
+        or action.dest.upper()
+    )
     if action.nargs == 0:
         return action.option_strings[-1]
     many = f"{value} [{value} ...]" if action.nargs in ("+", "*") else str(value)
@@ -160,7 +182,9 @@ def _invocation(action: argparse.Action) -> str:
 
 def _usage(name: str, command: argparse.ArgumentParser) -> str:
     actions = [action for action in command._actions if action.dest != "help"]
-    words = [_invocation(a) if a.required and a.nargs != "*" else f"[{_invocation(a)}]" for a in actions]
+    words = [
+        _invocation(a) if a.required and a.nargs != "*" else f"[{_invocation(a)}]" for a in actions
+    ]
     return textwrap.fill(
         " ".join(["proprio", name, *(word.replace(" ", "\0") for word in words)]),
         width=100, subsequent_indent=" " * 8, break_long_words=False, break_on_hyphens=False,
@@ -168,8 +192,14 @@ def _usage(name: str, command: argparse.ArgumentParser) -> str:
 
 
 def _option(action: argparse.Action) -> tuple[str, str, str]:
-    default = "" if action.default in (None, [], False) or action.required else f"`{action.default}`"
-    choices = f" ({', '.join(f'`{choice}`' for choice in action.choices)})" if action.choices and action.metavar else ""
+    default = (
+        "" if action.default in (None, [], False) or action.required else f"`{action.default}`"
+    )
+    choices = (
+        f" ({', '.join(f'`{choice}`' for choice in action.choices)})"
+        if action.choices and action.metavar
+        else ""
+    )
     return f"`{_invocation(action)}`", default, (action.help or "") + choices
 
 
@@ -182,14 +212,22 @@ class _Stand(type):
     def __getattr__(cls, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        return _Stand(name, (), {"__module__": cls.__module__, "__init__": lambda self, *args, **kwargs: None})
+        return _Stand(
+            name, (), {"__module__": cls.__module__, "__init__": lambda self, *args, **kwargs: None}
+        )
 
 
 class _StandInFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Finds a module of ROS where there is none."""
 
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
-        return importlib.machinery.ModuleSpec(name, self, is_package=True) if name.split(".")[0] in ROS else None
+    def find_spec(
+        self, name: str, path: Any = None, target: Any = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        return (
+            importlib.machinery.ModuleSpec(name, self, is_package=True)
+            if name.split(".")[0] in ROS
+            else None
+        )
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
         module = ModuleType(spec.name)
@@ -224,10 +262,14 @@ def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str,
     for part, given in PARTS.get(name, ()):
         place, _, method = part.partition(":")
         module = importlib.import_module(f"proprio_ros.nodes.{place}")
-        yield from _made_by(operator.attrgetter(method)(module), {**vars(module), **given}, name, values)
+        yield from _made_by(
+            operator.attrgetter(method)(module), {**vars(module), **given}, name, values
+        )
 
 
-def _made_by(function: Any, known: dict[str, Any], name: str, values: dict[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+def _made_by(
+    function: Any, known: dict[str, Any], name: str, values: dict[str, Any]
+) -> Iterator[tuple[str, str, str, str]]:
     """What a function makes: ``publishes``, ``takes`` or ``serves``; the full name, the type, and how messages are kept.
 
     The body is read, not run: loops over tables of the module are followed, and names are computed from what they hold.
@@ -235,7 +277,10 @@ def _made_by(function: Any, known: dict[str, Any], name: str, values: dict[str, 
     body = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
     scope = {
         **known,
-        "self": SimpleNamespace(values=values, conventions=importlib.import_module("proprio_ros.recordings.topics").OUR_DRIVER),
+        "self": SimpleNamespace(
+            values=values,
+            conventions=importlib.import_module("proprio_ros.recordings.topics").OUR_DRIVER,
+        ),
         "node": SimpleNamespace(values=values),
     }
     # a kind of connection, and which of its arguments are type, name and quality of service
@@ -250,21 +295,38 @@ def _made_by(function: Any, known: dict[str, Any], name: str, values: dict[str, 
         if isinstance(target, ast.Name):
             return {target.id: value}
         assert isinstance(target, ast.Tuple)
-        return {key: part for one, each in zip(target.elts, value, strict=True) for key, part in bound(one, each).items()}
+        return {
+            key: part
+            for one, each in zip(target.elts, value, strict=True)
+            for key, part in bound(one, each).items()
+        }
 
     def maker(tree: ast.AST) -> str:
-        called = getattr(tree.func, "attr", getattr(tree.func, "id", "")) if isinstance(tree, ast.Call) else ""
+        called = (
+            getattr(tree.func, "attr", getattr(tree.func, "id", ""))
+            if isinstance(tree, ast.Call)
+            else ""
+        )
         return called if called in makers else ""
 
     def names(expression: ast.AST) -> set[str]:
-        return {ast.unparse(part) for part in ast.walk(expression) if isinstance(part, (ast.Name, ast.Attribute))}
+        return {
+            ast.unparse(part)
+            for part in ast.walk(expression)
+            if isinstance(part, (ast.Name, ast.Attribute))
+        }
 
     # assignments are computed where a topic or a loop over topics needs them, and no others
     needed: set[str] = set()
     for part in ast.walk(body):
         if maker(part):
             assert isinstance(part, ast.Call)
-            needed |= {name for place in makers[maker(part)][1:3] if place is not None for name in names(part.args[place])}
+            needed |= {
+                name
+                for place in makers[maker(part)][1:3]
+                if place is not None
+                for name in names(part.args[place])
+            }
         elif isinstance(part, (ast.For, ast.comprehension)):
             needed |= names(part.iter)
     for part in reversed([part for part in ast.walk(body) if isinstance(part, ast.Assign)]):
@@ -274,7 +336,8 @@ def _made_by(function: Any, known: dict[str, Any], name: str, values: dict[str, 
     def walk(tree: ast.AST, local: dict[str, Any]) -> Iterator[tuple[str, str, str, str]]:
         if isinstance(tree, ast.Assign) and ast.unparse(tree.targets[0]) in needed:
             target = tree.targets[0]
-            with contextlib.suppress(Exception):  # if a topic needs it all the same, that is an error there
+            # if a topic needs it all the same, that is an error there
+            with contextlib.suppress(Exception):
                 if isinstance(target, ast.Attribute):
                     setattr(of(target.value, local), target.attr, of(tree.value, local))
                 else:
@@ -294,7 +357,9 @@ def _made_by(function: Any, known: dict[str, Any], name: str, values: dict[str, 
             return
         if isinstance(tree, ast.Call) and maker(tree):
             what, kind_at, name_at, quality_at = makers[maker(tree)]
-            kind = "std_srvs/Trigger" if kind_at is None else _message(of(tree.args[kind_at], local))
+            kind = (
+                "std_srvs/Trigger" if kind_at is None else _message(of(tree.args[kind_at], local))
+            )
             quality = "" if quality_at is None else ast.unparse(tree.args[quality_at])
             topic = of(tree.args[name_at], local)
             full = f"/{name}{topic[1:]}" if topic.startswith("~") else "/" + topic.lstrip("/")
@@ -319,15 +384,25 @@ def ros_interface() -> str:
         "while a job is under way others are refused with the reason.",
     ]
     for name, (module, node) in nodes().items():
-        parts += [f"## {name}", f"`proprio_{name}`. " + inspect.cleandoc(node.__doc__ or "").split("\n\n")[0]]
+        parts += [
+            f"## {name}",
+            f"`proprio_{name}`. " + inspect.cleandoc(node.__doc__ or "").split("\n\n")[0],
+        ]
         found = list(dict.fromkeys(connections(name, module, node)))
         for what, title in (("publishes", "Publishes"), ("takes", "Takes"), ("serves", "Services")):
             rows = [
-                (f"`{topic}`", f"`{kind}`", ABOUT.get(topic) or _about_probe(topic), "latched" * (quality == "LATCHED"))
+                (
+                    f"`{topic}`",
+                    f"`{kind}`",
+                    ABOUT.get(topic) or _about_probe(topic),
+                    "latched" * (quality == "LATCHED"),
+                )
                 for way, topic, kind, quality in found
                 if way == what
             ]
-            columns = ("topic", "type", "holds", "") if what != "serves" else ("service", "type", "does")
+            columns = (
+                ("topic", "type", "holds", "") if what != "serves" else ("service", "type", "does")
+            )
             if rows:
                 parts += [f"### {title}", _table(columns, [row[: len(columns)] for row in rows])]
         parameters = importlib.import_module("proprio_ros.nodes.parameters")
@@ -346,8 +421,16 @@ def ros_interface() -> str:
         _table(
             ("name", "type", "holds"),
             [
-                ("`/identifier/mass_estimate`", "`proprio_msgs/MassEstimate`", "of payload or sphere: as `~/estimate`; latched"),
-                ("`/identifier/elasticity_estimate`", "`proprio_msgs/ElasticityEstimate`", "of a block: as `~/estimate`; latched"),
+                (
+                    "`/identifier/mass_estimate`",
+                    "`proprio_msgs/MassEstimate`",
+                    "of payload or sphere: as `~/estimate`; latched",
+                ),
+                (
+                    "`/identifier/elasticity_estimate`",
+                    "`proprio_msgs/ElasticityEstimate`",
+                    "of a block: as `~/estimate`; latched",
+                ),
                 (
                     "`/identifier/holding_estimate`",
                     "`proprio_msgs/Holding`",
@@ -363,7 +446,9 @@ def ros_interface() -> str:
             ],
         ),
     ]
-    parts.append("*running*: may be changed with `ros2 param set` while the node runs; the others are read when it is configured.")
+    parts.append(
+        "*running*: may be changed with `ros2 param set` while the node runs; the others are read when it is configured."
+    )
     return "\n\n".join(parts) + "\n"
 
 
@@ -382,7 +467,12 @@ def _parameter(parameter: Any) -> tuple[str, str, str, str]:
     default = {"`True`": "`true`", "`False`": "`false`"}.get(default, default)
     bounded = parameter.lowest is not None and parameter.highest is not None
     about = parameter.description + (" *running*" if parameter.dynamic else "")
-    return f"`{parameter.name}`", default, f"{parameter.lowest:g} .. {parameter.highest:g}" if bounded else "", about
+    return (
+        f"`{parameter.name}`",
+        default,
+        f"{parameter.lowest:g} .. {parameter.highest:g}" if bounded else "",
+        about,
+    )
 
 
 # --- settings and files -------------------------------------------------------------------------------------------------
@@ -412,7 +502,12 @@ def settings() -> str:
         "wider than any arm on a table needs; what lies outside is refused in one sentence. Defaults are those of "
         "the files in `config/probes`.",
     ]
-    of_probes = {"payload": OF_PAYLOAD, "container": OF_CONTAINER, "softness": OF_BLOCK, "contents": OF_CONTENTS}
+    of_probes = {
+        "payload": OF_PAYLOAD,
+        "container": OF_CONTAINER,
+        "softness": OF_BLOCK,
+        "contents": OF_CONTENTS,
+    }
     for probe, forms in of_probes.items():
         content = probe_file(probe)
         rows = []
@@ -420,7 +515,14 @@ def settings() -> str:
             section, _, name = key.partition(".")
             if key in forms or name in content.get(section, {}):
                 value = content.get(section, {}).get(name)
-                rows.append((f"`{key}`", "" if value is None else f"`{_yaml(value)}`", form.described(), form.meaning))
+                rows.append(
+                    (
+                        f"`{key}`",
+                        "" if value is None else f"`{_yaml(value)}`",
+                        form.described(),
+                        form.meaning,
+                    )
+                )
         parts += [f"## Probe {probe}", _table(("key", "default", "value", "meaning"), rows)]
     parts += [
         "`payload.size`, `container.inner_size` and `block.size` are lengths in m of the form that the shape needs: a diameter or "
@@ -440,7 +542,12 @@ def settings() -> str:
         ("joints: JOINT: drive_train", robot_fields.DRIVE_TRAIN),
     ):
         rows = [
-            (f"`{key}`", _default(field.default, REQUIRED), field.form.described(), field.form.meaning)
+            (
+                f"`{key}`",
+                _default(field.default, REQUIRED),
+                field.form.described(),
+                field.form.meaning,
+            )
             for key, field in fields.items()
         ]
         parts += [f"### {title}", _table(("key", "default", "value", "meaning"), rows)]
@@ -448,11 +555,20 @@ def settings() -> str:
         "## Driver profile",
         "Files of `config/drivers`, or of your own, for `--driver` and the identifier's parameter `driver`. Keys that are left out "
         "are those of the profile that a file extends. Topics are named without a namespace, and found in any.",
-        _table(("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in FORMS.items()]),
+        _table(
+            ("key", "value", "meaning"),
+            [(f"`{key}`", form.described(), form.meaning) for key, form in FORMS.items()],
+        ),
         "### inputs",
-        _table(("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in INPUT.items()]),
+        _table(
+            ("key", "value", "meaning"),
+            [(f"`{key}`", form.described(), form.meaning) for key, form in INPUT.items()],
+        ),
         "### columns",
-        _table(("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in COLUMNS.items()]),
+        _table(
+            ("key", "value", "meaning"),
+            [(f"`{key}`", form.described(), form.meaning) for key, form in COLUMNS.items()],
+        ),
         "## Calibration",
         "The section `calibration` of a robot file, as `proprio calibrate` writes it. `model_fingerprint` is required; joints and "
         "links "
@@ -464,7 +580,11 @@ def settings() -> str:
         _table(
             ("unknown", "value", "meaning"),
             [
-                (f"`{kind}[{KINDS[kind].of.upper()}]`" if KINDS[kind].of else f"`{kind}`", form.described(), form.meaning)
+                (
+                    f"`{kind}[{KINDS[kind].of.upper()}]`" if KINDS[kind].of else f"`{kind}`",
+                    form.described(),
+                    form.meaning,
+                )
                 for kind, form in RANGES.items()
             ]
             + [(f"`{key}`", form.described(), form.meaning) for key, form in NOISE.items()],
@@ -475,12 +595,18 @@ def settings() -> str:
             [
                 ("a YAML, JSON or URDF file", f"{reading.LONGEST_TEXT / 1e6:g} MB"),
                 ("lists and mappings within each other", str(reading.DEEPEST)),
-                ("values of a YAML file, aliases counted as what they stand for", str(reading.MOST_NODES)),
+                (
+                    "values of a YAML file, aliases counted as what they stand for",
+                    str(reading.MOST_NODES),
+                ),
                 ("VALUE of a setting", f"{reading.LONGEST_VALUE} characters"),
                 ("links of a URDF, and joints", str(urdf.MOST_LINKS)),
                 ("names of joints and links", f"{urdf.LONGEST_NAME} printable characters"),
                 ("rows of a CSV file", str(text.MOST_ROWS)),
-                ("messages of one topic", f"{reader.MOST_MESSAGES}, {reader.MOST_BYTES / 1e6:g} MB together"),
+                (
+                    "messages of one topic",
+                    f"{reader.MOST_MESSAGES}, {reader.MOST_BYTES / 1e6:g} MB together",
+                ),
                 ("one message", f"{reader.MOST_BYTES_OF_ONE / 1e3:g} kB"),
                 ("files of a compressed bag, unpacked", f"{reader.MOST_UNPACKED / 1e9:g} GB each"),
             ],
@@ -490,7 +616,11 @@ def settings() -> str:
 
 
 def _yaml(value: Any) -> str:
-    return {True: "true", False: "false"}.get(value, str(value)) if isinstance(value, bool) else str(value)
+    return (
+        {True: "true", False: "false"}.get(value, str(value))
+        if isinstance(value, bool)
+        else str(value)
+    )
 
 
 def _default(value: Any, required: Any) -> str:
@@ -525,7 +655,11 @@ def refusals() -> str:
         "`misfit`), which `proprio check` shows before any fit.",
     ]
     for code, meaning in CODES.items():
-        parts += [f"## {code}", f"{meaning[0].upper()}{meaning[1:]}.", f"**What to do**: {REMEDIES[code]}."]
+        parts += [
+            f"## {code}",
+            f"{meaning[0].upper()}{meaning[1:]}.",
+            f"**What to do**: {REMEDIES[code]}.",
+        ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -555,7 +689,9 @@ def measured() -> dict[Path, str]:
     """Every page with figures of benchmarks, with what should be in it."""
     found = (PAGES.parents[1] / "README.md", *sorted(PAGES.glob("*.md")))
     texts = {path: path.read_text(encoding="utf-8") for path in found}
-    return {path: figures.filled(text) for path, text in texts.items() if figures.BLOCK.search(text)}
+    return {
+        path: figures.filled(text) for path, text in texts.items() if figures.BLOCK.search(text)
+    }
 
 
 if __name__ == "__main__":

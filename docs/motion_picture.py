@@ -19,18 +19,29 @@ from proprio_ros import weigh
 from proprio_ros.report.motion_sections import held_figure, torque_figure
 
 PAGES = Path(__file__).resolve().parent / "pages"
-BOX_KG, CENTRE_M, MOMENTS = 2.0, (0.12, 0.06, -0.04), (0.03, 0.05, 0.06)
+BOX_KG = 2.0
+CENTRE_M = (0.12, 0.06, -0.04)
+MOMENTS = (0.03, 0.05, 0.06)
 DRAWN = r"svg text|\.(arm|chart)|\.(measured|simulated|left-out)\b"
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
-        folder, twin = Path(name), Twin(11)
+        folder = Path(name)
+        twin = Twin(11)
         box = twin.record("box", 20.0, (BOX_KG, np.array(CENTRE_M)), MOMENTS)
-        bags = [write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in (box, twin.record("empty", 20.0))]
-        found = weigh(bags[0], baseline=bags[1], robot=write_robot(folder), effort_unit="N.m").estimate
+        bags = [
+            write_bag(folder / motion.name, motion, constants=SIX.constants)
+            for motion in (box, twin.record("empty", 20.0))
+        ]
+        found = weigh(
+            bags[0], baseline=bags[1], robot=write_robot(folder), effort_unit="N.m"
+        ).estimate
     most = max(found.joint_fits, key=lambda fit: float(fit.told.sum()))
-    for name, svg in (("arm", held_figure(found.held_views[0])), ("torque", torque_figure(most, True))):
+    for name, svg in (
+        ("arm", held_figure(found.held_views[0])),
+        ("torque", torque_figure(most, True)),
+    ):
         (PAGES / f"motion_{name}.svg").write_text(alone(svg, DRAWN), encoding="utf-8")
 
 

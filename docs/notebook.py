@@ -45,7 +45,9 @@ def cells(text: str) -> Iterator[tuple[bool, str]]:
 
 def run(source: str, names: dict[str, Any]) -> Cell:
     """Run the code of a cell."""
-    tree, out, value = ast.parse(source), io.StringIO(), None
+    tree = ast.parse(source)
+    out = io.StringIO()
+    value = None
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
     with redirect_stdout(out):
         exec(compile(tree, SCRIPT.name, "exec"), names)
@@ -73,7 +75,9 @@ def svg(figure: Any) -> str:
 def executed(text: str) -> tuple[Cell, ...]:
     """All cells, one after the other; once per text, however often the pages are built."""
     names: dict[str, Any] = {"__name__": "__main__"}
-    return tuple(Cell(True, body) if markdown else run(body, names) for markdown, body in cells(text))
+    return tuple(
+        Cell(True, body) if markdown else run(body, names) for markdown, body in cells(text)
+    )
 
 
 def page(found: tuple[Cell, ...]) -> str:
@@ -88,12 +92,24 @@ def page(found: tuple[Cell, ...]) -> str:
             parts.append(f"```text\n{cell.printed.rstrip()}\n```")
         if cell.html or cell.svg:
             # one line: an empty one would end the block
-            shown = " ".join((cell.html or f'<img alt="" src="data:image/svg+xml;base64,{_coded(cell.svg)}">').split("\n"))
+            shown = " ".join(
+                (
+                    cell.html or f'<img alt="" src="data:image/svg+xml;base64,{_coded(cell.svg)}">'
+                ).split("\n")
+            )
             parts.append(f'<div class="shown" style="overflow-x:auto">{shown}</div>')
         elif cell.plain:
             parts.append(f"```text\n{cell.plain}\n```")
     name = SCRIPT.with_suffix(".ipynb").name
-    return "\n\n".join([*parts, f'<p><a href="{name}" download>The notebook</a>: the same cells with what they gave.</p>']) + "\n"
+    return (
+        "\n\n".join(
+            [
+                *parts,
+                f'<p><a href="{name}" download>The notebook</a>: the same cells with what they gave.</p>',
+            ]
+        )
+        + "\n"
+    )
 
 
 def _coded(text: str) -> str:
@@ -102,9 +118,14 @@ def _coded(text: str) -> str:
 
 def notebook(found: tuple[Cell, ...]) -> str:
     """As Jupyter keeps it (format 4.5)."""
-    listed, count = [], 0
+    listed = []
+    count = 0
     for number, cell in enumerate(found):
-        common = {"id": f"cell-{number}", "metadata": {}, "source": cell.source.splitlines(keepends=True)}
+        common = {
+            "id": f"cell-{number}",
+            "metadata": {},
+            "source": cell.source.splitlines(keepends=True),
+        }
         if cell.markdown:
             listed.append({"cell_type": "markdown", **common})
             continue
@@ -116,10 +137,22 @@ def notebook(found: tuple[Cell, ...]) -> str:
             data = {"text/plain": cell.plain}
             data |= {"text/html": cell.html} if cell.html else {}
             data |= {"image/svg+xml": cell.svg} if cell.svg else {}
-            outputs.append({"output_type": "execute_result", "execution_count": count, "data": data, "metadata": {}})
+            outputs.append(
+                {
+                    "output_type": "execute_result",
+                    "execution_count": count,
+                    "data": data,
+                    "metadata": {},
+                }
+            )
         listed.append({"cell_type": "code", **common, "execution_count": count, "outputs": outputs})
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
-    return json.dumps({"cells": listed, "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}, indent=1) + "\n"
+    return (
+        json.dumps(
+            {"cells": listed, "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}, indent=1
+        )
+        + "\n"
+    )
 
 
 def on_files(files: Any, config: Any) -> Any:

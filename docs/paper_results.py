@@ -71,7 +71,9 @@ def as_markdown(parts: Sequence[str]) -> tuple[str, dict[str, str]]:
             lines.append(f"{mark}{'#' * int(heading[1])} {heading[3]}")
         elif part.startswith("<figure"):
             name = f"{section}_{sum(one.startswith(section + '_') for one in drawn) + 1}.svg"
-            svg, caption = re.fullmatch(r"<figure[^>]*>(<svg.*</svg>)(.*)</figure>", part, re.DOTALL).groups()
+            svg, caption = re.fullmatch(
+                r"<figure[^>]*>(<svg.*</svg>)(.*)</figure>", part, re.DOTALL
+            ).groups()
             drawn[name] = alone(svg)
             alternative = re.search(r'aria-label="([^"]*)"', svg)
             lines.append(f"![{alternative[1] if alternative else name}](figures/{name})")
@@ -94,9 +96,16 @@ def alone(svg: str, rules_of: str = DRAWN) -> str:
     wide = STYLE[: STYLE.index("@media (max-width")]
     rules = re.findall(r"[^{}]+\{[^{}]*\}", wide)
     drawn = [rule.strip() for rule in rules if re.match(rules_of, rule.strip())]
-    style = "\n".join([rules[0].strip(), "svg { background: #fff; font-family: sans-serif; }", *drawn])
+    style = "\n".join(
+        [rules[0].strip(), "svg { background: #fff; font-family: sans-serif; }", *drawn]
+    )
     plain = re.sub(r' data-[a-z0-9]+(="[^"]*")?', "", svg)
-    return plain.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).replace(">", f"><style>{style}</style>", 1) + "\n"
+    return (
+        plain.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).replace(
+            ">", f"><style>{style}</style>", 1
+        )
+        + "\n"
+    )
 
 
 def stated(found: Mapping[str, Sequence[Rows]]) -> dict[str, dict[str, list[Any]]]:
@@ -107,7 +116,9 @@ def stated(found: Mapping[str, Sequence[Rows]]) -> dict[str, dict[str, list[Any]
             for row in rows["rows"]:
                 value = row.get("value", row.get("error"))
                 if "value" in row or "error" in row:
-                    numbers.setdefault(name, {}).setdefault(label(row), []).append(None if value is None else float(f"{value:.6g}"))
+                    numbers.setdefault(name, {}).setdefault(label(row), []).append(
+                        None if value is None else float(f"{value:.6g}")
+                    )
     return numbers
 
 
@@ -121,7 +132,10 @@ def _repeats(numbers: Mapping[str, Mapping[str, Sequence[Any]]]) -> str:
                 others = np.delete(known, left_out)
                 spread = float(others.std(ddof=1)) * np.sqrt(1.0 + 1.0 / len(others))
                 total += 1
-                within += bool(abs(known[left_out] - others.mean()) <= student.ppf(0.975, len(others) - 1) * spread + 1e-6)
+                within += bool(
+                    abs(known[left_out] - others.mean())
+                    <= student.ppf(0.975, len(others) - 1) * spread + 1e-6
+                )
     return (
         '<a id="again"></a>\n\n## Does it come out again?\n\n'
         f"Of {total} numbers of one seed, {within} ({100.0 * within / max(total, 1):.0f} %) lie in the 95 % prediction interval of "

@@ -21,7 +21,11 @@ inside = weigh(
     probe="contents",
     baseline=bags("baseline"),
     calibration=calibration,
-    settings={"contents.radius": 0.035, "contents.height": 0.1, "contents.bottom": [0.015, 0.0, -0.04]},
+    settings={
+        "contents.radius": 0.035,
+        "contents.height": 0.1,
+        "contents.bottom": [0.015, 0.0, -0.04],
+    },
 )
 print(inside)
 for kind in ("nothing", "rigid", "liquid", "granular"):

@@ -17,12 +17,20 @@ print(check([*empty_hand, bag("fixed_heavy_ball_50g_joint3")]))
 calibration = calibrate(empty_hand)
 print(calibration)
 for advice in calibration.estimate.advice:  # `plan` says the same for weighings of about a mass
-    print(f"next: {advice.joint}, {1e3 * advice.current_A:+.0f} mA from {dict(advice.start)}: {advice.reason}")
+    print(
+        f"next: {advice.joint}, {1e3 * advice.current_A:+.0f} mA from {dict(advice.start)}: {advice.reason}"
+    )
 
 # %% Weigh; in a notebook, the last line of a cell shows the result
-ball = weigh(bag("fixed_heavy_ball_50g_joint3"), calibration=calibration, payload={"shape": "sphere", "size": 0.043})
+ball = weigh(
+    bag("fixed_heavy_ball_50g_joint3"),
+    calibration=calibration,
+    payload={"shape": "sphere", "size": 0.043},
+)
 assert ball.mass is not None and ball.ci95 is not None
-print(f"{1e3 * ball.mass:.1f} g, 95 % interval {1e3 * ball.ci95[0]:.1f} .. {1e3 * ball.ci95[1]:.1f} g: {ball.verdict}")
+print(
+    f"{1e3 * ball.mass:.1f} g, 95 % interval {1e3 * ball.ci95[0]:.1f} .. {1e3 * ball.ci95[1]:.1f} g: {ball.verdict}"
+)
 ball
 
 # %% Measured against simulated

@@ -26,7 +26,10 @@ __all__ = ["__version__", "calibrate", "check", "drift", "plan", "weigh"]
 def __getattr__(name: str) -> Any:
     """The calls for scripts and notebooks, loaded with all they need when they are first asked for."""
     if name in __all__:
-        return getattr(import_module(f"proprio_ros.{'batch.drift' if name == 'drift' else 'pipeline.api'}"), name)
+        return getattr(
+            import_module(f"proprio_ros.{'batch.drift' if name == 'drift' else 'pipeline.api'}"),
+            name,
+        )
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -66,7 +66,8 @@ _clock = Clock()
 def use(clock: Clock) -> Clock:
     """Have the whole process take its time from this clock from now on; returns the one before."""
     global _clock
-    before, _clock = _clock, clock
+    before = _clock
+    _clock = clock
     return before
 
 
@@ -111,7 +112,8 @@ class Pacer:
 
     period_s: float  # of a cycle
     keep: int = 10_000
-    lateness_s: list[float] = field(default_factory=list)  # how late each cycle began, the newest `keep`
+    # how late each cycle began, the newest `keep`
+    lateness_s: list[float] = field(default_factory=list)
     _next_s: float = field(default=float("nan"))
 
     def wait(self) -> float:
@@ -136,7 +138,9 @@ LONGEST_SPIN_S = 0.5
 
 def threads() -> set[int]:
     """Those of this process, as the system numbers them."""
-    return set(map(int, os.listdir("/proc/self/task"))) if os.path.isdir("/proc/self/task") else set()
+    return (
+        set(map(int, os.listdir("/proc/self/task"))) if os.path.isdir("/proc/self/task") else set()
+    )
 
 
 def run_in_real_time(only: Collection[int] = ()) -> bool:
@@ -179,7 +183,9 @@ def run_like_others() -> None:
 
 def _end_spinning() -> None:
     run_like_others()
-    logging.getLogger("proprio_ros").warning("a thread span for %g s: no longer in real time", LONGEST_SPIN_S)
+    logging.getLogger("proprio_ros").warning(
+        "a thread span for %g s: no longer in real time", LONGEST_SPIN_S
+    )
 
 
 @dataclass

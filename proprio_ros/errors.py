@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-LONGEST_SENTENCE = 290  # Characters of a message; with the command's name before it, it stays below 300.
+# Characters of a message; with the command's name before it, it stays below 300.
+LONGEST_SENTENCE = 290
 
 
 def printable(text: str) -> str:
     """The text on one line, with an escape for every character that could move a cursor, end a line or not be encoded."""
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text
+    )
 
 
 def one_line(text: str, longest: int = LONGEST_SENTENCE) -> str:
@@ -84,5 +87,10 @@ def together(sentences: Iterable[str]) -> list[str]:
     for sentence in sentences:
         name, _, words = sentence.partition(": ")
         bag, _, number = name.rpartition("#")
-        said.setdefault((bag, words) if bag and number.isdigit() else ("", sentence), []).append(number)
-    return [f"{bag}#{', '.join(numbers)}: {words}" if bag else words for (bag, words), numbers in said.items()]
+        said.setdefault((bag, words) if bag and number.isdigit() else ("", sentence), []).append(
+            number
+        )
+    return [
+        f"{bag}#{', '.join(numbers)}: {words}" if bag else words
+        for (bag, words), numbers in said.items()
+    ]

@@ -38,11 +38,17 @@ KINDS: dict[str, Kind] = {
     "ripple_sin": Kind("rad", "encoder error, sine", "joint"),
     # how a link differs from the URDF; mass and inertia relative
     "link_mass": Kind("1", "link mass beyond the URDF's", "link"),
-    **{f"link_com_{axis}": Kind("m", f"link centre beyond the URDF's, {axis}", "link") for axis in "xyz"},
+    **{
+        f"link_com_{axis}": Kind("m", f"link centre beyond the URDF's, {axis}", "link")
+        for axis in "xyz"
+    },
     "link_inertia": Kind("1", "link inertia beyond the URDF's", "link"),
     # the body behind a joint, up to the next one, and the torque that a joint's motor shows at rest; of motions of several joints
     "body_mass": Kind("kg", "mass of the body behind", "joint"),
-    **{f"body_moment_{axis}": Kind("kg m", f"first moment of the body behind, {axis}", "joint") for axis in "xyz"},
+    **{
+        f"body_moment_{axis}": Kind("kg m", f"first moment of the body behind, {axis}", "joint")
+        for axis in "xyz"
+    },
     **{
         f"body_inertia_{axes}": Kind("kg m^2", f"inertia of the body behind, {axes}", "joint")
         for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -50,7 +56,9 @@ KINDS: dict[str, Kind] = {
     "offset": Kind("N m", "torque offset", "joint"),
     "torque_share": Kind("1", "torque beyond what its constant says", "joint"),
     **{
-        f"coulomb_{wave}": Kind("N m", f"Coulomb friction by angle, {wave.replace('_', ' ')}", "joint")
+        f"coulomb_{wave}": Kind(
+            "N m", f"Coulomb friction by angle, {wave.replace('_', ' ')}", "joint"
+        )
         for wave in ("sine", "cosine", "sine_twice", "cosine_twice")
     },
     # the robot as a whole
@@ -67,7 +75,9 @@ KINDS: dict[str, Kind] = {
     # a rigid load in the hand, which references are, too
     "payload_mass": Kind("kg", "payload mass"),
     "payload_com": Kind("m", "centre of mass of the payload"),
-    **{f"payload_com_{axis}": Kind("m", f"centre of mass of the payload, {axis}") for axis in "xyz"},
+    **{
+        f"payload_com_{axis}": Kind("m", f"centre of mass of the payload, {axis}") for axis in "xyz"
+    },
     "shape_scale": Kind("1", "payload's spread over its shape's"),
 }
 """Unit and label of every kind; whoever fits something else adds it, as each probe does."""
@@ -80,7 +90,9 @@ def add_kinds(kinds: Mapping[str, Kind]) -> None:
     """
     for name, kind in kinds.items():
         if KINDS.setdefault(name, kind) != kind:
-            raise ConfigurationError(f"unknown {name}: there is one of that name already, {KINDS[name].label}")
+            raise ConfigurationError(
+                f"unknown {name}: there is one of that name already, {KINDS[name].label}"
+            )
 
 
 def key_of(name: str) -> Key:

@@ -72,7 +72,9 @@ class Sought:
 
     def said(self, half: float, after: str = "") -> str:
         """Half an interval in words, such as ``+-0.50 g``; `after`: what stands behind the sign."""
-        return f"+-{after}" + (f"{100.0 * half:.1f} %" if self.share else shown(self.unit, half, spec=".2f"))
+        return f"+-{after}" + (
+            f"{100.0 * half:.1f} %" if self.share else shown(self.unit, half, spec=".2f")
+        )
 
 
 @dataclass(frozen=True)

@@ -46,14 +46,22 @@ def _frozen(values: Any, dtype: type, what: str, shape: tuple[int, ...]) -> NDAr
     try:
         array = np.array(values, dtype=dtype, order="C")
     except (TypeError, ValueError) as error:
-        raise RecordingError(f"{what}: expected numbers, got {type(values).__name__} ({error})") from error
-    if array.ndim != len(shape) or any(want not in (-1, have) for have, want in zip(array.shape, shape, strict=True)):
-        raise RecordingError(f"{what}: expected shape {shape} (-1 is any length), got {array.shape}")
+        raise RecordingError(
+            f"{what}: expected numbers, got {type(values).__name__} ({error})"
+        ) from error
+    if array.ndim != len(shape) or any(
+        want not in (-1, have) for have, want in zip(array.shape, shape, strict=True)
+    ):
+        raise RecordingError(
+            f"{what}: expected shape {shape} (-1 is any length), got {array.shape}"
+        )
     array.setflags(write=False)
     return array
 
 
-def _keep(record: Any, field_name: str, what: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
+def _keep(
+    record: Any, field_name: str, what: str, shape: tuple[int, ...], dtype: type = np.float64
+) -> NDArray[Any]:
     """Put the frozen array in the place of what was given."""
     array = _frozen(getattr(record, field_name), dtype, what, shape)
     object.__setattr__(record, field_name, array)
@@ -63,7 +71,9 @@ def _keep(record: Any, field_name: str, what: str, shape: tuple[int, ...], dtype
 def _names(names: Sequence[str], what: str) -> tuple[str, ...]:
     result = tuple(str(name) for name in names)
     if repeated := [name for name, count in Counter(result).items() if count > 1]:
-        raise RecordingError(f"{what}: joint {min(repeated)!r} is named twice; each joint needs one column")
+        raise RecordingError(
+            f"{what}: joint {min(repeated)!r} is named twice; each joint needs one column"
+        )
     for name in result:
         # they end up on terminals, in logs and in pages
         if not name.isprintable() or len(name) > LONGEST_NAME:
@@ -75,17 +85,23 @@ def _names(names: Sequence[str], what: str) -> tuple[str, ...]:
 
 def _increasing(times: NDArray[Any], what: str) -> None:
     if times.size > 1 and not bool(np.all(np.diff(times) > 0)):
-        raise RecordingError(f"{what}: times must increase strictly; sort them and drop repeated ones first")
+        raise RecordingError(
+            f"{what}: times must increase strictly; sort them and drop repeated ones first"
+        )
 
 
 def _finite(values: NDArray[Any], what: str) -> None:
     if not bool(np.all(np.isfinite(values))):
-        raise RecordingError(f"{what}: every value must be finite; drop the samples with NaN or infinity first")
+        raise RecordingError(
+            f"{what}: every value must be finite; drop the samples with NaN or infinity first"
+        )
 
 
 def _column(names: tuple[str, ...], name: str) -> int:
     if name not in names:
-        raise RecordingError(f"joint {name!r} is not in the recording; recorded: {', '.join(names) or 'none'}")
+        raise RecordingError(
+            f"joint {name!r} is not in the recording; recorded: {', '.join(names) or 'none'}"
+        )
     return names.index(name)
 
 
@@ -141,7 +157,10 @@ class InputRecord:
         object.__setattr__(self, "names", _names(self.names, "input"))
         times = _keep(self, "times_ns", "input: times_ns", (-1,), np.int64)
         _increasing(times, "input")
-        _finite(_keep(self, "current_A", "input: current_A", (len(times), len(self.names))), "input: current_A")
+        _finite(
+            _keep(self, "current_A", "input: current_A", (len(times), len(self.names))),
+            "input: current_A",
+        )
 
     @property
     def measured(self) -> bool:
@@ -162,7 +181,8 @@ class InputRecord:
 class DriveSignals:
     """What a bag holds of what drives servos that know no current, on the clock of the joint states."""
 
-    goal_ns: TimeArray  # when each row of goals was sent [ns], shape (G,); empty where none was recorded
+    # when each row of goals was sent [ns], shape (G,); empty where none was recorded
+    goal_ns: TimeArray
     names: tuple[str, ...]  # of the joints, one per column
     goals: FloatArray  # [rad], NaN where a message gave none, shape (G, J)
     # voltage_ns, voltage_V: of the supply, shape (B,); empty where it was not recorded
@@ -188,7 +208,8 @@ class Recording:
     notes: tuple[str, ...] = ()  # every repair made while reading, one sentence each
     # from when to when torque was off [ns], one pair per stretch, on the clock of the joint states
     torque_off_ns: tuple[tuple[int, int], ...] = ()
-    signals: DriveSignals | None = None  # what stall currents are made of, where voltages drive motors; else None
+    # what stall currents are made of, where voltages drive motors; else None
+    signals: DriveSignals | None = None
     # commands of this package's own topics, where measured efforts are the input; to compare the two, else None
     commanded: InputRecord | None = None
 
@@ -200,7 +221,8 @@ class Recording:
 class PointTrack:
     """Where something was seen over time, as by a camera."""
 
-    stamp_ns: TimeArray  # when, on the clock of the joint states [ns], strictly increasing, shape (N,)
+    # when, on the clock of the joint states [ns], strictly increasing, shape (N,)
+    stamp_ns: TimeArray
     position: FloatArray  # where [m], shape (N, 3)
 
     def __post_init__(self) -> None:
@@ -234,19 +256,23 @@ class Run:
     name: str  # name of the recording, with the run's number behind it when there are several
     joint: str  # the driven joint
     onset_ns: int  # instant of the command's onset [ns]
-    times_s: FloatArray  # sampling instants, 0 <= t <= duration_s [s], strictly increasing, shape (K,)
+    # sampling instants, 0 <= t <= duration_s [s], strictly increasing, shape (K,)
+    times_s: FloatArray
     position: FloatArray  # positions of the driven joint [rad or m], shape (K,)
     # instants of the samples at rest before the onset, t < 0 [s], strictly increasing, shape (P,)
     before_times_s: FloatArray
-    before_position: FloatArray  # positions of the driven joint at those instants [rad or m], shape (P,)
+    # positions of the driven joint at those instants [rad or m], shape (P,)
+    before_position: FloatArray
     # mean position of every other joint from the first sample before the onset to the end [rad or m]
     held: dict[str, float]
     held_span: dict[str, float]  # largest minus smallest position of the same [rad or m]
-    input_times_s: FloatArray  # when each current begins to hold [s], strictly increasing, starting at 0, shape (S,)
+    # when each current begins to hold [s], strictly increasing, starting at 0, shape (S,)
+    input_times_s: FloatArray
     input_current_A: FloatArray  # current of the driven joint [A], neighbours differ, shape (S,)
     duration_s: float  # end of the non-zero current [s]
     source: str  # where the input comes from, as in `InputRecord.source`
-    notes: tuple[str, ...] = ()  # what a reader of the result should know about this run, one sentence each
+    # what a reader of the result should know about this run, one sentence each
+    notes: tuple[str, ...] = ()
     # the driven joint's effort field at ``times_s``, in its driver's unit, shape (K,); None if not recorded
     reported_effort: FloatArray | None = None
     # positions of the other joints at ``before_times_s`` and then ``times_s`` [rad or m], shape (P + K,) each; those
@@ -276,7 +302,8 @@ class Run:
             _finite(times, f"{run}: {name}")
             _finite(values, f"{run}: {of}")
             _increasing(times, f"{run}: {name}")
-        held, count = {}, len(self.before_times_s) + len(self.times_s)
+        held = {}
+        count = len(self.before_times_s) + len(self.times_s)
         for joint, values in self.held_position.items():
             held[joint] = _frozen(values, np.float64, f"{run}: held_position of {joint}", (count,))
             _finite(held[joint], f"{run}: held_position of {joint}")
@@ -288,6 +315,8 @@ class Run:
         if self.before_times_s.size and self.before_times_s[-1] >= 0.0:
             raise RecordingError(f"{run}: samples before the onset must have negative times")
         if self.after_times_s.size and self.after_times_s[0] <= self.duration_s:
-            raise RecordingError(f"{run}: samples after the end must come after {self.duration_s} s")
+            raise RecordingError(
+                f"{run}: samples after the end must come after {self.duration_s} s"
+            )
         if self.input_times_s.size == 0 or self.input_times_s[0] != 0.0:
             raise RecordingError(f"{run}: the input must start at time 0")

@@ -11,7 +11,8 @@ from support.domains import free_domain, given_back
 # rclpy reads these when it is first imported. Without the field check, a wrong scalar type is published as garbage.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-if "ROS_DOMAIN_ID" not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:  # which inherits that of who started it
+# which inherits that of who started it
+if "ROS_DOMAIN_ID" not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["ROS_DOMAIN_ID"] = free_domain()
 
 # as the command line does: threads for matrices of a hundred unknowns only wait for each other
@@ -34,12 +35,35 @@ def _own_domains() -> Iterator[None]:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Long tests; and real servos for test/bus/conformance: without a port those tests skip."""
-    parser.addoption("--long", action="store_true", help="also run what takes long: populations, and all live tests")
+    parser.addoption(
+        "--long",
+        action="store_true",
+        help="also run what takes long: populations, and all live tests",
+    )
     group = parser.getgroup("hardware", "real servos (test/bus/conformance)")
-    group.addoption("--hardware-port", metavar="PATH", help="serial port, such as /dev/ttyUSB0: support the arm, it goes limp")
-    group.addoption("--hardware-ids", default="11", metavar="IDS", help="servos on it, comma-separated; default 11")
-    group.addoption("--hardware-baud", type=int, default=1_000_000, metavar="BITS", help="bits per second; default 1000000")
-    group.addoption("--hardware-moves", action="store_true", help="also run what turns the first servo: clamp it free of load")
+    group.addoption(
+        "--hardware-port",
+        metavar="PATH",
+        help="serial port, such as /dev/ttyUSB0: support the arm, it goes limp",
+    )
+    group.addoption(
+        "--hardware-ids",
+        default="11",
+        metavar="IDS",
+        help="servos on it, comma-separated; default 11",
+    )
+    group.addoption(
+        "--hardware-baud",
+        type=int,
+        default=1_000_000,
+        metavar="BITS",
+        help="bits per second; default 1000000",
+    )
+    group.addoption(
+        "--hardware-moves",
+        action="store_true",
+        help="also run what turns the first servo: clamp it free of load",
+    )
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -53,7 +77,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.stash[LONG] = len(deselected)
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
     """That not everything has run must not be overlooked."""
     if LONG in config.stash:
         terminalreporter.write_line(f"{config.stash[LONG]} long tests deselected; run with --long")

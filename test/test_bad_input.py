@@ -21,7 +21,14 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 
 from proprio_ros.cli import main
-from proprio_ros.errors import LONGEST_SENTENCE, ConfigurationError, ProprioError, RecordingError, one_line, printable
+from proprio_ros.errors import (
+    LONGEST_SENTENCE,
+    ConfigurationError,
+    ProprioError,
+    RecordingError,
+    one_line,
+    printable,
+)
 from proprio_ros.inputs.forms import Choice, Number, Numbers, Perhaps, Text, Truth, Whole
 from proprio_ros.inputs.reading import json_of, yaml_of
 from proprio_ros.inputs.resources import WRITTEN_BY, resource, share_directory
@@ -39,8 +46,12 @@ BAGS = share_directory() / "bags"
 BAG = BAGS / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
 TRUTH_KG = 0.02
 DEEP = "[" * 15_000
-BOMB = "a0: &a0 [1, 1, 1]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 12))
-MERGED = "a0: &a0 {k: 1}\n" + "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 10)}]}}\n" for n in range(1, 12))
+BOMB = "a0: &a0 [1, 1, 1]\n" + "".join(
+    f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 12)
+)
+MERGED = "a0: &a0 {k: 1}\n" + "".join(
+    f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 10)}]}}\n" for n in range(1, 12)
+)
 LONGEST_CPU_S = 300
 """Of hundreds of mistakes, which take 10 to 20 s."""
 NUMBERED = "extends: open_manipulator_x\njoints: {1: {}, joint1: {}}\n"
@@ -94,7 +105,10 @@ def test_a_sentence_is_one_short_printable_line() -> None:
     forged = "/joint_states\naccepted  1 g\x1b[2J\u202e"
     assert printable(forged) == "/joint_states\\naccepted  1 g\\x1b[2J\\u202e"
     assert printable("Lamé's μ, 30 °, \udc80") == "Lamé's μ, 30 °, \\udc80"
-    for error in (RecordingError(forged + "x" * 10**6 + ": say which"), ConfigurationError("y" * 10**6)):
+    for error in (
+        RecordingError(forged + "x" * 10**6 + ": say which"),
+        ConfigurationError("y" * 10**6),
+    ):
         assert str(error).isprintable() and len(str(error)) == LONGEST_SENTENCE
     assert str(RecordingError("a" * 400 + "what to do")).endswith("what to do")
     assert one_line("short") == "short" and str(ProprioError()) == ""
@@ -170,8 +184,13 @@ def test_json_that_nobody_means() -> None:
 
 def test_forms() -> None:
     length = Number("", "m", 0.0, 1.0, open=True, hint="lengths are in m")
-    assert length.read(1) == 1.0 and Whole("", "", 0, 3).read(2.0) == 2 and Truth().read(True) is True
-    assert Perhaps("", length).read(None) is None and Numbers("", length, 2).read([0.1, 1]) == (0.1, 1.0)
+    assert (
+        length.read(1) == 1.0 and Whole("", "", 0, 3).read(2.0) == 2 and Truth().read(True) is True
+    )
+    assert Perhaps("", length).read(None) is None and Numbers("", length, 2).read([0.1, 1]) == (
+        0.1,
+        1.0,
+    )
     for form, values in {
         length: (0.0, -1, 2, 10**400, float("nan"), None, "1", True, [1], {}),
         Whole("", "", 0, 3): (4, 1.5, True, "1", None),
@@ -225,13 +244,22 @@ def test_forms() -> None:
     ],
     ids=lambda setting: setting[:60].replace("\n", "_"),
 )
-def test_one_setting_cannot_end_the_command(capsys: pytest.CaptureFixture[str], setting: str) -> None:
+def test_one_setting_cannot_end_the_command(
+    capsys: pytest.CaptureFixture[str], setting: str
+) -> None:
     refused(capsys, "replay", str(BAG), "--probe", "payload", "--set", setting)
 
 
 def test_settings_as_the_node_takes_them() -> None:
     """As a parameter, in which a NUL may stand."""
-    for pair in ("payload.size=\0", "=1", "", "a" * 10**6, "payload.size=" + DEEP, "a=" + "1" * 10**6):
+    for pair in (
+        "payload.size=\0",
+        "=1",
+        "",
+        "a" * 10**6,
+        "payload.size=" + DEEP,
+        "a=" + "1" * 10**6,
+    ):
         try:
             parse_settings([pair])
         except ConfigurationError as error:
@@ -259,7 +287,9 @@ def test_every_default_is_of_its_form() -> None:
 # --- paths and files -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", ["x" * 300, "x/" * 3000, "a\0b", "\ud800"], ids=["name", "path", "NUL", "surrogate"])
+@pytest.mark.parametrize(
+    "path", ["x" * 300, "x/" * 3000, "a\0b", "\ud800"], ids=["name", "path", "NUL", "surrogate"]
+)
 @pytest.mark.parametrize("option", ["bag", "--robot", "--calibration", "--report", "--baseline"])
 def test_names_that_no_file_has(capsys: pytest.CaptureFixture[str], path: str, option: str) -> None:
     path = path + (".yaml" if option in ("--robot", "--calibration") else "")
@@ -268,35 +298,62 @@ def test_names_that_no_file_has(capsys: pytest.CaptureFixture[str], path: str, o
 
 
 @pytest.mark.parametrize(
-    "text", [DEEP, BOMB, MERGED, "extends: [1]", "extends: " + "x" * 10**5, "name: " + "9" * 400, 'urdf: "a\\0b"', "1", NUMBERED]
+    "text",
+    [
+        DEEP,
+        BOMB,
+        MERGED,
+        "extends: [1]",
+        "extends: " + "x" * 10**5,
+        "name: " + "9" * 400,
+        'urdf: "a\\0b"',
+        "1",
+        NUMBERED,
+    ],
 )
-def test_robot_files_that_nobody_means(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str) -> None:
+def test_robot_files_that_nobody_means(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str
+) -> None:
     (tmp_path / "arm.yaml").write_text(text)
     refused(capsys, "replay", str(BAG), "--probe", "payload", "--robot", str(tmp_path / "arm.yaml"))
 
 
 @pytest.mark.parametrize("named", ["empty", "robot file", "page", "old page"])
 @pytest.mark.parametrize("command", ["replay", "calibrate"])
-def test_a_report_replaces_nothing_but_a_page(tmp_path: Path, capfd: Any, named: str, command: str) -> None:
+def test_a_report_replaces_nothing_but_a_page(
+    tmp_path: Path, capfd: Any, named: str, command: str
+) -> None:
     """Robot file or calibration under --report: refused before the work, so that it is as it was, unless --force lets it go."""
-    there, page = tmp_path / "there.yaml", document("proprio", ["older"])
+    there = tmp_path / "there.yaml"
+    page = document("proprio", ["older"])
     old_page = page.replace(WRITTEN_BY, "")
     texts = {"empty": "", "robot file": "name: mine\n", "page": page, "old page": old_page}
     there.write_text(texts[named])
-    probe = ["--probe", "payload"] if command == "replay" else ["--output", str(tmp_path / "made.yaml")]
+    probe = (
+        ["--probe", "payload"] if command == "replay" else ["--output", str(tmp_path / "made.yaml")]
+    )
     words = [command, str(BAG), *probe, "--report", str(there)]
     if named == "robot file":
         assert "is no page of proprio" in refused(capfd, *words)
         assert there.read_text() == texts[named]
         words.append("--force")
     main(words)
-    assert f"report written to {there}" in capfd.readouterr().err and WRITTEN_BY in there.read_text()[:1000]
+    assert (
+        f"report written to {there}" in capfd.readouterr().err
+        and WRITTEN_BY in there.read_text()[:1000]
+    )
     assert "older" not in there.read_text()
 
 
 def test_a_report_is_not_the_output(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path)
-    words = ["--output", str(tmp_path / "a.yaml"), "--report", str(tmp_path / "link" / "a.yaml"), "--force"]
+    words = [
+        "--output",
+        str(tmp_path / "a.yaml"),
+        "--report",
+        str(tmp_path / "link" / "a.yaml"),
+        "--force",
+    ]
     assert "is --output, too" in refused(capsys, "calibrate", str(BAG), *words)
 
 
@@ -313,10 +370,17 @@ def test_a_folder_with_a_page_of_somebody_else(capsys: Any, tmp_path: Path, comm
     (page := tmp_path / f"{command}.html").write_text("<!doctype html><title>mine</title>")
     words = [str(BAG)] if command == "batch" else []
     assert main([command, *words, "--out", str(tmp_path)]) == 2
-    assert "is no page of proprio: name another" in capsys.readouterr().err and "mine" in page.read_text()
+    assert (
+        "is no page of proprio: name another" in capsys.readouterr().err
+        and "mine" in page.read_text()
+    )
 
 
-SETTING: dict[str, Any] = {"moving_joint": "joint3", "torque_N_m": -0.3, "start_pose_rad": {"joint3": 0.5}}
+SETTING: dict[str, Any] = {
+    "moving_joint": "joint3",
+    "torque_N_m": -0.3,
+    "start_pose_rad": {"joint3": 0.5},
+}
 ROWS = "".join(f"{n / 60},{n * 1e-3}\n" for n in range(10))
 
 
@@ -346,13 +410,17 @@ def text_recording(folder: Path, setting: str, table: str) -> Path:
     ],
 )
 def test_wrong_types_in_a_setting(tmp_path: Path, change: dict[str, Any]) -> None:
-    folder = text_recording(tmp_path, json.dumps(SETTING | change), "time_s,joint3_relative_rad\n" + ROWS)
+    folder = text_recording(
+        tmp_path, json.dumps(SETTING | change), "time_s,joint3_relative_rad\n" + ROWS
+    )
     with pytest.raises(RecordingError):
         read_text_recording(folder)
 
 
 def test_text_recordings_with_a_byte_order_mark_or_too_deep(tmp_path: Path) -> None:
-    folder = text_recording(tmp_path, json.dumps(SETTING), "\ufefftime_s,joint3_relative_rad\n" + ROWS)
+    folder = text_recording(
+        tmp_path, json.dumps(SETTING), "\ufefftime_s,joint3_relative_rad\n" + ROWS
+    )
     assert len(read_text_recording(folder).times_s) == 10
     with pytest.raises(RecordingError, match="nested more than"):
         read_text_recording(text_recording(tmp_path, DEEP, ROWS))
@@ -398,7 +466,9 @@ def test_more_than_is_read_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
                 read(BAG)
 
 
-def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compressed_bag_that_stands_for_gigabytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from proprio_ros.recordings.reader import zstd
 
     folder = tmp_path / "bag"
@@ -406,8 +476,14 @@ def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch:
     whole = (folder / "bag_mcap.mcap").read_bytes()
     (folder / "bag_mcap.mcap.zstd").write_bytes(zstd.compress(whole))
     (folder / "bag_mcap.mcap").unlink()
-    metadata = (folder / "metadata.yaml").read_text().replace("compression_format: ''", "compression_format: zstd")
-    metadata = metadata.replace("compression_mode: ''", "compression_mode: FILE").replace("bag_mcap.mcap", "bag_mcap.mcap.zstd")
+    metadata = (
+        (folder / "metadata.yaml")
+        .read_text()
+        .replace("compression_format: ''", "compression_format: zstd")
+    )
+    metadata = metadata.replace("compression_mode: ''", "compression_mode: FILE").replace(
+        "bag_mcap.mcap", "bag_mcap.mcap.zstd"
+    )
     (folder / "metadata.yaml").write_text(metadata)
     assert len(read(folder).joints.times_ns) == len(read(BAG).joints.times_ns)
     monkeypatch.setattr("proprio_ros.recordings.reader.MOST_UNPACKED", len(whole) - 1)
@@ -417,13 +493,19 @@ def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch:
 
 def test_a_topic_cannot_speak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [RawMessage("/joint_states", *message) for message in bytes_of(BAG, "/joint_states")] + [
-        RawMessage("/say\naccepted  1 g\x1b[2J", *message) for message in bytes_of(BAG, "/current_command")
+        RawMessage("/say\naccepted  1 g\x1b[2J", *message)
+        for message in bytes_of(BAG, "/current_command")
     ]
     write_messages(tmp_path / "bag", rows)
-    for command in (["check"], ["replay", "--probe", "payload", "--command-topic", "/say\naccepted  1 g\x1b[2J"]):
+    for command in (
+        ["check"],
+        ["replay", "--probe", "payload", "--command-topic", "/say\naccepted  1 g\x1b[2J"],
+    ):
         main([*command, str(tmp_path / "bag")])
         said = capsys.readouterr()
-        assert not any(line.startswith("accepted  1 g") for line in (said.out + said.err).splitlines())
+        assert not any(
+            line.startswith("accepted  1 g") for line in (said.out + said.err).splitlines()
+        )
         assert "\x1b" not in said.out + said.err
 
 
@@ -476,7 +558,11 @@ def scrambled(data: bytes, dice: random.Random) -> bytes:
         return data[:at]
     if what == 2:
         return data[:at] + data[at:to][:5000] + data[at:]
-    return data[:at] + dice.choice((b"\0", b"\xff", b"\n", b"[", b"&a *a", b"9" * 400, b": ", b"\xef\xbb\xbf")) + data[at:]
+    return (
+        data[:at]
+        + dice.choice((b"\0", b"\xff", b"\n", b"[", b"&a *a", b"9" * 400, b": ", b"\xef\xbb\xbf"))
+        + data[at:]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -490,12 +576,28 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def mistaken(good: Path, folder: Path, dice: random.Random) -> list[str]:
     """The words of a command with one mistake in it."""
-    bag, calibration, stated = BAG, good, []
-    kind = dice.choice(("calibration", "calibration", "text", "bag", "metadata", "setting", "setting", "robot", "urdf"))
+    bag = BAG
+    calibration = good
+    stated = []
+    kind = dice.choice(
+        (
+            "calibration",
+            "calibration",
+            "text",
+            "bag",
+            "metadata",
+            "setting",
+            "setting",
+            "robot",
+            "urdf",
+        )
+    )
     if kind == "calibration":
         content = without_or_with(yaml_of(good.read_text()), dice)
         calibration = folder / "arm.yaml"
-        calibration.write_text(json.dumps(content).replace("Infinity", ".inf").replace("NaN", ".nan"))
+        calibration.write_text(
+            json.dumps(content).replace("Infinity", ".inf").replace("NaN", ".nan")
+        )
     elif kind == "text":
         calibration = folder / "arm.yaml"
         calibration.write_bytes(scrambled(good.read_bytes(), dice))
@@ -507,18 +609,42 @@ def mistaken(good: Path, folder: Path, dice: random.Random) -> list[str]:
     elif kind == "setting":
         from proprio_ros.probes.payload.facts import FORMS
 
-        keys = [*FORMS, "payload.size", "payload.frame", *SEARCH, "held.joint1", "robot.gravity", "robot.delay_s", "x"]
-        value = dice.choice([*(json.dumps(value) for value in GROSS), DEEP, "[[1],[2,3]]", '"a\\u0000b"', "\x1b[2J"])
+        keys = [
+            *FORMS,
+            "payload.size",
+            "payload.frame",
+            *SEARCH,
+            "held.joint1",
+            "robot.gravity",
+            "robot.delay_s",
+            "x",
+        ]
+        value = dice.choice(
+            [*(json.dumps(value) for value in GROSS), DEEP, "[[1],[2,3]]", '"a\\u0000b"', "\x1b[2J"]
+        )
         stated = ["--set", f"{dice.choice(keys)}={value}"]
     else:
         source = resource("robots", "open_manipulator_x")
         urdf = resource("urdf", "open_manipulator_x.urdf").read_bytes()
         robot = source.read_bytes()
-        (folder / "open_manipulator_x.urdf").write_bytes(scrambled(urdf, dice) if kind == "urdf" else urdf)
+        (folder / "open_manipulator_x.urdf").write_bytes(
+            scrambled(urdf, dice) if kind == "urdf" else urdf
+        )
         (folder / "own.yaml").write_bytes(scrambled(robot, dice) if kind == "robot" else robot)
         calibration = folder / "arm.yaml"
-        calibration.write_text(good.read_text().replace("extends: open_manipulator_x", "extends: own.yaml"))
-    return ["replay", str(bag), "--probe", "payload", "--calibration", str(calibration), "--json", *stated]
+        calibration.write_text(
+            good.read_text().replace("extends: open_manipulator_x", "extends: own.yaml")
+        )
+    return [
+        "replay",
+        str(bag),
+        "--probe",
+        "payload",
+        "--calibration",
+        str(calibration),
+        "--json",
+        *stated,
+    ]
 
 
 def check_one(good: Path, folder: Path, seed: int, printed: Callable[[], Any]) -> str:
@@ -543,13 +669,21 @@ def check_one(good: Path, folder: Path, seed: int, printed: Callable[[], Any]) -
 
 
 @pytest.mark.long
-def test_hundreds_of_mistakes(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hundreds_of_mistakes(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """No traceback, one line, and nothing accepted that misses the truth by three standard deviations.
 
     In a process of its own: counting calls would take most of the time, and so the kernel ends it where one hangs.
     """
 
-    @settings(max_examples=500, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=500,
+        derandomize=True,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
     @given(seed=st.integers(0, 10**9))
     def one_of_them(seed: int) -> None:
         said.write_text(f"seed {seed} has not ended after {LONGEST_CPU_S} s of all of them")
@@ -559,7 +693,8 @@ def test_hundreds_of_mistakes(good: Path, tmp_path: Path, capsys: pytest.Capture
         finally:
             shutil.rmtree(folder)
 
-    said, folder = tmp_path / "said", tmp_path / "mistake"
+    said = tmp_path / "said"
+    folder = tmp_path / "mistake"
     capsys.readouterr()
     if (process := os.fork()) == 0:
         try:

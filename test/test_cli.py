@@ -21,13 +21,31 @@ def test_json_contract(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", BAG, "--probe", "payload", "--json", "--set", "payload.size=0.043"]) == 3
     printed = capsys.readouterr()
     result = json.loads(printed.out)
-    assert {"probe", "robot", "runs", "verdict", "reasons", "estimates", "fit", "solver", "timing_s"} <= result.keys()
-    assert (result["probe"], result["robot"], result["runs"]) == ("payload", "open_manipulator_x", 1)
-    assert result["verdict"] == "too_wide" and all(isinstance(reason, str) for reason in result["reasons"])
+    assert {
+        "probe",
+        "robot",
+        "runs",
+        "verdict",
+        "reasons",
+        "estimates",
+        "fit",
+        "solver",
+        "timing_s",
+    } <= result.keys()
+    assert (result["probe"], result["robot"], result["runs"]) == (
+        "payload",
+        "open_manipulator_x",
+        1,
+    )
+    assert result["verdict"] == "too_wide" and all(
+        isinstance(reason, str) for reason in result["reasons"]
+    )
     (mass,) = result["estimates"]
     assert mass["name"] == "payload_mass" and mass["unit"] == "kg"
     assert mass["ci95"][0] <= mass["value"] <= mass["ci95"][1] and mass["std"] > 0.0
-    assert {"rms", "expected_rms", "unit", "reduced_chi2"} <= result["fit"].keys() and result["fit"]["unit"] == "rad"
+    assert {"rms", "expected_rms", "unit", "reduced_chi2"} <= result["fit"].keys() and result[
+        "fit"
+    ]["unit"] == "rad"
     assert {"name", "profile", "starts", "starts_agreeing", "iterations"} <= result["solver"].keys()
     assert {"read", "load", "solve"} == result["timing_s"].keys()
 
@@ -59,23 +77,35 @@ def test_text_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
         ([BAG, "--command-topic", "/joints"], "/current_command"),
         ([BAG, "--calibration", "robot.yaml"], "there is no robot file robot.yaml"),
         ([BAG, "--report", "/nowhere/page.html"], "exists and is writable"),
-        ([BAG, "--set", "payload.size=0.03", "--set", "payload.size=0.04"], "--set payload.size: given twice"),
-        ([BAG, "--baseline", "nowhere", "--baseline", STUCK], "nowhere: no such bag"),  # the first counts, too
+        (
+            [BAG, "--set", "payload.size=0.03", "--set", "payload.size=0.04"],
+            "--set payload.size: given twice",
+        ),
+        # the first counts, too
+        ([BAG, "--baseline", "nowhere", "--baseline", STUCK], "nowhere: no such bag"),
     ],
 )
-def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
+def test_mistakes_get_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
     assert main(["replay", *arguments, "--probe", "payload"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("proprio: ") and words in lines[0]
 
 
-@pytest.mark.parametrize("flag", ["--robot", "--calibration", "--report", "--effort-unit", "--solver", "--probe"])
-def test_an_option_that_takes_one_value_is_given_once(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "flag", ["--robot", "--calibration", "--report", "--effort-unit", "--solver", "--probe"]
+)
+def test_an_option_that_takes_one_value_is_given_once(
+    flag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     value = {"--effort-unit": "A", "--solver": "lm", "--probe": "payload"}.get(flag, "one")
     with pytest.raises(SystemExit) as refused:
         main(["replay", BAG, "--probe", "payload", flag, value, flag, value])
     told = capsys.readouterr().err.splitlines()
-    assert refused.value.code == 2 and told[-1].endswith(f"argument {flag}: given twice; give it once")
+    assert refused.value.code == 2 and told[-1].endswith(
+        f"argument {flag}: given twice; give it once"
+    )
 
 
 def test_a_unit_that_was_not_needed_is_said(capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,8 +117,20 @@ def test_a_unit_that_was_not_needed_is_said(capsys: pytest.CaptureFixture[str]) 
         assert "--effort-unit" not in capsys.readouterr().out
 
 
-def test_the_papers_profile_speaks_of_no_interval_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["replay", str(ROOT / "bags" / CUBE / "bag_mcap"), "--probe", "payload", "--profile", "paper", "--json"])
+def test_the_papers_profile_speaks_of_no_interval_of_its_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    main(
+        [
+            "replay",
+            str(ROOT / "bags" / CUBE / "bag_mcap"),
+            "--probe",
+            "payload",
+            "--profile",
+            "paper",
+            "--json",
+        ]
+    )
     result = json.loads(capsys.readouterr().out)
     assert result["estimates"][0]["ci95"] is None and "not_calibrated" in result["reason_codes"]
     assert not any("interval" in reason for reason in result["reasons"])
@@ -96,11 +138,22 @@ def test_the_papers_profile_speaks_of_no_interval_of_its_own(capsys: pytest.Capt
 
 def test_the_installed_command() -> None:
     """As a process: results on stdout, the rest on stderr, a reader that goes away is no error."""
-    command = [sys.executable, "-m", "proprio_ros.cli", "replay", BAG, "--probe", "payload", "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "proprio_ros.cli",
+        "replay",
+        BAG,
+        "--probe",
+        "payload",
+        "--json",
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 3 and json.loads(done.stdout)["verdict"] == "too_wide"
     assert "CUDA" not in done.stderr  # that there is no GPU is no news
-    bad = subprocess.run([*command[:3], "replay", BAG, "--probe", "weight"], capture_output=True, text=True)
+    bad = subprocess.run(
+        [*command[:3], "replay", BAG, "--probe", "weight"], capture_output=True, text=True
+    )
     assert bad.returncode == 2 and not bad.stdout and "payload" in bad.stderr
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     process.stdout.close()

@@ -200,7 +200,9 @@ def test_a_jump_of_the_system_clock_waits_for_the_next_look(jump_s: float) -> No
     jumped_ns = EPOCH_NS + 2_000_000_000 + round(1e9 * jump_s)
     assert clock.look(jumped_ns, 52.0) == pytest.approx(jump_s, abs=1e-6)
     assert clock.stamp_ns(52.0) == jumped_ns, "between probes they follow it"
-    assert clock.look(jumped_ns + 1_000_000_000, 53.0) == pytest.approx(0.0, abs=1e-6), "and it is told once"
+    assert clock.look(jumped_ns + 1_000_000_000, 53.0) == pytest.approx(0.0, abs=1e-6), (
+        "and it is told once"
+    )
 
 
 def test_stamps_are_exact_to_a_microsecond_after_a_year_of_uptime() -> None:

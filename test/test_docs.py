@@ -19,7 +19,12 @@ import proprio_ros
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = sorted((REPOSITORY / "docs" / "pages").glob("*.md"))
-TEXTS = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "bags" / "README.md", *PAGES]
+TEXTS = [
+    REPOSITORY / "README.md",
+    REPOSITORY / "CONTRIBUTING.md",
+    REPOSITORY / "bags" / "README.md",
+    *PAGES,
+]
 COMMANDS = (
     "python3 -m venv .venv && .venv/bin/pip install -e '.[ros,sim,test]' && .venv/bin/proprio demo",
     "python3 -m venv .venv && .venv/bin/pip install -e '.[ros,sim,test]' && .venv/bin/python -m pytest -n 2 --dist loadfile",
@@ -38,14 +43,19 @@ def yaml(name: str) -> Any:
 
 def prose(path: Path) -> str:
     """Its text without blocks of code."""
-    return re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(
+        r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
 
 
 def anchors(path: Path) -> set[str]:
     """What its headings are linked by, and what has an address of its own."""
     headings = re.findall(r"^#+ (.*)$", prose(path), re.MULTILINE)
     own = set(re.findall(r'<\w+ id="([^"]+)"', prose(path)))
-    return own | {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
+    return own | {
+        re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower())
+        for heading in headings
+    }
 
 
 def test_readme_is_short_and_has_the_two_commands() -> None:
@@ -63,10 +73,14 @@ def test_every_link_and_every_file_that_is_named_is_there(path: Path) -> None:
         found = path.parent / name if name else path
         assert found.exists(), f"{target} is not there"
         assert not anchor or anchor in anchors(found), f"{target}: no such heading"
-    rooms = "|".join(entry.name for entry in (REPOSITORY / "proprio_ros").iterdir() if entry.is_dir())
+    rooms = "|".join(
+        entry.name for entry in (REPOSITORY / "proprio_ros").iterdir() if entry.is_dir()
+    )
     named = rf"(?<![\w/.])(?:config|urdf|bags|docs|test|{rooms})/[\w./*-]*(?:\.(?:py|yaml|md|urdf|svg)|/bag_mcap)\b"
     for name in set(re.findall(named, path.read_text(encoding="utf-8"))):
-        assert any([*REPOSITORY.glob(name), *(REPOSITORY / "proprio_ros").glob(name)]), f"{name} is not in the repository"
+        assert any([*REPOSITORY.glob(name), *(REPOSITORY / "proprio_ros").glob(name)]), (
+            f"{name} is not in the repository"
+        )
 
 
 @pytest.mark.long
@@ -83,12 +97,17 @@ def test_generated_pages_are_current(without_ros: bool) -> None:
 
 def test_tables_of_figures_are_those_of_the_results() -> None:
     found = {path: path.read_text(encoding="utf-8") for path in (REPOSITORY / "README.md", *PAGES)}
-    blocks = {path.name: [name for _, name, _ in figures.BLOCK.findall(text)] for path, text in found.items()}
+    blocks = {
+        path.name: [name for _, name, _ in figures.BLOCK.findall(text)]
+        for path, text in found.items()
+    }
     assert blocks["README.md"] == ["readme", "speed in short"] and len(blocks["validation.md"]) > 10
     for path, text in found.items():
         assert figures.filled(text) == text, f"{path.name}: run python docs/generate.py figures"
     assert 5 < len(figures.summary().splitlines()) - 2 <= 15
-    assert len(figures.readme().splitlines()) - 2 == len(figures.IN_README) == 6, "a table for two minutes"
+    assert len(figures.readme().splitlines()) - 2 == len(figures.IN_README) == 6, (
+        "a table for two minutes"
+    )
 
 
 @pytest.mark.parametrize("path", sorted(figures.RESULTS.glob("*.json")), ids=lambda path: path.stem)
@@ -97,8 +116,11 @@ def test_a_file_of_results_says_what_was_run(path: Path) -> None:
     words = kept["command"].split()
     assert words[0] == "python" and (REPOSITORY / words[1]).is_file()
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", kept["date"]) and kept["machine"]["cores"] > 0
-    commits = kept["commit"].split(", ") if path.stem == "schedules" else [kept["commit"]]  # those of several are added up
-    assert all(re.fullmatch(r"[0-9a-f]{7,}", each) for each in commits), "of a committed state, without changes"
+    # those of several are added up
+    commits = kept["commit"].split(", ") if path.stem == "schedules" else [kept["commit"]]
+    assert all(re.fullmatch(r"[0-9a-f]{7,}", each) for each in commits), (
+        "of a committed state, without changes"
+    )
     assert all(table["rows"] and table["columns"] for table in kept["tables"].values())
     shown = (REPOSITORY / "docs" / "pages" / "validation.md").read_text(encoding="utf-8")
     assert f"<!-- results: {path.stem}" in shown, "no page shows it"
@@ -121,21 +143,36 @@ def test_the_design_page_has_the_rooms_and_the_classes_of_probes() -> None:
         == rooms
     )
     base = ast.parse((package / "probes" / "base.py").read_text(encoding="utf-8"))
-    kinds = {node.name for node in base.body if isinstance(node, ast.ClassDef) and "Facts" in "".join(map(ast.unparse, node.bases))}
-    (table,) = re.findall(r"^\| class \| a probe that \|\n(.*?)\n\n", design, re.DOTALL | re.MULTILINE)
+    kinds = {
+        node.name
+        for node in base.body
+        if isinstance(node, ast.ClassDef) and "Facts" in "".join(map(ast.unparse, node.bases))
+    }
+    (table,) = re.findall(
+        r"^\| class \| a probe that \|\n(.*?)\n\n", design, re.DOTALL | re.MULTILINE
+    )
     assert set(re.findall(r"`([A-Z]\w+)`", table)) == kinds - {"Probe"}
 
 
 def test_every_topic_and_service_is_explained() -> None:
     interface = (REPOSITORY / "docs" / "pages" / "ros_interface.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(/\S+)` \| `(\S+)` \| (.*?) \|", interface, re.MULTILINE)
-    assert {"/joint_states", "/identifier/estimate", "/identifier/calibrate_payload", "/driver/stop"} <= {r[0] for r in rows}
-    assert [name for name, _, about in rows if not about.strip()] == [], "say what it holds in ABOUT of docs/generate.py"
+    assert {
+        "/joint_states",
+        "/identifier/estimate",
+        "/identifier/calibrate_payload",
+        "/driver/stop",
+    } <= {r[0] for r in rows}
+    assert [name for name, _, about in rows if not about.strip()] == [], (
+        "say what it holds in ABOUT of docs/generate.py"
+    )
 
 
 def test_commands_are_named_as_a_workspace_has_them() -> None:
     """`colcon build` puts programs where only `ros2 run` finds them."""
-    assert "install_scripts=$base/lib/proprio_ros" in (REPOSITORY / "setup.cfg").read_text(encoding="utf-8")
+    assert "install_scripts=$base/lib/proprio_ros" in (REPOSITORY / "setup.cfg").read_text(
+        encoding="utf-8"
+    )
     for path in (REPOSITORY / "README.md", REPOSITORY / "docs" / "pages" / "arm.md"):
         text = " ".join(path.read_text(encoding="utf-8").split())
         for words in ("`ros2 run proprio_ros proprio ", "`ros2 run proprio_ros proprio_driver "):
@@ -157,14 +194,22 @@ def test_what_is_explained_exists() -> None:
 
 def test_the_paper_is_cited() -> None:
     citation = yaml("CITATION.cff")
-    assert citation["cff-version"] == "1.2.0" and citation["message"] and citation["title"] == "proprio_ros"
+    assert (
+        citation["cff-version"] == "1.2.0"
+        and citation["message"]
+        and citation["title"] == "proprio_ros"
+    )
     assert citation["version"] == proprio_ros.__version__
     paper = citation["preferred-citation"]
     assert paper["title"].startswith("Learning Object Properties Using Robot Proprioception")
     assert paper["url"] == "https://arxiv.org/abs/2410.03920" and len(paper["authors"]) == 8
     for path in (REPOSITORY / "README.md", REPOSITORY / "docs" / "pages" / "index.md"):
         text = re.sub(r"\s+>?\s*", " ", path.read_text(encoding="utf-8"))
-        for words in [paper["title"], paper["url"], *(f"{a['given-names']} {a['family-names']}" for a in paper["authors"])]:
+        for words in [
+            paper["title"],
+            paper["url"],
+            *(f"{a['given-names']} {a['family-names']}" for a in paper["authors"]),
+        ]:
             assert words in text, f"{path.name} lacks {words}"
 
 
@@ -172,6 +217,11 @@ def test_the_workflow_runs_the_gate_and_the_gate_builds_the_pages() -> None:
     jobs = yaml(".github/workflows/ci.yml")["jobs"]
     assert {"run": ".ci/run"} in jobs["gate"]["steps"]
     assert {"run": COMMANDS[1]} in jobs["tests"]["steps"]
-    gate, pages = ((REPOSITORY / path).read_text(encoding="utf-8") for path in (".ci/run", "test/test_documentation_pages.py"))
-    assert "-e '.[ros,sim,test,docs]'\n" in gate and gate.endswith('.venv/bin/python .ci/tests.py "${wiring[@]}"\n')
-    assert '"mkdocs", "build", "-q", "--strict"' in pages
+    gate, pages = (
+        (REPOSITORY / path).read_text(encoding="utf-8")
+        for path in (".ci/run", "test/test_documentation_pages.py")
+    )
+    assert "-e '.[ros,sim,test,docs]'\n" in gate and gate.endswith(
+        '.venv/bin/python .ci/tests.py "${wiring[@]}"\n'
+    )
+    assert re.search(r'"mkdocs",\s*"build",\s*"-q",\s*"--strict"', pages)

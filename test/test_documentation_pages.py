@@ -43,7 +43,18 @@ TOGETHER = 9
 def pages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Of the documentation, as `mkdocs build` writes them; a warning is an error."""
     site = tmp_path_factory.mktemp("site")
-    build = [sys.executable, "-m", "mkdocs", "build", "-q", "--strict", "-f", "docs/mkdocs.yml", "-d", str(site)]
+    build = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "-q",
+        "--strict",
+        "-f",
+        "docs/mkdocs.yml",
+        "-d",
+        str(site),
+    ]
     subprocess.run(build, cwd=ROOT, check=True)
     return sorted(path for path in site.glob("*.html") if path.name != "404.html")
 
@@ -52,7 +63,9 @@ def measured(look: Look, pages: list[Path], width: int, *more: str) -> dict[str,
     found: dict[str, dict[str, Any]] = {}
     for at in range(0, len(pages), TOGETHER):
         some = pages[at : at + TOGETHER]
-        found |= dict(zip((page.name for page in some), look.framed(some, MEASURE, width, *more), strict=True))
+        found |= dict(
+            zip((page.name for page in some), look.framed(some, MEASURE, width, *more), strict=True)
+        )
     return found
 
 
@@ -65,11 +78,16 @@ def test_no_page_is_wider_than_the_window(pages: list[Path], look: Look, width: 
     for name, seen in measured(look, pages, width).items():
         assert seen["width"] == width and seen["scroll"] <= width, name
         assert seen["beyond"] == [], name
-        assert seen["cut"] == [] or width == 400, (name, "a wide window shows every column and every command")
+        assert seen["cut"] == [] or width == 400, (
+            name,
+            "a wide window shows every column and every command",
+        )
         assert brightness(seen["paper"]) > 0.95 and brightness(seen["ink"]) < 0.3, name
 
 
-def test_pages_are_dark_where_the_reader_wants_that(pages: list[Path], look: Look, tmp_path: Path) -> None:
+def test_pages_are_dark_where_the_reader_wants_that(
+    pages: list[Path], look: Look, tmp_path: Path
+) -> None:
     fresh = Look(look.browser, tmp_path)  # the pages remember how they were read
     for name, seen in measured(fresh, pages, 400, DARK).items():
         assert seen["scroll"] <= 400 and seen["beyond"] == [], name

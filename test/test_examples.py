@@ -25,7 +25,10 @@ def test_there_is_one_per_probe() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == set(TRUTH) == set(PROBES)
 
 
-@pytest.mark.parametrize("probe", [*sorted(TRUTH.keys() - SLOW), *(pytest.param(x, marks=pytest.mark.long) for x in SLOW)])
+@pytest.mark.parametrize(
+    "probe",
+    [*sorted(TRUTH.keys() - SLOW), *(pytest.param(x, marks=pytest.mark.long) for x in SLOW)],
+)
 def test_example(probe: str) -> None:
     path = EXAMPLES / f"{probe}.py"
     cells = path.read_text().count("\n# %% ")

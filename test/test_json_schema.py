@@ -28,7 +28,12 @@ def strict(schema: Any) -> Any:
     if not isinstance(schema, dict):
         return schema
     inner = {key: strict(value) for key, value in schema.items()}
-    if schema.get("type") == "object" and "required" in schema and "properties" in schema and "$defs" not in schema:
+    if (
+        schema.get("type") == "object"
+        and "required" in schema
+        and "properties" in schema
+        and "$defs" not in schema
+    ):
         inner.setdefault("additionalProperties", False)
     return inner
 
@@ -94,7 +99,9 @@ def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(outputs("")))
-def test_outputs(name: str, validator: Any, calibration: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_outputs(
+    name: str, validator: Any, calibration: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments, code = outputs(calibration)[name]
     if str(REAL) in arguments[1] and not REAL.exists():
         pytest.skip("needs the real recordings")
@@ -102,37 +109,64 @@ def test_outputs(name: str, validator: Any, calibration: str, capsys: pytest.Cap
     validator.validate(result)
     assert result["version"] == __version__
     kind = result["schema"].split("/")[1]
-    assert kind == ("error" if code == 2 else {"replay": "estimate"}.get(arguments[0], arguments[0]))
+    assert kind == (
+        "error" if code == 2 else {"replay": "estimate"}.get(arguments[0], arguments[0])
+    )
     if kind == "estimate":
-        assert len(result["reasons"]) == len(result["reason_codes"]) and set(result["reason_codes"]) <= set(CODES)
+        assert len(result["reasons"]) == len(result["reason_codes"]) and set(
+            result["reason_codes"]
+        ) <= set(CODES)
         assert (result["calibration"] is not None) == ("--calibration" in arguments)
-        assert result["bags"] == arguments[1:2] and len(result["baseline"]) == ("--baseline" in arguments)
+        assert result["bags"] == arguments[1:2] and len(result["baseline"]) == (
+            "--baseline" in arguments
+        )
     if kind == "error":
         assert result["exit_code"] == code
 
 
-@pytest.mark.parametrize("bags", ["realistic_s00_empty_0[0-2]_*", "friction_s00_fixed_random_a_joint3"])
-def test_calibrations(bags: str, validator: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "bags", ["realistic_s00_empty_0[0-2]_*", "friction_s00_fixed_random_a_joint3"]
+)
+def test_calibrations(
+    bags: str, validator: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     paths = [bag(folder.name) for folder in sorted((ROOT / "bags").glob(bags))]
     output = tmp_path / "arm.yaml"
-    arguments = ["calibrate", *paths, "--reference", f"{bag('realistic_s00_fixed_reference_100g_joint3_x1')}=0.1"]
+    arguments = [
+        "calibrate",
+        *paths,
+        "--reference",
+        f"{bag('realistic_s00_fixed_reference_100g_joint3_x1')}=0.1",
+    ]
     arguments = arguments if len(paths) > 1 else arguments[:2]
     accepted = len(paths) > 1
     result = printed(capsys, [*arguments, "--output", str(output), "--json"], 0 if accepted else 3)
     validator.validate(result)
     assert result["bags"] == paths and len(result["references"]) == accepted
-    assert (result["calibration"] is not None) == (result["output"] is not None) == output.exists() == accepted
+    assert (
+        (result["calibration"] is not None)
+        == (result["output"] is not None)
+        == output.exists()
+        == accepted
+    )
 
 
-@pytest.mark.parametrize("arguments", [["replay", "--json"], ["replay", "bag", "--probe", "weight", "--json"], ["weigh", "--json"]])
-def test_a_command_line_that_does_not_parse(arguments: list[str], validator: Any, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "arguments",
+    [["replay", "--json"], ["replay", "bag", "--probe", "weight", "--json"], ["weigh", "--json"]],
+)
+def test_a_command_line_that_does_not_parse(
+    arguments: list[str], validator: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     said = capsys.readouterr()
     assert stopped.value.code == 2 and said.err.startswith("usage: proprio")
     result = json.loads(said.out)
     validator.validate(result)
-    assert result["schema"] == "proprio_ros/error/1" and " ".join(result["error"].split()) in " ".join(said.err.split())
+    assert result["schema"] == "proprio_ros/error/1" and " ".join(
+        result["error"].split()
+    ) in " ".join(said.err.split())
 
 
 def test_the_sentence_stays_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
@@ -157,7 +191,18 @@ def test_the_schema_refuses(validator: Any, capsys: pytest.CaptureFixture[str]) 
         inner[path[-1]] = wrong
         with pytest.raises(jsonschema.ValidationError):
             validator.validate(bad)
-    for key in ("probe", "robot", "runs", "verdict", "reasons", "estimates", "fit", "solver", "timing_s", "version"):
+    for key in (
+        "probe",
+        "robot",
+        "runs",
+        "verdict",
+        "reasons",
+        "estimates",
+        "fit",
+        "solver",
+        "timing_s",
+        "version",
+    ):
         with pytest.raises(jsonschema.ValidationError):
             validator.validate({name: value for name, value in good.items() if name != key})
 
@@ -165,7 +210,16 @@ def test_the_schema_refuses(validator: Any, capsys: pytest.CaptureFixture[str]) 
 def test_every_code_is_in_the_table_and_every_entry_is_used() -> None:
     used = {"other"}
     for path in (ROOT / "proprio_ros").rglob("*.py"):
-        used.update(re.findall(r'\b(?:(?:Reason|rejected|not_identifiable)\(\s*|yield )"(\w+)"', path.read_text()))
-    assert used == set(CODES) and list(REMEDIES) == list(CODES), "say in REMEDIES what to do about it"
+        used.update(
+            re.findall(
+                r'\b(?:(?:Reason|rejected|not_identifiable)\(\s*|yield \(?\s*)"(\w+)"',
+                path.read_text(),
+            )
+        )
+    assert used == set(CODES) and list(REMEDIES) == list(CODES), (
+        "say in REMEDIES what to do about it"
+    )
     page = (ROOT / "docs" / "pages" / "refusals.md").read_text(encoding="utf-8")
-    assert re.findall(r"^## (\w+)$", page, re.MULTILINE) == list(CODES), "run python docs/generate.py"
+    assert re.findall(r"^## (\w+)$", page, re.MULTILINE) == list(CODES), (
+        "run python docs/generate.py"
+    )

@@ -20,7 +20,12 @@ from proprio_ros.probes.container.virtual_object import Container
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LAUNCH = sorted((REPOSITORY / "proprio_ros" / "launch").glob("*.launch.py"))
-CLASSES = {"driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode", "virtual": "VirtualNode"}
+CLASSES = {
+    "driver": "DriverNode",
+    "excitation": "ExcitationNode",
+    "identifier": "IdentifierNode",
+    "virtual": "VirtualNode",
+}
 
 
 def stated(node: str) -> dict[str, Any]:
@@ -41,15 +46,20 @@ def node_class(node: str) -> Any:
 def test_a_parameter_file_states_every_parameter_and_its_default(node: str) -> None:
     kind = node_class(node)
     parameters = importlib.import_module("proprio_ros.nodes.parameters")
-    declared = {parameter.name: parameter.default for parameter in (parameters.AUTOSTART, *kind.parameters)}
+    declared = {
+        parameter.name: parameter.default for parameter in (parameters.AUTOSTART, *kind.parameters)
+    }
     # `[]` would leave the parameter without a value, and `ros2 param dump` without an answer
     expected = {name: [""] if default == [] else default for name, default in declared.items()}
     if "link" in expected:
-        expected["link"] = "/tmp/proprio_virtual"  # by default in this machine's folder for temporary files
+        # by default in this machine's folder for temporary files
+        expected["link"] = "/tmp/proprio_virtual"
     values = stated(node)
     assert values == expected
     # true and 1, 1 and 1.0 are equal, but not to rcl
-    assert {name: type(value) for name, value in values.items()} == {name: type(v) for name, v in expected.items()}
+    assert {name: type(value) for name, value in values.items()} == {
+        name: type(v) for name, v in expected.items()
+    }
 
 
 @pytest.mark.parametrize("node", CLASSES)
@@ -61,13 +71,22 @@ def test_rcl_reads_the_file_as_it_is_meant(node: str, tmp_path: Path) -> None:
     mine.write_text(f"/**/{node}:\n  ros__parameters:\n    robot: pendulum\n    autostart: false\n")
     files = [str(resource("parameters", node)), str(mine)]
     context = rclpy.Context()
-    words = ["--ros-args", *(word for file in files for word in ("--params-file", file)), "-r", "__ns:=/arm1"]
+    words = [
+        "--ros-args",
+        *(word for file in files for word in ("--params-file", file)),
+        "-r",
+        "__ns:=/arm1",
+    ]
     rclpy.init(args=words, context=context)
     try:
         live = kind(context=context)
         try:
             assert live.values["robot"] == "pendulum" and live.values["autostart"] is False
-            rest = {name: value for name, value in stated(node).items() if name not in ("robot", "autostart")}
+            rest = {
+                name: value
+                for name, value in stated(node).items()
+                if name not in ("robot", "autostart")
+            }
             assert {name: live.values[name] for name in rest} == {
                 name: [] if value == [""] else value for name, value in rest.items()
             }
@@ -92,7 +111,9 @@ def test_a_list_of_words_stays_one_that_can_be_set(text: str, tmp_path: Path) ->
         node = kind(context=context)
         try:
             assert node.values["settings"] == (["payload.size=0.03"] if "size" in text else [])
-            (result,) = node.set_parameters([rclpy.Parameter("settings", value=["payload.size=0.04"])])
+            (result,) = node.set_parameters(
+                [rclpy.Parameter("settings", value=["payload.size=0.04"])]
+            )
             assert result.successful, result.reason
             assert parameters.value_of(node, "settings") == ["payload.size=0.04"]
             (result,) = node.set_parameters([rclpy.Parameter("settings", value=[""])])
@@ -139,7 +160,11 @@ def test_a_launch_file_is_python(path: Path, tmp_path: Path) -> None:
 def test_the_launch_files_are_there() -> None:
     assert [path.name for path in LAUNCH] == ["calibration.launch.py", "display.launch.py"]
     view = YAML(typ="safe", pure=True).load((REPOSITORY / "config" / "proprio.rviz").read_text())
-    topics = [display["Topic"]["Value"] for display in view["Visualization Manager"]["Displays"] if "Topic" in display]
+    topics = [
+        display["Topic"]["Value"]
+        for display in view["Visualization Manager"]["Displays"]
+        if "Topic" in display
+    ]
     assert topics == ["/identifier/markers", "/identifier/next_push"]
 
 
@@ -157,7 +182,11 @@ def test_the_container_that_is_typed_is_the_one_that_is_expected() -> None:
     held = virtual_object("container:0.03,sphere=0.012")
     assert isinstance(held, Container) and (held.mass_kg, held.sphere_mass_kg) == (0.03, 0.012)
     expected = YAML(typ="safe", pure=True).load(resource("probes", "container").read_text())
-    assert expected["container"]["shape"] == "box" and expected["container"]["rpy"] == [0.0, 0.0, 0.0]
+    assert expected["container"]["shape"] == "box" and expected["container"]["rpy"] == [
+        0.0,
+        0.0,
+        0.0,
+    ]
     assert list(held.inner_size_m) == expected["container"]["inner_size"]
     assert list(held.centre_m) == expected["container"]["centre"]
     assert held.sphere_radius_m == expected["sphere"]["radius"]
@@ -200,18 +229,25 @@ def started(**arguments: str) -> list[str]:
 REFUSED = [
     ({"held": "50g"}, "object '50g': mass=50g must be a number; valid: none | 0.05"),
     ({"robot": "nonsense"}, "unknown robot 'nonsense'; known robots: fr3, "),
-    ({"params_file": "/nowhere/mine.yaml"}, "params_file /nowhere/mine.yaml: not readable (No such file or directory)"),
+    (
+        {"params_file": "/nowhere/mine.yaml"},
+        "params_file /nowhere/mine.yaml: not readable (No such file or directory)",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("arguments", "reason"), REFUSED)
-def test_what_the_nodes_would_refuse_is_refused_before_they_start(arguments: dict[str, str], reason: str) -> None:
+def test_what_the_nodes_would_refuse_is_refused_before_they_start(
+    arguments: dict[str, str], reason: str
+) -> None:
     with pytest.raises(ProprioError) as caught:
         check_arguments(**arguments)
     assert str(caught.value).startswith(reason) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "driver:\n  rate: 100.0\n", "/**/driver:\n  ros__parameters:\n    rate: a: b\n"])
+@pytest.mark.parametrize(
+    "text", ["", "driver:\n  rate: 100.0\n", "/**/driver:\n  ros__parameters:\n    rate: a: b\n"]
+)
 def test_a_parameter_file_that_states_nothing_is_refused(text: str, tmp_path: Path) -> None:
     """The arm would move on default limits."""
     mine = tmp_path / "mine.yaml"
@@ -228,13 +264,17 @@ def test_a_launch_that_is_refused_says_so_in_one_line_and_fails(
 ) -> None:
     pytest.importorskip("launch_ros", reason="launch and launch_ros come with ROS only")
     launch = importlib.import_module("launch")
-    words = {"virtual": "true"} | {"object" if name == "held" else name: value for name, value in arguments.items()}
+    words = {"virtual": "true"} | {
+        "object" if name == "held" else name: value for name, value in arguments.items()
+    }
     service = launch.LaunchService(argv=[])
     file = launch.launch_description_sources.AnyLaunchDescriptionSource(str(LAUNCH[0]))
     included = launch.actions.IncludeLaunchDescription(file, launch_arguments=words.items())
     service.include_launch_description(launch.LaunchDescription([included]))
     assert service.run() == 1
-    shown = "\n".join(record.getMessage() for record in caplog.records if record.levelname != "DEBUG")
+    shown = "\n".join(
+        record.getMessage() for record in caplog.records if record.levelname != "DEBUG"
+    )
     assert reason in shown and "Traceback" not in shown and "process started" not in shown
 
 

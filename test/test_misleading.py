@@ -37,8 +37,14 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 BALL = "realistic_s00_fixed_light_ball_20g_joint3"
 SQUEEZE = "realistic_s00_squeeze_light"
-SPHERE, NO_SPHERE = (f"realistic_s00_container_{name}_joint4_100mA" for name in ("sphere_12g", "no_sphere"))
-BOX = {"container.inner_size": [0.06, 0.04, 0.04], "container.centre": [0.035, 0.0, 0.0], "sphere.radius": 0.01}
+SPHERE, NO_SPHERE = (
+    f"realistic_s00_container_{name}_joint4_100mA" for name in ("sphere_12g", "no_sphere")
+)
+BOX = {
+    "container.inner_size": [0.06, 0.04, 0.04],
+    "container.centre": [0.035, 0.0, 0.0],
+    "sphere.radius": 0.01,
+}
 DRIVE = "robot.joints.{}.drive_train."
 
 
@@ -46,7 +52,9 @@ def bag_in(folder: Path) -> Path:
     return sorted(folder.glob("bag_*"))[0]
 
 
-def answer(bags: Path, probe: str, name: str, settings: Mapping[str, Any], baseline: str = "") -> Estimate:
+def answer(
+    bags: Path, probe: str, name: str, settings: Mapping[str, Any], baseline: str = ""
+) -> Estimate:
     empty = [bag_in(bags / baseline)] if baseline else []
     return replay(bag_in(bags / name), Options(probe=probe, settings=settings, baseline=empty))
 
@@ -86,7 +94,10 @@ WRONG = {
         SQUEEZE,
         "",
         "armature[gripper_left_joint]",
-        {"block.size": [0.03, 0.03, 0.03], DRIVE.format("gripper_left_joint") + "armature_kg_m2": {"value": 0.004, "std": 0.002}},
+        {
+            "block.size": [0.03, 0.03, 0.03],
+            DRIVE.format("gripper_left_joint") + "armature_kg_m2": {"value": 0.004, "std": 0.002},
+        },
     ),
 }
 
@@ -96,7 +107,9 @@ WRONG = {
 def test_an_unknown_far_from_its_prior_is_named_and_refused(bags: Path, probe: str) -> None:
     name, baseline, unknown, settings = WRONG[probe]
     estimate = answer(bags, probe, name, settings, baseline)
-    assert estimate.verdict is Verdict.REJECTED and "far_from_prior" in codes(estimate), estimate.reasons
+    assert estimate.verdict is Verdict.REJECTED and "far_from_prior" in codes(estimate), (
+        estimate.reasons
+    )
     assert estimate.values[0].value is None
     assert any(unknown in reason and "standard deviations" in reason for reason in estimate.reasons)
     listed = {row["name"]: row for row in json.loads(json.dumps(estimate.as_json()))["unknowns"]}
@@ -124,7 +137,9 @@ def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, rob
     found = solve_load(known, runs, PayloadFacts(), _options(), Role.FREE)
     name = "payload_mass"
     assert Assessment(found, name).far_from_priors() == []
-    rows = {name: found.problem.index[key] for key, name in zip(learnt.keys, learnt.names, strict=True)}
+    rows = {
+        name: found.problem.index[key] for key, name in zip(learnt.keys, learnt.names, strict=True)
+    }
     values = found.problem.base.copy()
     values[found.problem.index[name]] = found.values[found.problem.index[name]]
     for unknown in ("torque_constant[joint3]", "arm_scale"):
@@ -144,9 +159,15 @@ def test_starts_that_end_elsewhere_are_a_reason(bags: Path) -> None:
     estimate = answer(bags, "payload", BALL, {"payload.shape": "sphere"})
     assert estimate.solver is not None
     elsewhere = len(estimate.solver.paths) - estimate.solver.starts_agreeing
-    assert elsewhere > 0 and any(reason.startswith(f"{elsewhere} of 5 starts") for reason in estimate.reasons)
+    assert elsewhere > 0 and any(
+        reason.startswith(f"{elsewhere} of 5 starts") for reason in estimate.reasons
+    )
     agreed = answer(bags, "payload", "ideal_s00_fixed_random_b_joint3", {"payload.shape": "sphere"})
-    assert agreed.solver is not None and agreed.solver.starts_agreeing == 5 and "starts_disagree" not in codes(agreed)
+    assert (
+        agreed.solver is not None
+        and agreed.solver.starts_agreeing == 5
+        and "starts_disagree" not in codes(agreed)
+    )
 
 
 ROBOT = """\
@@ -195,7 +216,9 @@ def real_answer(folder: Path, bag: Path, unit: str, noise: float) -> Estimate | 
     """What is said about a pendulum, or None where nothing can be read."""
     path = real_robot(folder, bag.name.partition("_")[0], noise)
     try:
-        return replay(bag, Options(robot=str(path), effort_unit=unit, settings={"payload.size": 0.06}))
+        return replay(
+            bag, Options(robot=str(path), effort_unit=unit, settings={"payload.size": 0.06})
+        )
     except RecordingError:
         return None
 
@@ -207,7 +230,9 @@ def not_wrong(estimate: Estimate, truth: float) -> bool:
 
 @pytest.mark.long
 @pytest.mark.parametrize("noise", [0.006, 0.002])
-def test_a_real_pendulum_is_not_weighed_with_a_robot_that_is_not_its(shared: Path, tmp_path: Path, noise: float) -> None:
+def test_a_real_pendulum_is_not_weighed_with_a_robot_that_is_not_its(
+    shared: Path, tmp_path: Path, noise: float
+) -> None:
     """It was accepted at a third of its 490 g: its PWM is no current. Under its own controller it makes no probe."""
     bag = shared / "recordings_real" / "xl330_kp100_up_and_down"
     if not bag.exists():
@@ -216,13 +241,19 @@ def test_a_real_pendulum_is_not_weighed_with_a_robot_that_is_not_its(shared: Pat
 
 
 @pytest.mark.long
-def test_a_real_pendulum_that_is_let_go_swings_freely_whatever_was_measured_before(shared: Path, tmp_path: Path) -> None:
+def test_a_real_pendulum_that_is_let_go_swings_freely_whatever_was_measured_before(
+    shared: Path, tmp_path: Path
+) -> None:
     """It was accepted at 118 g of 490: the torque that is known is none, and the rotor of a data sheet makes no mass of a swing."""
     bag = shared / "recordings_real" / "xl330_kp100_lift_and_drop"
     if not bag.exists():
         pytest.skip("the real recordings are not here")
     estimate = real_answer(tmp_path, bag, "raw", 0.006)
-    assert estimate is not None and estimate.verdict is not Verdict.ACCEPTED and "not_calibrated" in codes(estimate)
+    assert (
+        estimate is not None
+        and estimate.verdict is not Verdict.ACCEPTED
+        and "not_calibrated" in codes(estimate)
+    )
 
 
 @pytest.mark.long
@@ -233,7 +264,11 @@ def test_nothing_real_is_accepted_and_wrong(shared: Path, tmp_path: Path, noise:
         pytest.skip("the real recordings are not here")
     wrong = []
     for bag in [*sorted(real.glob("xl330_*")), *sorted(real.glob("sts3215_*kg"))]:
-        truth = 0.49 if bag.name.startswith("xl330") else float(bag.name.rpartition("_")[2].removesuffix("kg"))
+        truth = (
+            0.49
+            if bag.name.startswith("xl330")
+            else float(bag.name.rpartition("_")[2].removesuffix("kg"))
+        )
         for unit in ("mA", "raw") if bag.name.startswith("xl330") else ("mA",):
             estimate = real_answer(tmp_path, bag, unit, noise)
             if estimate is not None and not not_wrong(estimate, truth):
@@ -246,7 +281,9 @@ def test_nothing_real_is_accepted_and_wrong(shared: Path, tmp_path: Path, noise:
 
 @pytest.mark.long
 @pytest.mark.parametrize("jitter_s", [0.002, 0.003])
-def test_a_run_of_the_calibration_is_weighed_with_its_noise(bags: Path, robot: Robot, jitter_s: float) -> None:
+def test_a_run_of_the_calibration_is_weighed_with_its_noise(
+    bags: Path, robot: Robot, jitter_s: float
+) -> None:
     """Stamps like clockwork, late by what they do not show: calibrating learns it, and weighing has to believe it.
 
     Were the stamps' own scatter believed instead, all of these runs would be rejected: the rms is then 4 to 9 times as expected.
@@ -255,9 +292,12 @@ def test_a_run_of_the_calibration_is_weighed_with_its_noise(bags: Path, robot: R
     runs = []
     for loaded in empty_runs(bags, robot):
         run = loaded.run
-        seen = run.times_s + late.normal(0.0, jitter_s, len(run.times_s))  # where it was then, stamped as if in time
+        # where it was then, stamped as if in time
+        seen = run.times_s + late.normal(0.0, jitter_s, len(run.times_s))
         clockwork = np.linspace(run.times_s[0], run.times_s[-1], len(run.times_s))
-        position = np.interp(np.clip(seen, run.times_s[0], run.times_s[-1]), run.times_s, run.position)
+        position = np.interp(
+            np.clip(seen, run.times_s[0], run.times_s[-1]), run.times_s, run.position
+        )
         runs.append(LoadedRun(replace(run, times_s=clockwork, position=position)))
     fitted = fit(robot, [prepare_run(robot, loaded.run, loaded.load) for loaded in runs])
     learnt = calibrate(robot, runs).calibration
@@ -283,7 +323,9 @@ def stamped_off(folder: Path, robot: Robot, off_s: float) -> Sequence[Run]:
 
 
 @pytest.mark.parametrize(("off_s", "accepted"), [(-0.06, True), (-0.1, False)])
-def test_commands_stamped_too_early_are_no_calibration(bags: Path, robot: Robot, off_s: float, accepted: bool) -> None:
+def test_commands_stamped_too_early_are_no_calibration(
+    bags: Path, robot: Robot, off_s: float, accepted: bool
+) -> None:
     """What a delay can make up for is learnt, and weighings so stamped are right; beyond, masses were 10 to 20 % off.
 
     A weighing stamped otherwise than its calibration is refused either way.
@@ -293,7 +335,9 @@ def test_commands_stamped_too_early_are_no_calibration(bags: Path, robot: Robot,
     estimate = calibrate(robot, runs)
     assert (estimate.verdict is Verdict.ACCEPTED) is accepted
     if not accepted:
-        assert "on_bound" in reason_codes(estimate.reasons) and "one clock" in " ".join(estimate.reasons)
+        assert "on_bound" in reason_codes(estimate.reasons) and "one clock" in " ".join(
+            estimate.reasons
+        )
         return
     assert estimate.calibration is not None
     known = robot.with_calibration(estimate.calibration)
@@ -305,15 +349,23 @@ def test_commands_stamped_too_early_are_no_calibration(bags: Path, robot: Robot,
 
 
 @pytest.mark.parametrize("off_s", [-0.04, 0.04])
-def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(bags: Path, robot: Robot, off_s: float) -> None:
+def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(
+    bags: Path, robot: Robot, off_s: float
+) -> None:
     learnt = calibrate(robot, empty_runs(bags, robot)).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
-    assert weigh(known, stamped_off(bags / BALL, known, off_s), PayloadFacts()).verdict is Verdict.REJECTED
+    assert (
+        weigh(known, stamped_off(bags / BALL, known, off_s), PayloadFacts()).verdict
+        is Verdict.REJECTED
+    )
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("off_s", "off"), [(-0.1, True), (-0.02, False), (0.0, False), (0.02, False), (0.06, True), (0.1, True)])
+@pytest.mark.parametrize(
+    ("off_s", "off"),
+    [(-0.1, True), (-0.02, False), (0.0, False), (0.02, False), (0.06, True), (0.1, True)],
+)
 def test_commands_stamped_by_another_clock_are_refused_without_a_calibration(
     bags: Path, robot: Robot, off_s: float, off: bool
 ) -> None:
@@ -330,18 +382,26 @@ def test_commands_stamped_by_another_clock_are_refused_without_a_calibration(
 
 @pytest.mark.long
 @pytest.mark.parametrize("late_s", [0.08, 0.015])
-def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot: Robot, late_s: float) -> None:
+def test_one_push_in_four_that_came_late_is_left_out_and_said(
+    bags: Path, robot: Robot, late_s: float
+) -> None:
     """A computer that is busy elsewhere; two of four are no minority, and nobody knows which are right.
 
     The stamps show 80 ms; 15 ms, less than a period of the joint states, only show in what the fit makes of them.
     """
     folders = sorted(bags.glob("realistic_s00_empty_*_joint[23]"))
-    learnt = calibrate(robot, [LoadedRun(run) for f in folders for run in bag_runs(bag_in(f), Request(robot))]).calibration
+    learnt = calibrate(
+        robot, [LoadedRun(run) for f in folders for run in bag_runs(bag_in(f), Request(robot))]
+    ).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
     folders = sorted(bags.glob("realistic_s00_fixed_reference_100g_*"))
     good, late = (
-        [replace(run, name=f"bag#{first + row}") for row, folder in enumerate(folders) for run in stamped_off(folder, known, off_s)]
+        [
+            replace(run, name=f"bag#{first + row}")
+            for row, folder in enumerate(folders)
+            for run in stamped_off(folder, known, off_s)
+        ]
         for first, off_s in ((1, 0.0), (4, -late_s))
     )
     assert len(good) == 3
@@ -358,7 +418,9 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(bags: Path, robot:
     else:  # then the delay may be another in all of them
         assert abs(two.values[0].value - 0.1) < 2.0 * two.values[0].std
     other = replace(late[-1], name="another bag#1")
-    assert weigh(known, [*good, other], facts).verdict is Verdict.REJECTED, "it may be of another object"
+    assert weigh(known, [*good, other], facts).verdict is Verdict.REJECTED, (
+        "it may be of another object"
+    )
 
 
 # --- facts that nobody stated ------------------------------------------------------------------------------------------
@@ -368,11 +430,14 @@ def test_a_block_whose_size_is_guessed_says_so(bags: Path) -> None:
     guessed = answer(bags, "softness", SQUEEZE, {})
     stated = answer(bags, "softness", SQUEEZE, {"block.size": [0.03, 0.03, 0.03]})
     assert "guessed_facts" in codes(guessed) and "guessed_facts" not in codes(stated)
-    sentence = next(reason for reason in guessed.reasons if getattr(reason, "code", "") == "guessed_facts")
+    sentence = next(
+        reason for reason in guessed.reasons if getattr(reason, "code", "") == "guessed_facts"
+    )
     assert "block.size" in sentence and "--set block.size" in sentence
     assert any("block.size" in assumption for assumption in guessed.assumptions)
     for name in ("youngs_modulus", "lame_mu"):
-        one, other = guessed.value(name), stated.value(name)
+        one = guessed.value(name)
+        other = stated.value(name)
         assert one.value == other.value
         # E goes with length over area: a tenth on each of three sides
         assert one.std == pytest.approx(np.hypot(other.std, np.sqrt(0.03) * one.value), rel=0.02)
@@ -393,34 +458,58 @@ def test_a_payload_whose_place_is_guessed_says_so(bags: Path, robot: Robot) -> N
     assert any("payload.com [0, 0, 0] mm" in assumption for assumption in guessed.assumptions)
     (one,), (other,) = guessed.values, stated.values
     assert one.value == other.value and guessed.verdict is Verdict.ACCEPTED
-    moved = [weigh(known, runs, PayloadFacts(com=5e-3 * axis, shape=shape)).values[0].value for axis in np.eye(3)]
+    moved = [
+        weigh(known, runs, PayloadFacts(com=5e-3 * axis, shape=shape)).values[0].value
+        for axis in np.eye(3)
+    ]
     off = np.linalg.norm(np.array(moved) - other.value)
     assert one.std == pytest.approx(np.hypot(other.std, off), rel=0.1) and off > 0.01 * other.value
     assert dict(guessed.budget)["payload.com, guessed"] == pytest.approx(off, rel=0.1)
     # an empty hand has no place to speak of
-    empty = weigh(known, [empty_runs(bags, robot)[0].run], PayloadFacts(shape=shape, com_guessed=True))
+    empty = weigh(
+        known, [empty_runs(bags, robot)[0].run], PayloadFacts(shape=shape, com_guessed=True)
+    )
     assert "guessed_facts" not in codes(empty)
 
 
 @pytest.mark.parametrize(
     ("settings", "guessed"),
-    [({}, True), ({"payload.size": 0.02}, True), ({"payload.com": [0, 0, 0]}, False), ({"payload.com_std": [0.01] * 3}, False)],
+    [
+        ({}, True),
+        ({"payload.size": 0.02}, True),
+        ({"payload.com": [0, 0, 0]}, False),
+        ({"payload.com_std": [0.01] * 3}, False),
+    ],
 )
 def test_a_place_is_guessed_where_nobody_stated_it(settings: dict[str, Any], guessed: bool) -> None:
-    assert payload_facts(Settings(settings), probe_file("payload", ("payload",))["payload"]).com_guessed is guessed
+    assert (
+        payload_facts(
+            Settings(settings), probe_file("payload", ("payload",))["payload"]
+        ).com_guessed
+        is guessed
+    )
 
 
 @pytest.mark.long
 def test_a_container_that_is_guessed_says_so(bags: Path) -> None:
     guessed = answer(bags, "container", SPHERE, {}, NO_SPHERE)
     stated = answer(bags, "container", SPHERE, BOX, NO_SPHERE)
-    partly = answer(bags, "container", SPHERE, {"container.centre": BOX["container.centre"]}, NO_SPHERE)
+    partly = answer(
+        bags, "container", SPHERE, {"container.centre": BOX["container.centre"]}, NO_SPHERE
+    )
     assert "guessed_facts" in codes(guessed) and "guessed_facts" not in codes(stated)
     for estimate, keys in ((guessed, set(BOX)), (partly, set(BOX) - {"container.centre"})):
-        sentence = next(reason for reason in estimate.reasons if getattr(reason, "code", "") == "guessed_facts")
+        sentence = next(
+            reason for reason in estimate.reasons if getattr(reason, "code", "") == "guessed_facts"
+        )
         assert {key for key in BOX if f"{key} (" in sentence} == keys
-        assert {f"{key}, guessed" for key in keys} == {source for source, _ in estimate.budget if "guessed" in source}
-    (known, some, least), masses = ([e.values[0].std for e in (stated, partly, guessed)]), guessed.values[0].value
+        assert {f"{key}, guessed" for key in keys} == {
+            source for source, _ in estimate.budget if "guessed" in source
+        }
+    (known, some, least), masses = (
+        ([e.values[0].std for e in (stated, partly, guessed)]),
+        guessed.values[0].value,
+    )
     assert known < some < least and masses == stated.values[0].value
 
 
@@ -435,25 +524,41 @@ def test_an_interval_may_be_a_share_of_the_value_or_small() -> None:
     assert useful.exceeded_by(-0.06, 0.041)  # printed as 0 to 80 g, however far below nothing it is
 
 
-def test_too_wide_is_a_verdict(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_wide_is_a_verdict(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag = str(bag_in(bags / BALL))
     page = tmp_path / "page.html"
     assert main(["replay", bag, "--probe", "payload", "--report", str(page)]) == 3
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("too_wide") and lines[1] == "  payload_mass: 0 .. 133 g (95 % interval), best guess 50 g"
+    assert (
+        lines[0].startswith("too_wide")
+        and lines[1] == "  payload_mass: 0 .. 133 g (95 % interval), best guess 50 g"
+    )
     text = page.read_text()
-    assert '<p class="value">0 to 133 g</p>' in text and 'class="verdict too_wide"' in text and ".too_wide {" in text
+    assert (
+        '<p class="value">0 to 133 g</p>' in text
+        and 'class="verdict too_wide"' in text
+        and ".too_wide {" in text
+    )
     assert main(["replay", bag, "--probe", "payload", "--json"]) == 3
     said = json.loads(capsys.readouterr().out)
     assert said["verdict"] == "too_wide" and said["reason_codes"][0] == "too_wide"
     value = said["estimates"][0]
-    assert value["ci95"][0] == 0.0 and value["ci95"][1] > 0.1 and 0.0 < value["value"] < value["ci95"][1]
+    assert (
+        value["ci95"][0] == 0.0
+        and value["ci95"][1] > 0.1
+        and 0.0 < value["value"] < value["ci95"][1]
+    )
     assert main(["replay", bag, "--probe", "payload", "--set", "solver.wide_share=3"]) == 0
 
 
 def test_a_value_that_holds_with_the_files_own_numbers_only_is_too_wide(bags: Path) -> None:
     """Right or wrong, it is as good as the file: 10 g in the hand read 82 g, where friction is not what the file says."""
-    for name in ("quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_fixed_light_cube_10g_joint2"):
+    for name in (
+        "quantised_s00_fixed_heavy_ball_50g_joint3",
+        "realistic_s00_fixed_light_cube_10g_joint2",
+    ):
         estimate = answer(bags, "payload", name, {"payload.shape": "cube", "payload.size": 0.02})
         assert estimate.verdict is Verdict.TOO_WIDE and codes(estimate)[0] == "too_wide"
         assert estimate.interval_first
@@ -461,7 +566,9 @@ def test_a_value_that_holds_with_the_files_own_numbers_only_is_too_wide(bags: Pa
 
 def test_however_wide_an_interval_is_it_is_given(bags: Path) -> None:
     """The file's numbers do not explain this recording, friction had to be fitted, and 100 g may be anything up to 355 g."""
-    estimate = answer(bags, "payload", "realistic_s00_fixed_reference_100g_joint3_x1", {"payload.shape": "point"})
+    estimate = answer(
+        bags, "payload", "realistic_s00_fixed_reference_100g_joint3_x1", {"payload.shape": "point"}
+    )
     assert estimate.verdict is Verdict.TOO_WIDE and codes(estimate)[0] == "too_wide"
     low, high = estimate.value("payload_mass").ci95
     assert low <= 0.1 <= high and high - low > 0.2
@@ -518,14 +625,18 @@ def test_a_sign_and_a_unit_are_named(bags: Path, robot: Robot, factor: float, wo
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_a_torque_constant_that_is_twice_off_is_refused(bags: Path, robot: Robot, factor: float) -> None:
+def test_a_torque_constant_that_is_twice_off_is_refused(
+    bags: Path, robot: Robot, factor: float
+) -> None:
     """23 g read 285 g +- 44 %, accepted: without a calibration nothing but the file says what the torque constant is."""
     (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3"), Request(robot))
     bent = replace(run, input_current_A=factor * run.input_current_A)
     answer = weigh(robot, [bent])
     assert answer.verdict is Verdict.NOT_IDENTIFIABLE and answer.values[0].value is None
     word = "half" if factor > 1.0 else "twice"
-    assert f"if the torque constant of joint3 is {word} what the robot file says" in answer.reasons[0]
+    assert (
+        f"if the torque constant of joint3 is {word} what the robot file says" in answer.reasons[0]
+    )
 
 
 def test_a_current_twice_that_of_the_calibration_is_named(bags: Path, robot: Robot) -> None:
@@ -539,12 +650,17 @@ def test_a_current_twice_that_of_the_calibration_is_named(bags: Path, robot: Rob
 
 
 @pytest.mark.parametrize("degrees", [-1.0, 1.0])
-def test_a_base_that_is_tilted_is_worth_what_the_answer_says(bags: Path, robot: Robot, degrees: float) -> None:
+def test_a_base_that_is_tilted_is_worth_what_the_answer_says(
+    bags: Path, robot: Robot, degrees: float
+) -> None:
     """50 g read 45 g, 2.5 standard deviations off and accepted, on a base that was tilted by one degree after the calibration."""
     known = robot.with_calibration(calibrate(robot, empty_runs(bags, robot)).calibration)
     (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_ball_50g_joint3"), Request(known))
     answer = weigh(known, [run])
-    worth = next(re.search(r"1 degree of tilt .* by up to ([\d.]+) g", each) for each in answer.assumptions[2:])
+    worth = next(
+        re.search(r"1 degree of tilt .* by up to ([\d.]+) g", each)
+        for each in answer.assumptions[2:]
+    )
     assert worth is not None
     angle = np.radians(degrees)
     tilted = replace(known, gravity=9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)]))
@@ -552,13 +668,19 @@ def test_a_base_that_is_tilted_is_worth_what_the_answer_says(bags: Path, robot: 
     assert 0.5 * float(worth[1]) < change < 1.3 * float(worth[1])
 
 
-def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(bags: Path, tmp_path: Path) -> None:
+def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(
+    bags: Path, tmp_path: Path
+) -> None:
     """106 g for 23, accepted: the recording of a load does not tell how the base stands."""
     calibration = tmp_path / "known.yaml"
     empty = [bag_in(folder) for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
     assert calibrate_from_bags(empty, {}, output=calibration).verdict is Verdict.ACCEPTED
-    bag, rolled = bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3_x0"), {"robot.gravity": [0, 6.94, -6.94]}
-    with pytest.raises(ConfigurationError, match=r"the calibration was made where it is \[0.0, 0.0, -9.81\].*--baseline"):
+    bag = bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3_x0")
+    rolled = {"robot.gravity": [0, 6.94, -6.94]}
+    with pytest.raises(
+        ConfigurationError,
+        match=r"the calibration was made where it is \[0.0, 0.0, -9.81\].*--baseline",
+    ):
         replay(bag, Options(calibration=calibration, settings=rolled))
     # an empty hand recorded as the arm stands now does tell
     drifted = replay(bag, Options(calibration=calibration, settings=rolled, baseline=empty[:1]))
@@ -566,7 +688,10 @@ def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(bags:
     level = {"robot.gravity": [0, 0, -9.81], "payload.com": [0, 0, 0]}
     answer = replay(bag, Options(calibration=calibration, settings=level))
     assert answer.verdict is not Verdict.REJECTED
-    worth = next(re.search(r"1 cm elsewhere changes the mass by up to ([\d.]+) g", each) for each in answer.assumptions)
+    worth = next(
+        re.search(r"1 cm elsewhere changes the mass by up to ([\d.]+) g", each)
+        for each in answer.assumptions
+    )
     assert worth is not None
     moved = replay(bag, Options(calibration=calibration, settings={"payload.com": [0.01, 0, 0]}))
     change = 1e3 * abs(moved.values[0].value - answer.values[0].value)  # type: ignore[operator]

@@ -11,12 +11,20 @@ import pytest
 @pytest.mark.long
 def test_the_first_notebook() -> None:
     found = notebook.executed(notebook.SCRIPT.read_text(encoding="utf-8"))
-    text, shown = ([cell for cell in found if cell.markdown], [cell for cell in found if not cell.markdown and cell.plain])
+    text = [cell for cell in found if cell.markdown]
+    shown = [cell for cell in found if not cell.markdown and cell.plain]
     assert len(text) >= 6 and "first notebook" in text[0].source
     checks, calibration, drives, ball, fit, open_arm, stuck, reasons, plans = shown
-    assert "3 bags, 2 of 3 runs usable" in checks.html and "not usable: joint3 moved only" in checks.html
+    assert (
+        "3 bags, 2 of 3 runs usable" in checks.html
+        and "not usable: joint3 moved only" in checks.html
+    )
     assert ">accepted<" in calibration.html and all("<svg" in cell.svg for cell in (drives, fit))
-    assert ">accepted<" in ball.html and ">49.1 g<" in ball.html and "49.1 g, and between" in fit.printed
+    assert (
+        ">accepted<" in ball.html
+        and ">49.1 g<" in ball.html
+        and "49.1 g, and between" in fit.printed
+    )
     for refusal in (open_arm, stuck):
         assert "not identifiable" in refusal.html and "What to do: push" in refusal.html
     assert reasons.plain == "(True, ['stuck'])" and plans.html.count("<tr>") == 4
@@ -26,13 +34,20 @@ def test_the_first_notebook() -> None:
     assert (kept["nbformat"], kept["nbformat_minor"], len(kept["cells"])) == (4, 5, len(found))
     for cell in kept["cells"]:
         keys = {"id", "cell_type", "metadata", "source"}
-        assert set(cell) == (keys | {"execution_count", "outputs"} if cell["cell_type"] == "code" else keys)
+        assert set(cell) == (
+            keys | {"execution_count", "outputs"} if cell["cell_type"] == "code" else keys
+        )
     assert "".join(kept["cells"][0]["source"]) == text[0].source
 
 
 def test_a_cell_shows_what_its_last_line_gives() -> None:
-    found = notebook.executed("# %% [markdown]\n# # Title\n#\n# words\n# %%\nx = 2\nprint(x)\nx + 1\n# %%\ny = x\n")
-    assert found[0].source == "# Title\n\nwords" and (found[1].printed, found[1].plain) == ("2\n", "3")
+    found = notebook.executed(
+        "# %% [markdown]\n# # Title\n#\n# words\n# %%\nx = 2\nprint(x)\nx + 1\n# %%\ny = x\n"
+    )
+    assert found[0].source == "# Title\n\nwords" and (found[1].printed, found[1].plain) == (
+        "2\n",
+        "3",
+    )
     assert (found[2].printed, found[2].plain) == ("", "")
     with pytest.raises(ZeroDivisionError):
         notebook.executed("# %%\n1 / 0\n")

@@ -73,14 +73,24 @@ def swung(
     random = np.random.default_rng(seed)
     inertia = (rod_kg / 3.0 + payload_kg) * length_m**2
     moment = (0.5 * rod_kg + payload_kg) * length_m
-    coulomb, viscous, noise = random.uniform(0.03, 0.12), random.uniform(0.0, 0.02), random.uniform(0.01, 0.05)
-    step_s, steps = 0.001, round(seconds / 0.001)
-    delay, every = int(random.integers(1, 4)), round(1.0 / rate_Hz / 0.001)
-    gain, damping = 12.0 * moment, 1.2 * moment
-    phases, speeds = random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.5, 6.0, 3)
+    coulomb, viscous, noise = (
+        random.uniform(0.03, 0.12),
+        random.uniform(0.0, 0.02),
+        random.uniform(0.01, 0.05),
+    )
+    step_s = 0.001
+    steps = round(seconds / 0.001)
+    delay = int(random.integers(1, 4))
+    every = round(1.0 / rate_Hz / 0.001)
+    gain = 12.0 * moment
+    damping = 1.2 * moment
+    phases = random.uniform(0.0, 2.0 * np.pi, 3)
+    speeds = random.uniform(1.5, 6.0, 3)
     angle = speed = 0.0
     commands = [0.0] * (delay + 1)
-    times, positions, efforts = [], [], []
+    times = []
+    positions = []
+    efforts = []
 
     def acceleration(torque: float, angle: float, speed: float) -> float:
         friction = coulomb * np.tanh(speed / 0.005) + viscous * speed
@@ -98,9 +108,12 @@ def swung(
             efforts.append(scale * (torque + random.normal(0.0, noise)))
         half = speed + 0.5 * step_s * acceleration(torque, angle, speed)
         rate = acceleration(torque, angle + 0.5 * step_s * speed, half)
-        angle, speed = angle + step_s * half, speed + step_s * rate
+        angle = angle + step_s * half
+        speed = speed + step_s * rate
     effort = np.array(efforts)[:, None]
-    record = JointRecord(np.array(times), ("pendulum",), np.array(positions)[:, None], effort=effort)
+    record = JointRecord(
+        np.array(times), ("pendulum",), np.array(positions)[:, None], effort=effort
+    )
     return Recording("swung", record, None), inertia / moment
 
 
@@ -116,7 +129,9 @@ def codes(estimate: Estimate) -> list[str]:
 # --- what it is --------------------------------------------------------------------------------------------------------
 
 
-def test_a_joint_under_a_controller_is_a_motion_and_a_probe_is_none(tmp_path: Path, bags: Path) -> None:
+def test_a_joint_under_a_controller_is_a_motion_and_a_probe_is_none(
+    tmp_path: Path, bags: Path
+) -> None:
     recording, _ = swung(0.4)
     write_recording(tmp_path / "bag", recording)
     robot = load_robot(str(robot_file(tmp_path)))
@@ -130,38 +145,71 @@ def test_a_joint_under_a_controller_is_a_motion_and_a_probe_is_none(tmp_path: Pa
     nominal = {name: drive.nominal_effort_per_current for name, drive in arm.drive_trains.items()}
     for folder in sorted(bags.glob("realistic_s00_*")):
         bag = sorted(folder.glob("bag_*"))[0]
-        probe = read_recording(bag, effort_unit="N.m", nominal_torque_constants=nominal, joint_order=list(nominal))
+        probe = read_recording(
+            bag, effort_unit="N.m", nominal_torque_constants=nominal, joint_order=list(nominal)
+        )
         record = probe.joints
         assert record.current is not None
-        measured = InputRecord(record.times_ns, record.names, np.nan_to_num(record.current), MEASURED_EFFORT)
-        assert len(cut_runs(replace(probe, inputs=measured), joints=list(nominal))) == 1, folder.name
+        measured = InputRecord(
+            record.times_ns, record.names, np.nan_to_num(record.current), MEASURED_EFFORT
+        )
+        assert len(cut_runs(replace(probe, inputs=measured), joints=list(nominal))) == 1, (
+            folder.name
+        )
 
 
 def test_other_probes_do_not_take_it(tmp_path: Path) -> None:
     recording, _ = swung(0.4, seconds=5.0)
     write_recording(tmp_path / "bag", recording)
     with pytest.raises(RecordingError, match=r"one under a controller.*one at a time"):
-        replay(tmp_path / "bag", Options(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"))
+        replay(
+            tmp_path / "bag",
+            Options(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"),
+        )
 
 
 # --- what it says ------------------------------------------------------------------------------------------------------
 
 
-def test_how_it_swings_is_said_and_its_mass_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_how_it_swings_is_said_and_its_mass_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording, truth = swung(0.4, scale=1.17)
     write_recording(tmp_path / "bag", recording)
     robot = robot_file(tmp_path)
-    code = main(["replay", str(tmp_path / "bag"), "--probe", "payload", "--robot", str(robot), "--effort-unit", "N.m", "--json"])
+    code = main(
+        [
+            "replay",
+            str(tmp_path / "bag"),
+            "--probe",
+            "payload",
+            "--robot",
+            str(robot),
+            "--effort-unit",
+            "N.m",
+            "--json",
+        ]
+    )
     answer = json.loads(capsys.readouterr().out)
     mass, length = answer["estimates"]
-    assert code == 3 and answer["verdict"] == "not_identifiable" and answer["reason_codes"] == ["torque_scale_open"]
-    assert mass["value"] is None and mass["reason"] and length["name"] == "equivalent_pendulum_length"
-    assert length["ci95"][0] < truth < length["ci95"][1] and length["value"] == pytest.approx(truth, rel=0.02)
+    assert (
+        code == 3
+        and answer["verdict"] == "not_identifiable"
+        and answer["reason_codes"] == ["torque_scale_open"]
+    )
+    assert (
+        mass["value"] is None and mass["reason"] and length["name"] == "equivalent_pendulum_length"
+    )
+    assert length["ci95"][0] < truth < length["ci95"][1] and length["value"] == pytest.approx(
+        truth, rel=0.02
+    )
     assert any("the bodies of the URDF" in line for line in answer["assumptions"])
 
 
 @pytest.mark.parametrize("constant", ["1.0", "{value: 1.0, std: 0.01}", "{value: 1.0, std: 0.3}"])
-def test_no_mass_rests_on_what_a_file_says_of_its_torque_alone(tmp_path: Path, constant: str) -> None:
+def test_no_mass_rests_on_what_a_file_says_of_its_torque_alone(
+    tmp_path: Path, constant: str
+) -> None:
     recording, _ = swung(0.4, scale=1.17)
     write_recording(tmp_path / "bag", recording)
     estimate = replayed(tmp_path / "bag", robot_file(tmp_path, constant=constant))
@@ -187,7 +235,8 @@ def test_beside_an_empty_motion_a_known_torque_gives_the_mass(tmp_path: Path) ->
 def test_its_intervals_hold(tmp_path: Path) -> None:
     """40 pendulums drawn at random; 38 of 95 % is what is expected, 34 what chance alone hardly undercuts."""
     robot = robot_file(tmp_path)
-    hits, errors = [], []
+    hits = []
+    errors = []
     for seed in range(40):
         payload = float(np.random.default_rng(1000 + seed).uniform(0.1, 0.6))
         recording, truth = swung(payload, seed=seed, seconds=8.0)
@@ -211,13 +260,17 @@ def test_registers_of_16_bits_that_were_read_as_unsigned_are_mended(tmp_path: Pa
     counts = np.round(100.0 * record.effort)
     unsigned = np.where(counts < 0.0, counts + 65536.0, counts)
     write_recording(tmp_path / "bag", replace(recording, joints=replace(record, effort=unsigned)))
-    read = read_recording(tmp_path / "bag", effort_unit="raw", nominal_torque_constants={}, joint_order=[])
+    read = read_recording(
+        tmp_path / "bag", effort_unit="raw", nominal_torque_constants={}, joint_order=[]
+    )
     np.testing.assert_array_equal(read.joints.reported_effort, counts)
     assert any("16-bit register" in note for note in read.notes)
     # large efforts that are no register stay what they are
     large = np.where(counts < 0.0, 65530.5, counts)
     write_recording(tmp_path / "large", replace(recording, joints=replace(record, effort=large)))
-    read = read_recording(tmp_path / "large", effort_unit="raw", nominal_torque_constants={}, joint_order=[])
+    read = read_recording(
+        tmp_path / "large", effort_unit="raw", nominal_torque_constants={}, joint_order=[]
+    )
     np.testing.assert_array_equal(read.joints.reported_effort, large)
 
 
@@ -236,7 +289,9 @@ def test_a_magnitude_of_the_effort_is_named(tmp_path: Path) -> None:
     recording, _ = swung(0.4)
     record = recording.joints
     assert record.effort is not None
-    write_recording(tmp_path / "bag", replace(recording, joints=replace(record, effort=np.abs(record.effort))))
+    write_recording(
+        tmp_path / "bag", replace(recording, joints=replace(record, effort=np.abs(record.effort)))
+    )
     estimate = replayed(tmp_path / "bag", robot_file(tmp_path))
     assert codes(estimate) == ["misfit"] and "never changes its sign" in estimate.reasons[0]
     assert [value.value for value in estimate.values] == [None, None]
@@ -249,7 +304,9 @@ def test_an_effort_that_only_holds_gravity_is_named(tmp_path: Path, speed: float
     times_s = np.arange(0.0, 15.0, 0.005)
     angle = 0.8 * np.sin(speed * times_s) + 0.3 * np.sin(1.7 * speed * times_s)
     effort = 0.3 * GRAVITY * np.sin(angle) + random.normal(0.0, 0.01, len(times_s))
-    record = JointRecord(np.round(1e9 * times_s), ("pendulum",), angle[:, None], effort=effort[:, None])
+    record = JointRecord(
+        np.round(1e9 * times_s), ("pendulum",), angle[:, None], effort=effort[:, None]
+    )
     write_recording(tmp_path / "bag", Recording("held", record, None))
     estimate = replayed(tmp_path / "bag", robot_file(tmp_path))
     assert [value.value for value in estimate.values] == [None, None]
@@ -275,7 +332,9 @@ def test_a_real_pendulum_under_five_controllers(tmp_path: Path, name: str) -> No
         pytest.skip("needs the real recordings")
     for constant in ("1.0", "{value: 1.0, std: 0.01}"):
         estimate = replayed(REAL / name, robot_file(tmp_path, constant=constant))
-        assert estimate.values[0].value is None and codes(estimate) == [DFKI[name]], estimate.reasons
+        assert estimate.values[0].value is None and codes(estimate) == [DFKI[name]], (
+            estimate.reasons
+        )
         length = estimate.values[1]
         if DFKI[name] == "within_friction":
             assert length.value is None
@@ -311,9 +370,16 @@ def test_no_real_servo_is_weighed_from_what_is_no_torque(tmp_path: Path, name: s
         pytest.skip("needs the real recordings")
     servo = {"length_m": 0.1, "rod_kg": 0.01, "nominal": 0.36, "armature": 0.02}
     well_known = "{value: 0.36, std: 0.004}"
-    for unit, constant in (*((unit, "0.36") for unit in ("raw", "mA", "A", "N.m")), ("raw", well_known), ("A", well_known)):
+    for unit, constant in (
+        *((unit, "0.36") for unit in ("raw", "mA", "A", "N.m")),
+        ("raw", well_known),
+        ("A", well_known),
+    ):
         estimate = replayed(REAL / name, robot_file(tmp_path, constant=constant, **servo), unit)  # type: ignore[arg-type]
-        assert estimate.values[0].value is None and codes(estimate)[0] in SERVOS[name], (unit, estimate.reasons)
+        assert estimate.values[0].value is None and codes(estimate)[0] in SERVOS[name], (
+            unit,
+            estimate.reasons,
+        )
 
 
 @pytest.mark.parametrize("name", ["xl330_kp100_up_and_down", "xl330_kp400_up_and_down"])

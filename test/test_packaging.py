@@ -29,11 +29,15 @@ BAG = "bags/quantised_s00_fixed_heavy_ball_50g_joint3/bag_mcap"
 def arguments() -> dict[str, Any]:
     """What setup.py hands to setuptools."""
     seen: dict[str, Any] = {}
-    original, before = setuptools.setup, Path.cwd()
+    original = setuptools.setup
+    before = Path.cwd()
     setuptools.setup = lambda **given: seen.update(given)
     try:
         os.chdir(REPOSITORY)
-        exec(compile((REPOSITORY / "setup.py").read_text(), "setup.py", "exec"), {"__name__": "setup"})
+        exec(
+            compile((REPOSITORY / "setup.py").read_text(), "setup.py", "exec"),
+            {"__name__": "setup"},
+        )
     finally:
         setuptools.setup = original
         os.chdir(before)
@@ -43,21 +47,32 @@ def arguments() -> dict[str, Any]:
 def test_versions_agree(arguments: dict[str, Any]) -> None:
     manifest = ElementTree.parse(REPOSITORY / "package.xml").getroot()
     assert manifest.findtext("url", "").startswith("https://")
-    assert manifest.get("format") == "3" and manifest.findtext("export/build_type") == "ament_python"
+    assert (
+        manifest.get("format") == "3" and manifest.findtext("export/build_type") == "ament_python"
+    )
     changelog = (REPOSITORY / "CHANGELOG.rst").read_text()
     newest = re.search(r"^(\d+\.\d+\.\d+) \(", changelog, re.MULTILINE)
     assert newest is not None
-    assert {manifest.findtext("version"), arguments["version"], newest[1]} == {proprio_ros.__version__}
+    assert {manifest.findtext("version"), arguments["version"], newest[1]} == {
+        proprio_ros.__version__
+    }
 
 
 def test_every_data_file_is_installed(arguments: dict[str, Any]) -> None:
-    installed = {source: target for target, sources in arguments["data_files"] for source in sources}
+    installed = {
+        source: target for target, sources in arguments["data_files"] for source in sources
+    }
     for folder in ("config", "urdf", "bags"):
         for path in (REPOSITORY / folder).rglob("*"):
             if path.is_file():
                 relative = path.relative_to(REPOSITORY)
-                assert installed[relative.as_posix()] == f"share/proprio_ros/{relative.parent.as_posix()}"
-    assert installed["proprio_ros/resource/proprio_ros"] == "share/ament_index/resource_index/packages"
+                assert (
+                    installed[relative.as_posix()]
+                    == f"share/proprio_ros/{relative.parent.as_posix()}"
+                )
+    assert (
+        installed["proprio_ros/resource/proprio_ros"] == "share/ament_index/resource_index/packages"
+    )
     assert installed["package.xml"] == "share/proprio_ros"
 
 
@@ -80,9 +95,15 @@ def test_dependencies_are_declared_once(arguments: dict[str, Any]) -> None:
 
 def pins(name: str) -> dict[str, Version]:
     """Versions of a file of `.ci`, where every line is a name and a version: no address, no path, no option."""
-    lines = [line for line in (REPOSITORY / ".ci" / name).read_text().splitlines() if not line.startswith("#")]
+    lines = [
+        line
+        for line in (REPOSITORY / ".ci" / name).read_text().splitlines()
+        if not line.startswith("#")
+    ]
     exact = r"[A-Za-z0-9._-]+==[0-9][A-Za-z0-9.]*"
-    assert lines and all(re.fullmatch(rf'{exact}(; python_full_version (<|>=) "[0-9.]+")?', line) for line in lines)
+    assert lines and all(
+        re.fullmatch(rf'{exact}(; python_full_version (<|>=) "[0-9.]+")?', line) for line in lines
+    )
     needs = [Requirement(line) for line in lines]
     return {
         canonicalize_name(need.name): Version(str(need.specifier).removeprefix("=="))
@@ -98,7 +119,9 @@ def test_the_gate_pins_every_dependency_within_its_bounds(arguments: dict[str, A
         requirement = Requirement(line)
         assert pinned[canonicalize_name(requirement.name)] in requirement.specifier, line
     for path in (".ci/run", ".ci/lowest"):
-        installs = [line for line in (REPOSITORY / path).read_text().splitlines() if "pip install" in line]
+        installs = [
+            line for line in (REPOSITORY / path).read_text().splitlines() if "pip install" in line
+        ]
         assert installs and all(" -c .ci/" in line for line in installs), path
 
 
@@ -107,19 +130,34 @@ def test_the_lowest_versions_are_those_of_the_lower_bounds(arguments: dict[str, 
     extras = arguments["extras_require"]
     lines = [*arguments["install_requires"], *extras["sim"], *extras["batch"]]
     allowed = {requirement.name: requirement.specifier for requirement in map(Requirement, lines)}
-    bounds = {name: Version(s.version) for name, those in allowed.items() for s in those if s.operator == ">="}
+    bounds = {
+        name: Version(s.version)
+        for name, those in allowed.items()
+        for s in those
+        if s.operator == ">="
+    }
     assert lowest == bounds
     # a new major version of these has broken code before
-    for name, next_major in (("numpy", "3.0"), ("mujoco", "5.0"), ("warp-lang", "2.0"), ("cma", "5.0"), ("rosbags", "0.12")):
+    for name, next_major in (
+        ("numpy", "3.0"),
+        ("mujoco", "5.0"),
+        ("warp-lang", "2.0"),
+        ("cma", "5.0"),
+        ("rosbags", "0.12"),
+    ):
         assert next_major not in allowed[name], name
 
 
 @pytest.mark.parametrize(
-    "command", [["ruff", "check", "."], pytest.param(["mypy"], marks=pytest.mark.long)], ids=lambda command: command[0]
+    "command",
+    [["ruff", "check", "."], pytest.param(["mypy"], marks=pytest.mark.long)],
+    ids=lambda command: command[0],
 )
 def test_linters(command: list[str]) -> None:
     pytest.importorskip(command[0])
-    done = subprocess.run([sys.executable, "-m", *command], cwd=REPOSITORY, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", *command], cwd=REPOSITORY, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -129,22 +167,42 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
     colcon = shutil.which("colcon")
     if colcon is None:
         if os.environ.get("PROPRIO_REQUIRE_COLCON"):
-            pytest.fail("colcon is missing: apt-get install colcon python3-colcon-ros python3-ament-package")
+            pytest.fail(
+                "colcon is missing: apt-get install colcon python3-colcon-ros python3-ament-package"
+            )
         pytest.skip("needs colcon")
     source = tmp_path / "src" / "proprio_ros"
-    shutil.copytree(REPOSITORY, source, ignore=shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info"))
-    clean = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")}
+    shutil.copytree(
+        REPOSITORY,
+        source,
+        ignore=shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info"),
+    )
+    clean = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in ("PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
+    }
     # without the environment of the tests: colcon is the system's
-    clean["PATH"] = os.pathsep.join(p for p in clean["PATH"].split(os.pathsep) if p != str(Path(sys.executable).parent))
-    built = subprocess.run([colcon, "build"], cwd=tmp_path, env=clean, capture_output=True, text=True)
+    clean["PATH"] = os.pathsep.join(
+        p for p in clean["PATH"].split(os.pathsep) if p != str(Path(sys.executable).parent)
+    )
+    built = subprocess.run(
+        [colcon, "build"], cwd=tmp_path, env=clean, capture_output=True, text=True
+    )
     assert built.returncode == 0, built.stdout + built.stderr
     prefix = tmp_path / "install" / "proprio_ros"
     script = prefix / "lib" / "proprio_ros" / "proprio"
     assert script.read_text().startswith("#!/usr/bin/env python3")
-    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "proprio_ros").is_file()
+    assert (
+        prefix / "share" / "ament_index" / "resource_index" / "packages" / "proprio_ros"
+    ).is_file()
     shutil.rmtree(tmp_path / "src")  # what runs now has only what was installed
     libraries = next(prefix.glob("lib/python*/site-packages"))
-    environment = {**clean, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{clean['PATH']}", "PYTHONPATH": str(libraries)}
+    environment = {
+        **clean,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{clean['PATH']}",
+        "PYTHONPATH": str(libraries),
+    }
     bag = prefix / "share" / "proprio_ros" / BAG
     done = subprocess.run(
         [script, "replay", bag, "--probe", "payload", "--json"],
@@ -156,4 +214,7 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
         ["python3", "-c", "import proprio_ros.inputs.resources as r; print(r.__file__, r.share_directory())"],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert located.stdout.split() == [str(libraries / "proprio_ros/inputs/resources.py"), str(prefix / "share" / "proprio_ros")]
+    assert located.stdout.split() == [
+        str(libraries / "proprio_ros/inputs/resources.py"),
+        str(prefix / "share" / "proprio_ros"),
+    ]

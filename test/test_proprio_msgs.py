@@ -18,7 +18,9 @@ PACKAGE = REPOSITORY / "proprio_msgs"
 
 
 def test_the_manifests_agree() -> None:
-    ours, theirs = (ElementTree.parse(folder / "package.xml").getroot() for folder in (PACKAGE, REPOSITORY))
+    ours, theirs = (
+        ElementTree.parse(folder / "package.xml").getroot() for folder in (PACKAGE, REPOSITORY)
+    )
     for tag in ("version", "license", "maintainer"):
         assert ours.findtext(tag) == theirs.findtext(tag), tag
 
@@ -27,10 +29,17 @@ def test_what_is_defined_is_generated_and_what_it_needs_is_stated() -> None:
     defined = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.glob("*/*.*")}
     recipe = (PACKAGE / "CMakeLists.txt").read_text()
     assert set(re.findall(r'"(\w+/\w+\.\w+)"', recipe)) == set(defined) != set()
-    used = {name for path in defined.values() for name in re.findall(r"^(\w+)/\w+", path.read_text(), re.MULTILINE)}
+    used = {
+        name
+        for path in defined.values()
+        for name in re.findall(r"^(\w+)/\w+", path.read_text(), re.MULTILINE)
+    }
     listed = re.search(r"DEPENDENCIES ([\w ]+)\n", recipe)
     assert listed is not None and set(listed[1].split()) == used
-    stated = {depend.text for depend in ElementTree.parse(PACKAGE / "package.xml").getroot().iter("depend")}
+    stated = {
+        depend.text
+        for depend in ElementTree.parse(PACKAGE / "package.xml").getroot().iter("depend")
+    }
     assert stated == {*used, "action_msgs"}  # of which every action is made
 
 
@@ -48,8 +57,11 @@ block = ElasticityEstimate(youngs_modulus=2e5, interval=[1e5, 3e5])
 assert deserialize_message(serialize_message(block), ElasticityEstimate) == block
 print(*Weigh.Goal.get_fields_and_field_types(), *Weigh.Feedback.get_fields_and_field_types())
 """
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-    goal, feedback = ["target", "sequence", "settings", "half_interval", "at_most_s"], ["phase", "fraction", "mass"]
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
+    )
+    goal = ["target", "sequence", "settings", "half_interval", "at_most_s"]
+    feedback = ["phase", "fraction", "mass"]
     assert done.stdout.split() == goal + feedback, done.stderr
 
 
@@ -64,8 +76,14 @@ def test_colcon_finds_it_where_it_is_named(tmp_path: Path) -> None:
     for name in ("package.xml", "setup.py", "setup.cfg"):
         shutil.copy(REPOSITORY / name, source)
     python = str(Path(sys.executable).parent)
-    clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
-    clean["PATH"] = os.pathsep.join(part for part in clean["PATH"].split(os.pathsep) if part != python)
+    clean = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONPATH", "VIRTUAL_ENV")
+    }
+    clean["PATH"] = os.pathsep.join(
+        part for part in clean["PATH"].split(os.pathsep) if part != python
+    )
     command = [colcon, "build", "--base-paths", str(source), str(source / "proprio_msgs")]
     done = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True)
     assert ">>> proprio_msgs" in done.stdout, done.stdout + done.stderr

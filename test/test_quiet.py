@@ -22,8 +22,13 @@ BAGS = Path(__file__).resolve().parents[1] / "bags"
 
 def said(words: list[str]) -> tuple[str, str]:
     """What a command writes to stdout and stderr where a warning is an error."""
-    out, err = io.StringIO(), io.StringIO()
-    with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    out = io.StringIO()
+    err = io.StringIO()
+    with (
+        warnings.catch_warnings(),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
         warnings.simplefilter("error", RuntimeWarning)
         main(words)
     return out.getvalue(), err.getvalue()
@@ -54,7 +59,8 @@ def heard(monkeypatch: pytest.MonkeyPatch) -> set[str]:
 def test_of_the_recordings_that_come_with_it(heard: set[str], tmp_path: Path) -> None:
     assert len(list(answers.answers([BAGS]))) > 50
     bags = sorted(map(str, BAGS.glob("*/bag_mcap")))
-    robot, arm = tmp_path / "robot.yaml", str(tmp_path / "arm.yaml")
+    robot = tmp_path / "robot.yaml"
+    arm = str(tmp_path / "arm.yaml")
     commands = [
         ["check", *bags],
         ["plan", "--mass", "0.05", "--count", "2", "--seconds", "1"],

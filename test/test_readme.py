@@ -68,7 +68,10 @@ def test_the_recordings_of_the_repository_give_what_the_readme_says(
     assert main([*replay[1:at], *replay[at + 2 :]]) == 3
     (wide,) = re.findall(r"payload_mass: (\d+ \.\. \d+) g", capsys.readouterr().out)
     (mass, low, high), stated = found[0], re.sub(r"\s+", " ", README.read_text())
-    assert f"says {mass} g, {low} to {high} g; without `--calibration` it says {wide.replace('..', 'to')} g" in stated
+    assert (
+        f"says {mass} g, {low} to {high} g; without `--calibration` it says {wide.replace('..', 'to')} g"
+        in stated
+    )
 
 
 def test_another_arm_is_weighed_by_the_commands_of_the_readme(
@@ -79,7 +82,9 @@ def test_another_arm_is_weighed_by_the_commands_of_the_readme(
     for seed, (name, kg) in enumerate(BAGS.items()):
         record_arm(tmp_path / name, tmp_path / "my_arm.urdf", TRUE, "hand", kg, seed, seconds=15.0)
     ran = commands("**Any other arm")
-    assert [words[:2] for words in ran] == [["proprio", word] for word in ["robot", "check", "replay", "calibrate", "replay"]]
+    assert [words[:2] for words in ran] == [
+        ["proprio", word] for word in ["robot", "check", "replay", "calibrate", "replay"]
+    ]
     half_widths = []
     for words in ran:
         assert main(words[1:]) == 0, f"{shlex.join(words)}: {capsys.readouterr().err}"
@@ -88,12 +93,18 @@ def test_another_arm_is_weighed_by_the_commands_of_the_readme(
             _state(tmp_path / "my_arm.yaml", CONSTANTS)
         if words[1] == "replay":
             assert said.startswith("accepted"), said
-            mass, low, high = map(float, re.findall(r"payload_mass: (\S+) g .* (\S+) \.\. (\S+) g", said)[0])
+            mass, low, high = map(
+                float, re.findall(r"payload_mass: (\S+) g .* (\S+) \.\. (\S+) g", said)[0]
+            )
             assert low < 1e3 * LOAD_KG < high, said
             half_widths.append(0.5 * (high - low) / mass)
     _mistakes_are_named(tmp_path, capsys)
     # the known weight is worth its recording
-    assert half_widths[0] < 0.5 and half_widths[1] < 0.3 and abs(mass - 1e3 * LOAD_KG) < 0.05e3 * LOAD_KG, said
+    assert (
+        half_widths[0] < 0.5
+        and half_widths[1] < 0.3
+        and abs(mass - 1e3 * LOAD_KG) < 0.05e3 * LOAD_KG
+    ), said
 
 
 def _mistakes_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -112,9 +123,15 @@ def _mistakes_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
         "the effort or the angle of lift has the sign": efforts(-1.0, "lift"),
     }  # fmt: skip
     for number, (words, bend) in enumerate(mistakes.items()):
-        loaded, empty = (str(bent(folder / f"{name}_{number}", bend, folder / name)) for name in list(BAGS)[1::-1])
+        loaded, empty = (
+            str(bent(folder / f"{name}_{number}", bend, folder / name))
+            for name in list(BAGS)[1::-1]
+        )
         asked = ["replay", loaded, "--probe", "payload", "--effort-unit", "A"]
-        for way in (["--robot", "my_arm.yaml", "--baseline", empty], ["--calibration", "calibrated.yaml"]):
+        for way in (
+            ["--robot", "my_arm.yaml", "--baseline", empty],
+            ["--calibration", "calibrated.yaml"],
+        ):
             assert main([*asked, *way]) == 3
             said = capsys.readouterr().out
             assert said.startswith("rejected") and words in re.sub(r"\s+", " ", said), said
@@ -122,11 +139,18 @@ def _mistakes_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 @pytest.mark.parametrize(("count", "unit", "seed"), [(6, "A", 6), (7, "N.m", 14)])
 def test_an_arm_that_nobody_has_seen_is_weighed_by_the_five_commands(
-    count: int, unit: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    count: int,
+    unit: str,
+    seed: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Torque constants are off by 3 % each, which was refused with seven joints; links, friction and rotors are off, too."""
     monkeypatch.chdir(tmp_path)
-    stated = recorded(tmp_path, count, unit, seed, {"EMPTY_BAG": 0.0, "LOADED_BAG": 1.3, "KNOWN_BAG": 0.5})
+    stated = recorded(
+        tmp_path, count, unit, seed, {"EMPTY_BAG": 0.0, "LOADED_BAG": 1.3, "KNOWN_BAG": 0.5}
+    )
     masses = []
     for words in commands("**Any other arm"):
         words = [word if word != "A" else unit for word in words]
@@ -137,49 +161,118 @@ def test_an_arm_that_nobody_has_seen_is_weighed_by_the_five_commands(
             assert "tool0 is a guess" in said
             _state(tmp_path / "my_arm.yaml", stated if unit == "A" else {})
         if words[1] == "replay":
-            masses.append([float(word) for word in re.findall(r"payload_mass: (\S+) g .* (\S+) \.\. (\S+) g", said)[0]])
+            masses.append(
+                [
+                    float(word)
+                    for word in re.findall(r"payload_mass: (\S+) g .* (\S+) \.\. (\S+) g", said)[0]
+                ]
+            )
     assert len(masses) == 2 and all(low < 1300.0 < high for _, low, high in masses), masses
-    assert all(abs(mass - 1300.0) < 0.05 * 1300.0 and high - low < mass for mass, low, high in masses), masses
+    assert all(
+        abs(mass - 1300.0) < 0.05 * 1300.0 and high - low < mass for mass, low, high in masses
+    ), masses
 
 
 @pytest.mark.parametrize(("count", "unit", "seed"), [(3, "A", 41), (6, "N.m", 42)])
 def test_a_reference_stops_no_calibration(
-    count: int, unit: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    count: int,
+    unit: str,
+    seed: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """One that is too light to tell torque constants was refused as if the recordings were wrong, now and then one of 0.5 kg."""
     monkeypatch.chdir(tmp_path)
     masses = {"EMPTY_BAG": 0.0, "LOADED_BAG": 1.3, "HEAVY_BAG": 0.5, "LIGHT_BAG": 0.03}
     stated = recorded(tmp_path, count, unit, seed, masses)
     effort = ["--effort-unit", unit]
-    assert main(["robot", "new", "my_arm.urdf", "--output", "my_arm.yaml", *(effort if unit != "A" else [])]) == 0
+    assert (
+        main(
+            [
+                "robot",
+                "new",
+                "my_arm.urdf",
+                "--output",
+                "my_arm.yaml",
+                *(effort if unit != "A" else []),
+            ]
+        )
+        == 0
+    )
     _state(tmp_path / "my_arm.yaml", stated if unit == "A" else {})
     for name in ("HEAVY_BAG", "LIGHT_BAG"):
-        known, robot = f"{name}={masses[name]}", ["--robot", "my_arm.yaml", *effort]
+        known = f"{name}={masses[name]}"
+        robot = ["--robot", "my_arm.yaml", *effort]
         capsys.readouterr()
-        assert main(["calibrate", "EMPTY_BAG", "--reference", known, *robot, "--output", f"{name}.yaml", "--json"]) == 0
+        assert (
+            main(
+                [
+                    "calibrate",
+                    "EMPTY_BAG",
+                    "--reference",
+                    known,
+                    *robot,
+                    "--output",
+                    f"{name}.yaml",
+                    "--json",
+                ]
+            )
+            == 0
+        )
         told = json.loads(capsys.readouterr().out)
         assert ("says_too_little" in told["reason_codes"]) == (name == "LIGHT_BAG"), told["reasons"]
         assert not any("your reference" in note for note in told["notes"]) or name == "HEAVY_BAG"
-        assert main(["replay", "LOADED_BAG", "--probe", "payload", "--calibration", f"{name}.yaml", *effort, "--json"]) == 0
+        assert (
+            main(
+                [
+                    "replay",
+                    "LOADED_BAG",
+                    "--probe",
+                    "payload",
+                    "--calibration",
+                    f"{name}.yaml",
+                    *effort,
+                    "--json",
+                ]
+            )
+            == 0
+        )
         low, high = json.loads(capsys.readouterr().out)["estimates"][0]["ci95"]
         assert low < 1.3 < high, told
 
 
-def recorded(folder: Path, count: int, unit: str, seed: int, masses: Mapping[str, float]) -> dict[str, float]:
+def recorded(
+    folder: Path, count: int, unit: str, seed: int, masses: Mapping[str, float]
+) -> dict[str, float]:
     """Bags of an arm that is drawn at random, whose torque constants are off by 3 % each from these, which are stated."""
     urdf = write_urdf(folder / "my_arm.urdf", count, seed)
-    random, names = np.random.default_rng(seed), joints_of(count)
+    random = np.random.default_rng(seed)
+    names = joints_of(count)
     drawn = np.round(random.uniform(4.0, 9.0, count), 2)
-    stated = {name: value if unit == "A" else 1.0 for name, value in zip(names, drawn.tolist(), strict=True)}
+    stated = {
+        name: value if unit == "A" else 1.0
+        for name, value in zip(names, drawn.tolist(), strict=True)
+    }
     true = {name: value * (1.0 + 0.03 * random.standard_normal()) for name, value in stated.items()}
     for number, (name, kg) in enumerate(masses.items()):
-        record_arm(folder / name, urdf, true, "tool0", kg, 10 * seed + number, robot_seed=seed, seconds=15.0)
+        record_arm(
+            folder / name,
+            urdf,
+            true,
+            "tool0",
+            kg,
+            10 * seed + number,
+            robot_seed=seed,
+            seconds=15.0,
+        )
     return stated
 
 
 def _state(path: Path, constants: Mapping[str, float]) -> None:
     """Fill in what the file marks, and nothing else."""
-    lines, joint = path.read_text().splitlines(), ""
+    lines = path.read_text().splitlines()
+    joint = ""
     for number, line in enumerate(lines):
         if (found := re.match(r"  (\w+):  # revolute", line)) is not None:
             joint = found[1]

@@ -13,7 +13,11 @@ from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Run
 
 
 def joint_record(**changes: Any) -> JointRecord:
-    values: dict[str, Any] = {"times_ns": [0, 10, 20], "names": ["joint2", "joint3"], "position": np.arange(6.0).reshape(3, 2)}
+    values: dict[str, Any] = {
+        "times_ns": [0, 10, 20],
+        "names": ["joint2", "joint3"],
+        "position": np.arange(6.0).reshape(3, 2),
+    }
     return JointRecord(**(values | changes))
 
 
@@ -88,9 +92,15 @@ def test_an_unknown_velocity_is_nan_and_no_position_is() -> None:
 
 @pytest.mark.parametrize(
     ("times_ns", "current", "message"),
-    [([0, 0], [[0.0], [1.0]], "increase strictly"), ([0, 1], [[0.0], [np.inf]], "finite"), ([0, 1], [[0.0]], "expected shape")],
+    [
+        ([0, 0], [[0.0], [1.0]], "increase strictly"),
+        ([0, 1], [[0.0], [np.inf]], "finite"),
+        ([0, 1], [[0.0]], "expected shape"),
+    ],
 )
-def test_input_record_refuses(times_ns: list[int], current: list[list[float]], message: str) -> None:
+def test_input_record_refuses(
+    times_ns: list[int], current: list[list[float]], message: str
+) -> None:
     with pytest.raises(RecordingError, match=message):
         InputRecord(np.array(times_ns), ("joint3",), np.array(current), "/current_command")
 

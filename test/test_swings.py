@@ -45,7 +45,9 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 def swings() -> list[tuple[np.ndarray, np.ndarray]]:
     """Of one pendulum that an independent simulation let go three times."""
     rng = np.random.default_rng(3)
-    return released(rng, np.array(MASSES_KG), {**machine_of(rng), "coulomb": 0.1, "rise": 0.2}, False)
+    return released(
+        rng, np.array(MASSES_KG), {**machine_of(rng), "coulomb": 0.1, "rise": 0.2}, False
+    )
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +55,12 @@ def runs(swings: list[tuple[np.ndarray, np.ndarray]]) -> list[Run]:
     return [as_run(f"swing {number}", *swing) for number, swing in enumerate(swings)]
 
 
-def recording(stamps_s: np.ndarray, position: np.ndarray, off_s: float | None, inputs: InputRecord | None = None) -> Recording:
+def recording(
+    stamps_s: np.ndarray,
+    position: np.ndarray,
+    off_s: float | None,
+    inputs: InputRecord | None = None,
+) -> Recording:
     times_ns = START_NS + np.rint(1e9 * stamps_s).astype(np.int64)
     off = () if off_s is None else ((START_NS + int(1e9 * off_s), int(times_ns[-1]) + 1),)
     return Recording("bag", JointRecord(times_ns, ("pivot",), position[:, None]), inputs, (), off)
@@ -67,14 +74,19 @@ def current(at_s: Sequence[float], values_A: Sequence[float]) -> InputRecord:
 # --- what is a swing ---------------------------------------------------------------------------------------------------
 
 
-def test_a_swing_begins_after_the_servo_let_go_and_ends_where_it_hangs(swings: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def test_a_swing_begins_after_the_servo_let_go_and_ends_where_it_hangs(
+    swings: list[tuple[np.ndarray, np.ndarray]],
+) -> None:
     stamps, position = swings[0]
     (run,) = cut_runs(recording(stamps, position, 0.1), joints=["pivot"])
     assert run.free and not run.input_current_A.any() and not len(run.before_times_s)
     began_s = 1e-9 * (run.onset_ns - START_NS)
     assert 0.1 + RELEASE_S <= began_s < 0.1 + RELEASE_S + 0.02
     # the second half of the recording hangs still and would only say where friction holds it
-    assert began_s + run.duration_s < stamps[-1] - 0.5 and abs(run.position[-1] - np.median(position[-20:])) < 0.01
+    assert (
+        began_s + run.duration_s < stamps[-1] - 0.5
+        and abs(run.position[-1] - np.median(position[-20:])) < 0.01
+    )
 
 
 def test_a_holding_current_that_ends_is_a_swing_only_where_torque_is_said_to_be_off(
@@ -102,21 +114,31 @@ def test_a_swing_ends_before_torque_comes_back(swings: list[tuple[np.ndarray, np
     stamps, position = swings[0]
     whole = recording(stamps, position, 0.1)
     back_ns = START_NS + 600_000_000
-    (run,) = cut_runs(replace(whole, torque_off_ns=((whole.torque_off_ns[0][0], back_ns),)), joints=["pivot"])
+    (run,) = cut_runs(
+        replace(whole, torque_off_ns=((whole.torque_off_ns[0][0], back_ns),)), joints=["pivot"]
+    )
     ended_s = 1e-9 * (run.onset_ns - START_NS) + run.duration_s
     assert 0.6 - RELEASE_S - 0.02 < ended_s < 0.6 - RELEASE_S
 
 
-def test_a_current_that_catches_the_joint_is_no_probe(swings: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def test_a_current_that_catches_the_joint_is_no_probe(
+    swings: list[tuple[np.ndarray, np.ndarray]],
+) -> None:
     stamps, position = swings[0]
     moved = np.interp(0.6, stamps, position), np.interp(0.75, stamps, position)
     assert abs(moved[0] - moved[1]) > 0.05
     off = ((START_NS + 100_000_000, START_NS + 600_000_000),)
-    caught = recording(stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.6, 0.75], [0.0, 0.01, 0.0, 0.4, 0.0]))
+    caught = recording(
+        stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.6, 0.75], [0.0, 0.01, 0.0, 0.4, 0.0])
+    )
     (run,) = cut_runs(replace(caught, torque_off_ns=off), joints=["pivot"])
     assert run.free
-    later = recording(stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.9, 1.05], [0.0, 0.01, 0.0, 0.4, 0.0]))
-    assert not any(run.free for run in cut_runs(replace(later, torque_off_ns=off), joints=["pivot"]))
+    later = recording(
+        stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.9, 1.05], [0.0, 0.01, 0.0, 0.4, 0.0])
+    )
+    assert not any(
+        run.free for run in cut_runs(replace(later, torque_off_ns=off), joints=["pivot"])
+    )
 
 
 def test_what_no_torque_explains_is_refused_with_the_reason() -> None:
@@ -132,26 +154,47 @@ def test_what_no_torque_explains_is_refused_with_the_reason() -> None:
     times_ns = START_NS + np.rint(1e9 * stamps).astype(np.int64)
     record = JointRecord(times_ns, ("pivot", "elbow"), both)
     with pytest.raises(RecordingError, match="pivot, elbow fall at once"):
-        cut_runs(Recording("bag", record, None, (), ((START_NS, int(times_ns[-1])),)), joints=["pivot", "elbow"])
+        cut_runs(
+            Recording("bag", record, None, (), ((START_NS, int(times_ns[-1])),)),
+            joints=["pivot", "elbow"],
+        )
 
 
 @pytest.mark.parametrize("late_s", [0, 3])
-def test_a_bag_says_when_torque_is_off(tmp_path: Path, swings: list[tuple[np.ndarray, np.ndarray]], late_s: int) -> None:
+def test_a_bag_says_when_torque_is_off(
+    tmp_path: Path, swings: list[tuple[np.ndarray, np.ndarray]], late_s: int
+) -> None:
     """Also where most states were heard late, on a busy computer: no clock differs for that."""
     types: Any = message_types()
     time, header, state, boolean = (
-        types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE, BOOL)
+        types.types[name]
+        for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE, BOOL)
     )
     messages = []
     for stamp_s, position in zip(*swings[0], strict=True):
         time_ns = START_NS + round(1e9 * stamp_s)
         stamp = time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
         # an effort of a unit that nobody stated beside it
-        said = state(header(stamp=stamp, frame_id=""), ["pivot"], np.array([position]), np.zeros(1), np.array([7.0]))
+        said = state(
+            header(stamp=stamp, frame_id=""),
+            ["pivot"],
+            np.array([position]),
+            np.zeros(1),
+            np.array([7.0]),
+        )
         enabled = boolean(data=bool(stamp_s < 0.1))
         heard_ns = time_ns + (late_s * 10**9 if stamp_s > 0.05 else 0)
-        messages.append(RawMessage("/joint_states", JOINT_STATE, heard_ns, bytes(types.serialize_cdr(said, JOINT_STATE))))
-        messages.append(RawMessage("/torque_enabled", BOOL, time_ns, bytes(types.serialize_cdr(enabled, BOOL))))
+        messages.append(
+            RawMessage(
+                "/joint_states",
+                JOINT_STATE,
+                heard_ns,
+                bytes(types.serialize_cdr(said, JOINT_STATE)),
+            )
+        )
+        messages.append(
+            RawMessage("/torque_enabled", BOOL, time_ns, bytes(types.serialize_cdr(enabled, BOOL)))
+        )
     write_messages(tmp_path / "bag", messages)
     read = read_recording(tmp_path / "bag", nominal_torque_constants={}, joint_order=["pivot"])
     assert read.inputs is None and len(read.torque_off_ns) == 1
@@ -159,9 +202,15 @@ def test_a_bag_says_when_torque_is_off(tmp_path: Path, swings: list[tuple[np.nda
     (tmp_path / "swing.urdf").write_text(URDF)
     (tmp_path / "swing.yaml").write_text(ROBOT)
     _, (check,) = check_bags(tmp_path / "bag", Options(robot=str(tmp_path / "swing.yaml")))
-    assert check.usable == 1 and check.runs[0].free and check.as_json()["runs"][0]["free_swing"] is True
+    assert (
+        check.usable == 1
+        and check.runs[0].free
+        and check.as_json()["runs"][0]["free_swing"] is True
+    )
     assert "gravity moment over inertia, without any torque constant" in check.as_text()
-    with pytest.raises(RecordingError, match="--probe container wants a joint that a current drives"):
+    with pytest.raises(
+        RecordingError, match="--probe container wants a joint that a current drives"
+    ):
         replay(tmp_path / "bag", Options(probe="container", robot=str(tmp_path / "swing.yaml"), settings={
             "container.inner_size": [0.05, 0.05, 0.05], "container.mass": 0.02, "sphere.radius": 0.01,
         }))  # fmt: skip
@@ -171,7 +220,9 @@ def test_a_bag_says_when_torque_is_off(tmp_path: Path, swings: list[tuple[np.nda
 
 
 def known(runs: Sequence[Run], masses: Sequence[float]) -> list[LoadedRun]:
-    return [LoadedRun(run, KnownLoad(mass, facts())) for run, mass in zip(runs, masses, strict=True)]
+    return [
+        LoadedRun(run, KnownLoad(mass, facts())) for run, mass in zip(runs, masses, strict=True)
+    ]
 
 
 @pytest.mark.long
@@ -181,17 +232,27 @@ def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
     assert any("torque constant" in note for note in learnt.notes)
     estimate = weigh(robot.with_calibration(learnt.calibration), runs[2:], facts())
     value = estimate.values[0]
-    assert estimate.verdict is Verdict.ACCEPTED and isinstance(value.value, float) and isinstance(value.std, float)
+    assert (
+        estimate.verdict is Verdict.ACCEPTED
+        and isinstance(value.value, float)
+        and isinstance(value.std, float)
+    )
     assert value.value == pytest.approx(MASSES_KG[2], rel=0.02)
     assert abs(value.value - MASSES_KG[2]) < 1.96 * value.std < 0.12 * MASSES_KG[2]
 
 
 @pytest.mark.long
-def test_a_swing_far_lighter_than_those_of_its_calibration_is_asked_whose_it_is(robot: Robot) -> None:
+def test_a_swing_far_lighter_than_those_of_its_calibration_is_asked_whose_it_is(
+    robot: Robot,
+) -> None:
     """Another servo with twice the load, or this one with half: nothing in a swing tells which."""
     rng = np.random.default_rng(3)
-    machine, masses = machine_of(rng), (0.55, 1.0, 0.2, 0.35)
-    light = [as_run(f"swing {n}", *swing) for n, swing in enumerate(released(rng, np.array(masses), machine, False))]
+    machine = machine_of(rng)
+    masses = (0.55, 1.0, 0.2, 0.35)
+    light = [
+        as_run(f"swing {n}", *swing)
+        for n, swing in enumerate(released(rng, np.array(masses), machine, False))
+    ]
     learnt = calibrate(robot, known(light[:2], masses[:2]))
     assert learnt.calibration is not None
     calibrated = robot.with_calibration(learnt.calibration)
@@ -199,22 +260,35 @@ def test_a_swing_far_lighter_than_those_of_its_calibration_is_asked_whose_it_is(
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.values[0].value is None
     assert getattr(estimate.reasons[0], "code", "") == "not_covered"
     assert "lighter than 550 g" in estimate.reasons[0] and "another servo" in estimate.reasons[0]
-    assert weigh(calibrated, light[3:], facts()).values[0].value == pytest.approx(masses[3], rel=0.05)
+    assert weigh(calibrated, light[3:], facts()).values[0].value == pytest.approx(
+        masses[3], rel=0.05
+    )
 
 
 @pytest.mark.long
-def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(robot: Robot, runs: list[Run]) -> None:
+def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(
+    robot: Robot, runs: list[Run]
+) -> None:
     """How friction rises is not learnt from swings: what else they say is wider by that, and moves with it."""
     answers = []
     for std in (0.3, 1e-9):
-        stated = robot.with_overrides({"joints.pivot.drive_train.stribeck": {"value": 0.0, "std": std}})
+        stated = robot.with_overrides(
+            {"joints.pivot.drive_train.stribeck": {"value": 0.0, "std": std}}
+        )
         learnt = calibrate(stated, known(runs[:2], MASSES_KG[:2]))
         assert learnt.calibration is not None
-        answers.append((learnt.calibration, weigh(stated.with_calibration(learnt.calibration), runs[2:], facts())))
+        answers.append(
+            (
+                learnt.calibration,
+                weigh(stated.with_calibration(learnt.calibration), runs[2:], facts()),
+            )
+        )
     (calibration, estimate), (fixed, given) = answers
-    viscous, rise = ("viscous", "pivot"), ("stribeck", "pivot")
+    viscous = ("viscous", "pivot")
+    rise = ("stribeck", "pivot")
     assert calibration.quantities[viscous].std > 1.05 * fixed.quantities[viscous].std
-    at, by = calibration.keys.index(viscous), calibration.keys.index(rise)
+    at = calibration.keys.index(viscous)
+    by = calibration.keys.index(rise)
     assert abs(calibration.correlation[at, by]) > 0.2
     # the joint is the same, and so is its rise: the next swing of it is fitted given the rise, and is as certain as before
     assert estimate.values[0].value == pytest.approx(given.values[0].value, rel=1e-4)
@@ -225,7 +299,9 @@ def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(
 def test_the_torque_constant_does_not_matter(robot: Robot, runs: list[Run]) -> None:
     answers = []
     for constant in (1.0, {"value": 4.0, "std": 1.0}):
-        stated = robot.with_overrides({"joints.pivot.drive_train.torque_constant_N_m_per_A": constant})
+        stated = robot.with_overrides(
+            {"joints.pivot.drive_train.torque_constant_N_m_per_A": constant}
+        )
         learnt = calibrate(stated, known(runs[:2], MASSES_KG[:2]))
         assert learnt.calibration is not None
         calibrated = stated.with_calibration(learnt.calibration)
@@ -250,7 +326,9 @@ def test_without_a_calibration_a_swing_tells_no_mass(robot: Robot, runs: list[Ru
 
 
 def test_swings_and_driven_probes_are_given_apart(robot: Robot, runs: list[Run]) -> None:
-    driven = replace(runs[1], name="driven", source="/current_command", input_current_A=np.array([0.3]))
+    driven = replace(
+        runs[1], name="driven", source="/current_command", input_current_A=np.array([0.3])
+    )
     with pytest.raises(RecordingError, match="give them apart"):
         weigh(robot, [runs[0], driven], facts())
     with pytest.raises(RecordingError, match="give them apart"):
@@ -260,26 +338,39 @@ def test_swings_and_driven_probes_are_given_apart(robot: Robot, runs: list[Run])
 # --- real servos -------------------------------------------------------------------------------------------------------
 
 REAL_KG = (0.535, 0.741, 0.969, 1.168)
-REAL: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0]}
+REAL: dict[str, Any] = {
+    "payload.com": [0.0, 0.0, 0.0],
+    "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0],
+}
 
 
 @pytest.mark.parametrize(
     "calibrating",
     [
         (0, 3),
-        *(pytest.param(c, marks=pytest.mark.long) for c in itertools.combinations(range(4), 2) if c != (0, 3)),
+        *(
+            pytest.param(c, marks=pytest.mark.long)
+            for c in itertools.combinations(range(4), 2)
+            if c != (0, 3)
+        ),
         *(pytest.param(c, marks=pytest.mark.long) for c in itertools.combinations(range(4), 3)),
     ],
     ids=str,
 )
-def test_a_real_servo_that_lets_go_weighs(shared: Path, tmp_path: Path, calibrating: tuple[int, ...]) -> None:
+def test_a_real_servo_that_lets_go_weighs(
+    shared: Path, tmp_path: Path, calibrating: tuple[int, ...]
+) -> None:
     bags = [shared / "recordings_real" / f"sts3215_release_{mass:.3f}kg" for mass in REAL_KG]
     if not bags[0].exists():
         pytest.skip("needs the real recordings")
-    (tmp_path / "swing.urdf").write_text(URDF.replace('value="0.03"', 'value="0.001"').replace("1e-5", "1e-7"))
+    (tmp_path / "swing.urdf").write_text(
+        URDF.replace('value="0.03"', 'value="0.001"').replace("1e-5", "1e-7")
+    )
     file = tmp_path / "swing.yaml"
     file.write_text(ROBOT.replace("pivot:", "pendulum:") + "gravity: [0.0, 0.0, -9.80496]\n")
-    (tmp_path / "swing.urdf").write_text((tmp_path / "swing.urdf").read_text().replace('"pivot"', '"pendulum"'))
+    (tmp_path / "swing.urdf").write_text(
+        (tmp_path / "swing.urdf").read_text().replace('"pivot"', '"pendulum"')
+    )
     output = tmp_path / "calibrated.yaml"
     options = Options(robot=str(file), settings=dict(REAL))
     learnt = calibrate_from_bags([], {bags[n]: REAL_KG[n] for n in calibrating}, options, output)

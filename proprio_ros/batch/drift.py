@@ -33,10 +33,18 @@ from proprio_ros.threads import one_blas_thread
 DAY_NS = 86_400_000_000_000
 LONGEST_DAYS = 21  # recordings over so many days are told apart by day, over more by week
 MOST_GROUPS = 12  # where no recording has a stamp, they make so many groups, in their order
-MOST_PERIODS, MOST_OF_PERIOD = 60, 5  # periods that are looked at, and episodes of each: evenly over all of them
+# periods that are looked at, and episodes of each: evenly over all of them
+MOST_PERIODS = 60
+MOST_OF_PERIOD = 5
 
 _TERMS = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}
-COLUMNS = ("period", "episodes", "arm_over_urdf", "joint", *(f"{k}_{u}{e}" for k, u in _TERMS.items() for e in ("", "_std")))
+COLUMNS = (
+    "period",
+    "episodes",
+    "arm_over_urdf",
+    "joint",
+    *(f"{k}_{u}{e}" for k, u in _TERMS.items() for e in ("", "_std")),
+)
 """Of a table of drift; a mean and its standard deviation by turns."""
 
 
@@ -62,19 +70,35 @@ class Drift(Listed[Period]):
 
     def as_json(self) -> dict[str, Any]:
         """A row per period and joint, as in ``drift.csv``, by the names of its columns."""
-        return {**header("drift"), "rows": [dict(zip(COLUMNS, row, strict=True)) for row in self.rows()]}
+        return {
+            **header("drift"),
+            "rows": [dict(zip(COLUMNS, row, strict=True)) for row in self.rows()],
+        }
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Of each period and joint the entries of `COLUMNS`."""
         return [
             (each.name, each.episodes, each.arm.arm_over_urdf, joint, *map(float, values))
             for each in self
-            for joint, *values in zip(each.arm.joints, *sum(map(each.term, _TERMS), ()), strict=True)
+            for joint, *values in zip(
+                each.arm.joints, *sum(map(each.term, _TERMS), ()), strict=True
+            )
         ]
 
     def friction(self) -> list[list[str]]:
         """Titles, then words of each period: its name, episodes, the arm's weight over its URDF's, Coulomb friction by joint."""
-        titles = [["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in self[0].arm.joints)]] if self else [[]]
+        titles = (
+            [
+                [
+                    "from",
+                    "episodes",
+                    "arm over URDF",
+                    *(f"{joint} [N m]" for joint in self[0].arm.joints),
+                ]
+            ]
+            if self
+            else [[]]
+        )
         return titles + [
             [period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}"]
             + [within(v, s) for v, s in zip(*period.term("coulomb"), strict=True)]
@@ -102,9 +126,13 @@ class Drift(Listed[Period]):
         """Coulomb friction of each joint over the periods with 95 % intervals; of none, why."""
         if not self:
             return words_figure(repr(self)[1:-1], [self.sentence()])
-        values, std = (np.array([period.term("coulomb")[part] for period in self]).T for part in (0, 1))
+        values, std = (
+            np.array([period.term("coulomb")[part] for period in self]).T for part in (0, 1)
+        )
         lines = zip(self[0].arm.joints, values, Z95 * std, strict=True)
-        return series_figure(self.sentence(), [period.name for period in self], "Coulomb friction (N m)", list(lines))
+        return series_figure(
+            self.sentence(), [period.name for period in self], "Coulomb friction (N m)", list(lines)
+        )
 
     def _repr_html_(self) -> str:
         titles, *rows = self.friction()
@@ -132,7 +160,8 @@ def drift(
     """
     given = read_arguments(locals())
     options = options_of({**given, "facts": {}})
-    request, episodes = request_of(options), episodes_of(given["bags"])
+    request = request_of(options)
+    episodes = episodes_of(given["bags"])
     read = [(each, motion) for each in episodes for motion in readable([each], 1, request)]
     stamps = {each.path: motion.begin_ns if each.index is None else None for each, motion in read}
     if not read:
@@ -149,7 +178,9 @@ def periods_of(stamps: Sequence[int | None]) -> list[tuple[str, float, list[int]
     """Name, place on the axis and numbers of the episodes of each period, by when each was recorded [ns]; None: not known."""
     if any(stamp is None for stamp in stamps) or not stamps:
         size = max(1, -(-len(stamps) // MOST_GROUPS))
-        groups = [list(range(at, min(at + size, len(stamps)))) for at in range(0, len(stamps), size)]
+        groups = [
+            list(range(at, min(at + size, len(stamps)))) for at in range(0, len(stamps), size)
+        ]
         return [(f"{group[0]} to {group[-1]}", float(group[0]), group) for group in groups]
     days = [int(stamp or 0) // DAY_NS for stamp in stamps]
     first = min(days)
@@ -158,12 +189,17 @@ def periods_of(stamps: Sequence[int | None]) -> list[tuple[str, float, list[int]
     for place, day in enumerate(days):
         found.setdefault((day - first) // length * length, []).append(place)
     begin = datetime.fromtimestamp(first * 86400, timezone.utc)
-    return [(f"{begin + timedelta(days=at):%Y-%m-%d}", float(at), found[at]) for at in sorted(found)]
+    return [
+        (f"{begin + timedelta(days=at):%Y-%m-%d}", float(at), found[at]) for at in sorted(found)
+    ]
 
 
 @one_blas_thread
 def drift_of(
-    episodes: Sequence[Episode], stamps: Mapping[str, int | None], options: Options, tell: Callable[[str], Any] = lambda _: None
+    episodes: Sequence[Episode],
+    stamps: Mapping[str, int | None],
+    options: Options,
+    tell: Callable[[str], Any] = lambda _: None,
 ) -> Drift:
     """What each period says about the arm, by episodes with an empty hand; one without a usable motion is left out.
 
@@ -197,7 +233,9 @@ def check_drift(path: Path) -> None:
     """Raises: ConfigurationError: a file is there that no batch wrote."""
     with suppress(FileNotFoundError), open(path, encoding="utf-8", errors="replace") as stream:
         if (first := stream.readline()) and first.strip() != ",".join(COLUMNS):
-            raise ConfigurationError(f"--out: {path} is no table of proprio: move it away, or name another folder")
+            raise ConfigurationError(
+                f"--out: {path} is no table of proprio: move it away, or name another folder"
+            )
 
 
 def write_drift(drift: Drift, path: Path) -> None:
@@ -207,7 +245,9 @@ def write_drift(drift: Drift, path: Path) -> None:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(COLUMNS)
     for name, episodes, over, joint, *values in drift.rows():
-        writer.writerow([name, episodes, f"{over:.5f}", joint, *(f"{value:.6g}" for value in values)])
+        writer.writerow(
+            [name, episodes, f"{over:.5f}", joint, *(f"{value:.6g}" for value in values)]
+        )
     write_in_one_step(path, stream.getvalue(), "--out")
 
 
@@ -233,7 +273,10 @@ def drift_parts(periods: Drift) -> list[str]:
     return [
         "<h2>How the arm drifts</h2>",
         f"<p>{said}</p>",
-        framed(chart(panels, axis, "drift"), "Each period learnt anew from its empty hand; bands are 95 % intervals."),
+        framed(
+            chart(panels, axis, "drift"),
+            "Each period learnt anew from its empty hand; bands are 95 % intervals.",
+        ),
         "<p>Coulomb friction with its standard deviation:</p>",
         table(titles, rows, range(1, len(titles)), labels=1),
         "<p class=small>The same with viscous friction and offsets: <code>drift.csv</code> beside this page.</p>",

@@ -44,7 +44,9 @@ def episodes_of(sources: Sequence[str | Path]) -> list[Episode]:
             found.setdefault(episode.path, episode)
     if not found:
         named = ", ".join(map(str, sources))
-        raise ConfigurationError(f"{named}: no bag and no LeRobot data set there; name folders that hold some")
+        raise ConfigurationError(
+            f"{named}: no bag and no LeRobot data set there; name folders that hold some"
+        )
     return list(found.values())
 
 

@@ -24,7 +24,8 @@ GRIPPERS = ("gripper", "finger", "jaw")
 """A joint with one of these in its name moves the fingers, and so does one that slides."""
 BEFORE_S, AFTER_S = 1.0, 0.5
 """A gripper that lets go or takes hold does so within this of the change of the load, whose instant is known to some tenths [s]."""
-MOVED_SHARE = 0.05  # of its range; a gripper that moves less stands still: an object gives way, and motors have play
+# of its range; a gripper that moves less stands still: an object gives way, and motors have play
+MOVED_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class Grasp:
 def gripper_joint(robot: Robot, motion: Motion) -> str | None:
     """The joint that opens and closes the hand; None where the recording has none."""
     for name in (*motion.beside, *motion.joints):
-        slides = name in robot.model.independent_joints and robot.model.joint(name).kind == "prismatic"
+        slides = (
+            name in robot.model.independent_joints and robot.model.joint(name).kind == "prismatic"
+        )
         if slides or any(word in name.lower() for word in GRIPPERS):
             return name
     return None
@@ -80,19 +83,25 @@ class Grasps:
         if motion.begin_ns and self._begin[1]:
             start_s = self._begin[0] + 1e-9 * (motion.begin_ns - self._begin[1])
         columns = [motion.joints.index(name) for name in self._running.joints]
-        position, current = motion.position[:, columns], motion.current_A[:, columns]
+        position = motion.position[:, columns]
+        current = motion.current_A[:, columns]
         times_s = start_s + motion.times_s
         for row, time_s in enumerate(times_s):
             if self._running.add(float(time_s), position[row].tolist(), current[row].tolist()):
                 estimate = self._running.estimate()
                 if estimate is not None and estimate.motion_s >= LEAST_S:
                     # a change whose instant is refined moves a little: it is still the same stretch
-                    same = next((at for at in self._last if abs(at - estimate.since_s) < LEAST_S), estimate.since_s)
+                    same = next(
+                        (at for at in self._last if abs(at - estimate.since_s) < LEAST_S),
+                        estimate.since_s,
+                    )
                     self._last[same] = estimate
         self._times.append(times_s)
         if self._gripper is not None:
             beside = motion.beside.get(self._gripper)
-            self._positions.append(motion.position[:, motion.joints.index(self._gripper)] if beside is None else beside)
+            self._positions.append(
+                motion.position[:, motion.joints.index(self._gripper)] if beside is None else beside
+            )
 
     def found(self) -> list[Grasp]:
         """The stretches in the order of time; those with an empty hand among them."""
@@ -104,9 +113,12 @@ class Grasps:
         for start, end in itertools.pairwise([*starts, float(times_s[-1])]):
             now = self._last[start]
             within = (times_s >= start) & (times_s < end)
-            moved, stands = None, None
+            moved = None
+            stands = None
             if gripper is not None:
-                moved = self._moved(gripper, (times_s >= start - BEFORE_S) & (times_s <= start + AFTER_S))
+                moved = self._moved(
+                    gripper, (times_s >= start - BEFORE_S) & (times_s <= start + AFTER_S)
+                )
                 stands = float(gripper[within].mean()) if within.any() else None
             what = _said(before, now, moved)
             mass = (now.mass_kg, now.std_kg, now.ci95_kg, now.known)
@@ -116,7 +128,8 @@ class Grasps:
 
     def _moved(self, gripper: FloatArray, near: np.ndarray) -> bool:
         """Whether the gripper moved where the load changed."""
-        name, reach = str(self._gripper), 0.0
+        name = str(self._gripper)
+        reach = 0.0
         if name in self.robot.model.independent_joints:
             joint = self.robot.model.joint(name)
             reach = joint.upper - joint.lower
@@ -125,7 +138,9 @@ class Grasps:
         return bool(near.any() and np.ptp(gripper[near]) > max(MOVED_SHARE * reach, 1e-4))
 
 
-def _said(before: OnlineEstimate | None, now: OnlineEstimate, gripper_moved: bool | None) -> tuple[str, str]:
+def _said(
+    before: OnlineEstimate | None, now: OnlineEstimate, gripper_moved: bool | None
+) -> tuple[str, str]:
     """What became of the load from one stretch to the next, as a code and as a sentence.
 
     The first stretch has none before it; None: nobody knows whether the gripper moved where one became the other.
@@ -133,7 +148,11 @@ def _said(before: OnlineEstimate | None, now: OnlineEstimate, gripper_moved: boo
     empty = now.ci95_kg[0] <= 0.0
     heavy = f"{1e3 * now.mass_kg:.0f} g ({1e3 * now.ci95_kg[0]:.0f} to {1e3 * now.ci95_kg[1]:.0f})"
     if before is None or before.ci95_kg[0] <= 0.0 or now.mass_kg >= before.mass_kg:
-        return ("empty", f"nothing that can be told from zero: {heavy}") if empty else ("held", f"held: {heavy}")
+        return (
+            ("empty", f"nothing that can be told from zero: {heavy}")
+            if empty
+            else ("held", f"held: {heavy}")
+        )
     code, words = {
         (True, None): ("released", "put down or lost"),
         (True, True): ("released", "put down, the gripper moved"),

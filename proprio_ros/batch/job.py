@@ -32,7 +32,8 @@ from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.report import bars_figure, small_table
 from proprio_ros.threads import end_with_parent
 
-MOST_REPORTS = 12  # rows whose pages are written unless told otherwise; more are written by several processes
+# rows whose pages are written unless told otherwise; more are written by several processes
+MOST_REPORTS = 12
 MOST_SHOWN = 20  # rows that a terminal shows
 MOST_EMPTY = 20  # episodes that calibrate an arm
 LEAST_FIRST_S = SHORTEST_S  # of each episode, where its first seconds are those of an empty hand
@@ -51,7 +52,10 @@ class Outcome:
 
     def plot(self) -> Any:
         """How many rows have which verdict, as a matplotlib ``Figure``."""
-        bars = [(name.replace("_", " "), float(count), name == "accepted") for name, count in self.verdicts.items()]
+        bars = [
+            (name.replace("_", " "), float(count), name == "accepted")
+            for name, count in self.verdicts.items()
+        ]
         return bars_figure(f"{self.episodes} episodes", "rows", bars)
 
     def _repr_html_(self) -> str:
@@ -101,12 +105,15 @@ def run_batch(
     job = replace(job, options=_located(job.options))
     episodes = episodes_of(sources)
     _check_units(episodes, job.options)
-    plain, empties = job.options, list[Episode]()
+    plain = job.options
+    empties = list[Episode]()
     if empty is not None:
         empties = _marked(episodes, empty)
         job = replace(job, options=self_calibrated(empties, plain, "--empty", Path(out), tell))
     elif empty_first_s is not None:
-        empties = [each for each in episodes if not each.problem and not is_text_recording(each.path)]
+        empties = [
+            each for each in episodes if not each.problem and not is_text_recording(each.path)
+        ]
         plain = replace(plain, span=(0, round(1e9 * empty_first_s)))
         options = self_calibrated(empties, plain, "--empty-first", Path(out), tell)
         job = replace(job, options=options, empty_first_s=empty_first_s)
@@ -130,20 +137,33 @@ def run_batch(
         pages = _reports(store.folder, rows, job, reports, processes or processors(), tell)
         write_batch_page(rows, store.folder / "batch.html", command, pages, drift, job.options)
         rows = [row for row in rows if row["kind"] != GRASP]
-        rows.sort(key=lambda row: (row["source"], row["episode_index"] or 0, row["episode"], row["segment"]))
+        rows.sort(
+            key=lambda row: (
+                row["source"],
+                row["episode_index"] or 0,
+                row["episode"],
+                row["segment"],
+            )
+        )
         verdicts = dict(sorted(Counter(row["verdict"] for row in rows).items()))
         return Outcome(len(episodes), before, verdicts, store.folder, rows[:MOST_SHOWN], drift)
 
 
-def _check_options(engine: str, options: Options, empty: str | None, empty_first_s: float | None) -> None:
+def _check_options(
+    engine: str, options: Options, empty: str | None, empty_first_s: float | None
+) -> None:
     """What is wrong for every episode is said once; Raises as `run_batch` does."""
     if empty is None and empty_first_s is None:
         request_of(options)
     elif options.calibration is not None:
         option = "--empty" if empty is not None else "--empty-first"
-        raise ConfigurationError(f"{option} makes a calibration, and --calibration names one: give one of them")
+        raise ConfigurationError(
+            f"{option} makes a calibration, and --calibration names one: give one of them"
+        )
     elif empty is not None and empty_first_s is not None:
-        raise ConfigurationError("--empty and --empty-first both say when the hand is empty: give one of them")
+        raise ConfigurationError(
+            "--empty and --empty-first both say when the hand is empty: give one of them"
+        )
     if empty_first_s is not None and empty_first_s < LEAST_FIRST_S:
         raise ConfigurationError(
             f"--empty-first {empty_first_s:g}: {LEAST_FIRST_S:g} s of motion with an empty hand are the least that say anything"
@@ -155,14 +175,18 @@ def _check_options(engine: str, options: Options, empty: str | None, empty_first
 def _check_units(episodes: Sequence[Episode], options: Options) -> None:
     """Raises: ConfigurationError: nobody says what the numbers of a data set are in."""
     driver = None if options.driver is None else load_driver(options.driver)
-    if any(episode.index is not None for episode in episodes) and (driver is None or driver.columns is None):
+    if any(episode.index is not None for episode in episodes) and (
+        driver is None or driver.columns is None
+    ):
         raise ConfigurationError(
             "a data set does not say what its positions and its effort are in: give --driver lerobot (degrees), "
             "lerobot_openarm, lerobot_rad, or your own file with columns"
         )
 
 
-def self_calibrated(empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]) -> Options:
+def self_calibrated(
+    empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]
+) -> Options:
     """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
     The span of the options is what of each episode is empty; what comes back is for all of each. ``option`` of the command line is
@@ -172,17 +196,27 @@ def self_calibrated(empty: Sequence[Episode], options: Options, option: str, out
     """
     path = out.resolve() / "calibration.yaml"
     if path.exists() and not path.with_name("job.json").exists():
-        raise ConfigurationError(f"{option}: {path} is no calibration of a job here: move it away, or give it with --calibration")
+        raise ConfigurationError(
+            f"{option}: {path} is no calibration of a job here: move it away, or give it with --calibration"
+        )
     if not path.exists():
         request = request_of(options)
         # evenly over all of them: an arm drifts
         chosen = [each for each in evenly(empty, MOST_EMPTY) if readable([each], 1, request)]
         if not chosen:
-            raise ConfigurationError(f"{option}: no motion of an empty hand can be read; is anything moving there?")
-        what = "episodes that are marked as empty" if options.span is None else "episodes, whose hand is empty at first"
+            raise ConfigurationError(
+                f"{option}: no motion of an empty hand can be read; is anything moving there?"
+            )
+        what = (
+            "episodes that are marked as empty"
+            if options.span is None
+            else "episodes, whose hand is empty at first"
+        )
         tell(f"calibrating with {len(chosen)} of {len(empty)} {what}")
         path.parent.mkdir(parents=True, exist_ok=True)
-        estimate = calibrate_from_bags([each.path for each in chosen], {}, options, path, lambda words: None)
+        estimate = calibrate_from_bags(
+            [each.path for each in chosen], {}, options, path, lambda words: None
+        )
         if estimate.verdict.value != "accepted":
             why = next(iter(estimate.reasons), "the arm cannot be calibrated with them")
             raise ConfigurationError(f"{option}: {why}")
@@ -198,16 +232,27 @@ def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
         data = open_data_set(episode.source)
         if column not in data.features:
             there = ", ".join(data.features)
-            raise ConfigurationError(f"--empty {column}: {data.folder} has no such column; it has: {there}")
+            raise ConfigurationError(
+                f"--empty {column}: {data.folder} has no such column; it has: {there}"
+            )
         with suppress(RecordingError):  # its row will say why
             if marked(data, episode.index, column):
                 found.append(episode)
     if not found:
-        raise ConfigurationError(f"--empty {column}: no episode of a data set has anything but zero there throughout")
+        raise ConfigurationError(
+            f"--empty {column}: no episode of a data set has anything but zero there throughout"
+        )
     return found
 
 
-def _reports(folder: Path, rows: Sequence[Row], job: Job, most: int, processes: int, tell: Callable[[str], Any]) -> dict[str, str]:
+def _reports(
+    folder: Path,
+    rows: Sequence[Row],
+    job: Job,
+    most: int,
+    processes: int,
+    tell: Callable[[str], Any],
+) -> dict[str, str]:
     """Write the pages of rows, what looks odd first; returns their places beside the page, by what `named` calls the row.
 
     A page that a stopped job left is of the same row and options: it stays.
@@ -216,7 +261,10 @@ def _reports(folder: Path, rows: Sequence[Row], job: Job, most: int, processes: 
     first = odd(rows)
     known = {named(row) for row in first}
     chosen = (first + [row for row in rows if named(row) not in known])[:most]
-    places = {named(row): f"reports/{hashlib.sha256(named(row).encode()).hexdigest()[:16]}.html" for row in chosen}
+    places = {
+        named(row): f"reports/{hashlib.sha256(named(row).encode()).hexdigest()[:16]}.html"
+        for row in chosen
+    }
     missing = [row for row in chosen if not (folder / places[named(row)]).exists()]
     if missing:
         (folder / "reports").mkdir(exist_ok=True)
@@ -237,7 +285,12 @@ def _reports(folder: Path, rows: Sequence[Row], job: Job, most: int, processes: 
 def _write_page(name: str, path: str, options: Options, place: Path) -> str:
     """The page of one row, or why it cannot be written: the recording may have gone since."""
     try:
-        write_report(replay(path, options), place, command=f"proprio replay {name}{asked(options)}", sources=[path])
+        write_report(
+            replay(path, options),
+            place,
+            command=f"proprio replay {name}{asked(options)}",
+            sources=[path],
+        )
     except ProprioError as error:
         return str(error)
     except Exception as error:  # whatever one row holds, all others are done
@@ -249,7 +302,13 @@ def _located(options: Options) -> Options:
     """The same with absolute paths: another process may run elsewhere."""
 
     def absolute(name: str | Path | None) -> str | None:
-        return None if name is None else str(Path(name).resolve()) if Path(name).is_file() else str(name)
+        return (
+            None
+            if name is None
+            else str(Path(name).resolve())
+            if Path(name).is_file()
+            else str(name)
+        )
 
     robot, calibration, driver = map(absolute, (options.robot, options.calibration, options.driver))
     return replace(options, robot=robot, calibration=calibration, driver=driver)
@@ -259,5 +318,9 @@ def refuse_device(device: str) -> None:
     """Raises: ConfigurationError: It is anything but the processor, which is all that the engines have."""
     if device != "cpu":
         there = any(Path("/dev").glob("nvidia[0-9]*"))
-        why = "a batch runs on the processor only for now" if there else "there is no NVIDIA GPU on this machine"
+        why = (
+            "a batch runs on the processor only for now"
+            if there
+            else "there is no NVIDIA GPU on this machine"
+        )
         raise ConfigurationError(f"--device {device}: {why}; leave it out")

@@ -26,10 +26,13 @@ def path_of(row: Row) -> str:
 
 def span_of(row: Row) -> Span | None:
     """The part of its recording that a row is of; None: all of it."""
-    begin_s, end_s = row["start_s"], row["end_s"]
+    begin_s = row["start_s"]
+    end_s = row["end_s"]
     if begin_s is None or (row["kind"] == EPISODE and not begin_s):
         return None
-    return round(1e9 * begin_s), None if row["kind"] == EPISODE or end_s is None else round(1e9 * end_s)
+    return round(1e9 * begin_s), None if row["kind"] == EPISODE or end_s is None else round(
+        1e9 * end_s
+    )
 
 
 def named(row: Row) -> str:
@@ -53,7 +56,11 @@ def asked(options: Options | None, check: bool = False) -> str:
     if not check and options.probe != "payload":
         words += ["--probe", options.probe]
     if not check:
-        words += [word for key, value in options.settings.items() for word in ("--set", f"{key}={json.dumps(value, default=str)}")]
+        words += [
+            word
+            for key, value in options.settings.items()
+            for word in ("--set", f"{key}={json.dumps(value, default=str)}")
+        ]
     return "".join(f" {shlex.quote(word)}" for word in words)
 
 
@@ -76,7 +83,9 @@ class Sentences:
 def own_words(row: Row, sentence: str) -> str:
     """A sentence of a row without the name of its recording in front, which the row says anyway."""
     head, colon, rest = sentence.partition(": ")
-    inside = head in f"{row['source']}/{row['episode']}" or f"{row['source']}/{row['episode']}" in head
+    inside = (
+        head in f"{row['source']}/{row['episode']}" or f"{row['source']}/{row['episode']}" in head
+    )
     return rest if colon and (inside or head == f"{row['source']}#{row['episode']}") else sentence
 
 
@@ -96,7 +105,9 @@ def refused(row: Row) -> bool:
 
 def causes_of(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """Of all rows that were refused, the most frequent first."""
-    return [cause for cause, _ in Counter(cause_of(row) for row in rows if refused(row)).most_common()]
+    return [
+        cause for cause, _ in Counter(cause_of(row) for row in rows if refused(row)).most_common()
+    ]
 
 
 def rounded(row: Row) -> tuple[str, str, str]:
@@ -105,9 +116,13 @@ def rounded(row: Row) -> tuple[str, str, str]:
         return "", "", ""
     factor, _ = shown_unit(row["unit"])
     spec = spec_for(row["unit"], row["std"])
-    if row["low"] is not None and row["high"] > row["low"]:  # one that ends at a bound says more than its deviation
+    # one that ends at a bound says more than its deviation
+    if row["low"] is not None and row["high"] > row["low"]:
         spec = spec_for(row["unit"], max(row["std"] or 0.0, (row["high"] - row["low"]) / 4.0))
-    found = (None if each is None else f"{factor * each:{spec}}" for each in (row["value"], row["low"], row["high"]))
+    found = (
+        None if each is None else f"{factor * each:{spec}}"
+        for each in (row["value"], row["low"], row["high"])
+    )
     value, low, high = (each if each is None or float(each) else each.lstrip("-") for each in found)
     return value or "", low or "", high or ""
 
@@ -115,11 +130,19 @@ def rounded(row: Row) -> tuple[str, str, str]:
 def when(row: Row) -> str:
     """When it was recorded, to the second."""
     stamp = row["recorded_ns"]
-    return "" if not stamp else f"{datetime.fromtimestamp(1e-9 * stamp, timezone.utc):%Y-%m-%d %H:%M:%S}"
+    return (
+        ""
+        if not stamp
+        else f"{datetime.fromtimestamp(1e-9 * stamp, timezone.utc):%Y-%m-%d %H:%M:%S}"
+    )
 
 
 def listing(
-    rows: Sequence[Row], sources: Mapping[str, tuple[str, str]], pages: Mapping[int, str], far: set[int], about: Mapping[str, Any]
+    rows: Sequence[Row],
+    sources: Mapping[str, tuple[str, str]],
+    pages: Mapping[int, str],
+    far: set[int],
+    about: Mapping[str, Any],
 ) -> str:
     """All of it as JSON for ``rows.js``, which names the columns.
 
@@ -127,13 +150,22 @@ def listing(
     files beside the page by the number of their row, ``far`` the numbers of rows that are far from the others of their
     source, ``about`` is what else the script needs.
     """
-    sentences, names, causes = Sentences(), list(sources), causes_of(rows)
+    sentences = Sentences()
+    names = list(sources)
+    causes = causes_of(rows)
     place = {cause: number for number, cause in enumerate(causes)}
-    verdicts, joints = dict[str, int](), dict[str, int]()
+    verdicts = dict[str, int]()
+    joints = dict[str, int]()
     found = []
     for number, row in enumerate(rows):
-        verdict = f"{GRASP} {row['reason_codes'][0]}" if row["kind"] == GRASP else row["verdict"].replace("_", " ")
-        begin, end = (None if row[name] is None else round(row[name], 1) for name in ("start_s", "end_s"))
+        verdict = (
+            f"{GRASP} {row['reason_codes'][0]}"
+            if row["kind"] == GRASP
+            else row["verdict"].replace("_", " ")
+        )
+        begin, end = (
+            None if row[name] is None else round(row[name], 1) for name in ("start_s", "end_s")
+        )
         found.append([
             names.index(row["source_name"]),
             row["episode"],

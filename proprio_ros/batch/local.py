@@ -52,11 +52,21 @@ def compute(episodes: Sequence[Episode], job: Job, folder: str) -> int:
 
 
 def run_local(
-    episodes: Sequence[Episode], job: Job, store: Store, processes: int, tell: Callable[[str], Any], most: int = CHUNK
+    episodes: Sequence[Episode],
+    job: Job,
+    store: Store,
+    processes: int,
+    tell: Callable[[str], Any],
+    most: int = CHUNK,
 ) -> None:
     """Answer episodes in so many processes at a time, at most so many episodes per file; ``tell`` hears how far it is."""
-    waiting = deque(_Chunk(group) for group in chunks_of(episodes, chunk_size(len(episodes), processes, most)))
-    began, finished, failed, told = time.monotonic(), 0, 0, time.monotonic()
+    waiting = deque(
+        _Chunk(group) for group in chunks_of(episodes, chunk_size(len(episodes), processes, most))
+    )
+    began = time.monotonic()
+    finished = 0
+    failed = 0
+    told = time.monotonic()
     while waiting:
         # a fresh interpreter: Warp's and BLAS's threads do not survive a fork
         pool = ProcessPoolExecutor(processes, get_context("spawn"), end_with_parent)
@@ -84,9 +94,14 @@ def run_local(
                     waiting.appendleft(chunk)
                     continue
                 episode = chunk.episodes[0]
-                reason = f"the process that worked on it died {TRIES} times; is there enough memory?"
-                store.write([failed_row(episode, job, reason, "process_died")], chunk_id(chunk.episodes))
-                finished, failed = finished + 1, failed + 1
+                reason = (
+                    f"the process that worked on it died {TRIES} times; is there enough memory?"
+                )
+                store.write(
+                    [failed_row(episode, job, reason, "process_died")], chunk_id(chunk.episodes)
+                )
+                finished = finished + 1
+                failed = failed + 1
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 

@@ -11,7 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from proprio_ros.batch.drift import Drift, drift_parts
-from proprio_ros.batch.listing import asked, cause_of, causes_of, listing, named, own_words, refused, when
+from proprio_ros.batch.listing import (
+    asked,
+    cause_of,
+    causes_of,
+    listing,
+    named,
+    own_words,
+    refused,
+    when,
+)
 from proprio_ros.batch.plots import histogram, values_figure
 from proprio_ros.batch.rows import EPISODE, GRASP, PART, Row
 from proprio_ros.identification.reasons import CODES, REMEDIES
@@ -23,7 +32,12 @@ COLUMNS = (
     "source_name", "source", "episode", "episode_index", "segment", "kind", "recorded_ns", "quantity", "unit", "value", "std",
     "low", "high", "verdict", "reasons", "reason_codes", "notes", "robot", "calibration", "start_s", "end_s", "joints",
 )  # fmt: skip
-OWN = Own(*(Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("rows.css", "rows.js")))
+OWN = Own(
+    *(
+        Path(__file__).with_name(name).read_text(encoding="utf-8")
+        for name in ("rows.css", "rows.js")
+    )
+)
 MOST_PLOTS, MOST_LISTED, MOST_CAUSES, EXAMPLES = 12, 50_000, 20, 3
 """Plots, of the sources with the most episodes; rows; causes; episodes that are named with each cause."""
 ODD_SIGMAS = 5.0
@@ -37,7 +51,12 @@ _HELP = {
 
 
 def write_batch_page(
-    rows: list[Row], path: Path, command: str, reports: Mapping[str, str], drift: Drift, options: Options | None = None
+    rows: list[Row],
+    path: Path,
+    command: str,
+    reports: Mapping[str, str],
+    drift: Drift,
+    options: Options | None = None,
 ) -> None:
     """Write the page of rows with `COLUMNS`, which are put in order and numbered, by the options that were asked of each.
 
@@ -70,7 +89,10 @@ def _sources(rows: Iterable[Row]) -> dict[str, tuple[str, str]]:
     """What each is called, and where it lies: its folder's name where that says which, else all of its path."""
     places = {row["source_name"]: row["source"] for row in rows}
     often = Counter(Path(place).name for place in places.values())
-    return {name: (Path(place).name if often[Path(place).name] == 1 else place, place) for name, place in places.items()}
+    return {
+        name: (Path(place).name if often[Path(place).name] == 1 else place, place)
+        for name, place in places.items()
+    }
 
 
 def _summary(whole: Sequence[Row]) -> list[str]:
@@ -78,22 +100,30 @@ def _summary(whole: Sequence[Row]) -> list[str]:
     episodes = len({(row["source"], row["episode"]) for row in whole})
     parts = "" if episodes == len(whole) else f" in {len(whole)} parts"
     said = escape(", ".join(f"{count} {name}" for name, count in sorted(verdicts.items())))
-    found, names = [], _sources(whole)
+    found = []
+    names = _sources(whole)
     for source, own in _by_source(whole).items():
         good = [row for row in own if row["verdict"] == "accepted" and row["value"] is not None]
         numbers = ["", "", ""]
         if good:
-            values, unit = np.array([row["value"] for row in good]), good[0]["unit"]
+            values = np.array([row["value"] for row in good])
+            unit = good[0]["unit"]
             std = float(np.median([row["std"] or 0.0 for row in good]))
             spec = spec_for(unit, std)
             low, high = np.percentile(values, (25, 75))
             middle = shown(unit, low, high, spec=spec, between=" to ")
             half = shown(unit, Z95 * std, spec=spec)
-            numbers = [shown(unit, float(np.median(values)), spec=spec), middle, f"± {half}" if std else ""]
+            numbers = [
+                shown(unit, float(np.median(values)), spec=spec),
+                middle,
+                f"± {half}" if std else "",
+            ]
         share = f"{len(good)} ({_percent(len(good), len(own))})"
         found.append([names[source][0], str(len(own)), share, *numbers])
     known = sorted({(row["robot"], row["calibration"] or "") for row in whole if row["robot"]})
-    arms = ", ".join(f"{robot} ({f'calibration {made}' if made else 'not calibrated'})" for robot, made in known)
+    arms = ", ".join(
+        f"{robot} ({f'calibration {made}' if made else 'not calibrated'})" for robot, made in known
+    )
     header = ("source", "rows", "accepted", "median", "middle half", "95 % interval, usually")
     return [
         "<h1>Many recordings</h1>",
@@ -118,7 +148,8 @@ def _by_source(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def _masses(whole: Sequence[Row]) -> list[str]:
     """One plot per source with intervals, and how often which value was accepted."""
-    valued, names = [row for row in whole if row["value"] is not None], _sources(whole)
+    valued = [row for row in whole if row["value"] is not None]
+    names = _sources(whole)
     if not valued:
         return []
     by_source = _by_source(valued)
@@ -129,11 +160,17 @@ def _masses(whole: Sequence[Row]) -> list[str]:
         *histogram([row for row in valued if row["verdict"] == "accepted"]),
         "<p class='small hint'>Click a dot for its row; drag to look closer, double-click for all of it.</p>",
         *[left] * (len(by_source) > MOST_PLOTS),
-        *(values_figure(own, names[source][0]) for source, own in by_source.items() if source in most),
+        *(
+            values_figure(own, names[source][0])
+            for source, own in by_source.items()
+            if source in most
+        ),
     ]
 
 
-def _refused(whole: Sequence[Row], reports: Mapping[str, str], options: Options | None) -> list[str]:
+def _refused(
+    whole: Sequence[Row], reports: Mapping[str, str], options: Options | None
+) -> list[str]:
     """By cause, the most frequent first, with the sentence that helps and some of its episodes."""
     rows: dict[tuple[str, str], list[Row]] = {}
     for row in whole:
@@ -149,20 +186,31 @@ def _refused(whole: Sequence[Row], reports: Mapping[str, str], options: Options 
         sentences = [own_words(row, row["reasons"][0]) for row in own if row["reasons"]]
         said = escape(Counter(sentences).most_common(1)[0][0] if sentences else "")
         title = f"{escape(code.replace('_', ' '))}: {len(own)} ({_percent(len(own), len(whole))})"
-        parts.append(f"<div class=cause><h3>{title}</h3><i style='width:{100.0 * len(own) / most:.1f}%'></i>")
+        parts.append(
+            f"<div class=cause><h3>{title}</h3><i style='width:{100.0 * len(own) / most:.1f}%'></i>"
+        )
         if words:  # no reason of a fit: the sentence is the cause
             checked = f"<code>proprio check {escape(named(own[0]).partition(' --span ')[0] + asked(options, True))}</code>"
-            parts.append(f"<p>{said}</p><p><b>What to do:</b> {_HELP.get(code, _HELP['']).replace('CHECK', checked)}</p>")
+            parts.append(
+                f"<p>{said}</p><p><b>What to do:</b> {_HELP.get(code, _HELP['']).replace('CHECK', checked)}</p>"
+            )
         else:
-            meaning, remedy = (escape(words[0].upper() + words[1:]) for words in (CODES[code], REMEDIES[code]))
-            remedy = re.sub(r"`([^`]*)`", r"<code>\1</code>", remedy)  # commands are between backticks
-            parts.append(f"<p>{meaning}.</p><p><b>What to do:</b> {remedy}.</p><p class=small>One of them: {said}</p>")
+            meaning, remedy = (
+                escape(words[0].upper() + words[1:]) for words in (CODES[code], REMEDIES[code])
+            )
+            # commands are between backticks
+            remedy = re.sub(r"`([^`]*)`", r"<code>\1</code>", remedy)
+            parts.append(
+                f"<p>{meaning}.</p><p><b>What to do:</b> {remedy}.</p><p class=small>One of them: {said}</p>"
+            )
         examples = ", ".join(_linked(row, reports) for row in own[:EXAMPLES])
         more = f" and {len(own) - EXAMPLES} more" if len(own) > EXAMPLES else ""
         jump = f" <a class=jump href='#all' data-cause='{number}'>Show {'all' if more else 'in the list'}</a>"
         parts.append(f"<p class=small>{examples}{more}.{jump}</p></div>")
     if (left := len(rows) - MOST_CAUSES) > 0:
-        parts.append(f"<p class=small>And {left} other causes, each of fewer rows: choose them in the list below.</p>")
+        parts.append(
+            f"<p class=small>And {left} other causes, each of fewer rows: choose them in the list below.</p>"
+        )
     return parts
 
 
@@ -180,7 +228,9 @@ def odd(whole: Sequence[Row]) -> list[Row]:
         if row["verdict"] not in ("accepted", "failed"):
             groups.setdefault(cause_of(row), []).append(row)
     turns = max(map(len, groups.values()), default=0)
-    return found + [group[turn] for turn in range(turns) for group in groups.values() if turn < len(group)]
+    return found + [
+        group[turn] for turn in range(turns) for group in groups.values() if turn < len(group)
+    ]
 
 
 def far(whole: Sequence[Row]) -> list[Row]:
@@ -200,10 +250,19 @@ def far(whole: Sequence[Row]) -> list[Row]:
 
 def _all(rows: Sequence[Row], reports: Mapping[str, str], options: Options | None) -> list[str]:
     """Every row, to search and filter by its script; without scripts the page says where they are."""
-    names, several = _sources(rows), len({row["source_name"] for row in rows}) > 1
+    names = _sources(rows)
+    several = len({row["source_name"] for row in rows}) > 1
     unit = next((shown_unit(row["unit"])[1] for row in rows if row["unit"]), "")
-    heads = [("", "episode"), *[("source", "source")] * several, *[("when", "recorded (UTC)")] * any(map(when, rows))]
-    heads += [("value", f"value ({unit})" if unit else "value"), ("interval", "95 % interval"), ("verdict", "verdict")]
+    heads = [
+        ("", "episode"),
+        *[("source", "source")] * several,
+        *[("when", "recorded (UTC)")] * any(map(when, rows)),
+    ]
+    heads += [
+        ("value", f"value ({unit})" if unit else "value"),
+        ("interval", "95 % interval"),
+        ("verdict", "verdict"),
+    ]
     cells = "".join(
         f"<th{' class=number' if key in ('value', 'interval') else ''}>"
         f"<button type=button data-key='{key}'>{escape(words)}</button></th>"
@@ -214,7 +273,11 @@ def _all(rows: Sequence[Row], reports: Mapping[str, str], options: Options | Non
     data = listing(rows, names, pages, {row["number"] for row in far(rows)}, about)
     choices = "".join(
         f"<select id={key} aria-label='{key}'><option value=''>{words}</option></select>"
-        for key, words in (("source", "all sources"), ("verdict", "all verdicts"), ("cause", "all causes"))
+        for key, words in (
+            ("source", "all sources"),
+            ("verdict", "all verdicts"),
+            ("cause", "all causes"),
+        )
     )
     left = f"<p class=small>{MOST_LISTED} of them; all are in the folder <code>rows</code>.</p>"
     return [

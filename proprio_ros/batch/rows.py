@@ -84,7 +84,10 @@ def rows_of(episode: Episode, job: Job) -> list[Row]:
         reason = one_line(f"unexpected: {type(error).__name__}: {error}")
         rows = [failed_row(episode, job, reason, "unexpected")]
     elapsed = time.perf_counter() - started
-    return [{**row, "segment": number, "segments": len(rows), "elapsed_s": elapsed} for number, row in enumerate(rows)]
+    return [
+        {**row, "segment": number, "segments": len(rows), "elapsed_s": elapsed}
+        for number, row in enumerate(rows)
+    ]
 
 
 @one_blas_thread
@@ -99,8 +102,11 @@ def spans_of(episode: Episode, job: Job, request: Request) -> list[Span | None]:
     if episode.index is not None:
         parts = parts_of_episode(episode.source, episode.index, MOST_SAMPLES)
     elif not is_text_recording(episode.path) and _bytes_of(Path(episode.path)) >= LEAST_BYTES:
-        conventions, state_topic = request.conventions, job.options.state_topic
-        parts = parts_of(episode.path, MOST_SAMPLES, state_topic=state_topic, conventions=conventions)
+        conventions = request.conventions
+        state_topic = job.options.state_topic
+        parts = parts_of(
+            episode.path, MOST_SAMPLES, state_topic=state_topic, conventions=conventions
+        )
     if len(parts) < 2:
         return [_later(None, job)]
     return [later for part in parts if (later := _later(part, job)) is not None]
@@ -123,12 +129,18 @@ def _later(span: Span | None, job: Job) -> Span | None:
     return None if end_ns is not None and end_ns <= after_ns else (max(begin_ns, after_ns), end_ns)
 
 
-def _answered(episode: Episode, job: Job, request: Request, spans: Sequence[Span | None]) -> list[Row]:
+def _answered(
+    episode: Episode, job: Job, request: Request, spans: Sequence[Span | None]
+) -> list[Row]:
     """Rows of each part, and of the grasps in all of them; none where one of several parts holds pushes."""
     rows: list[Row] = []
     grasps: Grasps | None = None
     for span in spans:
-        here = request if span is None else replace(request, options=replace(request.options, span=span))
+        here = (
+            request
+            if span is None
+            else replace(request, options=replace(request.options, span=span))
+        )
         try:
             robot, read = read_for(here, [episode.path])
             if len(spans) > 1 and read.runs:
@@ -142,13 +154,19 @@ def _answered(episode: Episode, job: Job, request: Request, spans: Sequence[Span
             rows[-1] |= _place(rows[-1], span)
         if len(spans) > 1 and rows[-1]["kind"] == EPISODE:
             rows[-1]["kind"] = PART
-        if job.grasps and rows[-1]["kind"] != FAILED and read.motions and isinstance(here.probe, Online):
+        if (
+            job.grasps
+            and rows[-1]["kind"] != FAILED
+            and read.motions
+            and isinstance(here.probe, Online)
+        ):
             if grasps is None and robot.motion_calibration is not None:
                 grasps = Grasps(here, robot, read.motions[0])
             if grasps is not None:
                 grasps.add(read.motions[0], 0.0 if span is None else 1e-9 * span[0])
     if grasps is not None:
-        whole, used = next(row for row in rows if row["kind"] != FAILED), calibration_used(grasps.robot.source)
+        whole = next(row for row in rows if row["kind"] != FAILED)
+        used = calibration_used(grasps.robot.source)
         rows += [_of_grasp(episode, whole, grasp, used) for grasp in grasps.found()]
     return rows
 
@@ -173,7 +191,9 @@ def _request(job: Job) -> Request:
 _READ: dict[str, Request] = {}
 
 
-def _row(episode: Episode, probe: str, kind: str, verdict: str, used: Mapping[str, str], **known: Any) -> Row:
+def _row(
+    episode: Episode, probe: str, kind: str, verdict: str, used: Mapping[str, str], **known: Any
+) -> Row:
     """All columns; those of which nothing is known are empty."""
     empty: Row = {"text": "", "texts": [], "integer": None, "number": None}
     return {name: empty[form] for name, form in COLUMNS.items()} | {
@@ -201,9 +221,20 @@ def failed_row(episode: Episode, job: Job, reason: str, code: str) -> Row:
 
 
 def _whole(episode: Episode, request: Request, read: Recorded, estimate: Estimate) -> Row:
-    answer = next((value for value in estimate.values if value.name == request.probe.answer[0]), estimate.values[0])
-    why = {"reasons": [str(reason) for reason in estimate.reasons], "reason_codes": reason_codes(estimate.reasons)}
-    about = {**_span(episode, read), **_numbers(answer), "notes": list(estimate.notes), "robot": estimate.robot}
+    answer = next(
+        (value for value in estimate.values if value.name == request.probe.answer[0]),
+        estimate.values[0],
+    )
+    why = {
+        "reasons": [str(reason) for reason in estimate.reasons],
+        "reason_codes": reason_codes(estimate.reasons),
+    }
+    about = {
+        **_span(episode, read),
+        **_numbers(answer),
+        "notes": list(estimate.notes),
+        "robot": estimate.robot,
+    }
     used = estimate.origin["calibration"] or {}
     return _row(episode, estimate.probe, EPISODE, estimate.verdict.value, used, **about, **why)
 
@@ -212,7 +243,14 @@ def _numbers(value: Value) -> Row:
     number = value.value if isinstance(value.value, float) else None
     std = value.std if isinstance(value.std, float) else None
     low, high = value.ci95 if value.ci95 is not None and number is not None else (None, None)
-    return {"quantity": value.name, "unit": value.unit, "value": number, "std": std, "low": low, "high": high}
+    return {
+        "quantity": value.name,
+        "unit": value.unit,
+        "value": number,
+        "std": std,
+        "low": low,
+        "high": high,
+    }
 
 
 def _span(episode: Episode, read: Recorded) -> Row:
@@ -220,7 +258,9 @@ def _span(episode: Episode, read: Recorded) -> Row:
     if read.motions:
         motion = read.motions[0]
         recorded_ns = motion.begin_ns if episode.index is None else 0
-        end_s, samples, joints = motion.times_s[-1], len(motion.times_s), list(motion.moved)
+        end_s = motion.times_s[-1]
+        samples = len(motion.times_s)
+        joints = list(motion.moved)
     elif read.runs:
         recorded_ns = min(run.onset_ns for run in read.runs)
         end_s = max(1e-9 * (run.onset_ns - recorded_ns) + run.duration_s for run in read.runs)
@@ -234,7 +274,9 @@ def _span(episode: Episode, read: Recorded) -> Row:
 
 def _of_grasp(episode: Episode, whole: Row, grasp: Grasp, used: Mapping[str, str]) -> Row:
     verdict, (low, high) = "accepted" if grasp.known else "too_wide", grasp.ci95_kg
-    as_whole = {name: whole[name] for name in ("recorded_ns", "joints", "quantity", "unit", "robot")}
+    as_whole = {
+        name: whole[name] for name in ("recorded_ns", "joints", "quantity", "unit", "robot")
+    }
     when = {name: getattr(grasp, name) for name in ("start_s", "end_s", "samples", "gripper")}
     held = {"value": grasp.mass_kg, "std": grasp.std_kg, "low": low, "high": high}
     why = {"reasons": [grasp.what], "reason_codes": [grasp.code]}
@@ -243,5 +285,7 @@ def _of_grasp(episode: Episode, whole: Row, grasp: Grasp, used: Mapping[str, str
 
 def source_name(source: str) -> str:
     """A short name of a source for the partition: its folder's, and where it lies."""
-    plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in Path(source).name)[:60] or "root"
+    plain = (
+        "".join(c if c.isalnum() or c in "-_." else "_" for c in Path(source).name)[:60] or "root"
+    )
     return f"{plain}-{hashlib.sha256(source.encode()).hexdigest()[:6]}"

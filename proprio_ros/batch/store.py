@@ -28,7 +28,12 @@ PARTITION = "source_name"
 def schema() -> Any:
     """Of the rows, with the partition's column."""
     pa = arrow()
-    types = {"text": pa.string(), "texts": pa.list_(pa.string()), "integer": pa.int64(), "number": pa.float64()}
+    types = {
+        "text": pa.string(),
+        "texts": pa.list_(pa.string()),
+        "integer": pa.int64(),
+        "number": pa.float64(),
+    }
     narrow = dict.fromkeys(("segment", "segments"), pa.int32())
     return pa.schema([(name, narrow.get(name, types[kind])) for name, kind in COLUMNS.items()])
 
@@ -63,7 +68,9 @@ class Store:
             self.rows.mkdir(parents=True, exist_ok=True)
             self._lock: IO[str] = open(self.folder / ".lock", "a")  # noqa: SIM115 (held as long as the store)
         except OSError as error:
-            raise ConfigurationError(f"--out {folder}: {error.strerror}; name a folder that can be written") from error
+            raise ConfigurationError(
+                f"--out {folder}: {error.strerror}; name a folder that can be written"
+            ) from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -72,7 +79,9 @@ class Store:
         self._check(job)
 
     def _check(self, job: Job) -> None:
-        path, mine, theirs = self.folder / "job.json", job.fingerprint(), None
+        path = self.folder / "job.json"
+        mine = job.fingerprint()
+        theirs = None
         if not path.exists():
             content = {"fingerprint": mine, "job": json.loads(job.as_text())}
             return write_in_one_step(path, json.dumps(content, indent=1) + "\n", "--out")
@@ -139,13 +148,19 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
 
 
 def _foreign(file: Path) -> ConfigurationError:
-    return ConfigurationError(f"--out: {file} is no file of rows of proprio: move it away, or name another folder")
+    return ConfigurationError(
+        f"--out: {file} is no file of rows of proprio: move it away, or name another folder"
+    )
 
 
 def _whole_episodes(file: Path) -> set[tuple[str, str]] | None:
     """Those of a file; None where a crash left it unreadable, or it lacks rows of one; ConfigurationError: no job wrote it."""
     try:
-        table = arrow().parquet.ParquetFile(file).read(columns=["source", "episode", "segment", "segments"])
+        table = (
+            arrow()
+            .parquet.ParquetFile(file)
+            .read(columns=["source", "episode", "segment", "segments"])
+        )
     except (OSError, arrow().ArrowException):
         with suppress(OSError), open(file, "rb") as stream:
             if (head := stream.read(4)) and not b"PAR1".startswith(head):
@@ -159,4 +174,8 @@ def _whole_episodes(file: Path) -> set[tuple[str, str]] | None:
         key = row["source"], row["episode"]
         seen.setdefault(key, []).append(row["segment"])
         wanted[key] = row["segments"]
-    return set(seen) if all(sorted(seen[key]) == list(range(count)) for key, count in wanted.items()) else None
+    return (
+        set(seen)
+        if all(sorted(seen[key]) == list(range(count)) for key, count in wanted.items())
+        else None
+    )

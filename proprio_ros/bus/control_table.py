@@ -205,4 +205,7 @@ def servo_model(name: str) -> ServoModel:
 
 def model_name(number: int) -> str:
     """Name of a model number, for messages."""
-    return next((model.name for model in MODELS.values() if model.number == number), f"model number {number}")
+    return next(
+        (model.name for model in MODELS.values() if model.number == number),
+        f"model number {number}",
+    )

@@ -17,7 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.bus.dynamixel import DynamixelBus, Reading, ServoHealth
-from proprio_ros.bus.state import ArmSample, BusState, CurrentCommand, DrivenJoint, DriverStatistics, JointMode
+from proprio_ros.bus.state import (
+    ArmSample,
+    BusState,
+    CurrentCommand,
+    DrivenJoint,
+    DriverStatistics,
+    JointMode,
+)
 from proprio_ros.clock import RoundTrips, event, lock, now
 from proprio_ros.errors import BusError, PortLostError
 from proprio_ros.robot import Robot
@@ -28,24 +35,30 @@ SAG_RAD = 0.06
 LOST_AFTER_S = 0.2  # no servo answered for so long: the bus is lost
 LOOKAHEAD_S = 0.05
 """A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
-SINK_M = 1e-3  # an arm that is too low may be moved, but not lower by more than this: encoders are not exact
+# an arm that is too low may be moved, but not lower by more than this: encoders are not exact
+SINK_M = 1e-3
 SAME_S = 0.02  # when a command was sent is known about so well
-HEALTH_PERIOD_S = 0.2  # one servo's temperature and voltage are read so often, while nothing is driven
+# one servo's temperature and voltage are read so often, while nothing is driven
+HEALTH_PERIOD_S = 0.2
 
 
 @dataclass(frozen=True)
 class DriverSettings:
     """What a driver may do and for how long."""
 
-    command_timeout_s: float = 0.1  # without a fresh current command for so long, a driven joint is no longer driven
-    on_timeout: str = "hold"  # ``hold`` keeps it where it is then, ``zero`` leaves it without current
+    # without a fresh current command for so long, a driven joint is no longer driven
+    command_timeout_s: float = 0.1
+    # ``hold`` keeps it where it is then, ``zero`` leaves it without current
+    on_timeout: str = "hold"
     watchdog_s: float = 0.3  # the servos stop by themselves after so much silence; 0 turns that off
     limit_margin_rad: float = 0.05  # a joint is not driven nearer to its limit than this
-    min_clearance_m: float = 0.0  # nothing is brought nearer to the base's plane, the table, than this
+    # nothing is brought nearer to the base's plane, the table, than this
+    min_clearance_m: float = 0.0
     max_velocity_rad_s: float = 7.0  # a driven joint that is faster is braked
     max_goal_velocity_rad_s: float = 2.5  # a goal position is followed no faster than this
     max_temperature_C: float = 70.0  # no current above; the servos shut down by themselves at 80
-    max_jump_rad: float = 0.3  # a position further from the last one than speed explains is an encoder fault
+    # a position further from the last one than speed explains is an encoder fault
+    max_jump_rad: float = 0.3
     position_d_gain: int = 2000  # register value that damps locked joints
     reconnect_s: float = 0.5  # a lost bus is tried again so often
 
@@ -78,7 +91,8 @@ class ArmDriver:
         self._command: CurrentCommand | None = None
         self._targets: dict[str, float] = {}
         self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
-        self._since_s = -np.inf  # what was sent before counts no more: torque came on since, or a push has ended
+        # what was sent before counts no more: torque came on since, or a push has ended
+        self._since_s = -np.inf
         self._hold_wanted = self._stop_wanted = self._driving = self.slipped = False
         self._torque_wanted: bool | None = None
         self._torque_set = event()
@@ -106,7 +120,9 @@ class ArmDriver:
         """Whether any joint is without torque: all of them, or one that a lease drives with a current of zero."""
         return any(joint.limp for joint in self._joints.values())
 
-    def command_currents(self, current_A: Mapping[str, float], sender: int = 0, late_s: float = 0.0) -> str:
+    def command_currents(
+        self, current_A: Mapping[str, float], sender: int = 0, late_s: float = 0.0
+    ) -> str:
         """Drive these joints with these currents [A], and hold the others, until the next command or the deadline.
 
         A current of zero for a joint that is not driven leaves it held. No joint at all ends the lease. Another sender is
@@ -117,13 +133,22 @@ class ArmDriver:
         """
         reason = self._why_refused(current_A) or self._why_late(late_s)
         with self._lock:  # only the newest counts, so a flood of commands costs nothing
-            now, last = self._clock(), self._command
-            lasts = last is not None and last.leased and now - last.arrived_s <= self.settings.command_timeout_s
+            now = self._clock()
+            last = self._command
+            lasts = (
+                last is not None
+                and last.leased
+                and now - last.arrived_s <= self.settings.command_timeout_s
+            )
             if not reason and lasts and last is not None and last.sender != sender:
                 reason = f"{', '.join(last.current_A)}: driven by another publisher; one at a time"
             if not reason:
-                pushes = any(self._joints[name].pushed_by(value) for name, value in current_A.items())
-                self._command = CurrentCommand(now, dict(current_A), sender, pushes or (lasts and bool(current_A)))
+                pushes = any(
+                    self._joints[name].pushed_by(value) for name, value in current_A.items()
+                )
+                self._command = CurrentCommand(
+                    now, dict(current_A), sender, pushes or (lasts and bool(current_A))
+                )
                 if not current_A:
                     self._since_s = max(self._since_s, now - late_s)
         self.statistics.refused_commands += bool(reason)
@@ -156,7 +181,9 @@ class ArmDriver:
                 return f"{name}: {current:g} A is more than its limit of {joint.current_limit_A:g} A (currents are in A, not mA)"
             health = self.health.get(name)
             if current and health and health.temperature_C >= self.settings.max_temperature_C:
-                return f"{name}: too hot to be driven ({health.temperature_C:.0f} C): let it cool down"
+                return (
+                    f"{name}: too hot to be driven ({health.temperature_C:.0f} C): let it cool down"
+                )
         # a servo that has switched itself off holds nothing: what hangs at it falls, or leans on a stop
         if self._alerts and any(current_A.values()):
             name = min(self._alerts, key=lambda name: not current_A.get(name))
@@ -165,7 +192,9 @@ class ArmDriver:
             return f"{name}: its servo reports a fault ({faults}); no joint is driven until ~/torque true reboots it"
         return ""
 
-    def command_positions(self, position: Mapping[str, float], sender: int = 0, late_s: float = 0.0) -> str:
+    def command_positions(
+        self, position: Mapping[str, float], sender: int = 0, late_s: float = 0.0
+    ) -> str:
         """Move held joints to these positions [rad or m], no faster than allowed.
 
         Another sender is refused while the first one's commands come in a row; what was sent before torque came on (``late_s``
@@ -183,10 +212,13 @@ class ArmDriver:
             # an arm that leans on its stop reads a little beyond it: that is its limit, and no mistake
             spare = self.settings.limit_margin_rad
             if not joint.lower_rad - spare <= angle <= joint.upper_rad + spare:
-                low, high = joint.lower_rad * joint.transmission, joint.upper_rad * joint.transmission
+                low = joint.lower_rad * joint.transmission
+                high = joint.upper_rad * joint.transmission
                 return f"{name}: {value:g} is outside its range {low:g} to {high:g}"
             targets[name] = min(max(angle, joint.lower_rad), joint.upper_rad)
-        if self._sinks(self._here(), {name: joint.target_rad for name, joint in self._joints.items()} | targets):
+        if self._sinks(
+            self._here(), {name: joint.target_rad for name, joint in self._joints.items()} | targets
+        ):
             least_cm = 100 * self.settings.min_clearance_m
             return f"the arm would be less than {least_cm:g} cm above the base's plane (min_clearance): command a higher pose"
         with self._lock:
@@ -201,7 +233,9 @@ class ArmDriver:
     def _sinks(self, before_rad: Mapping[str, float], after_rad: Mapping[str, float]) -> bool:
         """Whether the arm comes too low on the way from one pose to another; an arm that is too low may rise."""
         after_m = self._height(after_rad)
-        return after_m < self.settings.min_clearance_m and after_m < self._height(before_rad) - SINK_M
+        return (
+            after_m < self.settings.min_clearance_m and after_m < self._height(before_rad) - SINK_M
+        )
 
     def _here(self) -> dict[str, float]:
         return {name: joint.angle_rad for name, joint in self._joints.items()}
@@ -314,15 +348,22 @@ class ArmDriver:
 
     def _hold_here(self) -> None:
         """Torque on, every joint held at its present position."""
-        self.bus.prepare(watchdog_s=self.settings.watchdog_s, position_d_gain=self.settings.position_d_gain)
+        self.bus.prepare(
+            watchdog_s=self.settings.watchdog_s, position_d_gain=self.settings.position_d_gain
+        )
         for _ in range(5):
             reading = self.bus.read_states()
             if len(reading.states) == len(self._joints):
                 break
         else:
-            raise BusError(f"{self.bus.port_name}: the servos answer one by one but not together: check the cable")
+            raise BusError(
+                f"{self.bus.port_name}: the servos answer one by one but not together: check the cable"
+            )
         # what a servo already holds stays its goal: its present position sags under load, and once more with every new hold
-        goals = {s.joint: s.model.angle_rad(self.bus.read(s.id, "goal_position")) for s in self.bus.servos}
+        goals = {
+            s.joint: s.model.angle_rad(self.bus.read(s.id, "goal_position"))
+            for s in self.bus.servos
+        }
         # a hot servo must not be driven before its turn comes
         self.health = {servo.joint: self.bus.health(servo.id) for servo in self.bus.servos}
         with self._lock:
@@ -330,7 +371,8 @@ class ArmDriver:
         self._alerts.clear()
         self._driving = self._limp = self.slipped = False
         for name, joint in self._joints.items():
-            here, goal = reading.states[name].angle_rad, goals[name]
+            here = reading.states[name].angle_rad
+            goal = goals[name]
             joint.angle_rad = here
             joint.goal_rad = joint.target_rad = goal if abs(goal - here) < SAG_RAD else here
             joint.mode, joint.blocked, joint.commanded_A = JointMode.HELD, "", 0.0
@@ -343,7 +385,10 @@ class ArmDriver:
             stop, self._stop_wanted = self._stop_wanted, False
             torque, self._torque_wanted = self._torque_wanted, None
         if stop and self.state is BusState.RUNNING:
-            self.state, self.reason = BusState.STOPPED, "the current is zero; ~/torque true holds the arm again"
+            self.state, self.reason = (
+                BusState.STOPPED,
+                "the current is zero; ~/torque true holds the arm again",
+            )
             self._let_go()
             self._write_goals()
             self._log("warning", "stopped: the current is zero; ~/torque true holds the arm again")
@@ -372,24 +417,35 @@ class ArmDriver:
         return last, False
 
     def _take(self, reading: Reading) -> None:
-        since_s, self._sampled_at_s = max(reading.sampled_at_s - self._sampled_at_s, 0.0), reading.sampled_at_s
+        since_s, self._sampled_at_s = (
+            max(reading.sampled_at_s - self._sampled_at_s, 0.0),
+            reading.sampled_at_s,
+        )
         problems = []
         for name, state in reading.states.items():
             joint = self._joints[name]
             # a position that no speed explains: the encoder, not the arm
             explained = self.settings.max_jump_rad + self.settings.max_velocity_rad_s * since_s
-            before_rad, joint.angle_rad, joint.velocity_rad_s = joint.angle_rad, state.angle_rad, state.velocity_rad_s
+            before_rad, joint.angle_rad, joint.velocity_rad_s = (
+                joint.angle_rad,
+                state.angle_rad,
+                state.velocity_rad_s,
+            )
             if abs(joint.angle_rad - before_rad) > explained:
-                problems.append(f"{name}: its encoder jumped from {before_rad:.3f} to {joint.angle_rad:.3f} rad")
+                problems.append(
+                    f"{name}: its encoder jumped from {before_rad:.3f} to {joint.angle_rad:.3f} rad"
+                )
                 if joint.mode is not JointMode.FREE:
                     joint.hold()  # the old goal, seen by the new encoder, would swing the arm
-                self.slipped = True  # and whatever is commanded from now on means another pose than its sender knows
+                # and whatever is commanded from now on means another pose than its sender knows
+                self.slipped = True
             if state.alert and name not in self._alerts:
                 self._alerts.add(name)
                 problems.append(f"{name}: its servo reports a fault and has switched itself off")
                 self._next_health_s = -np.inf
                 self._health_turn = list(self._joints).index(name)
-        for problem in problems:  # ends every current, until the commands have paused; after a slip, until torque comes on anew
+        # ends every current, until the commands have paused; after a slip, until torque comes on anew
+        for problem in problems:
             self._log("error", f"{problem}; all joints are held")
             for joint in self._joints.values():
                 if joint.mode is JointMode.DRIVEN:
@@ -414,7 +470,9 @@ class ArmDriver:
         for joint in self._joints.values():
             current_A = currents.get(joint.name)
             # a zero from nobody must not drop a joint that is held
-            if current_A is not None and (joint.mode is JointMode.DRIVEN or joint.pushed_by(current_A)):
+            if current_A is not None and (
+                joint.mode is JointMode.DRIVEN or joint.pushed_by(current_A)
+            ):
                 # a push begins in a cycle whose stamp is right, since everything is measured from that instant
                 if timely or joint.mode is JointMode.DRIVEN:
                     self._drive(joint, current_A)
@@ -476,7 +534,10 @@ class ArmDriver:
             return
         before = self._here() | {joint.name: joint.goal_rad for joint in held}
         reach = step + self.settings.max_goal_velocity_rad_s * LOOKAHEAD_S
-        ahead = {name: angle + min(max(ways.get(name, 0.0), -reach), reach) for name, angle in before.items()}
+        ahead = {
+            name: angle + min(max(ways.get(name, 0.0), -reach), reach)
+            for name, angle in before.items()
+        }
         # joints arrive one after the other: between two poses that are high enough the arm may come too low
         if self._height(ahead) < min(self.settings.min_clearance_m, self._height(before)):
             words = "the arm was about to come too near to the base's plane (min_clearance); it stays where it is"
@@ -500,7 +561,10 @@ class ArmDriver:
             {name: joint.angle_rad * joint.transmission for name, joint in joints},
             {name: joint.velocity_rad_s * joint.transmission for name, joint in joints},
             {name: reading.states[name].current_A for name, _ in joints},
-            {name: joint.commanded_A if joint.mode is JointMode.DRIVEN else 0.0 for name, joint in joints},
+            {
+                name: joint.commanded_A if joint.mode is JointMode.DRIVEN else 0.0
+                for name, joint in joints
+            },
         )
 
     def _look_after_health(self, now: float) -> None:
@@ -520,7 +584,9 @@ class ArmDriver:
         before = self.health.get(servo.joint)
         self.health[servo.joint] = health
         if health.faults and (before is None or before.faults != health.faults):
-            self._log("error", f"{servo.joint}: {'; '.join(health.faults)}; ~/torque true reboots it")
+            self._log(
+                "error", f"{servo.joint}: {'; '.join(health.faults)}; ~/torque true reboots it"
+            )
         if health.watchdog_tripped and self.state is BusState.RUNNING:
             self._log("warning", f"{servo.joint}: its watchdog had stopped it; held again")
             self._hold_here()

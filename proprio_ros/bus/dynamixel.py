@@ -18,7 +18,15 @@ import dynamixel_sdk
 
 from proprio_ros import clock
 from proprio_ros.bus import control_table
-from proprio_ros.bus.port import PORT_FAULTS, REPLY_TIMEOUT_S, Port, SerialLike, first_line, latency_warnings, why_not_open
+from proprio_ros.bus.port import (
+    PORT_FAULTS,
+    REPLY_TIMEOUT_S,
+    Port,
+    SerialLike,
+    first_line,
+    latency_warnings,
+    why_not_open,
+)
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
 from proprio_ros.errors import BusError, PortLostError, RobotError
 from proprio_ros.robot import Robot
@@ -60,7 +68,9 @@ def servos_of(robot: Robot) -> tuple[BusServo, ...]:
         servos.append(BusServo(joint, motor.id, control_table.servo_model(motor.model)))
     ids = [servo.id for servo in servos]
     if len(set(ids)) != len(ids):
-        raise RobotError(f"{robot.name}: two motors share an id ({ids}); every servo on a bus needs one of its own")
+        raise RobotError(
+            f"{robot.name}: two motors share an id ({ids}); every servo on a bus needs one of its own"
+        )
     return tuple(servos)
 
 
@@ -76,9 +86,12 @@ class ServoState(NamedTuple):
 class Reading(NamedTuple):
     """One round of the bus."""
 
-    sampled_at_s: float  # when the request had left: servos sample when they hear it; on the monotonic clock
-    states: Mapping[str, ServoState]  # by joint; servos that did not answer, or not intact, are missing
-    round_trip_s: float = 0.0  # to the last answer; one that is unusually long may mean that the request was late
+    # when the request had left: servos sample when they hear it; on the monotonic clock
+    sampled_at_s: float
+    # by joint; servos that did not answer, or not intact, are missing
+    states: Mapping[str, ServoState]
+    # to the last answer; one that is unusually long may mean that the request was late
+    round_trip_s: float = 0.0
 
 
 class ServoHealth(NamedTuple):
@@ -177,12 +190,15 @@ class DynamixelBus:
         port = self._port
         if port is None:
             raise PortLostError(f"{self.port_name}: not open")
-        port.is_using = False  # an exception or a lost reply leaves it set, and every later call would be refused
+        # an exception or a lost reply leaves it set, and every later call would be refused
+        port.is_using = False
         try:
             return action(port)
         except PORT_FAULTS as error:
             self.close()
-            raise PortLostError(f"{self.port_name}: the port is gone ({first_line(error)}): check the cable") from error
+            raise PortLostError(
+                f"{self.port_name}: the port is gone ({first_line(error)}): check the cable"
+            ) from error
 
     def _settle(self, wait_s: float = 0.002) -> None:
         """After a lost reply: whatever still comes belongs to the past."""
@@ -200,8 +216,13 @@ class DynamixelBus:
 
         def exchange(port: Any) -> tuple[Any, int, int]:
             data, result, error = self._packets.readTxRx(port, *arguments)
-            late = result == dynamixel_sdk.COMM_SUCCESS and not error & ~ALERT and len(data) != entry.size
-            return data, dynamixel_sdk.COMM_RX_CORRUPT if late else result, error  # late: it answers something before
+            late = (
+                result == dynamixel_sdk.COMM_SUCCESS
+                and not error & ~ALERT
+                and len(data) != entry.size
+            )
+            # late: it answers something before
+            return data, dynamixel_sdk.COMM_RX_CORRUPT if late else result, error
 
         return entry.decode(bytes(self._tried(servo_id, f"read {register}", exchange)))
 
@@ -212,7 +233,9 @@ class DynamixelBus:
         what = f"write {register} = {value}"
         self._tried(servo_id, what, lambda port: (None, *self._packets.writeTxRx(port, *arguments)))
 
-    def _tried(self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]) -> Any:
+    def _tried(
+        self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]
+    ) -> Any:
         """Repeat an exchange that was lost on the wire; the servo's own refusal is final. Returns its data."""
         result = error = 0
         for number in range(TRIES):
@@ -223,8 +246,11 @@ class DynamixelBus:
             refused = error & ~ALERT
             if result == dynamixel_sdk.COMM_SUCCESS and refused != 3:
                 if refused:
-                    raise BusError(f"{self._called(servo_id)}: {what}: it {_STATUS_WORDS.get(refused, 'refuses')}")
-                if number:  # this may be a late answer to the try before, and its own be taken for the next request's
+                    raise BusError(
+                        f"{self._called(servo_id)}: {what}: it {_STATUS_WORDS.get(refused, 'refuses')}"
+                    )
+                # this may be a late answer to the try before, and its own be taken for the next request's
+                if number:
                     self._settle(self._reply_timeout_s)
                 return data
             self._settle()
@@ -243,7 +269,8 @@ class DynamixelBus:
 
     def handshake(self) -> None:
         """Check that every servo is there and of the model that the robot file states; an error names all that are not."""
-        wrong, slow = [], False
+        wrong = []
+        slow = False
         motors: dict[str, MotorIdentity] = {}
         for servo in self.servos:
             try:
@@ -254,15 +281,23 @@ class DynamixelBus:
                 wrong.append(f"no servo {servo.id} ({servo.joint})")
                 continue
             if number != servo.model.number:
-                wrong.append(f"servo {servo.id} ({servo.joint}) is a {control_table.model_name(number)}, not a {servo.model.name}")
+                wrong.append(
+                    f"servo {servo.id} ({servo.joint}) is a {control_table.model_name(number)}, not a {servo.model.name}"
+                )
                 continue
             registers = ("firmware_version", "homing_offset", "drive_mode", "moving_threshold")
-            motors[servo.joint] = MotorIdentity(number, servo.id, *(self.read(servo.id, name) for name in registers))
+            motors[servo.joint] = MotorIdentity(
+                number, servo.id, *(self.read(servo.id, name) for name in registers)
+            )
             slow |= motors[servo.joint].firmware < servo.model.fast_sync_read_firmware
         if wrong:
             missing = any(words.startswith("no") for words in wrong)
-            advice = "check power, cables, ids and baud rate" if missing else "correct the robot file"
-            raise BusError(f"{self.port_name} at {self.baud_rate} bit/s: {'; '.join(wrong)}: {advice}")
+            advice = (
+                "check power, cables, ids and baud rate" if missing else "correct the robot file"
+            )
+            raise BusError(
+                f"{self.port_name} at {self.baud_rate} bit/s: {'; '.join(wrong)}: {advice}"
+            )
         self.motors = motors
         self.fast = self._want_fast and self._sdk_is_fast and not slow
 
@@ -278,7 +313,10 @@ class DynamixelBus:
                 self.reboot(servo.id)
             self._set(servo, "bus_watchdog", 0)
             self._set(servo, "status_return_level", 2)
-            wanted = {"return_delay_time": 0, "operating_mode": int(control_table.OperatingMode.CURRENT_BASED_POSITION)}
+            wanted = {
+                "return_delay_time": 0,
+                "operating_mode": int(control_table.OperatingMode.CURRENT_BASED_POSITION),
+            }
             if any(self.read(servo.id, name) != value for name, value in wanted.items()):
                 self.write(servo.id, "torque_enable", 0)
                 for name, value in wanted.items():
@@ -321,7 +359,8 @@ class DynamixelBus:
         except PortLostError:
             raise
         except BusError:
-            pass  # its answer may be what was lost, and now it boots in silence; what it says afterwards counts
+            # its answer may be what was lost, and now it boots in silence; what it says afterwards counts
+            pass
         deadline = clock.now() + ready_s
         while True:
             clock.sleep(0.1)
@@ -359,7 +398,13 @@ class DynamixelBus:
         A servo that does not answer is missing in the result.
         """
         ids = [servo.id for servo in self.servos]
-        arguments = [self._state_start, self._state_length, ids, len(ids), *([self.fast] if self._sdk_is_fast else [])]
+        arguments = [
+            self._state_start,
+            self._state_length,
+            ids,
+            len(ids),
+            *([self.fast] if self._sdk_is_fast else []),
+        ]
         asked_at_s = clock.now()
         result = self._guarded(lambda port: self._packets.syncReadTx(port, *arguments))
         sampled_at_s = clock.now()
@@ -369,7 +414,9 @@ class DynamixelBus:
         round_trip_s = clock.now() - asked_at_s
         if len(blocks) < len(ids):
             self._settle()
-        states = {self._by_id[i].joint: self._state(i, error, data) for i, (error, data) in blocks.items()}
+        states = {
+            self._by_id[i].joint: self._state(i, error, data) for i, (error, data) in blocks.items()
+        }
         return Reading(sampled_at_s, states, round_trip_s)
 
     def _receive_each(self, port: Any) -> dict[int, tuple[int, bytes]]:
@@ -395,8 +442,14 @@ class DynamixelBus:
             return {}
         if result != dynamixel_sdk.COMM_SUCCESS or len(data) < whole - 2:
             return {}
-        parts = [data[start : start + 2 + self._state_length] for start in range(0, whole - 2, part)]
-        return {servo_id: (error, bytes(state)) for error, servo_id, *state in parts if servo_id in self._by_id}
+        parts = [
+            data[start : start + 2 + self._state_length] for start in range(0, whole - 2, part)
+        ]
+        return {
+            servo_id: (error, bytes(state))
+            for error, servo_id, *state in parts
+            if servo_id in self._by_id
+        }
 
     def _state(self, servo_id: int, error: int, data: bytes) -> ServoState:
         model = self._by_id[servo_id].model
@@ -416,10 +469,16 @@ class DynamixelBus:
         param: list[int] = []
         for servo in self.servos:
             if servo.joint in goals:
-                goal, table = goals[servo.joint], servo.model.registers
+                goal = goals[servo.joint]
+                table = servo.model.registers
                 first = table["goal_current"].encode(goal.current_counts)
                 last = table["goal_position"].encode(goal.position_counts)
-                between = bytes(self._goal_length - len(first) - len(last))  # velocity and profile: 0
+                # velocity and profile: 0
+                between = bytes(self._goal_length - len(first) - len(last))
                 param += (servo.id, *first, *between, *last)
         if param:
-            self._guarded(lambda port: self._packets.syncWriteTxOnly(port, self._goal_start, self._goal_length, param, len(param)))
+            self._guarded(
+                lambda port: self._packets.syncWriteTxOnly(
+                    port, self._goal_start, self._goal_length, param, len(param)
+                )
+            )

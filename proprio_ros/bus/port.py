@@ -37,7 +37,9 @@ class SerialLike(Protocol):
 class Port(dynamixel_sdk.PortHandler):
     """A port that waits without spinning, on the monotonic clock, and only as long as asked."""
 
-    def __init__(self, name: str, reply_timeout_s: float, connect: Callable[[], SerialLike] | None) -> None:
+    def __init__(
+        self, name: str, reply_timeout_s: float, connect: Callable[[], SerialLike] | None
+    ) -> None:
         super().__init__(name)
         self.ser: Any = None
         self.is_open: bool = False
@@ -88,7 +90,9 @@ def why_not_open(port: str, error: BaseException) -> str:
     number = getattr(error, "errno", None)
     text = first_line(error)
     if not Path(port).exists():
-        others = sorted(str(path) for pattern in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(pattern))
+        others = sorted(
+            str(path) for pattern in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(pattern)
+        )
         return f"{port}: there is no such port; plugged in: {', '.join(others) or 'none'}: check the cable, or name another port"
     if number == 13 or "ermission" in text:
         return f"{port}: not permitted: add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again"
@@ -102,7 +106,9 @@ def latency_warnings(port: str, handle: serial.Serial) -> list[str]:
     # not every driver has it, and pyserial raises what it likes; the timer below decides
     with contextlib.suppress(Exception):
         handle.set_low_latency_mode(True)
-    timer = Path("/sys/bus/usb-serial/devices") / Path(os.path.realpath(port)).name / "latency_timer"
+    timer = (
+        Path("/sys/bus/usb-serial/devices") / Path(os.path.realpath(port)).name / "latency_timer"
+    )
     try:
         milliseconds = int(timer.read_text())
     except (OSError, ValueError):

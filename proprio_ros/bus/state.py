@@ -16,7 +16,8 @@ FAR_COUNTS = 1_000_000
 LARGEST_GAP = 100  # so many messages of one publisher may be lost between two that come
 LATE, LATE_NS, OUTDATED = 8, 1_000_000_000, -1
 """A message may come so many places late, and so long; who sent one that came before, or after newer ones of its publisher."""
-SLACK_NS = 50_000_000  # by so much less than is known of its publisher's clock a message may seem to be on its way
+# by so much less than is known of its publisher's clock a message may seem to be on its way
+SLACK_NS = 50_000_000
 MOST = 16  # so many publishers of one topic are remembered
 
 
@@ -44,7 +45,8 @@ class ArmSample(NamedTuple):
     position: Mapping[str, float]  # rad or m
     velocity: Mapping[str, float]  # rad/s or m/s
     current_A: Mapping[str, float]  # as the servos report it
-    commanded_A: Mapping[str, float]  # that a joint is driven with from here on, in whole counts; 0 where held
+    # that a joint is driven with from here on, in whole counts; 0 where held
+    commanded_A: Mapping[str, float]
 
 
 @dataclass
@@ -53,7 +55,8 @@ class DriverStatistics:
 
     cycles: int = 0  # begun
     incomplete: int = 0  # without an intact answer of every servo
-    untimely: int = 0  # took so much longer than usual that the instant they were taken at is not known
+    # took so much longer than usual that the instant they were taken at is not known
+    untimely: int = 0
     retries: int = 0  # rounds that were asked for again, for either reason
     reconnects: int = 0
     refused_commands: int = 0
@@ -90,14 +93,19 @@ class DrivenJoint:
     @classmethod
     def of(cls, robot: Robot, servo: BusServo) -> DrivenJoint:
         """As the robot file states it."""
-        joint, scale = robot.model.joint(servo.joint), robot.drive_trains[servo.joint].transmission
+        joint = robot.model.joint(servo.joint)
+        scale = robot.drive_trains[servo.joint].transmission
         limit_A = robot.motors[servo.joint].current_limit_A
-        return cls(joint.name, servo.model, joint.lower / scale, joint.upper / scale, scale, limit_A)
+        return cls(
+            joint.name, servo.model, joint.lower / scale, joint.upper / scale, scale, limit_A
+        )
 
     @property
     def limp(self) -> bool:
         """Whether it is without torque."""
-        return self.mode is JointMode.FREE or (self.mode is JointMode.DRIVEN and self.commanded_A == 0.0)
+        return self.mode is JointMode.FREE or (
+            self.mode is JointMode.DRIVEN and self.commanded_A == 0.0
+        )
 
     def pushed_by(self, current_A: float) -> bool:
         """Whether a current is one for the servo, which counts in steps."""
@@ -120,8 +128,13 @@ class DrivenJoint:
         if self.mode is JointMode.DRIVEN:
             counts = self.model.counts_of_current(self.commanded_A)
             # the sign is in the direction of the goal, the size in the limit
-            return Goal(abs(counts), here + (FAR_COUNTS if counts > 0 else -FAR_COUNTS if counts < 0 else 0))
-        return Goal(self.model.counts_of_current(self.current_limit_A), self.model.counts_of_position(self.goal_rad))
+            return Goal(
+                abs(counts), here + (FAR_COUNTS if counts > 0 else -FAR_COUNTS if counts < 0 else 0)
+            )
+        return Goal(
+            self.model.counts_of_current(self.current_limit_A),
+            self.model.counts_of_position(self.goal_rad),
+        )
 
 
 class Senders:
@@ -149,9 +162,14 @@ class Senders:
         """
         if number is None:
             return 0
-        heard = [(last, known == looks, sender, then) for sender, (last, known, then) in self._last.items()]
+        heard = [
+            (last, known == looks, sender, then)
+            for sender, (last, known, then) in self._last.items()
+        ]
         near = [one for one in heard if 0 < number - one[0] <= LARGEST_GAP]
-        if sent_ns is not None and not any(last == number - 1 and alike for last, alike, *_ in near):
+        if sent_ns is not None and not any(
+            last == number - 1 and alike for last, alike, *_ in near
+        ):
             for last, alike, _, then in heard:
                 late = then is not None and 0 <= then - sent_ns < LATE_NS
                 if alike and late and 0 <= last - number < LATE:
@@ -171,12 +189,17 @@ class Senders:
         ``set_ns``: by how much our clock was set just now; what was sent before seems late by that, and teaches nothing.
         ``waited_ns``: for so long it may have been here before anybody took it.
         """
-        lags_ns, longest_ns = {lag_ns, lag_ns - set_ns}, LATE_NS + waited_ns
+        lags_ns = {lag_ns, lag_ns - set_ns}
+        longest_ns = LATE_NS + waited_ns
         # of one that was not heard before: no message waits longer, so its clock is another one
-        error_ns = self._error_ns.get(sender, 0 if any(0 <= lag < longest_ns for lag in lags_ns) else lag_ns)
+        error_ns = self._error_ns.get(
+            sender, 0 if any(0 <= lag < longest_ns for lag in lags_ns) else lag_ns
+        )
         if set_ns:
             late_ns = sorted(lag - error_ns for lag in lags_ns if lag >= error_ns)
-            return 1e-9 * max((one for one in late_ns if one < longest_ns), default=late_ns[0] if late_ns else 0)
+            return 1e-9 * max(
+                (one for one in late_ns if one < longest_ns), default=late_ns[0] if late_ns else 0
+            )
         # since ours was set, another's errs by as much, and the same one's by nothing; no message comes before it was sent
         errors_ns = error_ns, error_ns + self._moved_ns.pop(sender, 0)
         error_ns = max((one for one in errors_ns if one <= lag_ns + SLACK_NS), default=lag_ns)
@@ -185,4 +208,6 @@ class Senders:
 
     def clock_was_set(self, set_ns: int) -> None:
         """Ours was, by so much: a publisher's is the same one, or errs by that as well."""
-        self._moved_ns = {sender: self._moved_ns.get(sender, 0) + set_ns for sender in self._error_ns}
+        self._moved_ns = {
+            sender: self._moved_ns.get(sender, 0) + set_ns for sender in self._error_ns
+        }

@@ -45,14 +45,22 @@ class Drift:
     def of(self, name: str, hours: float, warmer_K: float) -> float:
         """That of ``friction`` or ``torque_constant`` [1]."""
         by_time = getattr(self, f"{name}_per_sqrt_h") * math.sqrt(hours)
-        return float(np.hypot(by_time, getattr(self, f"{name}_per_K") * max(abs(warmer_K) - READ_TO_K, 0.0)))
+        return float(
+            np.hypot(by_time, getattr(self, f"{name}_per_K") * max(abs(warmer_K) - READ_TO_K, 0.0))
+        )
 
     def described(self) -> str:
         """As a file states it."""
-        return "`{" + ", ".join(f"{field.name}: {getattr(self, field.name):g}" for field in fields(self)) + "}`"
+        return (
+            "`{"
+            + ", ".join(f"{field.name}: {getattr(self, field.name):g}" for field in fields(self))
+            + "}`"
+        )
 
 
-FORMS: Mapping[str, Number] = {field.name: Number("relative", "", 0.0, 1.0) for field in fields(Drift)}
+FORMS: Mapping[str, Number] = {
+    field.name: Number("relative", "", 0.0, 1.0) for field in fields(Drift)
+}
 
 
 def hours_between(one: Moment, other: Moment) -> float | None:
@@ -64,7 +72,11 @@ def hours_between(one: Moment, other: Moment) -> float | None:
 
 def warmer_K(one: Moment, other: Moment) -> dict[str, float]:
     """By joint, where both know the motor's temperature."""
-    return {joint: t - one.temperature_C[joint] for joint, t in other.temperature_C.items() if joint in one.temperature_C}
+    return {
+        joint: t - one.temperature_C[joint]
+        for joint, t in other.temperature_C.items()
+        if joint in one.temperature_C
+    }
 
 
 def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibration:
@@ -79,11 +91,15 @@ def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibrat
     return replace(calibration, covariance=grown, made=now)
 
 
-def _growth(calibration: Calibration, drift: Drift, hours: float, warmer: Mapping[str, float]) -> FloatArray:
+def _growth(
+    calibration: Calibration, drift: Drift, hours: float, warmer: Mapping[str, float]
+) -> FloatArray:
     """By what a covariance grows, shape (C, C)."""
-    own, common = np.zeros(len(calibration.keys)), np.zeros((len(calibration.keys), 2))
+    own = np.zeros(len(calibration.keys))
+    common = np.zeros((len(calibration.keys), 2))
     for row, key in enumerate(calibration.keys):
-        value, degrees = calibration.values[row], warmer.get(str(key[1]), 0.0)
+        value = calibration.values[row]
+        degrees = warmer.get(str(key[1]), 0.0)
         if key[0] in FRICTION:
             own[row] = (value * drift.of("friction", hours, degrees)) ** 2
         elif key[0] == "torque_constant":
@@ -101,7 +117,8 @@ def said(calibration: Calibration, drift: Drift, now: Moment | None) -> str:
         return ""
     warmer = warmer_K(then, now)
     degrees = max(warmer.values(), key=abs, default=0.0)
-    friction, torque = drift.of("friction", hours, degrees), drift.of("torque_constant", hours, degrees)
+    friction = drift.of("friction", hours, degrees)
+    torque = drift.of("torque_constant", hours, degrees)
     if friction < WORTH_SAYING:
         return ""
     warmth = f" and a motor {abs(degrees):.0f} K {'warmer' if degrees > 0.0 else 'colder'}"

@@ -61,14 +61,19 @@ FRICTION_TERMS: Mapping[str, str] = {"viscous": "N m s/rad", "coulomb": "N m", "
 ARM_TERMS = len(BODY_TERMS) + len(DRIVE_TERMS)  # per joint, that do not differ from run to run
 TERMS = ARM_TERMS + len(FRICTION_TERMS)
 UNITS: Mapping[str, str] = {**BODY_TERMS, **DRIVE_TERMS, **FRICTION_TERMS}
-VERSION = 2  # of the section; 1 had no such number, no torque constants and no friction that goes with the angle
+# of the section; 1 had no such number, no torque constants and no friction that goes with the angle
+VERSION = 2
 Key = tuple[str, str]  # kind of a term, and its joint
 _LARGEST = 1e5
 _LEAST_STD = 1e-15
 _JOINT: dict[str, Form] = {
     "name": Text(),
-    "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
-    "residual_N_m": Number("what the model leaves over; 0: the joint did not move", "N m", 0.0, 1e4),
+    "torque_constant_N_m_per_A": Number(
+        "that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True
+    ),
+    "residual_N_m": Number(
+        "what the model leaves over; 0: the joint did not move", "N m", 0.0, 1e4
+    ),
     "correlated_windows": Number("over so many windows the residuals are correlated", "", 1.0, 1e4),
 }
 _SCALE: dict[str, Form] = {
@@ -88,7 +93,10 @@ _BETWEEN: dict[str, Form] = {
 def term_keys(joints: tuple[str, ...]) -> tuple[Key, ...]:
     """All terms of an arm in the order of a calibration's arrays: bodies joint by joint, then every other kind joint by joint."""
     bodies = [(kind, joint) for joint in joints for kind in BODY_TERMS]
-    return (*bodies, *((kind, joint) for kind in (*DRIVE_TERMS, *FRICTION_TERMS) for joint in joints))
+    return (
+        *bodies,
+        *((kind, joint) for kind in (*DRIVE_TERMS, *FRICTION_TERMS) for joint in joints),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +120,11 @@ class MotionCalibration:
     residual: FloatArray  # RMS of the mean torque in a window that is left over [N m], shape (n,)
     # over how many windows the residuals of a joint are correlated: so much less they say; shape (n,)
     correlation: FloatArray
-    torque_scale: float  # true torque over that of the robot file's constants; 1 where no reference was held
+    # true torque over that of the robot file's constants; 1 where no reference was held
+    torque_scale: float
     torque_scale_std: float  # how well that is known, relative
-    arm_over_urdf: float  # by how much the torques of the arm's own bodies are those that its URDF says
+    # by how much the torques of the arm's own bodies are those that its URDF says
+    arm_over_urdf: float
     fingerprint: str  # of the URDF
     runs: tuple[Mapping[str, Any], ...]  # one mapping per run: name, duration_s, load_kg
     # what differs between recordings: of each of `BETWEEN` its standard deviation, and on the word of how many
@@ -153,7 +163,11 @@ class MotionCalibration:
         std = np.sqrt(np.diag(self.covariance))
         unknowns: dict[str, Any] = {}
         for row, (kind, joint) in enumerate(self.keys):
-            entry = {"value": short(self.values[row], 15), "std": short(std[row], 15), "unit": UNITS[kind]}
+            entry = {
+                "value": short(self.values[row], 15),
+                "std": short(std[row], 15),
+                "unit": UNITS[kind],
+            }
             if kind in FRICTION_TERMS:
                 entry["run_to_run"] = short(self.friction_spread[row - self.friction.start])
             unknowns[name_of((kind, joint))] = entry
@@ -161,14 +175,24 @@ class MotionCalibration:
         return {
             "version": VERSION,
             "runs": [dict(run) for run in self.runs],
-            "torque_scale": {"value": short(self.torque_scale), "std": short(self.torque_scale_std)},
+            "torque_scale": {
+                "value": short(self.torque_scale),
+                "std": short(self.torque_scale_std),
+            },
             "arm_over_urdf": short(self.arm_over_urdf),
             "joints": [
-                dict(zip(_JOINT, (joint, short(constant, 15), short(rms), short(windows)), strict=True))
+                dict(
+                    zip(
+                        _JOINT,
+                        (joint, short(constant, 15), short(rms), short(windows)),
+                        strict=True,
+                    )
+                )
                 for joint, (constant, rms, windows) in zip(self.joints, numbers, strict=True)
             ],
             "between_recordings": {
-                kind: {"std": short(std), "recordings": short(recordings)} for kind, (std, recordings) in self.between.items()
+                kind: {"std": short(std), "recordings": short(recordings)}
+                for kind, (std, recordings) in self.between.items()
             },
             "unknowns": unknowns,
             "correlation": triangle_of(self.covariance / std[:, None] / std),
@@ -184,17 +208,21 @@ class MotionCalibration:
                 f"version {shortly(section.get('version', 1))} is of another release, this one reads {VERSION}: calibrate "
                 "again with the same recordings (`proprio calibrate`), which takes seconds"
             )
-        runs, entries = runs_of(section, RUN), []
+        runs = runs_of(section, RUN)
+        entries = []
         for number, entry in enumerate(part_of(section, "joints", list), 1):
             with under("joints", number):
                 entries.append(exactly(entry, _JOINT))
         joints = tuple(entry[0] for entry in entries)
         numbers = np.array([entry[1:] for entry in entries]).reshape(-1, 3)
-        keys, unknowns = term_keys(joints), part_of(section, "unknowns", Mapping)
+        keys = term_keys(joints)
+        unknowns = part_of(section, "unknowns", Mapping)
         names = [name_of(key) for key in keys]
         if not joints or set(unknowns) != set(names):
             wrong = sorted(set(names) ^ {str(name) for name in unknowns}) or ["no joints"]
-            raise FormError(f"unknowns: {shortly(wrong[0])} is missing or of no joint of it; calibrate again")
+            raise FormError(
+                f"unknowns: {shortly(wrong[0])} is missing or of no joint of it; calibrate again"
+            )
         # a file may have been written again in another order: its correlations follow that
         place = [list(unknowns).index(name) for name in names]
         read = []
@@ -205,13 +233,21 @@ class MotionCalibration:
         correlation = correlation_of(section, len(keys), -1e-9)[np.ix_(place, place)]
         rows = numbers_of(section, "deviations")
         if not rows or any(len(row) != len(keys) for row in rows) or not np.all(np.isfinite(rows)):
-            raise FormError(f"deviations must be rows of {len(keys)} finite numbers; calibrate again")
+            raise FormError(
+                f"deviations must be rows of {len(keys)} finite numbers; calibrate again"
+            )
         stated = part_of(section, "torque_scale", Mapping)
         with under("torque_scale"):
             torque_scale, torque_scale_std = exactly(stated, _SCALE)
         over_urdf = read_under(section, "arm_over_urdf", Number("", "", -100.0, 100.0))
-        values, spread = np.array([term[0] for term in read]), np.array([part for term in read for part in term[2:]])
-        fitted = (values, correlation * scale[:, None] * scale, np.array(rows)[:, place] * scale, spread)
+        values = np.array([term[0] for term in read])
+        spread = np.array([part for term in read for part in term[2:]])
+        fitted = (
+            values,
+            correlation * scale[:, None] * scale,
+            np.array(rows)[:, place] * scale,
+            spread,
+        )
         constants, residual, correlated = numbers.T
         scales = (torque_scale, torque_scale_std, over_urdf)
         between = _read_between(section.get("between_recordings", {}))
@@ -221,7 +257,9 @@ class MotionCalibration:
 def _read_between(given: Any) -> dict[str, tuple[float, float]]:
     """What differs between recordings; nothing where the file says nothing."""
     if not isinstance(given, Mapping) or set(given) not in (set(), BETWEEN):
-        raise FormError(f"between_recordings must have {', '.join(sorted(BETWEEN))}, got {shortly(given)}")
+        raise FormError(
+            f"between_recordings must have {', '.join(sorted(BETWEEN))}, got {shortly(given)}"
+        )
     read = {}
     for kind, entry in given.items():
         with under("between_recordings", kind):

@@ -57,9 +57,13 @@ def other_arm(calibrated: Motors, found: Motors) -> str:
     """How motors differ from those of a calibration, in words; empty where they may be the same."""
     differences = []
     for joint in [name for name in calibrated if name in found]:
-        one, other = asdict(calibrated[joint]), asdict(found[joint])
+        one = asdict(calibrated[joint])
+        other = asdict(found[joint])
         differ = [name for name in one if name != "firmware" and one[name] != other[name]]
-        differences += [f"{joint} has {name.replace('_', ' ')} {other[name]}, not {one[name]}" for name in differ]
+        differences += [
+            f"{joint} has {name.replace('_', ' ')} {other[name]}, not {one[name]}"
+            for name in differ
+        ]
     return "; ".join(differences[:3])
 
 

@@ -21,7 +21,16 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.calibration_files.section import RUN, check_section, lines_of, numbers_of, part_of, read_under, runs_of, short
+from proprio_ros.calibration_files.section import (
+    RUN,
+    check_section,
+    lines_of,
+    numbers_of,
+    part_of,
+    read_under,
+    runs_of,
+    short,
+)
 from proprio_ros.inputs.forms import Form, FormError, Number
 from proprio_ros.records import FloatArray
 
@@ -42,7 +51,9 @@ _RUN: dict[str, Form] = RUN | {
     "std_kg": Number(unit="kg", lowest=0.0, highest=_LARGEST),
 }
 _FORMS: dict[str, Form] = {
-    "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
+    "torque_constant_N_m_per_A": Number(
+        "that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True
+    ),
     **{term: Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST) for term, unit in TERMS.items()},
     "spread": Number("by which recordings differ, relative", "", 0.0, 10.0, open=True),
     "residual_N_m": Number("left over", "N m", 0.0, 1e4, open=True),
@@ -57,7 +68,8 @@ class JointCalibration:
     torque_constant: float  # that the currents were multiplied with [N m/A]
     values: FloatArray  # see `TERMS`, shape (6,)
     without: FloatArray  # the same from all recordings but one, shape (runs, 6)
-    spread: float  # by how much masses of recordings differ beyond what each knows of its own error, relative
+    # by how much masses of recordings differ beyond what each knows of its own error, relative
+    spread: float
     residual: float  # RMS of the windows' mean torque that is left over [N m]
     # one mapping per recording: name, duration_s, load_kg; read_kg, std_kg: what the others make of it
     runs: tuple[Mapping[str, Any], ...]
@@ -89,10 +101,17 @@ class JointCalibration:
     def from_settings(cls, section: Any) -> JointCalibration:
         """Read the section of a robot file; raises `FormError` where a key is missing, or a number is none."""
         check_section(section)
-        runs, joint = runs_of(section, _RUN), part_of(section, "joint", str)
-        constant, *terms, spread, residual = (read_under(section, key, form) for key, form in _FORMS.items())
+        runs = runs_of(section, _RUN)
+        joint = part_of(section, "joint", str)
+        constant, *terms, spread, residual = (
+            read_under(section, key, form) for key, form in _FORMS.items()
+        )
         rows = numbers_of(section, "without")
-        whole = len(rows) == len(runs) and all(len(row) == len(TERMS) for row in rows) and np.all(np.isfinite(rows))
+        whole = (
+            len(rows) == len(runs)
+            and all(len(row) == len(TERMS) for row in rows)
+            and np.all(np.isfinite(rows))
+        )
         if len(runs) < FEWEST_RUNS or not whole:
             raise FormError(
                 f"without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; calibrate again"

@@ -32,7 +32,15 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
-from proprio_ros.calibration_files.section import check_section, correlation_of, part_of, read_under, runs_of, short, triangle_of
+from proprio_ros.calibration_files.section import (
+    check_section,
+    correlation_of,
+    part_of,
+    read_under,
+    runs_of,
+    short,
+    triangle_of,
+)
 from proprio_ros.errors import one_line
 from proprio_ros.inputs.forms import Form, FormError, Number, Text, Whole, shortly, under
 from proprio_ros.kinds import KINDS, Key, key_of, name_of
@@ -46,7 +54,9 @@ RANGES: dict[str, Number] = {
     "load_friction": Number("part of the motor's torque that the gears lose", "", 0.0, 1.0),
     "armature": Number("rotor and gears, seen at the output", "kg m^2", 0.0, 100.0),
     "stribeck": Number("by how much of itself dry friction is greater at rest", "", 0.0, 10.0),
-    "stribeck_velocity": Number("speed at which 1/e of that is left", "rad/s", 0.0, 100.0, open=True),
+    "stribeck_velocity": Number(
+        "speed at which 1/e of that is left", "rad/s", 0.0, 100.0, open=True
+    ),
     "zero": Number("true position minus reading", "rad", -7.0, 7.0),
     "ripple_cos": Number("encoder error", "rad", -0.2, 0.2),
     "ripple_sin": Number("encoder error", "rad", -0.2, 0.2),
@@ -56,7 +66,9 @@ RANGES: dict[str, Number] = {
     "link_com_z": Number("beyond the URDF's", "m", -0.5, 0.5),
     "link_inertia": Number("beyond the URDF's, relative", "", -0.9, 10.0),
     "arm_scale": Number("all masses of the URDF times this", "", 0.5, 2.0),
-    "delay": Number("from the command's stamp to torque, less that of the position", "s", -0.1, 0.1),
+    "delay": Number(
+        "from the command's stamp to torque, less that of the position", "s", -0.1, 0.1
+    ),
 }
 """What a calibration may say of each kind of unknown; further off is no arm, but a slip of the hand or of a unit."""
 NOISE: dict[str, Number] = {
@@ -64,9 +76,15 @@ NOISE: dict[str, Number] = {
     "stamp_jitter_s": Number("standard deviation of the stamps", "s", 0.0, 0.1),
     "torque_disturbance_N_m": Number("torque that differs from run to run", "N m", 0.0, 100.0),
     "onset_jitter_s": Number("standard deviation of the delay from run to run", "s", 0.0, 0.1),
-    "start_velocity_rad_s": Number("of a locked joint when its excitation begins", "rad/s", 0.0, 10.0, open=True),
-    "friction_spread": Number("friction that differs from one free swing to the next, relative", "", 0.0, 1.0),
-    "swing_error_rad": Number("simulated less measured free swing, in which samples share an error", "rad", 0.0, 10.0),
+    "start_velocity_rad_s": Number(
+        "of a locked joint when its excitation begins", "rad/s", 0.0, 10.0, open=True
+    ),
+    "friction_spread": Number(
+        "friction that differs from one free swing to the next, relative", "", 0.0, 1.0
+    ),
+    "swing_error_rad": Number(
+        "simulated less measured free swing, in which samples share an error", "rad", 0.0, 10.0
+    ),
 }
 _RUN: dict[str, Form] = {
     "name": Text(longest=9000),
@@ -84,7 +102,8 @@ TERMS = (
 _LEAST_STD = 1e-10  # of any unknown, in its unit: below it, a covariance loses its digits
 _FARTHEST = 5.0  # times the nominal torque constant, or that part of it
 _MOST_STDS = 10.0
-_SMALLEST_EIGENVALUE = 1e-12  # of a correlation matrix: below it, rounding has made it no covariance
+# of a correlation matrix: below it, rounding has made it no covariance
+_SMALLEST_EIGENVALUE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -92,7 +111,8 @@ class Moment:
     """When something was recorded, and how warm the motors were."""
 
     time_s: float  # mean over its runs, by the clock of the recording [s]
-    temperature_C: Mapping[str, float] = field(default_factory=dict)  # of the motors that say it, by joint
+    # of the motors that say it, by joint
+    temperature_C: Mapping[str, float] = field(default_factory=dict)
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers."""
@@ -102,10 +122,16 @@ class Moment:
     @classmethod
     def from_settings(cls, given: Any) -> Moment:
         """The reverse of ``as_settings``; raises `FormError`."""
-        if not isinstance(given, Mapping) or not {"time_s"} <= set(given) <= {"time_s", "temperature_C"}:
+        if not isinstance(given, Mapping) or not {"time_s"} <= set(given) <= {
+            "time_s",
+            "temperature_C",
+        }:
             raise FormError(f"expected time_s and perhaps temperature_C, got {shortly(given)}")
-        time_s, warmth = read_under(given, "time_s", _TIME), {}
-        for joint, value in (part_of(given, "temperature_C", Mapping) if "temperature_C" in given else {}).items():
+        time_s = read_under(given, "time_s", _TIME)
+        warmth = {}
+        for joint, value in (
+            part_of(given, "temperature_C", Mapping) if "temperature_C" in given else {}
+        ).items():
             with under("temperature_C", shortly(joint)):
                 warmth[str(joint)] = _TEMPERATURE.read(value)
         return cls(time_s, warmth)
@@ -120,14 +146,19 @@ class Calibration:
     covariance: FloatArray  # shape (C, C), positive definite
     residual_scale: float = 1.0  # residuals over what encoder and stamps explain
     stamp_jitter_s: float = 0.0  # standard deviation of the stamps
-    torque_disturbance: float = 0.0  # standard deviation of a torque that differs from run to run [N m]
-    start_velocity: float = 0.01  # standard deviation of the velocity at which excitations begin [rad/s]
-    runs: tuple[Mapping[str, Any], ...] = ()  # one mapping per run used: name, joint, current_A, load_kg, samples
-    motors: Motors = field(default_factory=dict)  # of the arm, by joint, where its recordings say so
+    # standard deviation of a torque that differs from run to run [N m]
+    torque_disturbance: float = 0.0
+    # standard deviation of the velocity at which excitations begin [rad/s]
+    start_velocity: float = 0.01
+    # one mapping per run used: name, joint, current_A, load_kg, samples
+    runs: tuple[Mapping[str, Any], ...] = ()
+    # of the arm, by joint, where its recordings say so
+    motors: Motors = field(default_factory=dict)
     # relative standard deviation of friction from one free response to the next; 0: it was made of none
     friction_spread: float = 0.0
     swing_error: float = 0.0  # error of simulated free responses, see `Robot.swing_error` [rad]
-    onset_jitter_s: float = 0.0  # standard deviation of the delay from run to run; 0: as the robot file has it
+    # standard deviation of the delay from run to run; 0: as the robot file has it
+    onset_jitter_s: float = 0.0
     # when it was made, or since when it counts (see `drift`); None where the recordings do not say it
     made: Moment | None = None
 
@@ -140,7 +171,10 @@ class Calibration:
     def quantities(self) -> dict[Key, Quantity]:
         """Each unknown by key, with its own standard deviation."""
         stds = np.sqrt(np.diag(self.covariance))
-        return {key: Quantity(float(v), float(s)) for key, v, s in zip(self.keys, self.values, stds, strict=True)}
+        return {
+            key: Quantity(float(v), float(s))
+            for key, v, s in zip(self.keys, self.values, stds, strict=True)
+        }
 
     @functools.cached_property
     def correlation(self) -> FloatArray:
@@ -152,7 +186,11 @@ class Calibration:
     def joints(self) -> tuple[str, ...]:
         """Joints whose drive trains were calibrated; a free response needs no torque constant, which may be stated exactly."""
         swung = {run["joint"] for run in self.runs} if self.swing_error > 0.0 else set()
-        known = (key for key in self.keys if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung))
+        known = (
+            key
+            for key in self.keys
+            if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung)
+        )
         return tuple(dict.fromkeys(str(key[1]) for key in known))
 
     @property
@@ -163,7 +201,8 @@ class Calibration:
     def without(self, keys: set[Key]) -> Calibration:
         """The same with some unknowns marginalised out; keys that it does not hold are ignored."""
         keep = [row for row, key in enumerate(self.keys) if key not in keys]
-        kept, covariance = tuple(self.keys[row] for row in keep), self.covariance[np.ix_(keep, keep)]
+        kept = tuple(self.keys[row] for row in keep)
+        covariance = self.covariance[np.ix_(keep, keep)]
         return replace(self, keys=kept, values=self.values[keep], covariance=covariance)
 
     def given(self, keys: set[Key]) -> Calibration:
@@ -178,7 +217,10 @@ class Calibration:
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers for the file; the correlations as text, which reads a hundred times faster than as YAML numbers."""
-        swung = {"friction_spread": short(self.friction_spread), "swing_error_rad": short(self.swing_error)}
+        swung = {
+            "friction_spread": short(self.friction_spread),
+            "swing_error_rad": short(self.swing_error),
+        }
         return {
             "runs": [dict(run) for run in self.runs],
             "residual_scale": short(self.residual_scale),
@@ -200,11 +242,18 @@ class Calibration:
     def from_settings(cls, section: Any) -> Calibration:
         """Read the section of a robot file; raises `FormError`."""
         check_section(section)
-        unknowns, runs, motors, made = part_of(section, "unknowns", Mapping), runs_of(section, _RUN), {}, None
-        for joint, entry in (part_of(section, "motors", Mapping) if "motors" in section else {}).items():
+        unknowns = part_of(section, "unknowns", Mapping)
+        runs = runs_of(section, _RUN)
+        motors = {}
+        made = None
+        for joint, entry in (
+            part_of(section, "motors", Mapping) if "motors" in section else {}
+        ).items():
             with under("motors", one_line(str(joint), 80)):
                 motors[str(joint)] = MotorIdentity.from_settings(entry)
-        keys, values, stds = [], [], []
+        keys = []
+        values = []
+        stds = []
         for name, entry in unknowns.items():
             with under("unknowns", one_line(str(name), 80)):
                 if not isinstance(entry, Mapping):
@@ -212,23 +261,41 @@ class Calibration:
                 keys.append(_key(name))
                 form = RANGES[_kind(keys[-1])]
                 values.append(read_under(entry, "value", form))
-                stds.append(read_under(entry, "std", Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest)))
+                stds.append(
+                    read_under(
+                        entry,
+                        "std",
+                        Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest),
+                    )
+                )
                 if entry.get("unit", _unit(keys[-1])) != _unit(keys[-1]):
-                    raise FormError(f"unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}")
+                    raise FormError(
+                        f"unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}"
+                    )
         scale = np.array(stds)
-        covariance = correlation_of(section, len(keys), _SMALLEST_EIGENVALUE) * scale[:, None] * scale[None, :]
+        covariance = (
+            correlation_of(section, len(keys), _SMALLEST_EIGENVALUE)
+            * scale[:, None]
+            * scale[None, :]
+        )
         defaults = zip(NOISE.items(), (1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
         noise = {
-            re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default) for (name, form), default in defaults
+            re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default)
+            for (name, form), default in defaults
         }
         if "made" in section:
             with under("made"):
                 made = Moment.from_settings(section["made"])
-        return cls(tuple(keys), np.array(values), covariance, runs=runs, motors=motors, made=made, **noise)
+        return cls(
+            tuple(keys), np.array(values), covariance, runs=runs, motors=motors, made=made, **noise
+        )
 
 
 def check_complete(
-    calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, Any], priors: Mapping[str, Quantity]
+    calibration: Calibration,
+    links: Sequence[str],
+    drive_trains: Mapping[str, Any],
+    priors: Mapping[str, Quantity],
 ) -> None:
     """Check a calibration against the robot file's links, drive trains (by joint) and what it says of other unknowns (by kind).
 
@@ -238,18 +305,29 @@ def check_complete(
     """
     there = set(calibration.keys)
     for key in calibration.keys:
-        of, scope = KINDS[_kind(key)].of, "" if isinstance(key, str) else str(key[1])
+        of = KINDS[_kind(key)].of
+        scope = "" if isinstance(key, str) else str(key[1])
         names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(of, ())
         if of and scope not in names:
-            raise FormError(f"{name_of(key)}: the robot has no such {of}; it has {', '.join(names)}")
+            raise FormError(
+                f"{name_of(key)}: the robot has no such {of}; it has {', '.join(names)}"
+            )
     # of a joint that was only held, its zero is known and nothing else
-    for joint in dict.fromkeys(str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"):
+    for joint in dict.fromkeys(
+        str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"
+    ):
         drive = drive_trains[joint]
         # a slide has no zero of its own
-        open_terms = [t for t in TERMS if getattr(drive, t).std > 0.0 and (t != "zero" or drive.transmission == 1.0)]
+        open_terms = [
+            t
+            for t in TERMS
+            if getattr(drive, t).std > 0.0 and (t != "zero" or drive.transmission == 1.0)
+        ]
         lost = [name_of((t, joint)) for t in open_terms if (t, joint) not in there]
         if lost:
-            raise FormError(f"unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`")
+            raise FormError(
+                f"unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`"
+            )
         found = calibration.quantities.get(("torque_constant", joint), drive.torque_constant).value
         if not 1.0 / _FARTHEST <= found / drive.nominal_torque_constant <= _FARTHEST:
             raise FormError(
@@ -257,7 +335,11 @@ def check_complete(
                 f"nominal {drive.nominal_torque_constant:g}: calibrate again"
             )
     for key, known in calibration.quantities.items():
-        prior = getattr(drive_trains[str(key[1])], kind) if (kind := _kind(key)) in TERMS else priors.get(kind)
+        prior = (
+            getattr(drive_trains[str(key[1])], kind)
+            if (kind := _kind(key)) in TERMS
+            else priors.get(kind)
+        )
         if prior is not None and 0.0 < _MOST_STDS * prior.std < abs(known.value - prior.value):
             raise FormError(
                 f"{name_of(key)}: {known.value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({prior.std:g}) "
@@ -272,8 +354,14 @@ def _kind(key: Key) -> str:
 def _key(name: Any) -> Key:
     """The key of an unknown that a calibration may hold."""
     kind, _, scope = str(name).partition("[")
-    if kind not in RANGES or bool(KINDS[kind].of) != bool(scope) or (scope and not scope.endswith("]")):
-        raise FormError(f"no such unknown; valid are {', '.join(RANGES)}, of joints and links as kind[name]")
+    if (
+        kind not in RANGES
+        or bool(KINDS[kind].of) != bool(scope)
+        or (scope and not scope.endswith("]"))
+    ):
+        raise FormError(
+            f"no such unknown; valid are {', '.join(RANGES)}, of joints and links as kind[name]"
+        )
     return key_of(str(name))
 
 

@@ -32,7 +32,9 @@ def correlation_of(section: Mapping[str, Any], count: int, smallest: float) -> F
     """The matrix under ``correlation``, shape (count, count); refuses other sizes, and eigenvalues under the smallest."""
     rows = numbers_of(section, "correlation")
     if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
-        raise FormError(f"correlation must be the lower triangle of {count} unknowns, one row each; calibrate again")
+        raise FormError(
+            f"correlation must be the lower triangle of {count} unknowns, one row each; calibrate again"
+        )
     matrix = np.zeros((count, count))
     for n, row in enumerate(rows):
         matrix[n, : n + 1] = row
@@ -71,7 +73,9 @@ def read_under(given: Mapping[str, Any], key: str, form: Form, default: Any = No
 def check_section(section: Any) -> None:
     """Raises: FormError: What a robot file has as a calibration is no mapping."""
     if not isinstance(section, Mapping):
-        raise FormError(f"expected keys and values, got {shortly(section)}; write it with `proprio calibrate`")
+        raise FormError(
+            f"expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
+        )
 
 
 def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any, ...]:
@@ -86,7 +90,9 @@ def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any,
 def part_of(section: Mapping[str, Any], key: str, kind: type) -> Any:
     """A part of a section that must be there; raises `FormError` where it is not, or is something else."""
     if not isinstance(section.get(key), kind):
-        raise FormError(f"{key} is missing or no {kind.__name__}; write it with `proprio calibrate`")
+        raise FormError(
+            f"{key} is missing or no {kind.__name__}; write it with `proprio calibrate`"
+        )
     return section[key]
 
 

@@ -14,7 +14,14 @@ from typing import NoReturn
 
 from proprio_ros import progress
 from proprio_ros.cli.parser import UsageError, make_parser
-from proprio_ros.cli.terminal import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, complain, json_error, say
+from proprio_ros.cli.terminal import (
+    EXIT_BAD_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    complain,
+    json_error,
+    say,
+)
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line
 
 LONGEST_WORD = 100_000  # characters of one word of the command line
@@ -25,10 +32,12 @@ def run() -> NoReturn:
 
     Everything is written and closed by then; unloading Warp's native libraries would only cost the user 0.15 s.
     """
-    gc.disable()  # one answer and out: collecting while the libraries are imported costs another tenth of a second
+    # one answer and out: collecting while the libraries are imported costs another tenth of a second
+    gc.disable()
     code = main()
     for stream in (sys.stdout, sys.stderr):
-        with suppress(BrokenPipeError, ValueError, AttributeError):  # the reader has gone, or there never was one
+        # the reader has gone, or there never was one
+        with suppress(BrokenPipeError, ValueError, AttributeError):
             stream.flush()
     os._exit(code)
 
@@ -39,7 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         for word in given:
             if "\0" in word or len(word) > LONGEST_WORD:
-                raise ConfigurationError(f"{one_line(word, 60)}: too long, or it holds a NUL character")
+                raise ConfigurationError(
+                    f"{one_line(word, 60)}: too long, or it holds a NUL character"
+                )
         options = make_parser().parse_args(given)
         with progress.listening(say):
             return int(options.command(options, given))
@@ -51,11 +62,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return EXIT_OK
     except ProprioError as error:
-        sentence, code = str(error), EXIT_BAD_INPUT
+        sentence = str(error)
+        code = EXIT_BAD_INPUT
     except OSError as error:
         # whatever the file system refuses; where it can be foreseen, the code above says what to do
-        sentence, code = one_line(f"{error.filename or 'a file'}: {error.strerror or error}"), EXIT_BAD_INPUT
+        sentence = one_line(f"{error.filename or 'a file'}: {error.strerror or error}")
+        code = EXIT_BAD_INPUT
     except KeyboardInterrupt:
-        sentence, code = "interrupted", EXIT_INTERRUPTED
+        sentence = "interrupted"
+        code = EXIT_INTERRUPTED
     complain(sentence)
     return json_error(given, sentence, code)

@@ -45,7 +45,9 @@ def _refuse_unwritable(report: str | None, force: bool, output: str = "") -> Non
         raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
     folder = Path(report or ".").resolve().parent
     if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
-        raise ConfigurationError(f"--report {report}: name a file in a folder that exists and is writable")
+        raise ConfigurationError(
+            f"--report {report}: name a file in a folder that exists and is writable"
+        )
     if report and output and Path(report).resolve() == Path(output).resolve():
         raise ConfigurationError(f"--report {report}: is --output, too: name another file")
     if report:
@@ -65,7 +67,11 @@ def _asked(options: argparse.Namespace, **read: Any) -> Options:
     settings = _settings(options.set)
     from proprio_ros.pipeline.request import Options
 
-    given = {entry.name: getattr(options, entry.name) for entry in fields(Options) if hasattr(options, entry.name)}
+    given = {
+        entry.name: getattr(options, entry.name)
+        for entry in fields(Options)
+        if hasattr(options, entry.name)
+    }
     return Options(**{**given, "settings": settings, **read})
 
 
@@ -89,8 +95,15 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     _refuse_unwritable(options.report, options.force, options.output)
     references = _references(options.reference)
     if options.refresh is not None and references:
-        raise ConfigurationError("--refresh takes runs with an empty hand; with a --reference calibrate from the start")
-    how = (_asked(options, calibration=options.refresh), options.output, say_progress, options.force)
+        raise ConfigurationError(
+            "--refresh takes runs with an empty hand; with a --reference calibrate from the start"
+        )
+    how = (
+        _asked(options, calibration=options.refresh),
+        options.output,
+        say_progress,
+        options.force,
+    )
     from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
 
     if options.refresh is not None:
@@ -103,7 +116,11 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     if options.report:
         from proprio_ros.report import write_calibration_report
 
-        about = {"command": _command(given), "sources": [*options.bags, *map(str, references)], "force": options.force}
+        about = {
+            "command": _command(given),
+            "sources": [*options.bags, *map(str, references)],
+            "force": options.force,
+        }
         write_calibration_report(estimate, Path(options.report), **about)
         say(f"report written to {printable(options.report)}")
     if accepted:
@@ -119,7 +136,10 @@ def check(options: argparse.Namespace, given: Sequence[str]) -> int:
 
     robot, checks = check_bags(options.bags, asked)
     terminal.show(
-        options.json, as_json(robot, checks), "\n".join(check.as_text() for check in checks), terminal.table_of_checks(checks)
+        options.json,
+        as_json(robot, checks),
+        "\n".join(check.as_text() for check in checks),
+        terminal.table_of_checks(checks),
     )
     return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
 
@@ -138,7 +158,9 @@ def plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     plans = Plans(*plan_excitations(masses, asked, options.count, say, options.seconds), masses)
     open_yet = "the robot has not been calibrated: the intervals carry what its file leaves open"
     lines = [] if plans.robot.is_calibrated() else [open_yet]
-    lines += [f"{number:2d}. {terminal.plan_as_text(plan)}" for number, plan in enumerate(plans, start=1)]
+    lines += [
+        f"{number:2d}. {terminal.plan_as_text(plan)}" for number, plan in enumerate(plans, start=1)
+    ]
     terminal.show(options.json, plans.as_json(), "\n".join(lines))
     return EXIT_OK
 
@@ -153,13 +175,22 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
     check_new_yaml(output, options.force)
     new = new_robot_file(options.urdf, output, description_of, options.effort_unit == "N.m")
     write_in_one_step(output, new.text, "--output")
-    about = {"robot": new.name, "output": str(output), "joints": list(new.joints), "payload_frame": new.payload_frame}
+    about = {
+        "robot": new.name,
+        "output": str(output),
+        "joints": list(new.joints),
+        "payload_frame": new.payload_frame,
+    }
     stated = ", ".join(dict.fromkeys(key.rpartition(".")[2] for key in new.to_state))
     state = f"state: {stated} (marked in the file)" if stated else "use it with --effort-unit N.m"
     text = (
-        f"{output}: {new.name}, joints {', '.join(new.joints)}\n  {state}\n  check: payload_frame, {new.payload_frame} is a guess"
+        f"{output}: {new.name}, joints {', '.join(new.joints)}\n"
+        f"  {state}\n"
+        f"  check: payload_frame, {new.payload_frame} is a guess"
     )
-    terminal.show(options.json, {**schema.header("robot"), **about, "to_state": list(new.to_state)}, text)
+    terminal.show(
+        options.json, {**schema.header("robot"), **about, "to_state": list(new.to_state)}, text
+    )
     return EXIT_OK
 
 
@@ -171,14 +202,29 @@ def robot_export(options: argparse.Namespace, given: Sequence[str]) -> int:
 
     output = Path(options.output)
     check_new(output, (".urdf",), options.force)
-    robot = robot_of(Options(robot=options.robot, calibration=options.calibration, settings=_settings(options.set)))
+    robot = robot_of(
+        Options(
+            robot=options.robot, calibration=options.calibration, settings=_settings(options.set)
+        )
+    )
     learnt = learnt_urdf(robot)
     write_in_one_step(output, learnt.text, "--output")
-    about = {"robot": robot.name, "output": str(output), "friction": list(learnt.joints), "links": list(learnt.links)}
-    bent = f"\n  inertia about the centre is not as learnt, since no body is so: {', '.join(learnt.bent)}" * bool(learnt.bent)
-    joints, links = ", ".join(learnt.joints) or "no joint", ", ".join(learnt.links) or "no link"
+    about = {
+        "robot": robot.name,
+        "output": str(output),
+        "friction": list(learnt.joints),
+        "links": list(learnt.links),
+    }
+    bent = (
+        f"\n  inertia about the centre is not as learnt, since no body is so: {', '.join(learnt.bent)}"
+        * bool(learnt.bent)
+    )
+    joints = ", ".join(learnt.joints) or "no joint"
+    links = ", ".join(learnt.links) or "no link"
     text = f"{output}: friction of {joints}; inertia of {links}{bent}"
-    terminal.show(options.json, {**schema.header("robot"), **about, "not_as_learnt": list(learnt.bent)}, text)
+    terminal.show(
+        options.json, {**schema.header("robot"), **about, "not_as_learnt": list(learnt.bent)}, text
+    )
     return EXIT_OK
 
 
@@ -237,7 +283,9 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
         raise ConfigurationError(f"--reports {options.reports}: choose 0 or more")
     for flag, engine in (("address", "ray"), ("jobs", "local")):
         if getattr(options, flag) is not None and options.engine != engine:
-            raise ConfigurationError(f"--{flag} goes with --engine {engine}: add that, or leave it out")
+            raise ConfigurationError(
+                f"--{flag} goes with --engine {engine}: add that, or leave it out"
+            )
     asked = _asked(options)
     from proprio_ros.batch.job import refuse_device, run_batch
     from proprio_ros.batch.rows import Job
@@ -257,8 +305,14 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
         empty_first_s=options.empty_first,
         reports=options.reports,
     )
-    done = {"episodes": outcome.episodes, "done_before": outcome.before, "verdicts": outcome.verdicts}
-    text = f"{outcome.episodes} episodes: " + ", ".join(f"{count} {name}" for name, count in outcome.verdicts.items())
+    done = {
+        "episodes": outcome.episodes,
+        "done_before": outcome.before,
+        "verdicts": outcome.verdicts,
+    }
+    text = f"{outcome.episodes} episodes: " + ", ".join(
+        f"{count} {name}" for name, count in outcome.verdicts.items()
+    )
     text += f"\nrows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}"
     whole = {**schema.header("batch"), "folder": str(outcome.folder), **done}
     terminal.show(options.json, whole, text, terminal.table_of_episodes(outcome.first))
@@ -281,7 +335,9 @@ def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     assert example is not None
     for other in (each.example.flag for each in all_probes() if each.example is not None):
         if other != example.flag and getattr(options, other) is not None:
-            raise ConfigurationError(f"--{other} says nothing about --probe {options.probe}; leave it out")
+            raise ConfigurationError(
+                f"--{other} says nothing about --probe {options.probe}; leave it out"
+            )
     stated = getattr(options, example.flag)
     truth = example.truth if stated is None else stated
     if not example.lowest <= truth <= example.highest:
@@ -295,7 +351,12 @@ def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
             f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
         ) from error
     robot = options.robot or "open_manipulator_x"
-    how = {"folder": Path(options.output), "seed": options.seed, "robot": robot, "full": options.full}
+    how = {
+        "folder": Path(options.output),
+        "seed": options.seed,
+        "robot": robot,
+        "full": options.full,
+    }
     result = demo(probe, truth, **how, tell=say)
     print(result.sentence)
     if result.value is not None:
@@ -318,7 +379,9 @@ def _references(pairs: Sequence[str]) -> dict[str | Path, float]:
         if path in references:
             raise ConfigurationError(f"--reference {path}: given twice; give it once")
         if not path:
-            raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
+            raise ConfigurationError(
+                f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1"
+            )
         references[path] = known
     return references
 
@@ -333,7 +396,9 @@ def _span(text: str | None) -> tuple[int, int | None] | None:
     except ValueError:
         seconds = []
     if not colon or not seconds or not 0.0 <= seconds[0] < min(seconds[1], 1e9):
-        raise ConfigurationError(f"--span {one_line(text, 40)}: expected FROM:TO in seconds, such as 600:1200 or 600:")
+        raise ConfigurationError(
+            f"--span {one_line(text, 40)}: expected FROM:TO in seconds, such as 600:1200 or 600:"
+        )
     return round(1e9 * seconds[0]), None if seconds[1] > 1e9 else round(1e9 * seconds[1])
 
 
@@ -344,7 +409,9 @@ def _masses(text: str) -> list[float]:
     except ValueError:
         ends = []
     if not 1 <= len(ends) <= 2 or min(ends) <= 0.0 or ends[0] > ends[-1]:
-        raise ConfigurationError(f"--mass {text}: write one mass in kg, or lightest..heaviest, e.g. 0.01..0.2")
+        raise ConfigurationError(
+            f"--mass {text}: write one mass in kg, or lightest..heaviest, e.g. 0.01..0.2"
+        )
     return ends if len(ends) == 1 else [ends[0], (ends[0] * ends[1]) ** 0.5, ends[1]]
 
 

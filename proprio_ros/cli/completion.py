@@ -39,27 +39,44 @@ def script(shell: str, parser: argparse.ArgumentParser) -> str:
     commands = dict(_commands(parser))
     if shell == "fish":
         return "".join(_fish(commands))
-    values, options = [], []
+    values = []
+    options = []
     for name, command in commands.items():
-        named = [(action, action.option_strings[-1]) for action in command._actions if action.option_strings]
-        options.append(f'                "{name}") words={shlex.quote(" ".join(flag for _, flag in named))} ;;')
+        named = [
+            (action, action.option_strings[-1])
+            for action in command._actions
+            if action.option_strings
+        ]
+        options.append(
+            f'                "{name}") words={shlex.quote(" ".join(flag for _, flag in named))} ;;'
+        )
         for action, flag in named:
             if words := _values(action, flag):
-                values.append(f'            "{name} {flag}") words={shlex.quote(" ".join(words))} ;;')
+                values.append(
+                    f'            "{name} {flag}") words={shlex.quote(" ".join(words))} ;;'
+                )
     first = shlex.quote(" ".join(dict.fromkeys(name.partition(" ")[0] for name in commands)))
     text = BASH.format(commands=first, values="\n".join(values), options="\n".join(options))
     return ZSH * (shell == "zsh") + text
 
 
-def _commands(parser: argparse.ArgumentParser, before: str = "") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+def _commands(
+    parser: argparse.ArgumentParser, before: str = ""
+) -> Iterator[tuple[str, argparse.ArgumentParser]]:
     """Parsers by the words that lead to them; of a command with commands of its own, those."""
-    for group in (action for action in parser._actions if isinstance(action, argparse._SubParsersAction)):
+    for group in (
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    ):
         for name, command in group.choices.items():
-            yield from list(_commands(command, f"{before}{name} ")) or [(f"{before}{name}", command)]
+            yield from list(_commands(command, f"{before}{name} ")) or [
+                (f"{before}{name}", command)
+            ]
 
 
 def _values(action: argparse.Action, flag: str) -> tuple[str, ...]:
-    return tuple(map(str, action.choices or ())) or (resource_names(NAMES[flag]) if flag in NAMES else ())
+    return tuple(map(str, action.choices or ())) or (
+        resource_names(NAMES[flag]) if flag in NAMES else ()
+    )
 
 
 def _fish(commands: dict[str, argparse.ArgumentParser]) -> Iterator[str]:
@@ -71,6 +88,10 @@ def _fish(commands: dict[str, argparse.ArgumentParser]) -> Iterator[str]:
             yield f"complete -c proprio -n '__fish_seen_subcommand_from {first}' -a {second}\n"
         for action in command._actions:
             for flag in (flag for flag in action.option_strings if flag.startswith("--")):
-                words = f" -a {shlex.quote(' '.join(values))}" if (values := _values(action, flag)) else ""
+                words = (
+                    f" -a {shlex.quote(' '.join(values))}"
+                    if (values := _values(action, flag))
+                    else ""
+                )
                 takes = "" if action.nargs == 0 else " -x" if action.choices else " -r"
                 yield f"complete -c proprio -n '__fish_seen_subcommand_from {first}' -l {flag[2:]}{takes}{words}\n"

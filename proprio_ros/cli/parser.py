@@ -38,10 +38,16 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "state-topic": {"metavar": "T"},
     "command-topic": {"metavar": "T"},
-    "effort-unit": {"choices": ("N.m", "A", "mA", "raw"), "help": "what `effort` of the joint states means; never guessed"},
+    "effort-unit": {
+        "choices": ("N.m", "A", "mA", "raw"),
+        "help": "what `effort` of the joint states means; never guessed",
+    },
     "force": {"action": "store_true", "help": "replace an older file of that name, whatever it is"},
     "json": {"action": "store_true", "help": "print one JSON object"},
-    "report": {"metavar": "FILE.html", "help": "write a page with plots; an older page is replaced"},
+    "report": {
+        "metavar": "FILE.html",
+        "help": "write a page with plots; an older page is replaced",
+    },
 }
 """Options that several commands have."""
 TOPICS = ("driver", "state-topic", "command-topic", "effort-unit")
@@ -58,7 +64,9 @@ class UsageError(SystemExit):
 class _Once(argparse.Action):
     """What an option with one value does with it; a second one would silently replace the first."""
 
-    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+    def __call__(
+        self, parser: Any, namespace: Any, values: Any, option_string: str | None = None
+    ) -> None:
         given = namespace.__dict__.setdefault("_given", set())
         if option_string is not None and self.dest in given:
             raise argparse.ArgumentError(self, "given twice; give it once")
@@ -89,7 +97,19 @@ def make_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="proprio", description="A robot arm's sense of weight and softness.")
     parser.add_argument("--version", action="version", version=f"proprio {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for make in (_replay, _calibrate, _check, _plan, _robot, _table, _warmup, _paper, _batch, _demo, _completion):
+    for make in (
+        _replay,
+        _calibrate,
+        _check,
+        _plan,
+        _robot,
+        _table,
+        _warmup,
+        _paper,
+        _batch,
+        _demo,
+        _completion,
+    ):
         make(commands.add_parser)
     return parser
 
@@ -120,7 +140,9 @@ def _replay(add: Callable[..., _Parser]) -> None:
     solvers = tuple(dict.fromkeys(solver for probe in solving for solver in probe.solvers))
     profiles = tuple(dict.fromkeys(profile for probe in solving for profile in probe.profiles))
     it.add_argument("--solver", default="lm", choices=solvers)
-    it.add_argument("--profile", default="default", choices=profiles, help="paper: the paper's own method")
+    it.add_argument(
+        "--profile", default="default", choices=profiles, help="paper: the paper's own method"
+    )
     it.share(*TOPICS)
     it.add_argument(
         "--span",
@@ -150,7 +172,12 @@ def _calibrate(add: Callable[..., _Parser]) -> None:
         metavar="BAG=KG",
         help="runs with a weighed object in the hand, and its mass; where it sits and its shape come from --set payload...",
     )
-    it.add_argument("--output", required=True, metavar="FILE.yaml", help="the calibration, for `replay --calibration`")
+    it.add_argument(
+        "--output",
+        required=True,
+        metavar="FILE.yaml",
+        help="the calibration, for `replay --calibration`",
+    )
     it.add_argument(
         "--refresh",
         metavar="OLD.yaml",
@@ -184,7 +211,9 @@ def _plan(add: Callable[..., _Parser]) -> None:
     it.add_argument("--probe", default=planned, choices=(planned,), help="what is to be identified")
     masses = "mass, or lightest and heaviest, of what the hand will hold"
     it.add_argument("--mass", required=True, metavar="KG|KG..KG", help=masses)
-    it.add_argument("--count", type=int, default=10, metavar="N", help="at most so many plans (default 10)")
+    it.add_argument(
+        "--count", type=int, default=10, metavar="N", help="at most so many plans (default 10)"
+    )
     longest = "search so long, or until nothing is left to try (default 3)"
     it.add_argument("--seconds", type=float, default=3.0, metavar="S", help=longest)
     it.share("robot", "calibration", "set", "json")
@@ -207,7 +236,9 @@ def _robot(add: Callable[..., _Parser]) -> None:
     )
     sources = "URDF file, a bag that holds /robot_description, or robot_descriptions:NAME of the package of that name"
     new.add_argument("urdf", metavar="URDF", help=sources)
-    new.add_argument("--output", required=True, metavar="FILE.yaml", help="the robot file, for `--robot`")
+    new.add_argument(
+        "--output", required=True, metavar="FILE.yaml", help="the robot file, for `--robot`"
+    )
     new.share("effort-unit", "force", "json")
     export = kinds.add_parser(
         "export",
@@ -256,10 +287,23 @@ def _paper(add: Callable[..., _Parser]) -> None:
         epilog=GOES_ON,
     )
     it.add_argument("--out", required=True, metavar="DIR", help="for the page and its rows")
-    it.add_argument("--seeds", type=int, default=5, metavar="N", help="robots that are drawn (default 5)")
-    it.add_argument("--only", nargs="+", action="extend", default=[], metavar="NAME", help="experiments (default all)")
-    it.add_argument("--jobs", type=int, metavar="N", help="processes (default one per processor, 2 at most)")
-    public = "the paper's public recording (trajectory.csv and setting.json), for a section of its own"
+    it.add_argument(
+        "--seeds", type=int, default=5, metavar="N", help="robots that are drawn (default 5)"
+    )
+    it.add_argument(
+        "--only",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME",
+        help="experiments (default all)",
+    )
+    it.add_argument(
+        "--jobs", type=int, metavar="N", help="processes (default one per processor, 2 at most)"
+    )
+    public = (
+        "the paper's public recording (trajectory.csv and setting.json), for a section of its own"
+    )
     it.add_argument("--recording", metavar="FOLDER", help=public)
 
 
@@ -299,9 +343,15 @@ def _batch(add: Callable[..., _Parser]) -> None:
     it.add_argument("--reports", type=int, default=12, metavar="N", help=pages)
     engines = "local: processes of this machine (default); ray: a Ray cluster (extra ray)"
     it.add_argument("--engine", default="local", choices=("local", "ray"), help=engines)
-    it.add_argument("--jobs", type=int, metavar="N", help="processes of the local engine (default one per core)")
-    it.add_argument("--address", metavar="HOST:PORT", help="of the Ray cluster (default the one that runs here)")
-    it.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="cuda is refused for now")
+    it.add_argument(
+        "--jobs", type=int, metavar="N", help="processes of the local engine (default one per core)"
+    )
+    it.add_argument(
+        "--address", metavar="HOST:PORT", help="of the Ray cluster (default the one that runs here)"
+    )
+    it.add_argument(
+        "--device", default="cpu", choices=("cpu", "cuda"), help="cuda is refused for now"
+    )
     it.share("json")
 
 
@@ -323,8 +373,12 @@ def _demo(add: Callable[..., _Parser]) -> None:
         it.add_argument(f"--{flag}", type=float, metavar=stated[0].metavar, help=words)
     hidden = "draws the arm's hidden friction, torque constants .."
     it.add_argument("--seed", type=int, default=1, metavar="N", help=hidden)
-    it.add_argument("--full", action="store_true", help="calibrate all joints, as on a real arm (a minute more)")
-    it.add_argument("--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs")
+    it.add_argument(
+        "--full", action="store_true", help="calibrate all joints, as on a real arm (a minute more)"
+    )
+    it.add_argument(
+        "--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs"
+    )
     it.share("robot")
 
 

@@ -29,7 +29,10 @@ COLOURS = {
 """Of what a line begins with, by the terminal's number of the colour: green, yellow, red, dim."""
 NARROWEST = 40  # a terminal that is narrower, or says so, is not wrapped for
 Table = Sequence[tuple[str, ...]]
-EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
+EXIT_OK = 0
+EXIT_BAD_INPUT = 2
+EXIT_NO_ANSWER = 3
+EXIT_INTERRUPTED = 130
 
 
 def json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:
@@ -64,7 +67,9 @@ def laid_out(line: str, stream: Any) -> str:
     width = shutil.get_terminal_size().columns
     indent = " " * (len(line) - len(line.lstrip()) + 4)
     if len(line) > width >= NARROWEST:
-        wrapped = textwrap.wrap(line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        wrapped = textwrap.wrap(
+            line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        )
         line = "\n".join(wrapped)
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return line
@@ -100,7 +105,9 @@ def estimate_as_text(estimate: Any) -> str:
     if (fit := estimate.fit) is not None:
         lines.append(f"{_fit_text(fit)}, reduced chi-square {fit.reduced_chi2:.2f}")
     if (solver := estimate.solver) is not None:
-        lines.append(f"  solver: {solver.name}, {solver.starts_agreeing} of {len(solver.paths)} starts agree")
+        lines.append(
+            f"  solver: {solver.name}, {solver.starts_agreeing} of {len(solver.paths)} starts agree"
+        )
     lines += [f"  assumed: {assumption}" for assumption in estimate.assumptions]
     lines += [f"  note: {note}" for note in together(estimate.notes)]
     return "\n".join(lines)
@@ -108,7 +115,9 @@ def estimate_as_text(estimate: Any) -> str:
 
 def calibration_as_text(estimate: Any) -> str:
     """A calibration, line by line."""
-    lines = [f"{estimate.verdict.value}  (calibration, {estimate.robot}, {estimate.used} of {estimate.runs} runs used)"]
+    lines = [
+        f"{estimate.verdict.value}  (calibration, {estimate.robot}, {estimate.used} of {estimate.runs} runs used)"
+    ]
     if estimate.weighable is not None:
         lines.append(f"  {estimate.weighable.sentence()}")
     lines += [f"  - {reason}" for reason in estimate.reasons]
@@ -116,13 +125,19 @@ def calibration_as_text(estimate: Any) -> str:
         lines.append(f"  empty hand: {estimate.empty_hand.sentence()}")
     of_runs = estimate.motion is None  # a motion's are some hundred, and none has a meaning alone
     source = "before" if "refreshed" in estimate.origin else "file"
-    listed = [row for row in estimate.unknowns if of_runs and not row.is_detail and row.kind != "zero"]
+    listed = [
+        row for row in estimate.unknowns if of_runs and not row.is_detail and row.kind != "zero"
+    ]
     for row in listed:
         unit = "" if row.unit == "1" else " " + row.unit
         before = f"({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
         lines.append(f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   {before}")
     if more := len(estimate.unknowns) - len(listed):
-        what = "more: zeros, encoder errors and links" if of_runs else "numbers of bodies, rotors and friction"
+        what = (
+            "more: zeros, encoder errors and links"
+            if of_runs
+            else "numbers of bodies, rotors and friction"
+        )
         lines.append(f"  {'and ' * of_runs}{more} {what} (see --json, --report)")
     if estimate.fit is not None:
         lines.append(_fit_text(estimate.fit))
@@ -157,10 +172,13 @@ def table_of_episodes(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Answers of a batch."""
     table = [("episode", "answer", "95 % interval", "verdict", "")]
     for row in rows:
-        unit, spec = row["unit"], spec_for(row["unit"], row["std"])
-        answer, interval = "-", "-"
+        unit = row["unit"]
+        spec = spec_for(row["unit"], row["std"])
+        answer = "-"
+        interval = "-"
         if row["value"] is not None:
-            answer, interval = shown(unit, row["value"], spec=spec), shown(unit, row["low"], row["high"], spec=spec)
+            answer = shown(unit, row["value"], spec=spec)
+            interval = shown(unit, row["low"], row["high"], spec=spec)
         codes = ", ".join(row["reason_codes"] or ())
         table.append((printable(str(row["episode"])), answer, interval, row["verdict"], codes))
     return table
@@ -189,7 +207,11 @@ def _value_text(value: Any, interval_first: bool = False) -> str:
     spec = spec_for(value.unit, value.std)
     number = shown(value.unit, value.value, spec=spec)
     if value.ci95 is None:
-        return f"{value.name}: {number} ({value.reason})" if value.reason else f"{value.name}: {number}"
+        return (
+            f"{value.name}: {number} ({value.reason})"
+            if value.reason
+            else f"{value.name}: {number}"
+        )
     interval = shown(value.unit, *value.ci95, spec=spec)
     if interval_first:
         return f"{value.name}: {interval} (95 % interval), best guess {number}"

@@ -23,8 +23,10 @@ class JointSample:
 class Command:
     """What the servos are to do; no joint is in two of these."""
 
-    position: dict[str, float] = field(default_factory=dict)  # goals of joints that are held or moved [rad or m]
-    current_A: dict[str, float] = field(default_factory=dict)  # currents of joints that are pushed [A]
+    # goals of joints that are held or moved [rad or m]
+    position: dict[str, float] = field(default_factory=dict)
+    # currents of joints that are pushed [A]
+    current_A: dict[str, float] = field(default_factory=dict)
     # goals of joints that are pushed by a step of it [rad or m]
     stepped: dict[str, float] = field(default_factory=dict)
 
@@ -46,10 +48,15 @@ class JointStates:
         self._seen_s: dict[str, float] = {}
         self._position: dict[str, float] = {}
         self._velocity: dict[str, float] = {}
-        self._before: dict[str, tuple[float, float]] = {}  # time and position from which the mean velocity counts
+        # time and position from which the mean velocity counts
+        self._before: dict[str, tuple[float, float]] = {}
 
     def add(
-        self, now_s: float, names: Sequence[str], position: Sequence[float], velocity: Sequence[float] = ()
+        self,
+        now_s: float,
+        names: Sequence[str],
+        position: Sequence[float],
+        velocity: Sequence[float] = (),
     ) -> JointSample | None:
         """One message, which came at a time [s], with the velocity of each joint, of some or of none [rad/s or m/s].
 

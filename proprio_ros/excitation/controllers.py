@@ -24,7 +24,8 @@ from proprio_ros.robot.loads import Loads
 
 BRISK_RAD_S = 15.0  # a hold as stiff as this follows as fast as a sequence says
 NUDGING_PACE = 0.1  # while the arm is asked for its delay
-UNITS = ("N.m", "A")  # what the drive takes an effort for: torque (N of a slide), or the motor's current
+# what the drive takes an effort for: torque (N of a slide), or the motor's current
+UNITS = ("N.m", "A")
 DRIFT = 1e-4  # two clocks may run apart by so much
 _Moves = dict[str, tuple[float, float]]  # by joint: how far [rad or m], and in which time [s]
 FASTEST_RAD_S = 6.0  # an arm that others move, too
@@ -44,7 +45,9 @@ class StampClock:
         if self._ahead_ns is None or abs(ahead_ns - self._ahead_ns) > CLOCK_SET_S * 1e9:
             self._ahead_ns = ahead_ns
         else:
-            self._ahead_ns = max(ahead_ns, self._ahead_ns - round(DRIFT * (now_ns - self._heard_ns)))
+            self._ahead_ns = max(
+                ahead_ns, self._ahead_ns - round(DRIFT * (now_ns - self._heard_ns))
+            )
         self._heard_ns = now_ns
 
     def at(self, now_ns: int) -> int:
@@ -90,7 +93,10 @@ class Controller:
         self.slipped: dict[str, float] = {}
         self._jump_rad = jump_rad
         self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in joints}
-        self._turn = {name: math.inf if robot.model.joint(name).kind == "prismatic" else math.tau for name in joints}
+        self._turn = {
+            name: math.inf if robot.model.joint(name).kind == "prismatic" else math.tau
+            for name in joints
+        }
         self._position: dict[str, float] = {}
         self._time_s: dict[str, float] = {}
 
@@ -117,7 +123,8 @@ class Controller:
                 slipped, or joint states come too slowly.
         """
         for name, by in self.slipped.items():
-            if abs(by) > 0.5 * self._jump_rad * self._per_rad[name]:  # else it has come back: a reading was wrong
+            # else it has come back: a reading was wrong
+            if abs(by) > 0.5 * self._jump_rad * self._per_rad[name]:
                 words = "check it and its cable, support the arm and call ~/release; calibrate again where its zero is another now"
                 raise ExcitationError(f"the encoder of {name} jumped by {by:+.2f}: {words}")
         named = {name for run in sequence.runs for name in (run.joint, *run.start)}
@@ -126,14 +133,21 @@ class Controller:
             remedy = "add to controller_joints, or choose a sequence without it"
             raise ExcitationError(f"{sequence.name} moves {lacks}: {remedy}")
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> _Moves:
+    def observe(
+        self, time_s: float, position: Mapping[str, float], heard_s: float | None = None
+    ) -> _Moves:
         """Take a reading; returns how far joints that were read have moved since the last one, and in which time."""
         moves = {}
         for name in self.joints:
             if math.isfinite(value := position.get(name, math.nan)):
-                moved, step_s = value - self._position.get(name, value), time_s - self._time_s.get(name, time_s)
+                moved = value - self._position.get(name, value)
+                step_s = time_s - self._time_s.get(name, time_s)
                 elsewhere = math.remainder(moved, self._turn[name])  # some drivers count turns anew
-                if abs(elsewhere) > self._per_rad[name] * max(self._jump_rad, FASTEST_RAD_S * step_s) and step_s >= 0.0:
+                if (
+                    abs(elsewhere)
+                    > self._per_rad[name] * max(self._jump_rad, FASTEST_RAD_S * step_s)
+                    and step_s >= 0.0
+                ):
                     self.slipped[name] = self.slipped.get(name, 0.0) + elsewhere
                 self._position[name], self._time_s[name] = value, time_s
                 moves[name] = moved, step_s
@@ -152,16 +166,23 @@ class EffortController(Controller):
         pushed_A: Currents of the joints that are pushed now.
     """
 
-    kind, without, recorded_as, can_let_go = "effort", ", and nobody could hold it", "effort", True
+    kind = "effort"
+    without = ", and nobody could hold it"
+    recorded_as = "effort"
+    can_let_go = True
     let_go = "the efforts are zero: nobody holds the arm until a controller does"
 
-    def __init__(self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None) -> None:
+    def __init__(
+        self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None
+    ) -> None:
         super().__init__(robot, joints, (gains or HoldGains()).jump_rad)
         if unit not in UNITS:
             raise ConfigurationError(f"effort_unit={unit!r}: choose one of {', '.join(UNITS)}")
         self.pushed_A: dict[str, float] = {}
         self._hold = Hold(robot, self.joints, gains)
-        self._effort_per_A = {name: drive.nominal_effort_per_current for name, drive in robot.drive_trains.items()}
+        self._effort_per_A = {
+            name: drive.nominal_effort_per_current for name, drive in robot.drive_trains.items()
+        }
         self._per_unit = {n: self._effort_per_A[n] if unit == "A" else 1.0 for n in self.joints}
 
     @property
@@ -187,7 +208,9 @@ class EffortController(Controller):
     @property
     def record(self) -> dict[str, float]:
         """What a recording says of it, as this package's driver would: the efforts of currents that push, zero for what is held."""
-        return {name: self.pushed_A.get(name, 0.0) * scale for name, scale in self._effort_per_A.items()}
+        return {
+            name: self.pushed_A.get(name, 0.0) * scale for name, scale in self._effort_per_A.items()
+        }
 
     def check(self, sequence: ExcitationSequence) -> None:
         super().check(sequence)
@@ -215,7 +238,9 @@ class EffortController(Controller):
     def take(self, command: Command) -> None:
         """What the state machine wants; the next `commands` say it."""
         if self.holding:
-            self.pushed_A = {name: current for name, current in command.current_A.items() if name in self.joints}
+            self.pushed_A = {
+                name: current for name, current in command.current_A.items() if name in self.joints
+            }
             self._hold.aim(command.position)
 
     def take_here(self) -> None:
@@ -223,13 +248,17 @@ class EffortController(Controller):
         self.pushed_A = {}
         self._hold.here()
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> _Moves:
+    def observe(
+        self, time_s: float, position: Mapping[str, float], heard_s: float | None = None
+    ) -> _Moves:
         self._hold.observe(time_s, position, heard_s)
         return super().observe(time_s, position, heard_s)
 
     def commands(self) -> list[float]:
         """An effort for each joint, in the controller's order and unit; zeros once the joints are lost."""
-        pushed = {name: current * self._effort_per_A[name] for name, current in self.pushed_A.items()}
+        pushed = {
+            name: current * self._effort_per_A[name] for name, current in self.pushed_A.items()
+        }
         efforts = self._hold.efforts(pushed)
         if self.lost:
             self.pushed_A = {}
@@ -277,7 +306,9 @@ class GoalController(Controller):
     def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:
         super().__init__(robot, joints, jump_rad)
         self.lost = ""  # servos hold by themselves: nobody can lose them here
-        self._limits = {name: (robot.model.joint(name).lower, robot.model.joint(name).upper) for name in joints}
+        self._limits = {
+            name: (robot.model.joint(name).lower, robot.model.joint(name).upper) for name in joints
+        }
         self._stiffness, self._farthest = _springs(robot, self.joints)
         self._loads = Loads(robot)
         self._pose = zero_pose(robot)
@@ -296,7 +327,9 @@ class GoalController(Controller):
     def check(self, sequence: ExcitationSequence) -> None:
         if not all(run.goal_step for run in sequence.runs):
             words = "pushes with currents, which a position controller does not take"
-            raise ExcitationError(f"{sequence.name} {words}: choose a sequence whose runs state goal_step")
+            raise ExcitationError(
+                f"{sequence.name} {words}: choose a sequence whose runs state goal_step"
+            )
         super().check(sequence)
 
     def begin(self) -> None:
@@ -308,19 +341,26 @@ class GoalController(Controller):
 
     def take(self, command: Command) -> None:
         if self.holding:
-            self._stepped = {name: goal for name, goal in command.stepped.items() if name in self.joints}
+            self._stepped = {
+                name: goal for name, goal in command.stepped.items() if name in self.joints
+            }
             self._want(command.position)
 
     def take_here(self) -> None:
         self._stepped = {}
         self._want(self._position)
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> _Moves:
+    def observe(
+        self, time_s: float, position: Mapping[str, float], heard_s: float | None = None
+    ) -> _Moves:
         moves = super().observe(time_s, position, heard_s)
-        self._pose.update({name: q for name, q in position.items() if name in self._pose and math.isfinite(q)})
+        self._pose.update(
+            {name: q for name, q in position.items() if name in self._pose and math.isfinite(q)}
+        )
         for name, (moved, step_s) in moves.items():
             if abs(moved) > self._jump_rad * self._per_rad[name] and name in self._wanted:
-                self._wanted[name] += moved  # the arm is where it was: only what it reads has changed
+                # the arm is where it was: only what it reads has changed
+                self._wanted[name] += moved
             if 0.0 < step_s <= GAP_S and abs(moved) <= STILL_RAD_S * self._per_rad[name] * step_s:
                 self._sum_up(name, time_s, step_s)
         return moves
@@ -346,7 +386,10 @@ class GoalController(Controller):
         return last
 
     def _want(self, goals: Mapping[str, float]) -> None:
-        wanted = {**self._wanted, **{name: q for name, q in goals.items() if name in self.joints and math.isfinite(q)}}
+        wanted = {
+            **self._wanted,
+            **{name: q for name, q in goals.items() if name in self.joints and math.isfinite(q)},
+        }
         if wanted == self._wanted:
             return
         self._wanted = wanted
@@ -358,7 +401,12 @@ class GoalController(Controller):
 
     def _sum_up(self, name: str, time_s: float, step_s: float) -> None:
         """Where all should stand and this joint does, but elsewhere, something hangs at it."""
-        if not self.holding or self._stepped or time_s - self._rests_since_s < REST_S or name not in self._wanted:
+        if (
+            not self.holding
+            or self._stepped
+            or time_s - self._rests_since_s < REST_S
+            or name not in self._wanted
+        ):
             return
         off = self._wanted[name] - self._position[name]
         if abs(off) > SLACK_RAD * self._per_rad[name]:
@@ -376,11 +424,18 @@ class GoalController(Controller):
 
 def _springs(robot: Robot, joints: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
     """Of joints whose servo's law the robot file states: stiffness [N m/rad], and how far its goal is at the largest duty."""
-    stiffness, farthest = {}, {}
+    stiffness = {}
+    farthest = {}
     for name in joints:
         drive = robot.drive_trains[name]
-        if isinstance(drive.driven_by, PositionServo) and drive.supply_voltage_V > 0.0 and drive.resistance_ohm > 0.0:
-            per_duty = drive.nominal_effort_per_current * drive.supply_voltage_V / drive.resistance_ohm
+        if (
+            isinstance(drive.driven_by, PositionServo)
+            and drive.supply_voltage_V > 0.0
+            and drive.resistance_ohm > 0.0
+        ):
+            per_duty = (
+                drive.nominal_effort_per_current * drive.supply_voltage_V / drive.resistance_ohm
+            )
             stiffness[name] = drive.driven_by.gain_per_rad * per_duty
             farthest[name] = drive.driven_by.limit / drive.driven_by.gain_per_rad
     return stiffness, farthest

@@ -22,13 +22,19 @@ LAGS_S = np.arange(0.0, 0.122, LAG_STEP_S)
 LONGEST_S = 0.08  # is assumed until the joints have shown the delay
 KEPT, LONG_AGO_S = 512, -1e9  # commands and positions; before the first one
 GAP_S = 0.075  # across a longer one positions say nothing of accelerations
-SLOW_S = 0.3  # what changes more slowly than this is no effect of an effort: it rubs, or hangs there
+# what changes more slowly than this is no effect of an effort: it rubs, or hangs there
+SLOW_S = 0.3
 REMEMBERED_S = 1.0  # a stall in mid-nudge is soon forgotten
 ASKED_RAD_S2 = 2.0  # efforts that ask for less say nothing beside an encoder's noise
-LEAST_RAD_S2 = 2.2  # nor do accelerations whose root mean square over a second, with zero beyond, is less
-SURE = 0.75  # least squared correlation of efforts and accelerations; at the right lag, nudges had 0.8 to 0.99
-NUDGE_S, NUDGE_REST_S, NUDGES = 0.05, 0.12, 8
-NUDGE_RAD_S2, NUDGE_RAISED = 5.0, 1.5
+# nor do accelerations whose root mean square over a second, with zero beyond, is less
+LEAST_RAD_S2 = 2.2
+# least squared correlation of efforts and accelerations; at the right lag, nudges had 0.8 to 0.99
+SURE = 0.75
+NUDGE_S = 0.05
+NUDGE_REST_S = 0.12
+NUDGES = 8
+NUDGE_RAD_S2 = 5.0
+NUDGE_RAISED = 1.5
 NUDGED_RAD = 0.01  # a joint that moves so far is nudged no harder
 
 
@@ -78,7 +84,8 @@ class Delay:
 
     def _restart(self) -> None:
         self._sent_s = np.full(KEPT, LONG_AGO_S)  # in order of time, the newest last
-        self._sent = np.zeros((KEPT, 3, self._joints))  # effort, its integral, and that one's integral, at that time
+        # effort, its integral, and that one's integral, at that time
+        self._sent = np.zeros((KEPT, 3, self._joints))
         self._seen_s = np.full(KEPT, LONG_AGO_S)
         self._seen = np.zeros((KEPT, self._joints))
         self._seen_for_s = 0.0
@@ -108,7 +115,9 @@ class Delay:
         self._sent_s[:-1], self._sent[:-1] = self._sent_s[1:], self._sent[1:]
         self._sent_s[-1], self._sent[-1, 0], self._sent[-1, 1:] = time_s, effort, before
 
-    def observe(self, time_s: float, position: Sequence[float], inertia: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def observe(
+        self, time_s: float, position: Sequence[float], inertia: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
         """Take a reading.
 
         Args:
@@ -127,7 +136,9 @@ class Delay:
             return None
         self._seen_s[:-1], self._seen[:-1] = self._seen_s[1:], self._seen[1:]
         self._seen_s[-1], self._seen[-1] = time_s, position
-        self._seen_for_s = self._seen_for_s + step_s if step_s <= GAP_S and self._seen_for_s >= 0.0 else 0.0
+        self._seen_for_s = (
+            self._seen_for_s + step_s if step_s <= GAP_S and self._seen_for_s >= 0.0 else 0.0
+        )
         if self._seen_for_s < 2.0 * WINDOW_S:
             return None
         places_s = time_s - WINDOW_S * np.arange(3)
@@ -140,7 +151,8 @@ class Delay:
 
     def coming(self) -> tuple[FloatArray, FloatArray]:
         """What efforts that are under way will have added to momenta when the last one begins to work, and that one's integral."""
-        ahead_s, now_s = self.assumed_s, self.last_s
+        ahead_s = self.assumed_s
+        now_s = self.last_s
         (then, then_twice), (now, now_twice) = self._integrals(np.array([now_s, now_s - ahead_s]))
         return then - now, then_twice - now_twice - now * ahead_s
 
@@ -149,21 +161,27 @@ class Delay:
         row = np.maximum(self._sent_s.searchsorted(times_s, side="right") - 1, 0)
         since = (times_s - self._sent_s[row])[:, None]
         sent = self._sent[row]
-        effort, once, twice = sent[:, 0], sent[:, 1], sent[:, 2]
+        effort = sent[:, 0]
+        once = sent[:, 1]
+        twice = sent[:, 2]
         twice += once * since + 0.5 * effort * since**2  # before the first one goes on
         once += effort * since
         return sent[:, 1:]
 
-    def _compare(self, step_s: float, efforts: FloatArray, inertial: FloatArray, inertia: FloatArray) -> None:
+    def _compare(
+        self, step_s: float, efforts: FloatArray, inertial: FloatArray, inertia: FloatArray
+    ) -> None:
         slow = min(step_s / SLOW_S, 1.0) if self._seen_for_s > 2.0 * WINDOW_S + step_s else 1.0
         self._slow_effort += slow * (efforts - self._slow_effort)
         self._slow_inertial += slow * (inertial - self._slow_inertial)
         of = np.where(inertia > 0.0, inertia, math.inf)
-        x, y = (efforts - self._slow_effort) / of, (inertial - self._slow_inertial) / of
+        x = (efforts - self._slow_effort) / of
+        y = (inertial - self._slow_inertial) / of
         asked = np.abs(x).max(axis=0) > ASKED_RAD_S2
         if not asked.any():
             return
-        x, y = x[:, asked], y[asked]
+        x = x[:, asked]
+        y = y[asked]
         kept = math.exp(-step_s / REMEMBERED_S)
         self._xx = kept * self._xx + step_s * np.sum(x * x, axis=1)
         self._xy = kept * self._xy + step_s * np.sum(x * y, axis=1)
@@ -171,9 +189,13 @@ class Delay:
         alike = np.maximum(self._xy, 0.0) ** 2 / np.maximum(self._xx * self._yy, 1e-12)
         best = int(np.argmax(alike))
         if self._yy >= LEAST_RAD_S2**2 and alike[best] >= SURE:
-            before, at, after = alike[[max(best - 1, 0), best, min(best + 1, len(LAGS_S) - 1)]].tolist()
+            before, at, after = alike[
+                [max(best - 1, 0), best, min(best + 1, len(LAGS_S) - 1)]
+            ].tolist()
             bend = before - 2.0 * at + after  # the vertex of a parabola through them
-            off = 0.5 * (before - after) / bend if 0 < best < len(LAGS_S) - 1 and bend < 0.0 else 0.0
+            off = (
+                0.5 * (before - after) / bend if 0 < best < len(LAGS_S) - 1 and bend < 0.0 else 0.0
+            )
             self.delay_s = float(LAGS_S[best]) + off * LAG_STEP_S
 
 

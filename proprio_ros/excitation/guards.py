@@ -38,7 +38,8 @@ class Guards:
     follow_time_s: float = 0.5
     # a run ends when its joint would reach a limit or the table within this time at its present speed
     lookahead_s: float = 0.08
-    held_joint_error_rad: float = 0.12  # a joint that is held during a run may be off its goal by so much
+    # a joint that is held during a run may be off its goal by so much
+    held_joint_error_rad: float = 0.12
     # a position may change by so much from one sample to the next, or as far as the largest velocity takes it
     max_jump_rad: float = 0.3
 
@@ -50,7 +51,9 @@ def unfit(sample: JointSample, joints: Sequence[str]) -> str:
     for what, values in (("position", sample.position), ("velocity", sample.velocity)):
         missing = [name for name in joints if name not in values]
         if missing:
-            return f"a sample lacks the {what} of {', '.join(missing)}: check that all servos answer"
+            return (
+                f"a sample lacks the {what} of {', '.join(missing)}: check that all servos answer"
+            )
         for name in joints:
             if not math.isfinite(values[name]):
                 return f"the {what} of {name} is {values[name]}: check the driver and the cable"
@@ -72,7 +75,12 @@ def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
 
 
 def check_step(
-    run: ExcitationRun, start: Mapping[str, float], sequence: ExcitationSequence, ways: Ways, guards: Guards, words: str
+    run: ExcitationRun,
+    start: Mapping[str, float],
+    sequence: ExcitationSequence,
+    ways: Ways,
+    guards: Guards,
+    words: str,
 ) -> None:
     """Raises ExcitationError where a servo that goes all the way to its goal leaves its limits, or comes too near to the table."""
     low, high = ways.limits(run.joint, guards.limit_margin_rad)
@@ -101,7 +109,9 @@ class FreeResponse:
     def speed_at(self, position: float, start: float, rotor_kg_m2: float = 0.0) -> float:
         """Speed without friction on the way from a start at rest [rad/s]."""
         fallen = math.cos(self.rest - position) - math.cos(self.rest - start)
-        return math.sqrt(max(2.0 * self.moment_N_m * fallen / (self.inertia_kg_m2 + rotor_kg_m2), 0.0))
+        return math.sqrt(
+            max(2.0 * self.moment_N_m * fallen / (self.inertia_kg_m2 + rotor_kg_m2), 0.0)
+        )
 
     def way(self, start: float) -> np.ndarray:
         """Places from a start to where it would swing to without friction, as far beyond the rest [rad]."""
@@ -115,26 +125,38 @@ def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeRespo
     Raises `ExcitationError`: The joint slides, drives another one too, or gravity does not move it.
     """
     if robot.model.joint(joint).kind == "prismatic":
-        raise ExcitationError(f"{joint} slides: only a joint that turns swings freely; give it a current")
+        raise ExcitationError(
+            f"{joint} slides: only a joint that turns swings freely; give it a current"
+        )
     body = robot.model.lock([joint], pose, robot.gravity)
-    axis, pseudo = body.axes[0], robot.arm_scale.value * body.pseudo_inertia[0]
+    axis = body.axes[0]
+    pseudo = robot.arm_scale.value * body.pseudo_inertia[0]
     gravity = body.placement[0][:3, :3].T @ body.gravity
-    second, first = pseudo[:3, :3], pseudo[:3, 3]
+    second = pseudo[:3, :3]
+    first = pseudo[:3, 3]
     at_zero = float(axis @ np.cross(first, gravity))
     at_quarter = float(axis @ np.cross(np.cross(axis, first), gravity))
     moment = math.hypot(at_zero, at_quarter)
     if moment < LEAST_MOMENT_N_M:
-        raise ExcitationError(f"gravity does not move {joint} here: it cannot swing; choose another joint or start")
+        raise ExcitationError(
+            f"gravity does not move {joint} here: it cannot swing; choose another joint or start"
+        )
     rest = math.atan2(at_zero, -at_quarter)
     rest += 2.0 * math.pi * round((pose[joint] - rest) / (2.0 * math.pi))
     return FreeResponse(moment, rest, float(np.trace(second) - axis @ second @ axis))
 
 
 def check_free_response(
-    run: ExcitationRun, start: Mapping[str, float], sequence: ExcitationSequence, ways: Ways, guards: Guards, words: str
+    run: ExcitationRun,
+    start: Mapping[str, float],
+    sequence: ExcitationSequence,
+    ways: Ways,
+    guards: Guards,
+    words: str,
 ) -> None:
     """Raises ExcitationError where a guard would end the swing, with the lightest rotor that the robot file allows."""
-    name, pose = run.joint, ways.whole(start)
+    name = run.joint
+    pose = ways.whole(start)
     swing = free_swing(ways.robot, name, pose)
     drive = ways.robot.drive_trains[name]
     weight_N_m = abs(swing.moment_at(pose[name]) * drive.transmission)
@@ -156,7 +178,9 @@ def check_free_response(
     for place in swing.way(pose[name]).tolist():
         speed = swing.speed_at(place, pose[name], rotor)
         if speed > guards.max_velocity_rad_s * ways.per_rad[name]:
-            raise ExcitationError(f"{words}: it may reach {speed:.1f} rad/s; start nearer to where {hangs}")
+            raise ExcitationError(
+                f"{words}: it may reach {speed:.1f} rad/s; start nearer to where {hangs}"
+            )
         for ahead in (place - speed * guards.lookahead_s, place + speed * guards.lookahead_s):
             if not low <= ahead <= high:
                 raise ExcitationError(

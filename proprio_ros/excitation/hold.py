@@ -23,9 +23,11 @@ from proprio_ros.robot.loads import Loads
 FILTER_S = 0.01  # time constant of velocities, which are differences of coarse positions
 PERIODS_PER_RAD = 0.1
 """Frequency x period of the joint states at most: more swings, with a sample of delay and another in the filter."""
-PAUSE_S = 0.03  # between joint states: what loses a joint within a second after it is said to come from it
+# between joint states: what loses a joint within a second after it is said to come from it
+PAUSE_S = 0.03
 SLOWEST_HZ = 80.0  # joint states that come less often cannot hold an arm
-FARTHEST_RAD = 0.15  # the spring pulls no more than from here: an arm that was moved by hand comes back slowly
+# the spring pulls no more than from here: an arm that was moved by hand comes back slowly
+FARTHEST_RAD = 0.15
 CORRECTING_SHARE = 0.85
 """Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and throws the joint
 back. With 0.6 a shoulder with 150 g in the hand ran on for 0.9 rad after a push, with this for 0.28."""
@@ -35,23 +37,29 @@ until a second ago may have run on where whoever takes commands has stalled, and
 than stated needs longer to bring it back."""
 USUAL_ROTOR = 1.0 / 3.0
 """Of the spread that holds where no file states a rotor. Held for one three times as heavy as it was, a wrist swung up."""
-SLACK_RAD = 0.004  # nothing is summed up of a joint that stands so near to its goal: friction would have it hunt
+# nothing is summed up of a joint that stands so near to its goal: friction would have it hunt
+SLACK_RAD = 0.004
 DEAD_RAD, DEAD_RAD_S = 0.0015, 0.12
 """Off by so little is not off: an encoder's noise would shake a joint that stands, and what shakes creeps in spite of friction."""
 SETTLING_S = 0.6
 """Loads are summed up for so long after the goals have come to rest, and then no more: a joint must be still before a push."""
-LEANING_S = 0.05  # what a spring gives in the mean over this time, where a joint stands, belongs to what holds it
+# what a spring gives in the mean over this time, where a joint stands, belongs to what holds it
+LEANING_S = 0.05
 ASTRAY_RAD = 0.03  # unless a joint is so far off: something else hangs at it
 DELAYS_PER_RAD, FILTER_AND_SAMPLE_S = 0.4, 0.01
 """Frequency x delay at most, with what filter and sample add: with 73 ms, 5 rad/s hold a kilogram at 0.6 m."""
-LOAD_S, LONGEST_LOAD_S = 0.05, 1.0  # time constant of what is summed up, beside 1 / frequency, and altogether
+# time constant of what is summed up, beside 1 / frequency, and altogether
+LOAD_S = 0.05
+LONGEST_LOAD_S = 1.0
 HAND_S = 0.3  # the same of what hangs at all joints as something in the hand would
-UNKNOWN_SHARE = 0.2  # of what may be commanded, no more is summed up: a command that came late looks like a load
+# of what may be commanded, no more is summed up: a command that came late looks like a load
+UNKNOWN_SHARE = 0.2
 HARDEST_RAD_S2, HARDEST_PER_S = 20.0, 16.0
 """Spring and damper ask for no more than the larger of this acceleration and of this times the speed that is to be taken away:
 who takes commands may stall for 0.2 s in mid-braking, and keep the last one."""
 NUDGE_SHARE = 0.3  # of what may be commanded
-STOPPING_SHARE = 0.01  # the same, against a push that ends where nobody looks on; friction is more than that
+# the same, against a push that ends where nobody looks on; friction is more than that
+STOPPING_SHARE = 0.01
 MOVED_RAD = 0.005  # gravity and inertia are computed anew when a joint has moved by so much
 GAP_S = 0.1  # after a longer pause the last velocity says nothing, of a joint or of a goal
 REMEMBERED_S = 1.0
@@ -66,7 +74,8 @@ class HoldGains:
 
     frequency_rad_s: float = 20.0  # of joint and spring; lower where joint states come slowly
     damping: float = 1.0  # of that oscillator; 1 is critical
-    jump_rad: float = 0.3  # a position that changes by more from sample to sample is an encoder that slipped
+    # a position that changes by more from sample to sample is an encoder that slipped
+    jump_rad: float = 0.3
     max_velocity_rad_s: float = 6.0  # a held joint that is faster is not held any more
 
 
@@ -84,7 +93,10 @@ class Hold:
         self.joints = tuple(joints)
         self.gains = gains or HoldGains()
         self.largest = {
-            name: abs(robot.motors[name].current_limit_A * robot.drive_trains[name].nominal_effort_per_current)
+            name: abs(
+                robot.motors[name].current_limit_A
+                * robot.drive_trains[name].nominal_effort_per_current
+            )
             for name in self.joints
         }
         self._loads = Loads(robot)
@@ -105,7 +117,8 @@ class Hold:
         self._goal_time_s: float | None = None
         self._goal_velocity = dict.fromkeys(self.joints, 0.0)
         self._sum = dict.fromkeys(self.joints, 0.0)
-        self._leaning = dict.fromkeys(self.joints, 0.0)  # what springs give where joints stand off their goals
+        # what springs give where joints stand off their goals
+        self._leaning = dict.fromkeys(self.joints, 0.0)
         self._loads_at: dict[str, float] | None = None
         self._gravity: dict[str, float] = {}
         self._inertia: dict[str, float] = {}
@@ -135,7 +148,9 @@ class Hold:
     def frequency_rad_s(self) -> float:
         """How stiff it is now: as stated, and less where joint states come slowly or efforts late."""
         slow_s = max(self._period_s, self.wait_s)
-        frequency = min(self.gains.frequency_rad_s, PERIODS_PER_RAD / slow_s) if slow_s > 0.0 else 0.0
+        frequency = (
+            min(self.gains.frequency_rad_s, PERIODS_PER_RAD / slow_s) if slow_s > 0.0 else 0.0
+        )
         return min(frequency, DELAYS_PER_RAD / (self.delay.assumed_s + FILTER_AND_SAMPLE_S))
 
     @property
@@ -153,7 +168,9 @@ class Hold:
         """Whether every joint was seen."""
         return all(name in self._position for name in self.joints)
 
-    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> None:
+    def observe(
+        self, time_s: float, position: Mapping[str, float], heard_s: float | None = None
+    ) -> None:
         """Take a reading.
 
         Args:
@@ -177,7 +194,8 @@ class Hold:
             if name not in self._per_rad:
                 self._pose[name] = value
                 continue
-            before_s, before = self._time_s.get(name, time_s), self._position.get(name, value)
+            before_s = self._time_s.get(name, time_s)
+            before = self._position.get(name, value)
             step_s = time_s - before_s
             if name in self._position and step_s == 0.0:
                 continue
@@ -191,28 +209,40 @@ class Hold:
             elif not 0.0 < step_s <= GAP_S:
                 self._velocity[name] = 0.0
             else:
-                self._velocity[name] += _share(step_s) * ((value - before) / step_s - self._velocity[name])
-                self._period_s += (step_s - self._period_s) * (0.01 if self._period_s > 0.0 else 1.0)
+                self._velocity[name] += _share(step_s) * (
+                    (value - before) / step_s - self._velocity[name]
+                )
+                self._period_s += (step_s - self._period_s) * (
+                    0.01 if self._period_s > 0.0 else 1.0
+                )
         if self.knows and time_s - self.delay.last_s < GAP_S:
             self._sum_up(time_s)
 
     def _sum_up(self, time_s: float) -> None:
         """What efforts leave unexplained, of joints that move or are off their goals; one that stands may lean on its friction."""
         self._update_loads()
-        told = self.delay.observe(time_s, [self._position[name] for name in self.joints], self._mass)
+        told = self.delay.observe(
+            time_s, [self._position[name] for name in self.joints], self._mass
+        )
         if told is None:
             return
         resting = time_s - self._moved_s >= SETTLING_S or self._pushed
         time_constant_s = min(LOAD_S + 1.0 / max(self.frequency_rad_s, 1e-3), LONGEST_LOAD_S)
         for name, inertial, effort in zip(self.joints, *np.array(told).tolist(), strict=True):
             per_rad = self._per_rad[name]
-            far = abs(self._goal[name] - self._position[name]) > (ASTRAY_RAD if resting else SLACK_RAD) * per_rad
-            moves = abs(self._velocity[name]) > DEAD_RAD_S * per_rad and not self._pushed  # else a reaction, which passes
+            far = (
+                abs(self._goal[name] - self._position[name])
+                > (ASTRAY_RAD if resting else SLACK_RAD) * per_rad
+            )
+            # else a reaction, which passes
+            moves = abs(self._velocity[name]) > DEAD_RAD_S * per_rad and not self._pushed
             if name in self._pushed or not (far or moves):
                 continue
             most = UNKNOWN_SHARE * self.largest[name]
             missing = max(-most, min(most, effort - inertial))
-            self._sum[name] += min(self._period_s / time_constant_s, 1.0) * (missing - self._sum[name])
+            self._sum[name] += min(self._period_s / time_constant_s, 1.0) * (
+                missing - self._sum[name]
+            )
         if not self._pushed:
             self._weigh()
 
@@ -223,9 +253,16 @@ class Hold:
         squares = sum(weight * self._per_kg[name] for name, weight in weights.items())
         if squares <= 0.0:
             return
-        whole_kg = self.held_kg + sum(weight * self._sum[name] for name, weight in weights.items()) / squares
-        most_kg = min(self.largest[name] / max(abs(self._per_kg[name]), 1e-9) for name in self.joints)
-        more_kg = min(self._period_s / HAND_S, 1.0) * (max(0.0, min(whole_kg, most_kg)) - self.held_kg)
+        whole_kg = (
+            self.held_kg
+            + sum(weight * self._sum[name] for name, weight in weights.items()) / squares
+        )
+        most_kg = min(
+            self.largest[name] / max(abs(self._per_kg[name]), 1e-9) for name in self.joints
+        )
+        more_kg = min(self._period_s / HAND_S, 1.0) * (
+            max(0.0, min(whole_kg, most_kg)) - self.held_kg
+        )
         self.held_kg += more_kg
         for name in self.joints:
             self._sum[name] -= self._per_kg[name] * more_kg
@@ -235,21 +272,32 @@ class Hold:
         """Hold joints there from now on [rad or m]; goals that move from call to call are followed with their velocity."""
         now_s = self._now_s
         step_s = 0.0 if self._goal_time_s is None else now_s - self._goal_time_s
-        if self._goal_time_s is not None and step_s == 0.0 and all(self._goal.get(n) == q for n, q in goal.items()):
+        if (
+            self._goal_time_s is not None
+            and step_s == 0.0
+            and all(self._goal.get(n) == q for n, q in goal.items())
+        ):
             return
         self._goal_time_s = now_s
         for name in self.joints:
-            before, after = self._goal.get(name), goal.get(name)
+            before = self._goal.get(name)
+            after = goal.get(name)
             if after is None or not math.isfinite(after):
                 continue
             self._goal[name] = after
             if after != before:
                 self._moved_s = now_s
             fastest = self.gains.max_velocity_rad_s * self._per_rad[name]
-            if before is None or not 0.0 < step_s <= GAP_S or abs(after - before) > fastest * step_s:
+            if (
+                before is None
+                or not 0.0 < step_s <= GAP_S
+                or abs(after - before) > fastest * step_s
+            ):
                 self._goal_velocity[name] = 0.0  # another goal, and not one that moves
             else:
-                self._goal_velocity[name] += _share(step_s) * ((after - before) / step_s - self._goal_velocity[name])
+                self._goal_velocity[name] += _share(step_s) * (
+                    (after - before) / step_s - self._goal_velocity[name]
+                )
 
     def here(self) -> None:
         """Hold all joints where they are."""
@@ -278,12 +326,20 @@ class Hold:
         ahead = self._ahead()
         efforts = {}
         reaction = self._reaction(pushed)
-        if self._goal_time_s is not None and now_s - self._goal_time_s > GAP_S:  # nobody moves them any more
+        # nobody moves them any more
+        if self._goal_time_s is not None and now_s - self._goal_time_s > GAP_S:
             self._goal_velocity = dict.fromkeys(self.joints, 0.0)
-        nudged, nudge = "", 0.0
+        nudged = ""
+        nudge = 0.0
         if self.nudging:
-            nudged = max(self.joints, key=lambda name: self._inertia[name] * self._per_rad[name] / self.largest[name])
-            nudge = self._nudge.at(now_s, self._position[nudged] / self._per_rad[nudged]) * self._per_rad[nudged]
+            nudged = max(
+                self.joints,
+                key=lambda name: self._inertia[name] * self._per_rad[name] / self.largest[name],
+            )
+            nudge = (
+                self._nudge.at(now_s, self._position[nudged] / self._per_rad[nudged])
+                * self._per_rad[nudged]
+            )
         for name in self.joints:
             if name in pushed:
                 self._leaning[name] = 0.0
@@ -296,7 +352,9 @@ class Hold:
             off = _beyond(self._goal[name] - position, DEAD_RAD * per_rad)
             bounded_off = math.copysign(min(abs(off), FARTHEST_RAD * per_rad), off)
             slow = _beyond(self._goal_velocity[name] - velocity, DEAD_RAD_S * per_rad)
-            correcting = spring * bounded_off + 2.0 * self.gains.damping * frequency * inertia * slow
+            correcting = (
+                spring * bounded_off + 2.0 * self.gains.damping * frequency * inertia * slow
+            )
             hardest = max(HARDEST_RAD_S2 * per_rad, HARDEST_PER_S * abs(slow)) * inertia
             most = min(CORRECTING_SHARE * self.largest[name], hardest)
             steady = self._gravity[name] + self._sum[name] + reaction.get(name, 0.0)
@@ -320,7 +378,8 @@ class Hold:
         steady = {}
         for name in self.joints:
             summed = self._sum[name]
-            if name in self._pushed:  # what is summed up may hold its friction: a little against the push, and that stops it
+            # what is summed up may hold its friction: a little against the push, and that stops it
+            if name in self._pushed:
                 pushing = self._pushed[name] - self._gravity[name] - summed
                 summed -= math.copysign(STOPPING_SHARE * self.largest[name], pushing)
             steady[name] = self._bounded(name, self._gravity[name] + summed + self._leaning[name])
@@ -332,12 +391,16 @@ class Hold:
 
     def _ahead(self) -> dict[str, tuple[float, float]]:
         """Where joints will be, and how fast, when what is sent now comes into effect."""
-        for_s, still = self.delay.assumed_s, np.array([self._sum[name] for name in self.joints])
+        for_s = self.delay.assumed_s
+        still = np.array([self._sum[name] for name in self.joints])
         momentum, integral = self.delay.coming()
         faster = (self._inverse @ (momentum - still * for_s)).tolist()
         farther = (self._inverse @ (integral - 0.5 * still * for_s**2)).tolist()
         return {
-            name: (self._position[name] + self._velocity[name] * for_s + far, self._velocity[name] + fast)
+            name: (
+                self._position[name] + self._velocity[name] * for_s + far,
+                self._velocity[name] + fast,
+            )
             for name, far, fast in zip(self.joints, farther, faster, strict=True)
         }
 
@@ -352,7 +415,11 @@ class Hold:
             free -= math.copysign(friction, velocity if moved else free)
             acceleration = free / (self._inertia[name] + self._rotor[name])
             for other, (by_acceleration, by_speed) in self._reactions.get(name, {}).items():
-                reaction[other] = reaction.get(other, 0.0) + by_acceleration * acceleration + by_speed * velocity**2
+                reaction[other] = (
+                    reaction.get(other, 0.0)
+                    + by_acceleration * acceleration
+                    + by_speed * velocity**2
+                )
         return reaction
 
     def _look_for_lost(self, pushed: Mapping[str, float], now_s: float) -> None:
@@ -372,18 +439,25 @@ class Hold:
 
     def _update_loads(self) -> None:
         # where efforts will find them
-        pose = {name: at + self._velocity.get(name, 0.0) * self.delay.assumed_s for name, at in self._pose.items()}
+        pose = {
+            name: at + self._velocity.get(name, 0.0) * self.delay.assumed_s
+            for name, at in self._pose.items()
+        }
         if self._loads_at is None or any(
-            abs(value - self._loads_at[name]) > MOVED_RAD * self._per_rad.get(name, 1.0) for name, value in pose.items()
+            abs(value - self._loads_at[name]) > MOVED_RAD * self._per_rad.get(name, 1.0)
+            for name, value in pose.items()
         ):
             self._loads_at = pose
-            self._gravity, self._inertia, self._reactions, self._per_kg = self._loads.at(pose, self.held_kg)
+            self._gravity, self._inertia, self._reactions, self._per_kg = self._loads.at(
+                pose, self.held_kg
+            )
             self._mass = np.diag([self._inertia[name] + self._rotor[name] for name in self.joints])
             for column, name in enumerate(self.joints):
                 for other, (by_acceleration, _) in self._reactions[name].items():
                     if other in self.joints:
                         self._mass[self.joints.index(other), column] = by_acceleration
-            self._inverse = np.asarray(np.linalg.pinv(self._mass), dtype=np.float64)  # a joint may have no inertia, by its URDF
+            # a joint may have no inertia, by its URDF
+            self._inverse = np.asarray(np.linalg.pinv(self._mass), dtype=np.float64)
 
     def _bounded(self, name: str, effort: float) -> float:
         return max(-self.largest[name], min(self.largest[name], effort))

@@ -22,14 +22,24 @@ import numpy as np
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation import plans
 from proprio_ros.excitation.commands import Command, JointSample
-from proprio_ros.excitation.guards import FreeResponse, Guards, check_free_response, check_start, check_step, free_swing, unfit
+from proprio_ros.excitation.guards import (
+    FreeResponse,
+    Guards,
+    check_free_response,
+    check_start,
+    check_step,
+    free_swing,
+    unfit,
+)
 from proprio_ros.excitation.ways import Way, Ways
 from proprio_ros.robot import Robot
 
 STANDSTILL_RAD_S = 0.02
 STANDSTILL_WINDOW_S = 0.2
-LONGEST_UNREST_S = 2.0  # a joint that still moves so long after its time to settle will not come to rest
-MOST_LOST_RUNS = 3  # so many may be lost to pauses of driver or computer and are repeated; one more ends the sequence
+# a joint that still moves so long after its time to settle will not come to rest
+LONGEST_UNREST_S = 2.0
+# so many may be lost to pauses of driver or computer and are repeated; one more ends the sequence
+MOST_LOST_RUNS = 3
 LONGEST_STEP_S = 0.05  # goals move on by no more than this from sample to sample
 SLOWEST = 0.2  # share of their speed at which goals go on however far a joint is behind them
 LEAST_SWING_RAD = 0.1  # at the shaft: a recording tells which joint swung freely by that
@@ -39,8 +49,10 @@ CATCH_RISE_S = 0.04
 CATCH_TIME_S = 0.1  # in which the speed falls to 1/e
 CAUGHT_RAD_S = 0.1
 LONGEST_CATCH_S = 0.8  # a heavy hand is still lowered then, slowly, and held on the way
-CATCH_LOOKAHEAD_S = 0.03  # a joint that is being caught and would be at its limit within this time is held at once
-CATCH_OVERSPEED = 1.15  # of the largest velocity: a joint that gets so fast while it is caught is held at once
+# a joint that is being caught and would be at its limit within this time is held at once
+CATCH_LOOKAHEAD_S = 0.03
+# of the largest velocity: a joint that gets so fast while it is caught is held at once
+CATCH_OVERSPEED = 1.15
 _ROUNDING_S = 1e-6
 
 _Problem = tuple[str, str]  # what ended it, as in `RunOutcome.ended_by`; and why, as one sentence
@@ -69,7 +81,8 @@ class RunOutcome:
     attempt: int
     joint: str  # the joint pushed
     current_A: float  # its current; of a square wave the mean
-    travel: float  # largest distance from where it was when the current came on, either way [rad or m]
+    # largest distance from where it was when the current came on, either way [rad or m]
+    travel: float
     duration_s: float  # for how long the current was on
     # "time" or "travel" when all was well; else the guard: "limit", "velocity", "clearance", "held joint", "stale",
     # "clock", "jump", "sample", or "abort". Of a free response: what ended it; that it was caught comes after
@@ -116,15 +129,18 @@ class ExcitationMachine:
         self._run_pose: dict[str, float] = {}  # goals when the current came on
         self._way = Way()
         self._sample = JointSample(math.nan, {}, {})
-        self._now_s = self._phase_start_s = math.nan  # of a phase that begins with the next tick, too
+        # of a phase that begins with the next tick, too
+        self._now_s = self._phase_start_s = math.nan
         self._tick_s = 0.0
         self._way_s = 0.0  # how far along the way the goals are
         self._seen_s = 0.0  # how much of the time since the last tick was seen
-        self._recent: deque[tuple[float, float]] = deque()  # times and positions of the run's joint at rest
+        # times and positions of the run's joint at rest
+        self._recent: deque[tuple[float, float]] = deque()
         self._off_since_s: dict[str, float] = {}
         self._expected_s: list[tuple[float, ...]] = []
         self._swing: FreeResponse | None = None  # of the run, where it is one
-        self._caught_for: _Problem | None = None  # what ends the sequence as soon as the joint is caught
+        # what ends the sequence as soon as the joint is caught
+        self._caught_for: _Problem | None = None
 
     @property
     def busy(self) -> bool:
@@ -165,14 +181,20 @@ class ExcitationMachine:
         expected_s: list[tuple[float, ...]] = []
         before = pose
         for number, run in enumerate(sequence.runs, 1):
-            after, words = {**before, **run.start}, f"run {number} ({run.joint})"
+            after = {**before, **run.start}
+            words = f"run {number} ({run.joint})"
             ways.append(self.ways.find(before, after, sequence, f"the start of {words}"))
-            expected_s.append((ways[-1].duration_s, sequence.settle_s, run.duration_s, sequence.brake_s))
-            before, words = after, f"{sequence.name}: {words}"
+            expected_s.append(
+                (ways[-1].duration_s, sequence.settle_s, run.duration_s, sequence.brake_s)
+            )
+            before = after
+            words = f"{sequence.name}: {words}"
             if run.goal_step:
                 check_step(run, after, sequence, self.ways, self.guards, words)
             if run.free:
-                check_free_response(run, after, sequence, self.ways, self.guards, f"{words} cannot swing freely")
+                check_free_response(
+                    run, after, sequence, self.ways, self.guards, f"{words} cannot swing freely"
+                )
         if sequence.home:
             home = self.ways.find(before, {**before, **sequence.home}, sequence, "home")
             expected_s.append((home.duration_s,))
@@ -195,7 +217,11 @@ class ExcitationMachine:
         """
         if not self.busy:
             return self.command
-        problem = self._observe(now_s, sample) or self._advance() or (self._watch() if self.busy else None)
+        problem = (
+            self._observe(now_s, sample)
+            or self._advance()
+            or (self._watch() if self.busy else None)
+        )
         if problem := problem and self._left_of(problem):
             self._stop(*problem)
         else:
@@ -214,8 +240,15 @@ class ExcitationMachine:
         if kind == "stale" and self.phase is Phase.CATCH and self._caught_for is None:
             self._hold_driven()  # the swing was over
             return None
-        if kind in ("velocity", "limit", "clearance") and self.phase is Phase.PROBE and self._run.free:
-            if kind == "velocity" and self._speed(self._run.joint) <= self.guards.max_velocity_rad_s:
+        if (
+            kind in ("velocity", "limit", "clearance")
+            and self.phase is Phase.PROBE
+            and self._run.free
+        ):
+            if (
+                kind == "velocity"
+                and self._speed(self._run.joint) <= self.guards.max_velocity_rad_s
+            ):
                 return problem  # it is another joint that is so fast
             self._catch(kind)
             self._caught_for = problem
@@ -230,23 +263,36 @@ class ExcitationMachine:
     def _observe(self, now_s: float, sample: JointSample | None) -> _Problem | None:
         """Take in the time and a sample, unless something is wrong with them."""
         driven = self.phase in (Phase.PROBE, Phase.CATCH)
-        longest_s = self.guards.stale_after_s if driven else max(self.guards.patience_s, self.guards.stale_after_s)
+        longest_s = (
+            self.guards.stale_after_s
+            if driven
+            else max(self.guards.patience_s, self.guards.stale_after_s)
+        )
         if not math.isfinite(now_s):
             return "clock", f"the time is {now_s}: check the clock"
         if not math.isnan(self._now_s):
             self._tick_s = now_s - self._now_s
             if self._tick_s < 0.0:
-                return "clock", f"the clock ran back by {-self._tick_s:.3f} s: use a clock that is never set"
+                return (
+                    "clock",
+                    f"the clock ran back by {-self._tick_s:.3f} s: use a clock that is never set",
+                )
             if self._tick_s > longest_s:
                 self._now_s = now_s
-                return "stale", f"the control loop paused for {self._tick_s:.2f} s: is the computer overloaded?"
+                return (
+                    "stale",
+                    f"the control loop paused for {self._tick_s:.2f} s: is the computer overloaded?",
+                )
         self._now_s = now_s
         self._seen_s = gap_s = 0.0
         if sample is not None:
             if problem := unfit(sample, self.joints):
                 return "sample", problem
             if sample.time_s < self._sample.time_s:
-                return "clock", f"a sample is {self._sample.time_s - sample.time_s:.3f} s older than the one before it"
+                return (
+                    "clock",
+                    f"a sample is {self._sample.time_s - sample.time_s:.3f} s older than the one before it",
+                )
             gap_s = sample.time_s - self._sample.time_s
             # goals wait for joints that were not seen for a while: the servos may have missed the command, too
             self._seen_s = min(gap_s, LONGEST_STEP_S)
@@ -254,7 +300,10 @@ class ExcitationMachine:
                 # between samples that are far apart a joint may have gone on as fast as it may
                 allowed = max(self.guards.max_jump_rad, self.guards.max_velocity_rad_s * gap_s)
                 for name in self.joints:
-                    jump = abs(sample.position[name] - self._sample.position[name]) / self._per_rad[name]
+                    jump = (
+                        abs(sample.position[name] - self._sample.position[name])
+                        / self._per_rad[name]
+                    )
                     if jump > allowed:
                         words = f"jumped by {jump:.2f} rad between two samples: check its encoder and cable"
                         if allowed > self.guards.max_jump_rad:
@@ -266,18 +315,25 @@ class ExcitationMachine:
         if age_s > longest_s:
             return "stale", f"no new joint positions for {age_s:.2f} s: is the driver alive?"
         if age_s < -longest_s:
-            return "clock", f"a sample is stamped {-age_s:.2f} s ahead of the time: both need the same clock"
+            return (
+                "clock",
+                f"a sample is stamped {-age_s:.2f} s ahead of the time: both need the same clock",
+            )
         if gap_s > longest_s:
             return "stale", f"two samples are {gap_s:.2f} s apart: is the computer overloaded?"
         return None
 
     def _watch(self) -> _Problem | None:
         """What the joints do that they should not, in the phase of this tick."""
-        guards, caught = self.guards, self.phase is Phase.CATCH
+        guards = self.guards
+        caught = self.phase is Phase.CATCH
         for name in self.joints:
             speed = self._speed(name)
             if speed > guards.max_velocity_rad_s * (CATCH_OVERSPEED if caught else 1.0):
-                return "velocity", f"{name} moves at {speed:.1f} rad/s, faster than {guards.max_velocity_rad_s:g} rad/s"
+                return (
+                    "velocity",
+                    f"{name} moves at {speed:.1f} rad/s, faster than {guards.max_velocity_rad_s:g} rad/s",
+                )
         driven = self._run.joint if self.phase is Phase.PROBE or caught else None
         for name in self.joints:
             off = self._off(name)
@@ -287,9 +343,19 @@ class ExcitationMachine:
                     return "held joint", words
             elif off <= guards.follow_error_rad:
                 self._off_since_s.pop(name, None)
-            elif self._now_s - self._off_since_s.setdefault(name, self._now_s) >= guards.follow_time_s / self.pace:
-                return "follow", f"{name} does not follow: is something in its way, its load too heavy, or torque off?"
-        return None if driven is None else self._watch_pushed(CATCH_LOOKAHEAD_S if caught else guards.lookahead_s)
+            elif (
+                self._now_s - self._off_since_s.setdefault(name, self._now_s)
+                >= guards.follow_time_s / self.pace
+            ):
+                return (
+                    "follow",
+                    f"{name} does not follow: is something in its way, its load too heavy, or torque off?",
+                )
+        return (
+            None
+            if driven is None
+            else self._watch_pushed(CATCH_LOOKAHEAD_S if caught else guards.lookahead_s)
+        )
 
     def _off(self, name: str) -> float:
         """How far a joint is from its goal, at the motor's shaft [rad]."""
@@ -303,25 +369,35 @@ class ExcitationMachine:
         assert self.sequence is not None
         name = self._run.joint
         joint = self.robot.model.joint(name)
-        position, velocity = self._sample.position[name], self._sample.velocity[name]
+        position = self._sample.position[name]
+        velocity = self._sample.velocity[name]
         ahead = position + velocity * lookahead_s
-        spare = 0.0 if self.phase is Phase.CATCH else self.guards.limit_margin_rad * self._per_rad[name]
+        spare = (
+            0.0 if self.phase is Phase.CATCH else self.guards.limit_margin_rad * self._per_rad[name]
+        )
         below = position < joint.lower or (velocity < 0.0 and ahead < joint.lower + spare)
         above = position > joint.upper or (velocity > 0.0 and ahead > joint.upper - spare)
         if below or above:
             limit = joint.lower if below else joint.upper
-            return "limit", f"{name} was about to reach its limit {limit:.3g}: {self._remedy(velocity)}"
+            return (
+                "limit",
+                f"{name} was about to reach its limit {limit:.3g}: {self._remedy(velocity)}",
+            )
         pose = self.ways.pose(self._sample)
         least_m = self.sequence.min_clearance_m * (0.5 if self.phase is Phase.CATCH else 1.0)
         lowest_m = min(self.ways.height({**pose, name: place}) for place in (position, ahead))
         if lowest_m < least_m:
-            words = f"{name} was about to bring the arm {100 * lowest_m:.1f} cm above the base's plane"
+            words = (
+                f"{name} was about to bring the arm {100 * lowest_m:.1f} cm above the base's plane"
+            )
             return "clearance", f"{words}: {self._remedy(velocity)}"
         return None
 
     def _remedy(self, velocity: float) -> str:
         if self._run.free:
-            return "is the hand empty, and the base level? let it swing from nearer to where it hangs"
+            return (
+                "is the hand empty, and the base level? let it swing from nearer to where it hangs"
+            )
         if self._run.goal_step:
             return "use a smaller goal_step, less time, or another start"
         if velocity * self._current_A < 0.0:
@@ -335,7 +411,10 @@ class ExcitationMachine:
             self._note_outcome(ended_by, used=False)
         self._goals = self.ways.pose(self._sample)
         self.phase, self.aborted_by = Phase.ABORTED, ended_by
-        self.abort_reason, self.message = reason, f"stopped in run {self.run_number} of {self.runs}: {reason}"
+        self.abort_reason, self.message = (
+            reason,
+            f"stopped in run {self.run_number} of {self.runs}: {reason}",
+        )
         self.command = self._commanded()
 
     @property
@@ -353,10 +432,16 @@ class ExcitationMachine:
         self._off_since_s.clear()
         if phase is Phase.SETTLE:
             self._recent.clear()
-        run = f"run {self.run_number} of {self.runs}" + f", attempt {self.attempt}" * (self.attempt > 1)
+        run = f"run {self.run_number} of {self.runs}" + f", attempt {self.attempt}" * (
+            self.attempt > 1
+        )
         unit = plans.push_unit(self.robot, self._run.joint)
         shake = f" +-{abs(self._run.shake_A):.3g}" * (self._run.shake_A != 0.0)
-        pushed = "swings freely" if self._run.free else f"is pushed with {self._current_A:+.3g}{shake} {unit}"
+        pushed = (
+            "swings freely"
+            if self._run.free
+            else f"is pushed with {self._current_A:+.3g}{shake} {unit}"
+        )
         if self._run.goal_step:
             pushed = f"is pushed by a goal {self._run.goal_step:+.3g} {self._unit} away"
         self.message = {
@@ -394,7 +479,9 @@ class ExcitationMachine:
                 words = f"{self._run.joint} does not come to rest: hold the arm's table still, or check the servo"
                 return "unrest", words
         elif self.phase is Phase.PROBE:
-            self._travel = max(self._travel, abs(self._sample.position[self._run.joint] - self._onset_position))
+            self._travel = max(
+                self._travel, abs(self._sample.position[self._run.joint] - self._onset_position)
+            )
             end = self._catch if self._run.free else self._brake
             if self._travel >= self._run.max_travel:
                 end("travel")
@@ -423,10 +510,14 @@ class ExcitationMachine:
         slope = float(times_s @ positions) / float(times_s @ times_s)
         slowest = STANDSTILL_RAD_S * self._per_rad[self._run.joint]
         # to and fro has no slope; noise of an encoder at rest spans half of this at most
-        return abs(slope) < slowest and float(np.ptp(positions)) < 2.0 * slowest * STANDSTILL_WINDOW_S
+        return (
+            abs(slope) < slowest and float(np.ptp(positions)) < 2.0 * slowest * STANDSTILL_WINDOW_S
+        )
 
     def _brake(self, ended_by: str) -> None:
-        self._note_outcome(ended_by, used=ended_by != "stale" and self._travel >= self._run.min_travel)
+        self._note_outcome(
+            ended_by, used=ended_by != "stale" and self._travel >= self._run.min_travel
+        )
         self._hold_driven()
 
     def _hold_driven(self) -> None:
@@ -436,31 +527,44 @@ class ExcitationMachine:
 
     def _catch(self, ended_by: str) -> None:
         """A swing is over."""
-        far = self._travel >= max(self._run.min_travel, plans.margin(self.robot, self._run.joint, LEAST_SWING_RAD))
+        far = self._travel >= max(
+            self._run.min_travel, plans.margin(self.robot, self._run.joint, LEAST_SWING_RAD)
+        )
         self._note_outcome(ended_by, used=ended_by in ("time", "travel") and far)
         self._enter(Phase.CATCH)
 
     def _note_outcome(self, ended_by: str, used: bool) -> None:
-        made = (self.run_number, self.attempt, self._run.joint, self._current_A, self._travel, self._elapsed_s)
+        made = (
+            self.run_number,
+            self.attempt,
+            self._run.joint,
+            self._current_A,
+            self._travel,
+            self._elapsed_s,
+        )
         self.outcomes.append(RunOutcome(*made, ended_by=ended_by, used=used))
 
     def _after_run(self) -> _Problem | None:
         """Once more with another current, or the next run, or home, or the end."""
         assert self.sequence is not None
-        last, phase = self.outcomes[-1], Phase.APPROACH
+        last = self.outcomes[-1]
+        phase = Phase.APPROACH
         again_A = None if last.used else self._run.other_current(self._current_A)
         if last.ended_by == "stale":
             again_A = self._current_A  # nothing was wrong with the push
         if again_A is not None:
             self.attempt, self._current_A = self.attempt + 1, again_A
-            target, where = self._run_pose, "the start of the run"
+            target = self._run_pose
+            where = "the start of the run"
         elif self._run_index + 1 < self.runs:
             self._run_index += 1
             self.attempt, self._current_A = 1, self._run.current_A
-            target, where = {**self._goals, **self._run.start}, "the start of the next run"
+            target = {**self._goals, **self._run.start}
+            where = "the start of the next run"
         elif self.sequence.home:
             phase = Phase.RETURN
-            target, where = {**self._goals, **self.sequence.home}, "home"
+            target = {**self._goals, **self.sequence.home}
+            where = "home"
         else:
             self._enter(Phase.DONE)
             return None
@@ -487,15 +591,25 @@ class ExcitationMachine:
     def _current_of_swing(self, elapsed_s: float) -> float:
         """Next to nothing, then nothing; and what carries the joint's weight and brakes it when it is caught [A]."""
         assert self._swing is not None
-        joint, swing = self._run.joint, self._swing
+        joint = self._run.joint
+        swing = self._swing
         drive = self.robot.drive_trains[joint]
-        weight_N_m = swing.moment_at(self._sample.position[joint]) * drive.transmission  # at the shaft
+        # at the shaft
+        weight_N_m = swing.moment_at(self._sample.position[joint]) * drive.transmission
         if self.phase is Phase.PROBE:
-            return 0.0 if elapsed_s + 0.5 * self._tick_s >= LET_GO_S else -math.copysign(plans.LEAST_CURRENT_A, weight_N_m)
+            return (
+                0.0
+                if elapsed_s + 0.5 * self._tick_s >= LET_GO_S
+                else -math.copysign(plans.LEAST_CURRENT_A, weight_N_m)
+            )
         inertia = swing.inertia_kg_m2 * drive.transmission**2 + drive.armature.value
         braking_N_m = inertia / CATCH_TIME_S * self._sample.velocity[joint] / drive.transmission
         limit_A = self.robot.motors[joint].current_limit_A
-        current_A = -(weight_N_m + braking_N_m) / drive.torque_constant.value * min(elapsed_s / CATCH_RISE_S, 1.0)
+        current_A = (
+            -(weight_N_m + braking_N_m)
+            / drive.torque_constant.value
+            * min(elapsed_s / CATCH_RISE_S, 1.0)
+        )
         return min(max(current_A, -limit_A), limit_A)
 
     @property
@@ -509,15 +623,26 @@ class ExcitationMachine:
         if not poor:
             return f"{self.sequence.name} is done: all {self.runs} runs are good"
         more = "a larger goal_step" if self._run.goal_step else "more current"
-        words = f"run {', '.join(poor)} moved too little: allow {more}, or start where gravity helps"
+        words = (
+            f"run {', '.join(poor)} moved too little: allow {more}, or start where gravity helps"
+        )
         return f"{self.sequence.name} is done: {len(good)} of {self.runs} runs are good; {words}"
 
     def _progress(self) -> float:
         if self.phase is Phase.DONE:
             return 1.0
-        order = [Phase.APPROACH, Phase.SETTLE, Phase.PROBE, Phase.CATCH if self.phase is Phase.CATCH else Phase.BRAKE]
+        order = [
+            Phase.APPROACH,
+            Phase.SETTLE,
+            Phase.PROBE,
+            Phase.CATCH if self.phase is Phase.CATCH else Phase.BRAKE,
+        ]
         place = len(self._expected_s) - 1 if self.phase is Phase.RETURN else self._run_index
         parts = self._expected_s[place]
         step = 0 if self.phase is Phase.RETURN else order.index(self.phase)
-        spent_s = sum(map(sum, self._expected_s[:place])) + sum(parts[:step]) + min(self._elapsed_s, parts[step])
+        spent_s = (
+            sum(map(sum, self._expected_s[:place]))
+            + sum(parts[:step])
+            + min(self._elapsed_s, parts[step])
+        )
         return spent_s / sum(map(sum, self._expected_s))

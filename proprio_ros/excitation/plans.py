@@ -26,7 +26,14 @@ START_MARGIN_RAD = 0.08
 """A start pose stays this far from a joint's limits, so that noise at rest cannot look like running into one."""
 LARGEST_CURRENT_A = 10.0  # no servo of this kind takes more: such a number was meant in mA
 LARGEST_POSITION_RAD = 7.0  # beyond a full turn: such a number was meant in degrees
-FIRST = ("empty_hand", "payload", "reference", "empty_hand_elbow", "payload_elbow", "reference_elbow")
+FIRST = (
+    "empty_hand",
+    "payload",
+    "reference",
+    "empty_hand_elbow",
+    "payload_elbow",
+    "reference_elbow",
+)
 """Sequences that every arm can make: where it has none of their joints, `first.first_sequence` makes them."""
 LEAST_CURRENT_A = 0.01  # four counts of an XM430: less is as good as none
 SHORTEST_SHAKE_S = 0.08  # three samples at 40 a second
@@ -35,7 +42,8 @@ UNTIL_UNITS = {"kg": ("payload", "reference", "empty", "any", "container"), "1":
 """Of half an interval, by what the hand holds: a mass, or a share of Young's modulus."""
 LARGEST_HALF = {"kg": (0.1, "it is in kg, not g"), "1": (1.0, "it is a share, not in percent")}
 LONGEST_UNTIL_S = 600.0
-LARGEST_STEP_RAD = 1.0  # of a goal, at the shaft: such a number was meant in degrees, or throws the arm
+# of a goal, at the shaft: such a number was meant in degrees, or throws the arm
+LARGEST_STEP_RAD = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,8 @@ class ExcitationRun:
     start: Mapping[str, float] = field(default_factory=dict)
     # the current ends early when the joint has moved so far either way, and the run is good [rad or m]
     max_travel: float = 1.0
-    min_travel: float = 0.0  # a run that moves less is repeated from its start with another current [rad or m]
+    # a run that moves less is repeated from its start with another current [rad or m]
+    min_travel: float = 0.0
     # factor on the current of each repetition. Below 1 the current is eased instead: for a run in which gravity pulls
     # and the current only supports
     raise_by: float = 1.25
@@ -89,8 +98,10 @@ class ExcitationRun:
 class Until:
     """When a sequence whose further pushes are chosen by what came out so far has an end."""
 
-    half_interval: float  # of what is identified: half of its 95 % interval is to be so small [unit]
-    unit: str  # of that, as `UNTIL_UNITS` has it: "kg" for a mass, "1" for a share of a block's modulus
+    # of what is identified: half of its 95 % interval is to be so small [unit]
+    half_interval: float
+    # of that, as `UNTIL_UNITS` has it: "kg" for a mass, "1" for a share of a block's modulus
+    unit: str
     at_most_s: float = 60.0  # from the beginning; no push is begun that would not be over by then
 
 
@@ -100,17 +111,22 @@ class ExcitationSequence:
 
     name: str  # of the file, without its suffix
     hand: str  # what should be in the hand, one of `HANDS`
-    runs: tuple[ExcitationRun, ...]  # at least one; with `until` there may be none: then the first is chosen, too
-    until: Until | None = None  # further pushes are chosen until this is reached; None: there are none
+    # at least one; with `until` there may be none: then the first is chosen, too
+    runs: tuple[ExcitationRun, ...]
+    # further pushes are chosen until this is reached; None: there are none
+    until: Until | None = None
     description: str = ""
-    approach_velocity: float = 0.8  # peak speed on the way to a start pose, at the motor's shaft [rad/s]
+    # peak speed on the way to a start pose, at the motor's shaft [rad/s]
+    approach_velocity: float = 0.8
     settle_s: float = 1.2  # rest before each run; the identification uses up to 1 s of it
     brake_s: float = 0.4  # the joint is held so long after its run before it goes anywhere
-    home: Mapping[str, float] = field(default_factory=dict)  # where to go at the end [rad or m]; empty: stay
+    # where to go at the end [rad or m]; empty: stay
+    home: Mapping[str, float] = field(default_factory=dict)
     # joints that go back, before each run and at the end, to where they stood when the sequence began: the fingers
     # beside a block that was put between them
     from_here: tuple[str, ...] = ()
-    min_clearance_m: float = 0.03  # nothing that can be lowered comes closer to the base's plane than this
+    # nothing that can be lowered comes closer to the base's plane than this
+    min_clearance_m: float = 0.03
 
     def begun_at(self, pose: Mapping[str, float]) -> ExcitationSequence:
         """The sequence with numbers for the joints of `from_here`, begun at a pose of all joints [rad or m]."""
@@ -121,17 +137,27 @@ class ExcitationSequence:
 
 def sequence_names() -> tuple[str, ...]:
     """Names of the package's probe files that have an excitation section, sorted."""
-    return tuple(name for name in resource_names("probes") if "excitation" in _content(resource("probes", name)))
+    return tuple(
+        name
+        for name in resource_names("probes")
+        if "excitation" in _content(resource("probes", name))
+    )
 
 
 def as_text(sequence: ExcitationSequence) -> str:
     """A sequence as JSON, which `load_sequence` reads."""
-    section = {key: value for key, value in asdict(sequence).items() if key != "name" and value is not None}
-    section["runs"] = [{key: v for key, v in run.items() if v is not None} for run in section["runs"]]
+    section = {
+        key: value for key, value in asdict(sequence).items() if key != "name" and value is not None
+    }
+    section["runs"] = [
+        {key: v for key, v in run.items() if v is not None} for run in section["runs"]
+    ]
     return json.dumps(section)
 
 
-def load_sequence(name_or_path: str | Path, robot: Robot, held_kg: float = 0.0) -> ExcitationSequence:
+def load_sequence(
+    name_or_path: str | Path, robot: Robot, held_kg: float = 0.0
+) -> ExcitationSequence:
     """Read the section ``excitation`` of a probe file and check it against the robot.
 
     Args:
@@ -146,7 +172,9 @@ def load_sequence(name_or_path: str | Path, robot: Robot, held_kg: float = 0.0) 
     """
     text = str(name_or_path)
     if text.startswith("{"):  # from a program, which chose it
-        section, name, where = _inline(text), "chosen", "chosen"
+        section = _inline(text)
+        name = "chosen"
+        where = "chosen"
     else:
         given = Path(text).expanduser()
         is_path = isinstance(name_or_path, Path) or "/" in text or given.suffix in (".yaml", ".yml")
@@ -155,9 +183,16 @@ def load_sequence(name_or_path: str | Path, robot: Robot, held_kg: float = 0.0) 
         if "excitation" not in content:
             words = f"has no section 'excitation'; probe files with one: {', '.join(sequence_names()) or 'none'}; or add it"
             raise ConfigurationError(f"{path.name}: {words}")
-        section, name, where = _whole(content["excitation"], path), path.stem, f"{path.name}: excitation"
-        if not is_path and name in FIRST and {*robot.drive_trains}.isdisjoint(run["joint"] for run in section["runs"]):
-            from proprio_ros.excitation.first import first_sequence  # which is written in the words of this file
+        section = _whole(content["excitation"], path)
+        name = path.stem
+        where = f"{path.name}: excitation"
+        if (
+            not is_path
+            and name in FIRST
+            and {*robot.drive_trains}.isdisjoint(run["joint"] for run in section["runs"])
+        ):
+            # which is written in the words of this file
+            from proprio_ros.excitation.first import first_sequence
 
             sequence = first_sequence(robot, section["hand"], held_kg)
             check_sequence(sequence, robot)
@@ -169,7 +204,9 @@ def load_sequence(name_or_path: str | Path, robot: Robot, held_kg: float = 0.0) 
 
 def largest_current_A(robot: Robot, joint: str) -> float:
     """That may be commanded, by the robot file, and by the effort that the URDF allows."""
-    most = robot.model.joint(joint).effort_limit / abs(robot.drive_trains[joint].nominal_effort_per_current)
+    most = robot.model.joint(joint).effort_limit / abs(
+        robot.drive_trains[joint].nominal_effort_per_current
+    )
     return min(robot.motors[joint].current_limit_A, most if most > 0.0 else math.inf)
 
 
@@ -222,7 +259,10 @@ def _of_sequence(sequence: ExcitationSequence, robot: Robot) -> Iterator[str]:
         yield from (f"{where}: {words}" for words in _of_pose(run.start, pose, sequence, robot))
         if run.goal_step and run.joint in pose:
             stepped = {run.joint: pose[run.joint] + run.goal_step}
-            yield from (f"{where}: with goal_step: {words}" for words in _of_pose(stepped, pose, sequence, robot))
+            yield from (
+                f"{where}: with goal_step: {words}"
+                for words in _of_pose(stepped, pose, sequence, robot)
+            )
     swings = [run.free for run in sequence.runs]
     if any(swings) and not all(swings):
         yield (
@@ -257,7 +297,8 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
         if not abs(run.goal_step) <= largest_step:
             yield f"goal_step={run.goal_step:g} must be {largest_step:.3g} at most, either way; it is in rad (m for a slide)"
     largest = max(abs(run.current_A), run.max_current_A or 0.0) + abs(run.shake_A)
-    unit, most = push_unit(robot, run.joint), largest_current_A(robot, run.joint)
+    unit = push_unit(robot, run.joint)
+    most = largest_current_A(robot, run.joint)
     if not math.isfinite(run.current_A + run.shake_A) or largest > max(LARGEST_CURRENT_A, most):
         yield f"{largest:g} {unit} is too much for a servo: currents are in A, not mA"
     limit = robot.motors[run.joint].current_limit_A
@@ -273,7 +314,11 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
     if not 0.0 <= run.min_travel < run.max_travel:
         yield f"min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
     if run.free and (run.max_current_A or robot.model.joint(run.joint).kind == "prismatic"):
-        why = "has no max_current_A" if run.max_current_A else f"needs a joint that turns, and {run.joint} slides"
+        why = (
+            "has no max_current_A"
+            if run.max_current_A
+            else f"needs a joint that turns, and {run.joint} slides"
+        )
         yield f"current_A is 0, which lets the joint swing freely: that {why}"
     if not (0.0 < run.raise_by <= 0.95 or 1.05 <= run.raise_by < 10.0):
         yield f"raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"
@@ -297,14 +342,25 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
         mean_A = run.other_current(mean_A)
 
 
-def _of_pose(stated: Mapping[str, float], known: Mapping[str, float], sequence: ExcitationSequence, robot: Robot) -> Iterator[str]:
+def _of_pose(
+    stated: Mapping[str, float],
+    known: Mapping[str, float],
+    sequence: ExcitationSequence,
+    robot: Robot,
+) -> Iterator[str]:
     """Limits of the joints stated; and the height of the pose, where the joints that are not known yet are at zero."""
     for name, position in stated.items():
         if name not in robot.drive_trains:
             yield f"{name!r} is no driven joint; {robot.name} drives {', '.join(robot.drive_trains)}"
-        joint, spare = robot.model.joint(name), margin(robot, name, START_MARGIN_RAD)
-        low, high = joint.lower + spare, joint.upper - spare
-        if not math.isfinite(position) or abs(position) > LARGEST_POSITION_RAD or not low <= position <= high:
+        joint = robot.model.joint(name)
+        spare = margin(robot, name, START_MARGIN_RAD)
+        low = joint.lower + spare
+        high = joint.upper - spare
+        if (
+            not math.isfinite(position)
+            or abs(position) > LARGEST_POSITION_RAD
+            or not low <= position <= high
+        ):
             unit, other = ("m", "mm") if joint.kind == "prismatic" else ("rad", "degrees")
             yield (
                 f"{name}={position:g} is outside {low:.4g} .. {high:.4g} {unit} (limits less a margin); positions are in {unit}, "
@@ -329,7 +385,9 @@ def _inline(text: str) -> Any:
 def _content(path: Path) -> Mapping[str, Any]:
     content = yaml_file(path, ConfigurationError)
     if not isinstance(content, Mapping):
-        raise ConfigurationError(f"{path}: holds no sections; a probe file starts with 'excitation:'")
+        raise ConfigurationError(
+            f"{path}: holds no sections; a probe file starts with 'excitation:'"
+        )
     return content
 
 
@@ -338,14 +396,19 @@ def _whole(section: Any, path: Path) -> Any:
     if not isinstance(section, Mapping) or "like" not in section:
         return section
     like = section["like"]
-    if like not in sequence_names() or "like" in (base := _content(resource("probes", like))["excitation"]):
+    if like not in sequence_names() or "like" in (
+        base := _content(resource("probes", like))["excitation"]
+    ):
         named = one_line(repr(like), 60)
-        raise ConfigurationError(f"{path.name}: excitation.like={named}: name one of the package's sequences")
+        raise ConfigurationError(
+            f"{path.name}: excitation.like={named}: name one of the package's sequences"
+        )
     return {**base, **{key: value for key, value in section.items() if key != "like"}}
 
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:
-    chosen = isinstance(section, Mapping) and "until" in section  # then there need be no runs of one's own
+    # then there need be no runs of one's own
+    chosen = isinstance(section, Mapping) and "until" in section
     own = ("runs", "from_here", "until")
     values = _values({"runs": [], **section} if chosen else section, ExcitationSequence, where, own)
     if "from_here" in values:
@@ -357,8 +420,12 @@ def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSe
         values["until"] = Until(**_values(values["until"], Until, f"{where}.until"))
     runs = values["runs"]
     if not isinstance(runs, list) or not (runs or "until" in values):
-        raise ConfigurationError(f"{where}.runs: expected a list of runs, each with joint, current_A and duration_s")
-    values["runs"] = tuple(_run(run, robot, f"{where}.runs[{number}]") for number, run in enumerate(runs, 1))
+        raise ConfigurationError(
+            f"{where}.runs: expected a list of runs, each with joint, current_A and duration_s"
+        )
+    values["runs"] = tuple(
+        _run(run, robot, f"{where}.runs[{number}]") for number, run in enumerate(runs, 1)
+    )
     return ExcitationSequence(name=name, **values)
 
 
@@ -372,7 +439,12 @@ def _run(section: Any, robot: Robot, where: str) -> ExcitationRun:
     return run
 
 
-_TEXTS = {"hand": "a text", "description": "a text", "unit": "a text", "joint": "the name of a joint"}
+_TEXTS = {
+    "hand": "a text",
+    "description": "a text",
+    "unit": "a text",
+    "joint": "the name of a joint",
+}
 _POSES = ("start", "home")
 
 
@@ -384,17 +456,27 @@ def _values(section: Any, kind: type, where: str, own: Sequence[str] = ()) -> di
     entries = [entry for entry in fields(kind) if entry.name != "name"]
     choices = ", ".join(entry.name for entry in entries)
     if not isinstance(section, Mapping):
-        raise ConfigurationError(f"{where}: expected keys and values, got {section!r}; keys: {choices}")
+        raise ConfigurationError(
+            f"{where}: expected keys and values, got {section!r}; keys: {choices}"
+        )
     if unknown := [str(key) for key in section if key not in {entry.name for entry in entries}]:
-        raise ConfigurationError(f"{where}: unknown key {', '.join(unknown)}; valid keys: {choices}")
-    required = [entry.name for entry in entries if entry.default is MISSING and entry.default_factory is MISSING]
+        raise ConfigurationError(
+            f"{where}: unknown key {', '.join(unknown)}; valid keys: {choices}"
+        )
+    required = [
+        entry.name
+        for entry in entries
+        if entry.default is MISSING and entry.default_factory is MISSING
+    ]
     if missing := [name for name in required if name not in section]:
         raise ConfigurationError(f"{where}: lacks {', '.join(missing)}; valid keys: {choices}")
     values = dict(section)
     for key, value in section.items():
         if key in _TEXTS:
             if not isinstance(value, str):
-                raise ConfigurationError(f"{where}.{key}: expected {_TEXTS[key]}, got {one_line(repr(value), 60)}")
+                raise ConfigurationError(
+                    f"{where}.{key}: expected {_TEXTS[key]}, got {one_line(repr(value), 60)}"
+                )
         elif key in _POSES:
             values[key] = _pose(value, f"{where}.{key}")
         elif key not in own:

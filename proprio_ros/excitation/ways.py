@@ -36,11 +36,15 @@ class Way:
 
     def at(self, elapsed_s: float) -> dict[str, float]:
         """Positions of all joints at a time from the beginning [rad or m]."""
-        for (before, after), duration_s in zip(itertools.pairwise(self.poses), self.durations_s, strict=True):
+        for (before, after), duration_s in zip(
+            itertools.pairwise(self.poses), self.durations_s, strict=True
+        ):
             if elapsed_s < duration_s:
                 s = max(elapsed_s, 0.0) / duration_s
                 part = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-                return {name: start + part * (after[name] - start) for name, start in before.items()}
+                return {
+                    name: start + part * (after[name] - start) for name, start in before.items()
+                }
             elapsed_s -= duration_s
         return dict(self.poses[-1])
 
@@ -79,10 +83,17 @@ class Ways:
 
     def limits(self, joint: str, margin_rad: float) -> tuple[float, float]:
         """Of a joint, less a margin at the motor's shaft [rad or m]."""
-        model, spare = self.robot.model.joint(joint), margin_rad * self.per_rad[joint]
+        model = self.robot.model.joint(joint)
+        spare = margin_rad * self.per_rad[joint]
         return model.lower + spare, model.upper - spare
 
-    def find(self, before: Mapping[str, float], after: Mapping[str, float], sequence: ExcitationSequence, where: str) -> Way:
+    def find(
+        self,
+        before: Mapping[str, float],
+        after: Mapping[str, float],
+        sequence: ExcitationSequence,
+        where: str,
+    ) -> Way:
         """The straight way of all driven joints [rad or m], or one over a higher pose when that comes too low.
 
         Raises `ExcitationError`: Neither keeps the sequence's clearance; ``where`` says what is there.
@@ -91,17 +102,24 @@ class Ways:
             poses = (dict(before), *via, dict(after))
             if self.clear(poses, sequence.min_clearance_m):
                 spans = [self._widest_rad(*pair) for pair in itertools.pairwise(poses)]
-                return Way(poses, tuple(float(approach_s(span, sequence.approach_velocity)) for span in spans))
+                return Way(
+                    poses,
+                    tuple(float(approach_s(span, sequence.approach_velocity)) for span in spans),
+                )
         raise ExcitationError(
             f"no way to {where} keeps the arm {100 * sequence.min_clearance_m:.0f} cm above the base's plane: move it to a "
             "higher pose by hand, with torque off, and start again"
         )
 
-    def _high_poses(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[dict[str, float]]:
+    def _high_poses(
+        self, before: Mapping[str, float], after: Mapping[str, float]
+    ) -> list[dict[str, float]]:
         """Poses to go over, highest first: some joints moved before the others, or the arm at its zero pose."""
         turning = [name for name in self.joints if self.robot.model.joint(name).kind != "prismatic"]
         moved = [name for name in turning if before[name] != after[name]]
-        some = itertools.chain.from_iterable(itertools.combinations(moved, count) for count in range(1, len(moved)))
+        some = itertools.chain.from_iterable(
+            itertools.combinations(moved, count) for count in range(1, len(moved))
+        )
         poses = [{**before, **{name: after[name] for name in first}} for first in some]
         # the base joint does not lift anything: leave it where it is
         poses.append({**before, **{name: self._rest[name] for name in turning[1:]}})
@@ -113,7 +131,9 @@ class Ways:
         for before, after in itertools.pairwise(poses):
             steps = max(2, 1 + math.ceil(self._widest_rad(before, after) / PATH_STEP_RAD))
             for part in np.linspace(0.0, 1.0, steps).tolist():
-                height = self.height({name: q + part * (after[name] - q) for name, q in before.items()})
+                height = self.height(
+                    {name: q + part * (after[name] - q) for name, q in before.items()}
+                )
                 if height < min(min_clearance_m, reached) - PATH_SLACK_M:
                     return False
                 reached = max(reached, height)

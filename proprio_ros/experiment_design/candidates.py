@@ -25,7 +25,8 @@ LIMIT_MARGIN = 0.05  # left before a joint's limit [rad]
 WIDEST = 1.5  # the range searched of a joint without limits [rad]
 MOST_LOOKED_AT = 1024  # poses in which a joint may carry the hand
 MOST_POSES = 100_000  # of a grid
-PUSHES = (0.1, 0.2, 0.4)  # torque beyond balance and friction, relative to the largest gravity load at that pose
+# torque beyond balance and friction, relative to the largest gravity load at that pose
+PUSHES = (0.1, 0.2, 0.4)
 TimeOf = Callable[[Sequence[Mapping[str, float]]], np.ndarray]
 """Seconds that S pushes take beside their durations, shape (S,), by the positions of all joints at their starts."""
 
@@ -48,13 +49,17 @@ class Push:
     def words(self) -> str:
         """What it is, for people."""
         shake = f" +-{shown('A', self.shake_A, spec='.0f')}" if self.shake_A else ""
-        start = ", ".join(f"{name} {position:+.2f}" for name, position in self.start.items() if position)
+        start = ", ".join(
+            f"{name} {position:+.2f}" for name, position in self.start.items() if position
+        )
         return f"{self.joint} {shown('A', self.current_A, spec='+.0f')}{shake} from ({start})"
 
 
 def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
     """Pushes that reach the target, the quickest first, then the others by what they gain per second."""
-    return sorted(pushes, key=lambda push: (0, push.time_s) if push.std <= target_std else (1, -push.gain))
+    return sorted(
+        pushes, key=lambda push: (0, push.time_s) if push.std <= target_std else (1, -push.gain)
+    )
 
 
 def still_run(joint: str, pose: Mapping[str, float], current_A: float, duration_s: float) -> Run:
@@ -80,16 +85,23 @@ def still_run(joint: str, pose: Mapping[str, float], current_A: float, duration_
 
 def candidate_joints(robot: Robot) -> list[str]:
     """Driven joints that carry the hand against gravity somewhere."""
-    found, model, rest = [], robot.model, zero_pose(robot)
+    found = []
+    model = robot.model
+    rest = zero_pose(robot)
     followed = {model.driving(joint)[0] for joint in model.joints if joint.mimic is not None}
     for name in robot.drive_trains:
         if model.joint(name).kind == "prismatic" or name in followed:
             continue
-        ends = {each: start_positions(robot, each, 2) for each in (name, *joints_that_matter(robot, name))}
+        ends = {
+            each: start_positions(robot, each, 2)
+            for each in (name, *joints_that_matter(robot, name))
+        }
         poses = [rest | places for places in itertools.islice(shuffled(ends), MOST_LOOKED_AT)]
         if not (poses := [pose for pose in poses if clearance(robot, pose) >= CLEARANCE_M]):
             continue
-        _, payload = at_poses(robot, name, {held: np.array([pose[held] for pose in poses]) for held in poses[0]})
+        _, payload = at_poses(
+            robot, name, {held: np.array([pose[held] for pose in poses]) for held in poses[0]}
+        )
         if np.abs(payload[:, 1:3]).max() > 1e-3:
             found.append(name)
     return found
@@ -98,20 +110,24 @@ def candidate_joints(robot: Robot) -> list[str]:
 def start_positions(robot: Robot, joint: str, count: int) -> list[float]:
     """Positions of a joint inside its limits, evenly over what is searched of them [rad]."""
     limits = robot.model.joint(joint)
-    lower, upper = max(limits.lower, -WIDEST), min(limits.upper, WIDEST)
+    lower = max(limits.lower, -WIDEST)
+    upper = min(limits.upper, WIDEST)
     margin = min(2.0 * LIMIT_MARGIN, 0.1 * (upper - lower))
     return [round(float(q), 2) for q in np.linspace(lower + margin, upper - margin, count)]
 
 
 def joints_that_matter(robot: Robot, joint: str) -> list[str]:
     """Locked joints with a motor whose positions change what a driven joint carries."""
-    matters = prepare_run(robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()).coefficients.pose
+    matters = prepare_run(
+        robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()
+    ).coefficients.pose
     return [name for name in matters if name in robot.drive_trains]
 
 
 def shuffled(axes: Mapping[str, Sequence[float]]) -> Iterator[dict[str, float]]:
     """Places of a grid, by the positions along each of its axes, always in the same order; some of them where they are many."""
-    sizes, rng = [len(axis) for axis in axes.values()], np.random.default_rng(0)
+    sizes = [len(axis) for axis in axes.values()]
+    rng = np.random.default_rng(0)
     if math.prod(sizes) <= MOST_POSES:
         places = np.stack(np.unravel_index(rng.permutation(math.prod(sizes)), sizes), axis=1)
     else:
@@ -122,9 +138,12 @@ def shuffled(axes: Mapping[str, Sequence[float]]) -> Iterator[dict[str, float]]:
 
 def locked_poses(robot: Robot, joint: str, count: int) -> list[dict[str, float]]:
     """Poses over a grid of the locked joints that matter to the driven one, ``count`` positions of each; all others at zero."""
-    rest, others = zero_pose(robot), joints_that_matter(robot, joint)
+    rest = zero_pose(robot)
+    others = joints_that_matter(robot, joint)
     grids = [start_positions(robot, name, count) for name in others]
-    return [rest | dict(zip(others, positions, strict=True)) for positions in itertools.product(*grids)]
+    return [
+        rest | dict(zip(others, positions, strict=True)) for positions in itertools.product(*grids)
+    ]
 
 
 def start_poses(robot: Robot, joint: str, starts: int, locked: int) -> list[dict[str, float]]:
@@ -140,13 +159,17 @@ def expected_coulomb(problem: Problem, joint: str) -> float:
     return coulomb.value + 0.5 * coulomb.std * (coulomb.value < coulomb.std)
 
 
-def currents_beyond(run: PreparedRun, facts: PayloadFacts, masses_kg: Sequence[float]) -> Iterator[tuple[float, float, float]]:
+def currents_beyond(
+    run: PreparedRun, facts: PayloadFacts, masses_kg: Sequence[float]
+) -> Iterator[tuple[float, float, float]]:
     """Currents that move the joint of a standing run one way or the other, by a little and by more, with any mass in the hand.
 
     Yields:
         One of ``PUSHES``, the current that it takes [A], and the largest gravity load [N m].
     """
-    drive, per_kg, q = run.drive, run.coefficients.per_kg(facts), run.rest.value
+    drive = run.drive
+    per_kg = run.coefficients.per_kg(facts)
+    q = run.rest.value
     loads = [run.coefficients.arm + mass * per_kg for mass in masses_kg]
     balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
     # a robot that was not calibrated may rub by as much as its file leaves open

@@ -26,7 +26,8 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
 STANDS_RAD = 0.1  # what moves less at the motor's shaft stands still, and says nothing
-STILL_TRIES = 3  # so many pushes in a row that move nothing: then the joint sticks, or what it holds is too heavy
+# so many pushes in a row that move nothing: then the joint sticks, or what it holds is too heavy
+STILL_TRIES = 3
 NEAR_RAD = 0.4  # no further push begins so near where one has ended at a limit
 SHOWN_AT_MOST = 5
 MISFIT_RUNS = 3  # from so many runs on, a fit that does not explain them ends it
@@ -54,7 +55,8 @@ class Decision:
 
     run: ExcitationRun | None  # the next push; None: there is none, and `reason` says why
     reason: str  # why this push, or why no further
-    ended_by: str  # "target", "worth", "time", "stuck", "misfit" or "nothing"; empty while there is a push
+    # "target", "worth", "time", "stuck", "misfit" or "nothing"; empty while there is a push
+    ended_by: str
     value: float  # of what is sought, as it is known; before any run what may be
     half: float  # of its 95 % interval
     promised: float  # half interval that the push promises
@@ -70,7 +72,10 @@ class Decision:
         entries |= {"promised": self.promised, "decided_s": round(self.decided_s, 3)}
         if self.ended_by:
             entries["ended_by"] = self.ended_by
-        for name, push in (("push", self.push), *((f"other.{n}", each) for n, each in enumerate(self.others, 1))):
+        for name, push in (
+            ("push", self.push),
+            *((f"other.{n}", each) for n, each in enumerate(self.others, 1)),
+        ):
             if push is not None:
                 entries[name] = f"{push.words}, {push.time_s:.1f} s, {self.said_of(push)}"
         return entries
@@ -98,11 +103,16 @@ class Chooser(ABC):
     The sequence's settings of ways, rest and brake count for every push. Raises `ConfigurationError`: It has no `until`.
     """
 
-    no_push = "no push of any joint stays inside the limits with what the hand may hold"  # where `ranked` has none
+    # where `ranked` has none
+    no_push = "no push of any joint stays inside the limits with what the hand may hold"
 
-    def __init__(self, robot: Robot, sequence: ExcitationSequence, sought: Sought, whole: Whole | None = None) -> None:
+    def __init__(
+        self, robot: Robot, sequence: ExcitationSequence, sought: Sought, whole: Whole | None = None
+    ) -> None:
         if sequence.until is None:
-            raise ConfigurationError(f"{sequence.name}: has no `until`; all its runs are made as they stand")
+            raise ConfigurationError(
+                f"{sequence.name}: has no `until`; all its runs are made as they stand"
+            )
         self.robot, self.sought = robot, sought
         self._sequence, self._until = sequence, sequence.until
         self._machine, self._whole = ExcitationMachine(robot), whole
@@ -151,17 +161,35 @@ class Chooser(ABC):
         """What to do now, by all runs so far, the newest last, where the arm stands [rad or m], and the time so far [s]."""
         began = time.perf_counter()
         self._take_in(runs)
-        target, said, count = self._until.half_interval, self.sought.said, _count(len(runs))
-        known, half = self._found.runs > 0, self.half
+        target = self._until.half_interval
+        said = self.sought.said
+        count = _count(len(runs))
+        known = self._found.runs > 0
+        half = self.half
 
         def end(by: str, reason: str, others: tuple[Push, ...] = ()) -> Decision:
             took = time.perf_counter() - began
-            return Decision(None, reason, by, self._found.value, half, half, None, others, took, self.sought, known)
+            return Decision(
+                None,
+                reason,
+                by,
+                self._found.value,
+                half,
+                half,
+                None,
+                others,
+                took,
+                self.sought,
+                known,
+            )
 
         if known and half <= target and self._whole is not None:
             whole = self._whole(runs)
             if whole is None:
-                return end("misfit", f"the interval would be {said(half)} after {count}, but they give no answer")
+                return end(
+                    "misfit",
+                    f"the interval would be {said(half)} after {count}, but they give no answer",
+                )
             if whole > target:  # guesses and runs that differ widen it: from now on that counts
                 inner = self.sought.half_of(self._found.std, self._found.value)
                 self._widening = float(np.sqrt(max(whole**2 - inner**2, 0.0)))
@@ -179,7 +207,11 @@ class Chooser(ABC):
             return end("stuck", f"{nothing}: the joint sticks, or {heavy}")
         inner = max(target**2 - self._widening**2, 0.0) ** 0.5
         ranked = self.ranked(pose, self.sought.std_of(inner, self._found.value))
-        ranked = [push for push in ranked if self._stuck.get(push.joint, 0) < 2 and not self._left_out(push)]
+        ranked = [
+            push
+            for push in ranked
+            if self._stuck.get(push.joint, 0) < 2 and not self._left_out(push)
+        ]
         if not ranked:
             return end("nothing", self.no_push)
         in_time = [push for push in ranked if elapsed_s + push.time_s <= self._until.at_most_s]
@@ -191,7 +223,11 @@ class Chooser(ABC):
         if known and half - best < WORTH * (half - target):
             little = "no push promises more than a tenth of what is missing"
             so_far = f"{said(half)} after {count} and {elapsed_s:.0f} s"
-            return end("worth", f"{little}: {so_far}, {said(best)} after the best, {asked}", _varied(ranked))
+            return end(
+                "worth",
+                f"{little}: {so_far}, {said(best)} after the best, {asked}",
+                _varied(ranked),
+            )
         for number, push in enumerate(in_time[:TRIED_AT_MOST]):
             run = self.run_of(push)
             if not passes(self._machine, self.sequence_of(run), pose):
@@ -201,7 +237,9 @@ class Chooser(ABC):
             others = _varied(in_time[number + 1 :], push)
             self._last = push
             return replace(end("", reason, others), run=run, promised=promised, push=push)
-        return end("nothing", "no way to any start keeps the clearance: move the arm to a higher pose")
+        return end(
+            "nothing", "no way to any start keeps the clearance: move the arm to a higher pose"
+        )
 
     def leave_out(self, decision: Decision) -> None:
         """No push from near where this one's joint was to start: it ended at a limit, or too low."""
@@ -213,14 +251,19 @@ class Chooser(ABC):
         return alone(self._sequence, run)
 
     def _left_out(self, push: Push) -> bool:
-        return any(push.joint == joint and abs(push.start[joint] - place) < NEAR_RAD for joint, place in self._ended_at)
+        return any(
+            push.joint == joint and abs(push.start[joint] - place) < NEAR_RAD
+            for joint, place in self._ended_at
+        )
 
     def _take_in(self, runs: Sequence[Run]) -> None:
         if len(runs) == self._runs:
             return
         joint = runs[-1].joint
         # of one push and its repetitions with more current
-        moved = max(float(np.abs(run.position - run.position[0]).max()) for run in runs[self._runs :])
+        moved = max(
+            float(np.abs(run.position - run.position[0]).max()) for run in runs[self._runs :]
+        )
         if moved < STANDS_RAD * abs(self.robot.drive_trains[joint].transmission):
             self._still += 1
             self._stuck[joint] = self._stuck.get(joint, 0) + 1
@@ -242,7 +285,8 @@ def alone(sequence: ExcitationSequence, run: ExcitationRun) -> ExcitationSequenc
 
 def time_of(robot: Robot, sequence: ExcitationSequence, pose: Mapping[str, float]) -> TimeOf:
     """How long pushes take beside themselves, by their starts [s]: the way there from a pose, rest and brake."""
-    names, beside_s = robot.model.independent_joints, sequence.settle_s + sequence.brake_s
+    names = robot.model.independent_joints
+    beside_s = sequence.settle_s + sequence.brake_s
     here = np.array([pose.get(name, 0.0) for name in names])
 
     def seconds(starts: Sequence[Mapping[str, float]]) -> np.ndarray:
@@ -252,12 +296,16 @@ def time_of(robot: Robot, sequence: ExcitationSequence, pose: Mapping[str, float
     return seconds
 
 
-def passes(machine: ExcitationMachine, sequence: ExcitationSequence, pose: Mapping[str, float]) -> bool:
+def passes(
+    machine: ExcitationMachine, sequence: ExcitationSequence, pose: Mapping[str, float]
+) -> bool:
     """Whether the excitation's guards would let a sequence of one push through, and the way to it."""
     driven = {name: pose[name] for name in machine.joints}
     try:
         check_sequence(sequence, machine.robot)
-        machine.ways.find(driven, {**driven, **sequence.runs[0].start}, sequence, "the start of the push")
+        machine.ways.find(
+            driven, {**driven, **sequence.runs[0].start}, sequence, "the start of the push"
+        )
     except (ConfigurationError, ExcitationError):
         return False
     return True

@@ -26,7 +26,11 @@ from proprio_ros.experiment_design.candidates import (
     still_run,
 )
 from proprio_ros.experiment_design.search import SAME_KIND, Search
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan, Weighable
+from proprio_ros.identification.calibration_estimate import (
+    CalibrationEstimate,
+    ExcitationPlan,
+    Weighable,
+)
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
@@ -40,7 +44,9 @@ from proprio_ros.robot.kinematics import clearance
 from proprio_ros.sim.payload import PayloadFacts
 
 SECONDS = 3.0  # that a search takes where nobody says otherwise
-COARSE_STARTS, COARSE_POSES = (4, 2)  # start positions of a driven joint, and of each locked one, where one good run will do
+# start positions of a driven joint, and of each locked one, where one good run will do
+COARSE_STARTS = 4
+COARSE_POSES = 2
 ROUNDING = 1e-12  # of the information on a mass: less of it that is left may be none
 DURATION_S = 0.6  # of every run
 TYPICAL_KG = 0.02  # for which a calibration says how well it weighs
@@ -63,7 +69,9 @@ class _Candidates:
         return _known_after(self.problem, self.dq[s], self.alive[s], [r])
 
 
-def _known_after(problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]) -> tuple[list[Key], np.ndarray]:
+def _known_after(
+    problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]
+) -> tuple[list[Key], np.ndarray]:
     """Keys and precision of the unknowns that some runs touch, after them; dq (R, T, F), alive (R, T)."""
     free = [problem.unknowns[row] for row in problem.free]
     own = [f for f, u in enumerate(free) if u.shared or u.scope in runs]
@@ -90,18 +98,25 @@ def plan(
     Raises `ConfigurationError`: A mass is not positive, or no candidate suits all of them.
     """
     if not masses_kg or min(masses_kg) <= 0.0:
-        raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")
+        raise ConfigurationError(
+            f"the masses to plan for must be positive, not {list(masses_kg)} kg"
+        )
     masses = np.array(sorted(masses_kg))
 
     def tries(joint: str, pose: Mapping[str, float]) -> Iterator[tuple[float, ExcitationPlan]]:
-        if (candidates := _candidates(robot, masses, facts or PayloadFacts(), None, joint, pose)) is None:
+        if (
+            candidates := _candidates(robot, masses, facts or PayloadFacts(), None, joint, pose)
+        ) is None:
             return
         for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist():
             stds = [_std_of_mass(*candidates.known_after(s, r)) for s in range(len(masses))]
             widest = int(np.argmax(stds))
             if np.isfinite(stds[widest]):
                 interval = f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
-                yield stds[widest], _as_plan(candidates, r, stds, f"widest 95 % interval {interval}")
+                yield (
+                    stds[widest],
+                    _as_plan(candidates, r, stds, f"widest 95 % interval {interval}"),
+                )
 
     search = Search(robot, candidate_joints(robot), tries)
     try:
@@ -119,13 +134,17 @@ def plan(
 
 
 def with_advice(
-    robot: Robot, estimate: CalibrationEstimate, count: int = 3, progress: Callable[[str], None] = lambda _: None
+    robot: Robot,
+    estimate: CalibrationEstimate,
+    count: int = 3,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> CalibrationEstimate:
     """A calibration of pushes with what comes after it: what can be weighed with it, and the runs that would help most.
 
     One that is rejected, or of free swings, gets no advice, and no further runs one that was only brought up to date.
     """
-    calibration, whole = estimate.calibration, estimate.whole
+    calibration = estimate.calibration
+    whole = estimate.whole
     if calibration is None:
         return estimate
     began = time.perf_counter()
@@ -134,7 +153,8 @@ def with_advice(
     if estimate.verdict is not Verdict.REJECTED and calibration.swing_error == 0.0:
         if whole is not None:
             progress("looking for the run that would help most")
-            learnt, one_way = robot.with_calibration(whole), estimate.driven_one_way
+            learnt = robot.with_calibration(whole)
+            one_way = estimate.driven_one_way
             if one_way:  # then nothing is worth advice but the other way
                 found = advise(learnt, tuple(one_way), 10 * count)
                 suggestions = [p for p in found if (p.travel[0] > 0.0) != one_way[p.joint]][:count]
@@ -169,11 +189,14 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3) -> list[Excitati
         shared = [key for key in wanted if key in keys]
         now = [keys.index(key) for key in shared]
         then = [wanted.index(key) for key in shared]
-        before_it, after_it = old[np.ix_(then, then)], covariance[np.ix_(now, now)]
+        before_it = old[np.ix_(then, then)]
+        after_it = covariance[np.ix_(now, now)]
         gain = 0.5 * float(np.linalg.slogdet(before_it)[1] - np.linalg.slogdet(after_it)[1])
         ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
         best = int(np.argmin(ratio))
-        words = f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
+        words = (
+            f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
+        )
         found.append((gain, _as_plan(candidates, r, [], words)))
     found.sort(key=lambda entry: -entry[0])
     return _varied([entry for _, entry in found], count)
@@ -189,8 +212,10 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
     best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
     driven = [joint for joint in candidate_joints(robot) if joint in joints]
     for candidates, r in _suitable(robot, driven, COARSE_STARTS, COARSE_POSES, simulate):
-        std, run = _std_of_mass(*candidates.known_after(0, r)), candidates.problem.runs[r]
-        way, upwards = best.setdefault(run.run.joint, {}), bool(candidates.travel[0, r] > 0.0)
+        std = _std_of_mass(*candidates.known_after(0, r))
+        run = candidates.problem.runs[r]
+        way = best.setdefault(run.run.joint, {})
+        upwards = bool(candidates.travel[0, r] > 0.0)
         if upwards not in way or std < way[upwards][0]:
             way[upwards] = std, run, candidates.alive[0, r]
     chosen = sorted(best, key=lambda joint: min(std for std, _, _ in best[joint].values()))[:2]
@@ -198,22 +223,31 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
         return None
     runs = [entry for joint in chosen for entry in best[joint].values()]
     prepared = [run for _, run, _ in runs]
-    problem = Problem(robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG))
+    problem = Problem(
+        robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG)
+    )
     _, _, dq = problem.simulate(problem.base[None], problem.free)
-    known = _known_after(problem, dq[0], np.array([alive for _, _, alive in runs]), range(len(runs)))
-    return Weighable(TYPICAL_KG, _std_of_mass(*known), tuple(joint for joint in joints if joint in chosen))
+    known = _known_after(
+        problem, dq[0], np.array([alive for _, _, alive in runs]), range(len(runs))
+    )
+    return Weighable(
+        TYPICAL_KG, _std_of_mass(*known), tuple(joint for joint in joints if joint in chosen)
+    )
 
 
 def _std_of_mass(keys: Sequence[Key], precision: np.ndarray) -> float:
     """What a precision leaves open of the mass [kg]; infinite where nothing tells it."""
-    row, diagonal = keys.index("payload_mass"), np.diag(precision)
+    row = keys.index("payload_mass")
+    diagonal = np.diag(precision)
     if diagonal[row] <= 0.0:
         return np.inf
     scale = 1.0 / np.sqrt(diagonal)
     others = np.delete(np.arange(len(keys)), row)
     scaled = precision * scale[:, None] * scale
     # the part of what is known of the mass that is not taken up by what else could have caused it
-    left = 1.0 - scaled[row, others] @ np.linalg.solve(scaled[np.ix_(others, others)], scaled[others, row])
+    left = 1.0 - scaled[row, others] @ np.linalg.solve(
+        scaled[np.ix_(others, others)], scaled[others, row]
+    )
     return float(scale[row] / np.sqrt(left)) if left > ROUNDING else np.inf
 
 
@@ -239,17 +273,30 @@ def _suitable(
     for joint in joints:
         for pose in start_poses(robot, joint, starts, locked):
             if (candidates := simulate(joint, pose)) is not None:
-                yield from ((candidates, r) for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist())
+                yield from (
+                    (candidates, r) for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist()
+                )
 
 
 def _candidates(
-    robot: Robot, masses: np.ndarray, facts: PayloadFacts, load: KnownLoad | None, joint: str, pose: Mapping[str, float]
+    robot: Robot,
+    masses: np.ndarray,
+    facts: PayloadFacts,
+    load: KnownLoad | None,
+    joint: str,
+    pose: Mapping[str, float],
 ) -> _Candidates | None:
     """Simulate the runs of one joint from one pose with each mass [kg] in the hand, or a known load; None: no current moves it."""
     still = prepare_run(robot, still_run(joint, pose, 0.01, DURATION_S), load, facts)
     limit = robot.motors[joint].current_limit_A
-    currents = dict.fromkeys(current for _, current, _ in currents_beyond(still, facts, masses.tolist()))
-    runs = [still_run(joint, pose, current, DURATION_S) for current in currents if 0.0 < abs(current) <= limit]
+    currents = dict.fromkeys(
+        current for _, current, _ in currents_beyond(still, facts, masses.tolist())
+    )
+    runs = [
+        still_run(joint, pose, current, DURATION_S)
+        for current in currents
+        if 0.0 < abs(current) <= limit
+    ]
     if not runs:
         return None
     prepared = [replace(still, run=run) for run in runs]
@@ -264,37 +311,54 @@ def _candidates(
     values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
     with np.errstate(over="ignore", invalid="ignore"):
         q, v, dq = problem.simulate(values, problem.free)
-    drive, limits = robot.drive_trains[joint], robot.model.joint(joint)
+    drive = robot.drive_trains[joint]
+    limits = robot.model.joint(joint)
     start = pose[joint]
     told = np.isfinite(q) & np.isfinite(dq).all(axis=3)
     alive = np.cumprod(told & (np.abs(v) < drive.usable_velocity), axis=2).astype(bool)
     counted = np.abs(np.where(alive, q, start) - start).max(axis=2)
     ends = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
-    low, high = ends.min(axis=2), ends.max(axis=2)
+    low = ends.min(axis=2)
+    high = ends.max(axis=2)
     travel = np.where(start - low > high - start, low - start, high - start)
     at_ends = [(float(low[:, r].min()), float(high[:, r].max()), start) for r in range(len(runs))]
-    clear = np.array([min(clearance(robot, {**pose, joint: end}) for end in ends_of) for ends_of in at_ends])
+    clear = np.array(
+        [min(clearance(robot, {**pose, joint: end}) for end in ends_of) for ends_of in at_ends]
+    )
     fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
-    fits &= (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
+    fits &= (
+        (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
+    )
     return _Candidates(problem, dq, alive, travel, clear, fits)
 
 
 def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str) -> ExcitationPlan:
-    prepared, travel = candidates.problem.runs[r], candidates.travel[:, r]
-    run, ends, far = prepared.run, (float(travel.min()), float(travel.max())), np.abs(travel)
+    prepared = candidates.problem.runs[r]
+    travel = candidates.travel[:, r]
+    run = prepared.run
+    ends = (float(travel.min()), float(travel.max()))
+    far = np.abs(travel)
     pose = {**run.held, run.joint: float(run.position[0])}
     start = {name: pose[name] for name in candidates.problem.robot.model.independent_joints}
-    current, clearance_m = float(run.input_current_A[0]), float(candidates.clearance_m[r])
+    current = float(run.input_current_A[0])
+    clearance_m = float(candidates.clearance_m[r])
     kind = _kind(prepared, current, float(travel[0]))
-    moves = f"moves {far.min():.2f} to {far.max():.2f} rad" if len(far) > 1 else f"moves {far.min():.2f} rad"
+    moves = (
+        f"moves {far.min():.2f} to {far.max():.2f} rad"
+        if len(far) > 1
+        else f"moves {far.min():.2f} rad"
+    )
     reason = f"{moves}; {words}"
-    return ExcitationPlan(run.joint, start, current, run.duration_s, kind, ends, clearance_m, tuple(stds), reason)
+    return ExcitationPlan(
+        run.joint, start, current, run.duration_s, kind, ends, clearance_m, tuple(stds), reason
+    )
 
 
 def _kind(prepared: PreparedRun, current: float, travel: float) -> str:
     """Who pulls: motor against gravity, gravity against the motor, or both together."""
     if np.sign(current) != np.sign(travel):
         return "lower"
-    arm, q = prepared.coefficients.arm, prepared.rest.value
+    arm = prepared.coefficients.arm
+    q = prepared.rest.value
     gravity = -(arm[1] * np.cos(q) + arm[2] * np.sin(q) + arm[3])
     return "driven" if np.sign(gravity) == np.sign(travel) else "lift"

@@ -10,8 +10,20 @@ import numpy as np
 
 from proprio_ros.identification.coefficients import arm_coefficients
 from proprio_ros.identification.gates import STEADY
-from proprio_ros.identification.regression.motion_equations import HOP_SHARE, STRETCH_S, WINDOW_S, Arm, equations, sizes
-from proprio_ros.identification.regression.motion_prior import LINK_SHARE, body_stds, drive_stds, relative_torque_std
+from proprio_ros.identification.regression.motion_equations import (
+    HOP_SHARE,
+    STRETCH_S,
+    WINDOW_S,
+    Arm,
+    equations,
+    sizes,
+)
+from proprio_ros.identification.regression.motion_prior import (
+    LINK_SHARE,
+    body_stds,
+    drive_stds,
+    relative_torque_std,
+)
 from proprio_ros.kinds import Key
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
@@ -23,7 +35,8 @@ from proprio_ros.sim.payload import PayloadFacts
 DRIFT_SHARE = 0.05
 """Torque that no model has and that lasts for seconds, relative to what the arm itself needs: 3 to 12 % on real arms."""
 WITHIN = 0.3  # an object lies within this share of the arm's reach
-SMALL_SHARE = 0.05  # first moments and inertia are those of an object of this part of the arm's mass
+# first moments and inertia are those of an object of this part of the arm's mass
+SMALL_SHARE = 0.05
 
 
 def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
@@ -35,12 +48,17 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
     """
     rows = equations(robot, motion, motion.joints)
     arm = Arm.of(robot, motion.joints, dict(motion.held))
-    count, names = arm.count, arm.model.joint_names
+    count = arm.count
+    names = arm.model.joint_names
     open_friction = [arm.kg * 9.81 * arm.reach_m] * (6 * count)
     payload = sizes(arm.kg, WITHIN * arm.reach_m)
-    spread = np.array([*payload, *body_stds(arm, LINK_SHARE), *drive_stds(robot, arm), *open_friction])
-    shared, own = rows.design[:, : (PARAMETERS + 2) * count], rows.design[:, -3 * count :]
-    none, empty = np.zeros_like(own), np.zeros_like(rows.payload)
+    spread = np.array(
+        [*payload, *body_stds(arm, LINK_SHARE), *drive_stds(robot, arm), *open_friction]
+    )
+    shared = rows.design[:, : (PARAMETERS + 2) * count]
+    own = rows.design[:, -3 * count :]
+    none = np.zeros_like(own)
+    empty = np.zeros_like(rows.payload)
     matrix = np.block([[rows.payload, shared, own, none], [empty, shared, none, own]])
     torque = shared[:, : PARAMETERS * count] @ np.concatenate(arm.bodies)
     weight = np.zeros(len(torque))
@@ -49,14 +67,18 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
         # gravity may do nothing on a vertical axis; what moves it then is of the size of friction
         friction = robot.drive_trains[names[joint]].coulomb
         if mine.any():
-            size = max(float(np.sqrt(np.mean(torque[mine] ** 2))), friction.value + 0.5 * friction.std)
+            size = max(
+                float(np.sqrt(np.mean(torque[mine] ** 2))), friction.value + 0.5 * friction.std
+            )
             weight[mine] = 1.0 / (DRIFT_SHARE * size)
     # neighbouring windows share one error
     weight /= np.sqrt(STRETCH_S / (WINDOW_S * HOP_SHARE))
     scaled = matrix * np.tile(weight, 2)[:, None]
     small = SMALL_SHARE * spread[0]
     spread[1:PARAMETERS] *= small / spread[0]
-    covariance = np.linalg.inv(spread[:, None] * (scaled.T @ scaled) * spread[None, :] + np.eye(len(spread)))
+    covariance = np.linalg.inv(
+        spread[:, None] * (scaled.T @ scaled) * spread[None, :] + np.eye(len(spread))
+    )
     share = max(relative_torque_std(robot, name) for name in names)
     return float(Z95 * spread[0] * np.sqrt(covariance[0, 0])), Z95 * share
 
@@ -73,14 +95,21 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     driving = run.input_current_A[run.input_times_s < run.times_s[-1]]
     if np.ptp(driving) > STEADY * np.abs(driving).max():
         return None
-    duration, way = max(float(run.times_s[-1] - run.times_s[0]), 1e-3), float(run.position[-1] - run.position[0])
-    acceleration, speed, direction = 2.0 * way / duration**2, abs(way) / duration, np.sign(way)
-    middle, coefficients = float(run.position[len(run.position) // 2]), arm_coefficients(robot, run, ())
+    duration = max(float(run.times_s[-1] - run.times_s[0]), 1e-3)
+    way = float(run.position[-1] - run.position[0])
+    acceleration = 2.0 * way / duration**2
+    speed = abs(way) / duration
+    direction = np.sign(way)
+    middle = float(run.position[len(run.position) // 2])
+    coefficients = arm_coefficients(robot, run, ())
     basis = np.array([acceleration, np.cos(middle), np.sin(middle), 1.0])
-    per_kg, arm = float(coefficients.per_kg(PayloadFacts()) @ basis), float(coefficients.arm @ basis)
+    per_kg = float(coefficients.per_kg(PayloadFacts()) @ basis)
+    arm = float(coefficients.arm @ basis)
     if abs(per_kg) < 1e-6:
         return None
-    drive, current, name = robot.drive_trains[run.joint], float(driving.mean()), run.joint
+    drive = robot.drive_trains[run.joint]
+    current = float(driving.mean())
+    name = run.joint
     slope: dict[Key, float] = {
         ("torque_constant", name): current,
         ("coulomb", name): -direction,
@@ -89,7 +118,10 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
         ("armature", name): -acceleration,
         "arm_scale": -arm,
     }
-    stds = [getattr(drive, key[0]).std if isinstance(key, tuple) else robot.arm_scale.std for key in slope]
+    stds = [
+        getattr(drive, key[0]).std if isinstance(key, tuple) else robot.arm_scale.std
+        for key in slope
+    ]
     covariance = np.diag(np.square(stds))
     if (known := robot.calibration) is not None:
         # what is known together is known better

@@ -48,7 +48,9 @@ class SharedUnknowns:
     def covariance_after(self, fit: FitResult) -> np.ndarray:
         """What a fit leaves open of all shared unknowns, those of joints that it does not know among them, shape (F, F)."""
         problem = fit.problem
-        posterior = Posterior(problem, fit.values, 1.0 if fit.explains else max(1.0, fit.reduced_chi2))
+        posterior = Posterior(
+            problem, fit.values, 1.0 if fit.explains else max(1.0, fit.reduced_chi2)
+        )
         free = [problem.unknowns[row] for row in problem.free]
         shared = [f for f, u in enumerate(free) if u.key in self.at]
         own = [f for f, u in enumerate(free) if u.key not in self.at]
@@ -62,7 +64,12 @@ class SharedUnknowns:
         return scaled_inverse(total)
 
     def stds_along(
-        self, rows: np.ndarray, own_variance: np.ndarray, covariance: np.ndarray, key: Key, seen: np.ndarray | None = None
+        self,
+        rows: np.ndarray,
+        own_variance: np.ndarray,
+        covariance: np.ndarray,
+        key: Key,
+        seen: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """What each run alone would leave open of one of them after each of its samples, and of something else that it moves.
 
@@ -84,9 +91,11 @@ class SharedUnknowns:
         known[:, :shared, :shared] = covariance
         own = np.arange(shared, width)
         known[:, own, own] = own_variance
-        stds, spreads = np.empty((runs, samples)), np.zeros((runs, samples))
+        stds = np.empty((runs, samples))
+        spreads = np.zeros((runs, samples))
         place = self.at[key]
-        for sample in range(samples):  # one after the other, as a filter takes them in (Kalman 1960)
+        # one after the other, as a filter takes them in (Kalman 1960)
+        for sample in range(samples):
             row = rows[:, sample, :, None]
             along = known @ row
             known -= along * (along / (1.0 + row.transpose(0, 2, 1) @ along)).transpose(0, 2, 1)
@@ -94,5 +103,7 @@ class SharedUnknowns:
             if seen is None:
                 continue
             off = seen[:, sample]
-            spreads[:, sample] = np.sqrt(np.maximum(((off @ known) * off).sum(axis=2), 0.0).max(axis=1))
+            spreads[:, sample] = np.sqrt(
+                np.maximum(((off @ known) * off).sum(axis=2), 0.0).max(axis=1)
+            )
         return stds, spreads

@@ -11,7 +11,12 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from proprio_ros.experiment_design.candidates import CLEARANCE_M, joints_that_matter, shuffled, start_positions
+from proprio_ros.experiment_design.candidates import (
+    CLEARANCE_M,
+    joints_that_matter,
+    shuffled,
+    start_positions,
+)
 from proprio_ros.identification.calibration_estimate import ExcitationPlan
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
@@ -48,7 +53,9 @@ class Search:
     @property
     def plans(self) -> list[ExcitationPlan]:
         """The best so far of each joint and kind, best first."""
-        found = sorted((best for kept in self._found.values() for best in kept), key=lambda best: best.score)
+        found = sorted(
+            (best for kept in self._found.values() for best in kept), key=lambda best: best.score
+        )
         return [best.plan for best in found]
 
     def run(self, seconds: float, tell: Callable[[str], None]) -> None:
@@ -60,8 +67,13 @@ class Search:
             if self._found and now - began >= seconds:
                 return
             if now - told >= TELL_S:
-                told, best = now, self.plans[:1]
-                so_far = f"so far {best[0].joint} {best[0].kind}, {best[0].reason}" if best else "no run suits yet"
+                told = now
+                best = self.plans[:1]
+                so_far = (
+                    f"so far {best[0].joint} {best[0].kind}, {best[0].reason}"
+                    if best
+                    else "no run suits yet"
+                )
                 tell(f"{len(self._seen)} start poses tried in {now - began:.0f} s, {so_far}")
 
     def _axes_of(self, joint: str) -> dict[str, list[float]]:
@@ -83,9 +95,12 @@ class Search:
             yield from self._descend()
 
     def _descend(self) -> Iterator[None]:
-        while moving := [best for kept in self._found.values() for best in kept if best.step >= STEPS[1]]:
+        while moving := [
+            best for kept in self._found.values() for best in kept if best.step >= STEPS[1]
+        ]:
             best = min(moving, key=lambda each: each.score)
-            before, joint = best.score, best.plan.joint
+            before = best.score
+            joint = best.plan.joint
             for name, axis in self._axes[joint].items():
                 for way in (1.0, -1.0):
                     moved = best.plan.start[name] + way * best.step * (axis[1] - axis[0])
@@ -107,11 +122,17 @@ class Search:
         kept = self._found.setdefault((plan.joint, plan.kind), [])
         axes = self._axes[plan.joint].items()
         reach = {name: NEAR * (axis[1] - axis[0]) for name, axis in axes}
-        near = [b for b in kept if all(abs(b.plan.start[name] - plan.start[name]) < far for name, far in reach.items())]
+        near = [
+            b
+            for b in kept
+            if all(abs(b.plan.start[name] - plan.start[name]) < far for name, far in reach.items())
+        ]
         if any(best.score <= score for best in near):
             return
         if near:  # a descent goes on from there
             near[0].score, near[0].plan = score, plan
         else:
             kept.append(_Best(score, plan))
-        kept[:] = sorted((best for best in kept if best not in near[1:]), key=lambda best: best.score)[:SAME_KIND]
+        kept[:] = sorted(
+            (best for best in kept if best not in near[1:]), key=lambda best: best.score
+        )[:SAME_KIND]

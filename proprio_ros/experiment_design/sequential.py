@@ -50,9 +50,11 @@ STARTS, POSES = 6, 3
 """Start positions of a driven joint, and positions of each locked joint that matters, over their ranges."""
 DURATIONS_S = (0.3, 0.5, 0.7)
 SHAKE_PERIOD_S = 0.2
-SHAKE_OF_PUSH = 0.5  # amplitude of a square wave, as a part of the current beyond balance and friction
+# amplitude of a square wave, as a part of the current beyond balance and friction
+SHAKE_OF_PUSH = 0.5
 MAX_TRAVEL = 0.6  # rad, at which a push ends
-LOOKAHEAD_S = 0.08  # the excitation's guards look so far ahead; what would end a run there is no candidate
+# the excitation's guards look so far ahead; what would end a run there is no candidate
+LOOKAHEAD_S = 0.08
 FASTEST = 5.5  # rad/s, below the speed at which the excitation ends a sequence
 STEP_S = 1.0 / 120.0
 UNKNOWN_KG = (0.0, 0.12)  # what a hand may hold before anything is known
@@ -141,7 +143,9 @@ class Catalogue:
         return load_unknowns(self.robot, runs, self.facts, Role.FREE, 0.03)
 
     def _still(self, joint: str, pose: Mapping[str, float]) -> PreparedRun:
-        return prepare_run(self.robot, still_run(joint, pose, 0.01, max(DURATIONS_S)), None, self.facts)
+        return prepare_run(
+            self.robot, still_run(joint, pose, 0.01, max(DURATIONS_S)), None, self.facts
+        )
 
     def _places_of(self, joint: str) -> list[_Place]:
         found: list[_Place] = []
@@ -155,15 +159,19 @@ class Catalogue:
                 found += self._places_from(still, pose, starts)
         return found
 
-    def _places_from(self, still: PreparedRun, pose: dict[str, float], starts: Sequence[float]) -> list[_Place]:
+    def _places_from(
+        self, still: PreparedRun, pose: dict[str, float], starts: Sequence[float]
+    ) -> list[_Place]:
         """Of one joint in one pose of the others."""
-        runs, joint = [_standing_at(still, q) for q in starts], still.run.joint
+        runs = [_standing_at(still, q) for q in starts]
+        joint = still.run.joint
         problem = Problem(self.robot, runs, self.facts, self._unknowns(runs))
         values = np.tile(problem.base, (2, 1))
         values[:, problem.index["payload_mass"]] = 0.0, 1.0
         values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
         keys = [key for key in self.keys if key in problem.index]
-        columns, to = [problem.index[key] for key in keys], [self.at[key] for key in keys]
+        columns = [problem.index[key] for key in keys]
+        to = [self.at[key] for key in keys]
         found = []
         for r, (run, q) in enumerate(zip(runs, starts, strict=True)):
             own = [problem.index[kind, r] for kind in OWN]
@@ -172,7 +180,9 @@ class Catalogue:
             slopes[..., to] = dp[:, r, :, : len(columns)]
             slopes[..., len(self.keys) :] = dp[:, r, :, len(columns) :]
             variance = np.array([problem.unknowns[o].std ** 2 for o in own])
-            heights = np.array([clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD])
+            heights = np.array(
+                [clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD]
+            )
             p_and_dp = p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0]
             found.append(_Place(run, {**pose, joint: q}, *p_and_dp, variance, heights))
         return found
@@ -184,15 +194,20 @@ class Catalogue:
     def known(self, runs: Sequence[Run], before: Known | None = None) -> Known:
         """What the runs so far say, robot and object together; the fit starts where that of the same ``before`` the last ended."""
         prepared = () if before is None else before.prepared
-        prepared += tuple(prepare_run(self.robot, run, None, self.facts) for run in runs[len(prepared) :])
+        prepared += tuple(
+            prepare_run(self.robot, run, None, self.facts) for run in runs[len(prepared) :]
+        )
         usable = [run for run in prepared if run.run.joint in self.joints and not unusable(run)]
         if not usable:
             return replace(self.nothing_known(), prepared=prepared)
         start = None
         if before is not None and before.fit is not None:
             start = replace(before.fit, values=before.fit.values_of(self._unknowns(usable)))
-        fit = solve_load(self.robot, usable, self.facts, SearchOptions(), Role.FREE, start=start, rough=True)
-        covariance, place = self._shared.covariance_after(fit), self.at["payload_mass"]
+        fit = solve_load(
+            self.robot, usable, self.facts, SearchOptions(), Role.FREE, start=start, rough=True
+        )
+        covariance = self._shared.covariance_after(fit)
+        place = self.at["payload_mass"]
         std = float(np.sqrt(covariance[place, place]))
         return Known(fit.value_of("payload_mass"), std, covariance, len(usable), fit, prepared)
 
@@ -202,7 +217,8 @@ class Catalogue:
         mass = known.mass if load_kg is None else load_kg
         rows = self._rows(self._simulator(made), np.zeros(1, int), made, mass, load_kg is not None)
         used = rows.times_s <= push.duration_s + 1e-9
-        shared, own = rows.shared[0][used], rows.own[0][used]
+        shared = rows.shared[0][used]
+        own = rows.own[0][used]
         along = shared @ known.covariance
         within = along @ shared.T + own @ own.T + np.eye(int(used.sum()))
         covariance = known.covariance - along.T @ np.linalg.solve(within, along)
@@ -218,10 +234,14 @@ class Catalogue:
         """The same with the current of the push, over the longest duration."""
         still = self.still(push)
         times_s, currents_A = _input_of(push.current_A, push.shake_A)
-        return replace(still, run=replace(still.run, input_times_s=times_s, input_current_A=currents_A))
+        return replace(
+            still, run=replace(still.run, input_times_s=times_s, input_current_A=currents_A)
+        )
 
     def _place_of(self, push: Push) -> _Place:
-        return next(p for p in self._places if p.prepared.run.joint == push.joint and p.start == push.start)
+        return next(
+            p for p in self._places if p.prepared.run.joint == push.joint and p.start == push.start
+        )
 
     def rank(
         self,
@@ -245,7 +265,11 @@ class Catalogue:
         """
         if load_kg is not None:
             known = replace(known, mass=load_kg)
-        low, high = (known.mass - 2.0 * known.std, known.mass + 2.0 * known.std) if known.runs else unknown_kg
+        low, high = (
+            (known.mass - 2.0 * known.std, known.mass + 2.0 * known.std)
+            if known.runs
+            else unknown_kg
+        )
         low, high = (max(low, 0.0), max(high, 1e-3)) if load_kg is None else (load_kg, load_kg)
         candidates = self._candidates(low, high)
         if not candidates:
@@ -265,29 +289,46 @@ class Catalogue:
         found = []
         for place in self._places:
             run = place.prepared
-            limit, constant = self.robot.motors[run.run.joint].current_limit_A, run.drive.torque_constant.value
+            limit = self.robot.motors[run.run.joint].current_limit_A
+            constant = run.drive.torque_constant.value
             for push, current, largest in currents_beyond(run, self.facts, (low, high)):
                 wave = round(SHAKE_OF_PUSH * push * largest / constant, 3)
                 for shake in (0.0, wave) if push == PUSHES[-1] else (0.0,):
-                    if abs(current) + shake <= limit and min(abs(current - shake), abs(current + shake)) > 0.01:
+                    if (
+                        abs(current) + shake <= limit
+                        and min(abs(current - shake), abs(current + shake)) > 0.01
+                    ):
                         found.append(_Candidate(place, current, shake))
         return found
 
     def _simulator(self, candidates: Sequence[_Candidate]) -> JointSimulator:
         runs = []
         for place, current, shake in candidates:
-            drive, run = place.prepared.drive, place.prepared.run
+            drive = place.prepared.drive
+            run = place.prepared.run
             times, given = _input_of(current, shake)
-            friction = drive.coulomb.value + drive.load_friction.value * abs(current) * drive.torque_constant.value
+            friction = (
+                drive.coulomb.value
+                + drive.load_friction.value * abs(current) * drive.torque_constant.value
+            )
             lightest = float(place.prepared.coefficients.arm[0]) + 0.5 * drive.armature.value
-            fine = float(np.clip(self.robot.friction_velocity * lightest / max(friction, 1e-6), 2e-4, STEP_S))
+            fine = float(
+                np.clip(self.robot.friction_velocity * lightest / max(friction, 1e-6), 2e-4, STEP_S)
+            )
             no_supply = 0.0, 0.0, 1.0
-            runs.append(JointRun(run.times_s, times, given, no_supply, self.robot.friction_velocity, STEP_S, fine))
+            runs.append(
+                JointRun(
+                    run.times_s, times, given, no_supply, self.robot.friction_velocity, STEP_S, fine
+                )
+            )
         return JointSimulator(runs)
 
-    def _fitting(self, simulator: JointSimulator, candidates: Sequence[_Candidate], masses: Sequence[float]) -> np.ndarray:
+    def _fitting(
+        self, simulator: JointSimulator, candidates: Sequence[_Candidate], masses: Sequence[float]
+    ) -> np.ndarray:
         """Which pushes stay inside all limits with each of the masses, shape (C,)."""
-        places, count = [each.place for each in candidates], len(candidates)
+        places = [each.place for each in candidates]
+        count = len(candidates)
         fits = np.ones(count, dtype=bool)
         start = np.array([place.prepared.rest.value for place in places])
         joints = [self.robot.model.joint(place.prepared.run.joint) for place in places]
@@ -299,20 +340,32 @@ class Catalogue:
             p = np.array([place.p + mass * place.p_per_kg for place in places])
             with np.errstate(over="ignore", invalid="ignore"):
                 q, v, _ = simulator.jacobian(worlds, p, np.zeros((count, len(INDEX), 1)))
-            q, v = np.where(np.isfinite(q), q, 1e3), np.where(np.isfinite(v), v, 1e3)
+            q = np.where(np.isfinite(q), q, 1e3)
+            v = np.where(np.isfinite(v), v, 1e3)
             off = q - start[:, None]
             # until it has gone so far, and the sample at which that is seen
-            under_way = np.concatenate([np.ones((count, 1), bool), (np.abs(off) < MAX_TRAVEL)[:, :-1]], axis=1)
+            under_way = np.concatenate(
+                [np.ones((count, 1), bool), (np.abs(off) < MAX_TRAVEL)[:, :-1]], axis=1
+            )
             under_way = np.cumprod(under_way, axis=1).astype(bool)
             ahead = np.where(under_way, q + v * LOOKAHEAD_S, start[:, None])
             here = np.where(under_way, q, start[:, None])
-            low, high = np.minimum(ahead, here).min(axis=1), np.maximum(ahead, here).max(axis=1)
-            reach[:, 0], reach[:, 1] = np.minimum(reach[:, 0], low - start), np.maximum(reach[:, 1], high - start)
-            fits &= (low > lower) & (high < upper) & (np.where(under_way, np.abs(v), 0.0).max(axis=1) < FASTEST)
+            low = np.minimum(ahead, here).min(axis=1)
+            high = np.maximum(ahead, here).max(axis=1)
+            reach[:, 0], reach[:, 1] = (
+                np.minimum(reach[:, 0], low - start),
+                np.maximum(reach[:, 1], high - start),
+            )
+            fits &= (
+                (low > lower)
+                & (high < upper)
+                & (np.where(under_way, np.abs(v), 0.0).max(axis=1) < FASTEST)
+            )
             fits &= np.abs(np.where(under_way, off, 0.0)).max(axis=1) >= LITTLE_TRAVEL
             fits &= under_way.sum(axis=1) >= 2 * MIN_USED
         # the lowest point on the way, at the ends and where the height was looked at between them
-        heights, off = np.array([place.heights for place in places]), np.array(PATH_RAD)
+        heights = np.array([place.heights for place in places])
+        off = np.array(PATH_RAD)
         passed = (off > reach[:, :1]) & (off < reach[:, 1:])
         lowest = np.where(passed, heights, np.inf).min(axis=1)
         for row in np.flatnonzero(fits):
@@ -321,10 +374,17 @@ class Catalogue:
         return fits
 
     def _rows(
-        self, simulator: JointSimulator, worlds: np.ndarray, candidates: Sequence[_Candidate], mass: float, is_known: bool
+        self,
+        simulator: JointSimulator,
+        worlds: np.ndarray,
+        candidates: Sequence[_Candidate],
+        mass: float,
+        is_known: bool,
     ) -> _Rows:
         """Of candidates that are some of a simulator's worlds, with a mass in the hand [kg]."""
-        places, count, size = [each.place for each in candidates], len(candidates), len(self.keys)
+        places = [each.place for each in candidates]
+        count = len(candidates)
+        size = len(self.keys)
         p = np.array([place.p + mass * place.p_per_kg for place in places])
         dp = np.array([place.dp + mass * place.dp_per_kg for place in places])
         identity = np.tile(np.eye(len(INDEX)), (count, 1, 1))
@@ -332,7 +392,11 @@ class Catalogue:
             q, v, by_p = simulator.jacobian(worlds.astype(np.int32), p, identity)
         start = np.array([place.prepared.rest.value for place in places])
         usable = np.array([place.prepared.drive.usable_velocity for place in places])
-        alive = np.isfinite(q) & (np.abs(v) < usable[:, None]) & (np.abs(q - start[:, None]) < MAX_TRAVEL)
+        alive = (
+            np.isfinite(q)
+            & (np.abs(v) < usable[:, None])
+            & (np.abs(q - start[:, None]) < MAX_TRAVEL)
+        )
         alive = np.cumprod(alive, axis=1).astype(bool)
         reading = np.array([place.prepared.sigma[0] for place in places])
         sigma = np.hypot(reading[:, None], np.abs(v) * self.robot.stamp_jitter_s)
@@ -343,7 +407,8 @@ class Catalogue:
                 if at is not None:
                     rows[column, :, at] += wave(q[column])
         rows = np.where(alive[..., None], rows / sigma[..., None], 0.0)
-        shared, own = rows[..., :size], rows[..., size:]
+        shared = rows[..., :size]
+        own = rows[..., size:]
         if is_known:
             shared[..., [at for key, at in self.at.items() if key in PAYLOAD_TERMS]] = 0.0
         spread = own * np.sqrt(np.array([place.own_variance for place in places]))[:, None, :]
@@ -352,11 +417,20 @@ class Catalogue:
         return _Rows(shared, spread, places[0].prepared.run.times_s, alive.sum(axis=1), travel)
 
     def _scored(
-        self, known: Known, candidates: Sequence[_Candidate], rows: _Rows, time_of: TimeOf, durations_s: Sequence[float]
+        self,
+        known: Known,
+        candidates: Sequence[_Candidate],
+        rows: _Rows,
+        time_of: TimeOf,
+        durations_s: Sequence[float],
     ) -> list[Push]:
         """What each candidate would tell of the mass, with every duration that its travel does not end before."""
-        shared, own, times = rows.shared, rows.own, rows.times_s
-        within = shared @ known.covariance @ shared.transpose(0, 2, 1) + own @ own.transpose(0, 2, 1)
+        shared = rows.shared
+        own = rows.own
+        times = rows.times_s
+        within = shared @ known.covariance @ shared.transpose(0, 2, 1) + own @ own.transpose(
+            0, 2, 1
+        )
         mass = self.at["payload_mass"]
         across, now = known.towards or (known.covariance[:, mass], known.covariance[mass, mass])
         pulled = shared @ across
@@ -365,14 +439,20 @@ class Catalogue:
         for duration in durations_s:
             used = times <= duration + 1e-9
             block = within[:, used][:, :, used] + np.eye(int(used.sum()))
-            taken = np.einsum("ct,ct->c", pulled[:, used], np.linalg.solve(block, pulled[:, used, None])[..., 0])
+            taken = np.einsum(
+                "ct,ct->c", pulled[:, used], np.linalg.solve(block, pulled[:, used, None])[..., 0]
+            )
             after = np.maximum(now - taken, 1e-12)
             # a push that travel ends before is the same push
             longer = rows.counted >= np.searchsorted(times, duration - 0.15)
             lasts = np.minimum(rows.counted / max(len(times), 1) * times[-1], duration)
-            for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == durations_s[0]))).tolist():
+            for c in np.flatnonzero(
+                np.isfinite(after) & (longer | (duration == durations_s[0]))
+            ).tolist():
                 place, current, shake = candidates[c]
-                seconds, std, travel = float(beside[c] + lasts[c]), float(np.sqrt(after[c])), float(rows.travel[c])
+                seconds = float(beside[c] + lasts[c])
+                std = float(np.sqrt(after[c]))
+                travel = float(rows.travel[c])
                 gain = 0.5 * float(np.log(now / after[c])) / seconds
                 made = place.prepared.run.joint, place.start, float(current), float(shake), duration
                 found.append(Push(*made, seconds, std, gain, travel))
@@ -381,8 +461,13 @@ class Catalogue:
 
 def _standing_at(still: PreparedRun, position: float) -> PreparedRun:
     """The same run with the driven joint elsewhere [rad]."""
-    elsewhere = {name: np.full_like(getattr(still.run, name), position) for name in ("position", "before_position")}
-    return replace(still, run=replace(still.run, **elsewhere), rest=Quantity(position, still.rest.std))
+    elsewhere = {
+        name: np.full_like(getattr(still.run, name), position)
+        for name in ("position", "before_position")
+    }
+    return replace(
+        still, run=replace(still.run, **elsewhere), rest=Quantity(position, still.rest.std)
+    )
 
 
 def _input_of(current_A: float, shake_A: float) -> tuple[np.ndarray, np.ndarray]:

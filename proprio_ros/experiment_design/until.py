@@ -21,8 +21,10 @@ from proprio_ros.robot.kinematics import bent_pose
 from proprio_ros.sim.payload import PayloadFacts
 
 MOVES = 0.12  # rad: a push that moves less is repeated with more current
-RAISE_BY, EASE_BY = 1.2, 0.6
-HEAVIER = 2.5  # what may be in the hand is taken to be so many times more after a push that moved nothing
+RAISE_BY = 1.2
+EASE_BY = 0.6
+# what may be in the hand is taken to be so many times more after a push that moved nothing
+HEAVIER = 2.5
 WEIGHED_KG, LIGHT_KG, WEIGHED_PUSHES = 0.03, 0.01, 6
 """For the sake of which a reference is pushed, and an empty hand: an object, and the pushes with it. What is light is told by an
 empty hand better than by a reference: by 24 pushes of either, the half interval of 10 g falls from 0.91 to 0.55 and to 0.77 g."""
@@ -49,7 +51,13 @@ class CatalogueChooser(Chooser):
 class UntilSure(CatalogueChooser):
     """One weighing whose pushes are chosen one by one; `Chooser` has what it takes and raises."""
 
-    def __init__(self, robot: Robot, facts: PayloadFacts, sequence: ExcitationSequence, whole: Whole | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        facts: PayloadFacts,
+        sequence: ExcitationSequence,
+        whole: Whole | None = None,
+    ) -> None:
         super().__init__(robot, sequence, Sought("mass", "kg"), whole)
         self.catalogue = sequential.Catalogue(robot, facts)
         self.known = self.catalogue.nothing_known()
@@ -57,7 +65,9 @@ class UntilSure(CatalogueChooser):
 
     def learn(self, runs: Sequence[Run]) -> Found:
         self.known = known = self.catalogue.known(runs, self.known)
-        return Found(known.mass, known.std, known.runs, 0.0 if known.fit is None else known.fit.reduced_chi2)
+        return Found(
+            known.mass, known.std, known.runs, 0.0 if known.fit is None else known.fit.reduced_chi2
+        )
 
     def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
         beside = time_of(self.robot, self._sequence, pose)
@@ -80,14 +90,20 @@ def run_of(push: Push, robot: Robot) -> ExcitationRun:
         max_travel=sequential.MAX_TRAVEL,
         min_travel=MOVES if steady else 0.0,
         raise_by=EASE_BY if eased else RAISE_BY,
-        max_current_A=min(limit, abs(push.current_A) * RAISE_BY**2) if steady and not eased else None,
+        max_current_A=min(limit, abs(push.current_A) * RAISE_BY**2)
+        if steady and not eased
+        else None,
         shake_A=push.shake_A,
         shake_period_s=sequential.SHAKE_PERIOD_S,
     )
 
 
 def chosen_known(
-    robot: Robot, reference_kg: float, half_interval: float, at_most_s: float, sequence: ExcitationSequence
+    robot: Robot,
+    reference_kg: float,
+    half_interval: float,
+    at_most_s: float,
+    sequence: ExcitationSequence,
 ) -> list[ExcitationRun]:
     """Pushes with a known load in the hand after which a weighing is to be as sure as asked; all chosen beforehand.
 
@@ -119,8 +135,13 @@ def chosen_refresh(
     known = replace(catalogue.nothing_known(), mass=WEIGHED_KG)
     for push in pushes:
         known = catalogue.predicted(known, push)
-    half, now = Z95 * then.std, Z95 * known.std
-    return _chosen(catalogue, known, (1.0 + sequential.WORTH) * half, at_most_s, sequence, 0.0), half, now
+    half = Z95 * then.std
+    now = Z95 * known.std
+    return (
+        _chosen(catalogue, known, (1.0 + sequential.WORTH) * half, at_most_s, sequence, 0.0),
+        half,
+        now,
+    )
 
 
 def _predicted_weighing(
@@ -128,9 +149,15 @@ def _predicted_weighing(
 ) -> tuple[sequential.Known, list[Push]]:
     """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
     robot = catalogue.robot
-    known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
+    known = replace(catalogue.nothing_known(), mass=weighed_kg)
+    pushes = []
     for _ in range(WEIGHED_PUSHES):
-        pushes.append(max(catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain))
+        pushes.append(
+            max(
+                catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))),
+                key=lambda p: p.gain,
+            )
+        )
         known = catalogue.predicted(known, pushes[-1])
     return known, pushes
 
@@ -144,13 +171,17 @@ def _chosen(
     load_kg: float,
 ) -> list[ExcitationRun]:
     """Pushes with a known load, one after the other, for the sake of a predicted weighing."""
-    robot, machine = catalogue.robot, ExcitationMachine(catalogue.robot)
-    here, elapsed_s = bent_pose(robot), 0.0
+    robot = catalogue.robot
+    machine = ExcitationMachine(catalogue.robot)
+    here = bent_pose(robot)
+    elapsed_s = 0.0
     for run in sequence.runs:
         here |= run.start
     chosen: list[ExcitationRun] = []
     while Z95 * known.std > half_interval:
-        ranked = catalogue.rank(known, time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg)
+        ranked = catalogue.rank(
+            known, time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg
+        )
         for push in ranked:
             run = run_of(push, robot)
             if elapsed_s + push.time_s <= at_most_s and passes(machine, alone(sequence, run), here):

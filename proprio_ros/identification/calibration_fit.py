@@ -34,7 +34,8 @@ SWING_ITERATIONS = 60
 """Of the solver on free swings at most. Where a joint comes to a stop the cost has kinks, at which a step overshoots: the search
 must go on with shorter ones, or it ends where it has not arrived, and takes what it misses for the swings' noise."""
 PSEUDO_RUNS = 2.0  # weight of the robot file's word on run-to-run torque, in runs
-PSEUDO_SAMPLES = 10.0  # weight of the robot file's word on encoder noise and stamp jitter, in samples
+# weight of the robot file's word on encoder noise and stamp jitter, in samples
+PSEUDO_SAMPLES = 10.0
 ALIKE_S, FEWEST_ALIKE = 0.05, 4
 """Samples share an error for about so long, where that is at least so many of them: what friction and held joints do otherwise
 than their models changes no faster. An arm of 500 Hz and 15 bits was believed to 0.08 mrad a sample, and what it learnt was 7
@@ -67,7 +68,8 @@ class Fitted:
     problem: Problem
     values: np.ndarray  # of all unknowns, shape (N,)
     posterior: Posterior
-    covariance: np.ndarray  # of the posterior, or counting also what was taken as known, shape (F, F)
+    # of the posterior, or counting also what was taken as known, shape (F, F)
+    covariance: np.ndarray
     cost: np.ndarray  # of the end of each start, shape (S,)
     noise: Noise  # as the evidence has it
 
@@ -75,21 +77,31 @@ class Fitted:
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
     """Maximum a posteriori of all unknowns, the noise by its evidence."""
     noise = Noise(
-        1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity, robot.onset_jitter_s, robot.friction_spread
+        1.0,
+        robot.stamp_jitter_s,
+        robot.torque_disturbance,
+        robot.start_velocity,
+        robot.onset_jitter_s,
+        robot.friction_spread,
     )
     swings = runs[0].run.free
     if swings:
         noise = replace(noise, swing_error=FIRST_SWING_ERROR)
     problem = _problem(robot, runs, noise)
     most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
-    solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=most)
+    solution = solvers.levenberg_marquardt(
+        problem, _starts(problem), problem.simulator.windows, iterations=most
+    )
     values = FitResult.of(problem, solution).values
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
-        before, noise = noise, (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
+        before = noise
+        noise = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
-        values = FitResult.of(problem, solvers.levenberg_marquardt(problem, start, None, iterations=again_most)).values
+        values = FitResult.of(
+            problem, solvers.levenberg_marquardt(problem, start, None, iterations=again_most)
+        ).values
         if noise.near(before):
             break
     posterior = Posterior(problem, values)
@@ -104,15 +116,25 @@ def foretold(robot: Robot, fitted: Fitted, run: PreparedRun) -> tuple[int, float
     Returns:
         The number of samples K, and their chi-square under the covariance of the prediction, near K where the run fits the others.
     """
-    before, problem = fitted.problem, _problem(robot, [*fitted.problem.runs, run], fitted.noise)
-    values = np.array([fitted.values[before.index[u.key]] if u.key in before.index else u.value for u in problem.unknowns])
-    free, learnt = [problem.unknowns[row] for row in problem.free], [before.unknowns[row].key for row in before.free]
+    before = fitted.problem
+    problem = _problem(robot, [*fitted.problem.runs, run], fitted.noise)
+    values = np.array(
+        [
+            fitted.values[before.index[u.key]] if u.key in before.index else u.value
+            for u in problem.unknowns
+        ]
+    )
+    free = [problem.unknowns[row] for row in problem.free]
+    learnt = [before.unknowns[row].key for row in before.free]
     known = np.diag([u.std**2 for u in free])
     places = [column for column, u in enumerate(free) if u.key in learnt]
-    known[np.ix_(places, places)] = fitted.covariance[np.ix_(*2 * [[learnt.index(free[column].key) for column in places]])]
+    known[np.ix_(places, places)] = fitted.covariance[
+        np.ix_(*2 * [[learnt.index(free[column].key) for column in places]])
+    ]
     posterior = Posterior(problem, values)
     own = posterior.run == len(before.runs)
-    off, slope = posterior.residual[own], posterior.sensitivity[own]
+    off = posterior.residual[own]
+    slope = posterior.sensitivity[own]
     return len(off), float(off @ np.linalg.solve(np.eye(len(off)) + slope @ known @ slope.T, off))
 
 
@@ -166,7 +188,8 @@ def _follows(fitted: Fitted, column: int) -> np.ndarray:
     """By how much each free unknown changes with one standard deviation of a term of the rise, shape (F,)."""
     problem = fitted.problem
     row = problem.free[column]
-    kept, first = problem.unknowns[row], fitted.values[problem.free]
+    kept = problem.unknowns[row]
+    first = fitted.values[problem.free]
     follows = np.zeros_like(first)
     follows[column] = kept.std
     now = first.copy()
@@ -193,10 +216,12 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
     variance = reading**2 + jitter**2
     left = (posterior.residual**2 + posterior.leverage()) * variance
     velocity = jitter / max(noise.stamp_jitter_s, 1e-12)
-    scale2, jitter2 = noise.residual_scale**2, noise.stamp_jitter_s**2
+    scale2 = noise.residual_scale**2
+    jitter2 = noise.stamp_jitter_s**2
     unit = (reading / noise.residual_scale) ** 2
     for _ in range(30):
-        a, b = scale2 * unit, jitter2 * velocity**2
+        a = scale2 * unit
+        b = jitter2 * velocity**2
         total = a + b
         # expected square of each part, given their sum's
         scale_each = ((a / total) ** 2 * left + a * b / total) / unit
@@ -213,7 +238,13 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
     _, found, learnt = of_runs("onset", problem, posterior)
     onset = max(spread_of_runs(robot.onset_jitter_s, found, learnt), robot.onset_jitter_s)
     alike = np.sqrt(_alike(problem, posterior, left))
-    return Noise(float(np.sqrt(scale2)) * alike, float(np.sqrt(jitter2)) * alike, disturbance, start_velocity, onset)
+    return Noise(
+        float(np.sqrt(scale2)) * alike,
+        float(np.sqrt(jitter2)) * alike,
+        disturbance,
+        start_velocity,
+        onset,
+    )
 
 
 def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:
@@ -232,7 +263,9 @@ def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:
         of_run = samples[: len(samples) // count * count].reshape(-1, count)
         off = (posterior.residual * sigma)[of_run].sum(axis=1)
         slopes = (posterior.sensitivity * sigma[:, None])[of_run].sum(axis=1)
-        together += float(np.sum(off**2) + np.einsum("bf,fg,bg->", slopes, posterior.covariance, slopes))
+        together += float(
+            np.sum(off**2) + np.einsum("bf,fg,bg->", slopes, posterior.covariance, slopes)
+        )
         apart += float(left[of_run].sum())
     return max(together / apart, 1.0) if apart > 0.0 else 1.0
 
@@ -242,16 +275,24 @@ def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise:
     _, found, learnt = of_runs("friction_change", problem, posterior)
     spread = spread_of_runs(robot.friction_spread, found, learnt)
     jitter_s = max(stamp_jitter(posterior), robot.stamp_jitter_s)
-    return replace(noise, stamp_jitter_s=jitter_s, friction_spread=spread, swing_error=swing_error(posterior))
+    return replace(
+        noise, stamp_jitter_s=jitter_s, friction_spread=spread, swing_error=swing_error(posterior)
+    )
 
 
-def of_runs(kind: str, problem: Problem, posterior: Posterior) -> tuple[list[int], np.ndarray, np.ndarray]:
+def of_runs(
+    kind: str, problem: Problem, posterior: Posterior
+) -> tuple[list[int], np.ndarray, np.ndarray]:
     """An unknown of each run, of onsets where nothing else makes them uncertain.
 
     Returns: The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
     """
     stds = {row: problem.unknowns[problem.index[kind, row]].std for row in range(len(problem.runs))}
-    rows = [row for row, std in stds.items() if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)]
+    rows = [
+        row
+        for row, std in stds.items()
+        if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)
+    ]
     place = problem.free.tolist()
     columns = [place.index(problem.index[kind, row]) for row in rows]
     learnt = 1.0 - np.diag(posterior.covariance)[columns] / np.square([stds[row] for row in rows])
@@ -261,4 +302,6 @@ def of_runs(kind: str, problem: Problem, posterior: Posterior) -> tuple[list[int
 def spread_of_runs(file_std: float, found: np.ndarray, learnt: np.ndarray) -> float:
     """Standard deviation of what differs from run to run, the robot file's word counting as ``PSEUDO_RUNS``."""
     prior = PSEUDO_RUNS * file_std**2
-    return float(np.sqrt((np.sum(found**2) + prior) / (max(float(learnt.sum()), 0.0) + PSEUDO_RUNS)))
+    return float(
+        np.sqrt((np.sum(found**2) + prior) / (max(float(learnt.sum()), 0.0) + PSEUDO_RUNS))
+    )

@@ -13,8 +13,10 @@ from proprio_ros.sim.payload import PayloadFacts, joint_coefficients, pseudo_ine
 
 LINK_TERMS = ("link_mass", "link_com_x", "link_com_y", "link_com_z", "link_inertia")
 """How a link may differ from the URDF: relative mass, shift of its centre of mass [m], relative inertia about it."""
-POSE_STEP = 1e-5  # central difference over the pose of a locked joint [rad or m]; the error is about 1e-10
-NEGLIGIBLE = 1e-9  # a link term that changes less than this at its prior is not worth an unknown [kg m^2 or N m]
+# central difference over the pose of a locked joint [rad or m]; the error is about 1e-10
+POSE_STEP = 1e-5
+# a link term that changes less than this at its prior is not worth an unknown [kg m^2 or N m]
+NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -23,11 +25,14 @@ class Coefficients:
 
     arm: np.ndarray  # without payload, shape (4,)
     payload: np.ndarray  # per payload parameter, shape (4, 10)
-    pose: tuple[str, ...] = ()  # the H locked joints whose zero matters; then changes per unit of their positions:
+    # the H locked joints whose zero matters; then changes per unit of their positions:
+    pose: tuple[str, ...] = ()
     arm_by_pose: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     payload_by_pose: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 10)))
-    links: tuple[tuple[str, str], ...] = ()  # keys of the L link unknowns that matter, as ("link_mass", "link4")
-    arm_by_link: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # change per unit of each, shape (L, 4)
+    # keys of the L link unknowns that matter, as ("link_mass", "link4")
+    links: tuple[tuple[str, str], ...] = ()
+    # change per unit of each, shape (L, 4)
+    arm_by_link: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
 
     def per_kg(self, facts: PayloadFacts) -> np.ndarray:
         """Inertia and gravity load of 1 kg in the hand, shape (4,)."""
@@ -58,7 +63,9 @@ def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficie
     count = len(locked)
     rows = np.tile([run.held.get(name, 0.0) for name in locked], (1 + 2 * count, 1))
     rows[1:] += POSE_STEP * np.concatenate([np.eye(count), -np.eye(count)])
-    poses = {name: np.array([position]) for name, position in run.held.items()} | dict(zip(locked, rows.T, strict=True))
+    poses = {name: np.array([position]) for name, position in run.held.items()} | dict(
+        zip(locked, rows.T, strict=True)
+    )
     arm, payload = at_poses(robot, run.joint, poses)
     by_pose = [(of[1 : 1 + count] - of[1 + count :]) / (2.0 * POSE_STEP) for of in (arm, payload)]
     matters = np.abs(by_pose[0]).max(axis=1, initial=0.0) > 1e-6
@@ -66,7 +73,9 @@ def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficie
     return Coefficients(arm[0], payload[0], pose, by_pose[0][matters], by_pose[1][matters], *links)
 
 
-def at_poses(robot: Robot, driven: str, poses: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def at_poses(
+    robot: Robot, driven: str, poses: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """What one joint moves in N poses at once.
 
     ``robot``: as `ReducedModel` has it with every joint locked but the driven one; ``driven``: A joint that no other one follows;
@@ -75,13 +84,18 @@ def at_poses(robot: Robot, driven: str, poses: Mapping[str, np.ndarray]) -> tupl
     Returns: Inertia and gravity load of the arm, shape (N, 4), and per payload parameter, shape (N, 4, 10).
     """
     model = robot.model
-    count, pseudo, at = max(map(len, poses.values()), default=1), np.zeros((1, 4, 4)), np.eye(4)[None]
+    count = max(map(len, poses.values()), default=1)
+    pseudo = np.zeros((1, 4, 4))
+    at = np.eye(4)[None]
     inertias = {link.name: link.pseudo_inertia for link in model.links}
-    frames, moves, joint = {model.root: at}, {model.root: False}, model.joint(driven)
+    frames = {model.root: at}
+    moves = {model.root: False}
+    joint = model.joint(driven)
     for each in model.joints:
         at, moves[each.child] = frames[each.parent], moves[each.parent] or each is joint
         if each is joint:
-            gravity, at = robot.gravity @ (at @ each.origin)[:, :3, :3], np.eye(4)[None]
+            gravity = robot.gravity @ (at @ each.origin)[:, :3, :3]
+            at = np.eye(4)[None]
         elif each.kind == "fixed":
             at = at @ each.origin
         else:
@@ -104,10 +118,15 @@ def _by_links(robot: Robot, run: Run) -> tuple[tuple[tuple[str, str], ...], np.n
     model = reduced_model(robot, run, {})
     axis, gravity = axis_and_gravity(model)
     stds = link_stds(robot)
-    links = [link for link in robot.model.links if model.frames[link.name][0] == 0 and link.pseudo_inertia[3, 3] != 0.0]
+    links = [
+        link
+        for link in robot.model.links
+        if model.frames[link.name][0] == 0 and link.pseudo_inertia[3, 3] != 0.0
+    ]
     pseudo = np.array([link.pseudo_inertia for link in links])
     at = np.array([model.frames[link.name][1] for link in links])[:, None]
-    mass, com = pseudo[:, 3:, 3:], pseudo[:, :3, 3:] / pseudo[:, 3:, 3:]
+    mass = pseudo[:, 3:, 3:]
+    com = pseudo[:, :3, 3:] / pseudo[:, 3:, 3:]
     changes = np.zeros((len(links), len(stds), 4, 4))
     changes[:, 0] = pseudo
     for term, direction in enumerate(np.eye(3)[:, :, None], start=1):
@@ -135,7 +154,8 @@ def slide_coefficients(robot: Robot, run: Run) -> Coefficients:
     """
     per_rad = robot.drive_trains[run.joint].transmission
     position = float(run.position[0])
-    mass, load = 0.0, 0.0
+    mass = 0.0
+    load = 0.0
     before, after = ({**run.held, run.joint: position + off} for off in (-0.5, 0.5))
     for link in robot.model.links:
         weight = float(link.pseudo_inertia[3, 3])

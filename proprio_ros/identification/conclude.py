@@ -10,7 +10,13 @@ from typing import ClassVar
 import numpy as np
 
 from proprio_ros.identification.estimate import Detail, Estimate, Fit, SolverSummary, Value, Verdict
-from proprio_ros.identification.fit import FitResult, other_suspects, rivals, uncalibrated, unknown_rows
+from proprio_ros.identification.fit import (
+    FitResult,
+    other_suspects,
+    rivals,
+    uncalibrated,
+    unknown_rows,
+)
 from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings, contradicting
 from proprio_ros.identification.judge import (
     Assessment,
@@ -36,25 +42,32 @@ from proprio_ros.robot import Robot
 class Conclusion:
     """The answer that a fit gives; a probe's own class says what only it knows."""
 
-    nominal: FitResult  # the search from all starts, with the robot as its file or calibration states it
+    # the search from all starts, with the robot as its file or calibration states it
+    nominal: FitResult
     opened: FitResult  # the fit in which all that is open moves; its covariance is given
     found: Findings  # on the way here
     run_count: int  # of all runs, the unusable ones included
-    against: Sequence[Refusal] = field(default=(), kw_only=True)  # before runs are compared, the worst first
+    # before runs are compared, the worst first
+    against: Sequence[Refusal] = field(default=(), kw_only=True)
 
     probe: ClassVar[str]
     name: ClassVar[str]  # of the unknown that the probe is for
     searched_for: ClassVar[str] = "mass"  # the same in a word
-    check: ClassVar[str] = "check the robot file's inertias"  # what to look at where nothing could be simulated
-    beside: ClassVar[str] = "a robot or a start"  # what else than that unknown may be the cause of a misfit
-    called: ClassVar[Mapping[str, str]] = MappingProxyType({})  # unknowns that an answer shows under another kind
+    # what to look at where nothing could be simulated
+    check: ClassVar[str] = "check the robot file's inertias"
+    # what else than that unknown may be the cause of a misfit
+    beside: ClassVar[str] = "a robot or a start"
+    # unknowns that an answer shows under another kind
+    called: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __post_init__(self) -> None:
         self.robot, self.runs = self.opened.problem.robot, self.opened.problem.runs
         self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.assessed = Assessment(self.fit, self.name, self.opened)
         # what each source puts on the value, the largest first
-        self.budget = [(self.called.get(source, source), std) for source, std in self.assessed.budget()]
+        self.budget = [
+            (self.called.get(source, source), std) for source, std in self.assessed.budget()
+        ]
         self.apart: Contradiction | None = None
         self.outlier: int | None = None  # the run that says so
         self.guesses: list[Guess] = []
@@ -114,8 +127,10 @@ class Conclusion:
 
     def misfit_of(self, *suspects: str) -> Refusal:
         """Residuals larger than expected, or unknowns too far from their priors; and what may be the cause."""
-        rms, expected = self.assessed.rms, self.assessed.expected
-        at, unit = self.assessed.value, self.assessed.unit
+        rms = self.assessed.rms
+        expected = self.assessed.expected
+        at = self.assessed.value
+        unit = self.assessed.unit
         value = f"{1e3 * at:.1f} g" if unit == "kg" else f"{at:.3g} {unit}"
         if rms <= expected:
             far = f"{self.beside} further from what is known about them than chance allows"
@@ -125,13 +140,17 @@ class Conclusion:
             said = f"the best simulation ({value}) misses the recording by {1e3 * rms:.2f} mrad rms"
             said += f" where the encoder explains {1e3 * expected:.2f} mrad"
             said += ", so its mass is no weighing" if unit == "kg" else ""
-        return rejected("misfit", "the model does not explain the recording", f"misfit: {said}", *suspects)
+        return rejected(
+            "misfit", "the model does not explain the recording", f"misfit: {said}", *suspects
+        )
 
     def lighter(self, thing: str, question: str, loaded: str = "") -> Iterator[Refusal]:
         """Where ``thing`` is lighter than it was empty, to the end of its interval; ``loaded``: how it is now."""
         mass = self.assessed.value
         if mass + Z95 * self.assessed.std < 0.0:
-            said = f"{thing}{loaded} seems {-1e3 * mass:.1f} g lighter than it was empty: {question}"
+            said = (
+                f"{thing}{loaded} seems {-1e3 * mass:.1f} g lighter than it was empty: {question}"
+            )
             yield rejected("lighter_than_empty", f"{thing} seems lighter than empty", said)
 
     def several(self, share: float, cure: str = "") -> Iterator[Refusal]:
@@ -179,7 +198,12 @@ class Conclusion:
             refusal.verdict,
             tuple(reasons),
             self.values(refusal.withheld),
-            Fit(assessed.rms, assessed.expected, self.fit.reduced_chi2, condition=assessed.posterior.condition),
+            Fit(
+                assessed.rms,
+                assessed.expected,
+                self.fit.reduced_chi2,
+                condition=assessed.posterior.condition,
+            ),
             solver,
             self.run_count,
             assessed.run_fits,
@@ -187,7 +211,10 @@ class Conclusion:
             budget=tuple(self.budget),
             scan=assessed.profile(),
             detail=self.detail(refusal.withheld),
-            assumptions=(*self.assumptions(), *(f"guessed, not stated: {g.key} {g.taken}" for g in self.guesses)),
+            assumptions=(
+                *self.assumptions(),
+                *(f"guessed, not stated: {g.key} {g.taken}" for g in self.guesses),
+            ),
             notes=tuple(self.found.notes),
         )
 
@@ -210,7 +237,8 @@ class Conclusion:
         if self.apart is not None and self.apart.sentence:
             yield self.apart.sentence
         if assessed.inflation > 1.0 and not self.fit.explains:
-            times, rms = f"{np.sqrt(assessed.inflation):.1f} times", f"(rms {1e3 * assessed.rms:.2f} mrad)"
+            times = f"{np.sqrt(assessed.inflation):.1f} times"
+            rms = f"(rms {1e3 * assessed.rms:.2f} mrad)"
             said = f"the fit is {times} coarser than the encoder {rms}: the interval was widened by that factor"
             yield Reason("coarse_fit", said)
         yield from self.remarks()
@@ -219,9 +247,13 @@ class Conclusion:
             yield Reason("starts_disagree", f"{ended} or in a worse fit; the best was taken")
         sources = [] if assessed.unit != "kg" else self.budget
         sought = {guess.source for guess in self.guesses}
-        yield from uncalibrated(self.robot, self.runs, [entry for entry in sources if entry[0] not in sought])
+        yield from uncalibrated(
+            self.robot, self.runs, [entry for entry in sources if entry[0] not in sought]
+        )
 
 
 def stated_in(robot: Robot) -> str:
     """For assumptions: which robot file, and whether it was calibrated."""
-    return f"robot file {robot.source.name}, " + ("calibrated" if robot.is_calibrated() else "not calibrated")
+    return f"robot file {robot.source.name}, " + (
+        "calibrated" if robot.is_calibrated() else "not calibrated"
+    )

@@ -45,11 +45,20 @@ class Value:
         """Of a vector or a tensor, each as a value of its own; a number as it is."""
         if not isinstance(self.value, list):
             return [self]
-        axes = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(len(self.value), range(len(self.value)))
+        axes = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(
+            len(self.value), range(len(self.value))
+        )
         stds = self.std if isinstance(self.std, list) else [None] * len(self.value)
         ends = self.ci95 if isinstance(self.ci95, list) else [None] * len(self.value)
         return [
-            Value(f"{self.label}, {axis}", self.unit, value, std, end, "" if value is not None else self.reason)
+            Value(
+                f"{self.label}, {axis}",
+                self.unit,
+                value,
+                std,
+                end,
+                "" if value is not None else self.reason,
+            )
             for axis, value, std, end in zip(axes, self.value, stds, ends, strict=True)
         ]
 
@@ -62,7 +71,10 @@ class Value:
         """Numbers with as many digits as they are known to, in the unit that a reader wants; by axis where some are withheld."""
         factor, unit = shown_unit(self.unit)
         numbers = {
-            part.name.rpartition(" ")[2]: written(factor * part.value, spec_for(self.unit, part.std))  # type: ignore
+            part.name.rpartition(" ")[2]: written(
+                factor * part.value,  # type: ignore[operator]
+                spec_for(self.unit, part.std),  # type: ignore[arg-type]
+            )
             for part in self.parts
             if part.value is not None
         }
@@ -71,7 +83,9 @@ class Value:
         return f"{', '.join(f'{axis} {words}' for axis, words in numbers.items())} {unit}"
 
     def as_json(self) -> dict[str, Any]:
-        return picked(self, "name", "value", "std", "ci95", "unit", *(["reason"] if self.reason else []))
+        return picked(
+            self, "name", "value", "std", "ci95", "unit", *(["reason"] if self.reason else [])
+        )
 
 
 @dataclass(frozen=True)
@@ -112,10 +126,12 @@ class RecordedRun:
     name: str
     joint: str
     source: str
-    unit: str  # of the positions, rad or m; a slide that a motor turns is seen from its shaft [rad], as in a fit
+    # of the positions, rad or m; a slide that a motor turns is seen from its shaft [rad], as in a fit
+    unit: str
     times_s: np.ndarray  # before and while the current flowed, shape (K,); it came on at time 0
     position: np.ndarray
-    input_times_s: np.ndarray  # each current holds from its time on, shape (C,); the last until `duration_s`
+    # each current holds from its time on, shape (C,); the last until `duration_s`
+    input_times_s: np.ndarray
     input_current_A: np.ndarray
     duration_s: float
     # the links from the side at the start and at the end, each a line from joint to joint, to the right and up [m],
@@ -181,17 +197,23 @@ class SolverSummary:
     paths: tuple[StartPath, ...]  # of the search from every start
     integrator: str
     step_s: float
-    refined: tuple[StartPath, ...] = ()  # of the fit that began at their ends and gave the answer, where one did
+    # of the fit that began at their ends and gave the answer, where one did
+    refined: tuple[StartPath, ...] = ()
 
     @property
     def starts_agreeing(self) -> int:
         return sum(path.agrees for path in self.paths)
 
     def as_json(self) -> dict[str, Any]:
-        record = picked(self, "name", "profile", "starts_agreeing", "iterations", "integrator", "step_s")
+        record = picked(
+            self, "name", "profile", "starts_agreeing", "iterations", "integrator", "step_s"
+        )
         record["starts"] = len(self.paths)
         if any(path.scheduled is not None for path in self.paths):
-            results = [{"start_kg": p.start, "scheduled_kg": p.scheduled, "least_error_kg": p.end} for p in self.paths]
+            results = [
+                {"start_kg": p.start, "scheduled_kg": p.scheduled, "least_error_kg": p.end}
+                for p in self.paths
+            ]
             record["start_results"] = results
         return record
 
@@ -224,7 +246,8 @@ class Scan:
     values: np.ndarray  # of what was searched for [kg, or Pa], shape (M,)
     cost: np.ndarray
     measure: str  # what the cost is, in words
-    level: float | None = None  # cost at the ends of the 95 % interval; None where the cost says nothing about it
+    # cost at the ends of the 95 % interval; None where the cost says nothing about it
+    level: float | None = None
 
 
 class Detail(Protocol):
@@ -250,13 +273,15 @@ class Estimate:
     joint_fits: tuple[JointFit, ...] = ()  # of motions, where runs have `run_fits`
     held_views: tuple[HeldView, ...] = ()
     unknowns: tuple[UnknownRow, ...] = ()
-    budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the first value, in its unit)
+    # (source, standard deviation it puts on the first value, in its unit)
+    budget: tuple[tuple[str, float], ...] = ()
     scan: Scan | None = None
     detail: Detail | None = None  # what only one probe's answers have
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
-    origin: dict[str, Any] = field(default_factory=dict)  # bags, baseline and calibration, as `as_json` gives them
+    # bags, baseline and calibration, as `as_json` gives them
+    origin: dict[str, Any] = field(default_factory=dict)
 
     def value(self, name: str) -> Value:
         """The value called ``name``; KeyError lists what there is."""
@@ -272,21 +297,46 @@ class Estimate:
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object; numbers are plain floats, what is not a number is null."""
-        record = {**header("estimate"), "bags": [], "baseline": [], "calibration": None, **self.origin}
+        record = {
+            **header("estimate"),
+            "bags": [],
+            "baseline": [],
+            "calibration": None,
+            **self.origin,
+        }
         record |= picked(self, "probe", "robot", "runs", "verdict", "reasons")
         record |= {"reason_codes": reason_codes(self.reasons), "estimates": self.values}
         if self.detail is not None:
             record |= self.detail.as_json()
         record |= picked(self, "fit", "solver", "unknowns")
-        budget = [{"source": source, "std": std, "unit": self.values[0].unit} for source, std in self.budget]
-        return plain({**record, "uncertainty_budget": budget, **picked(self, "assumptions", "notes", "timing_s")})
+        budget = [
+            {"source": source, "std": std, "unit": self.values[0].unit}
+            for source, std in self.budget
+        ]
+        return plain(
+            {
+                **record,
+                "uncertainty_budget": budget,
+                **picked(self, "assumptions", "notes", "timing_s"),
+            }
+        )
 
 
-def no_answer(probe: str, name: str, unit: str, robot: str, runs: int, reasons: Sequence[str], notes: Sequence[str]) -> Estimate:
+def no_answer(
+    probe: str,
+    name: str,
+    unit: str,
+    robot: str,
+    runs: int,
+    reasons: Sequence[str],
+    notes: Sequence[str],
+) -> Estimate:
     """What is said where no run can be used: the value is not determined, and the reasons are the runs' own."""
     values = (Value(name, unit, None, reason="no run of this recording determines it"),)
     verdict = Verdict.NOT_IDENTIFIABLE
-    return Estimate(probe, robot, verdict, tuple(reasons), values, None, None, runs, notes=tuple(notes))
+    return Estimate(
+        probe, robot, verdict, tuple(reasons), values, None, None, runs, notes=tuple(notes)
+    )
 
 
 def picked(of: Any, *names: str) -> dict[str, Any]:

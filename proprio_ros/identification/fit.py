@@ -31,7 +31,9 @@ CALIBRATED = {
     "torque_constant": "torque constants",
     "armature": "armatures",
     "delay": "delay",
-    **dict.fromkeys(("coulomb", "viscous", "load_friction", "stribeck", "stribeck_velocity"), "friction"),
+    **dict.fromkeys(
+        ("coulomb", "viscous", "load_friction", "stribeck", "stribeck_velocity"), "friction"
+    ),
     **dict.fromkeys(("zero", "ripple_cos", "ripple_sin"), "zeros and encoder errors"),
 }
 """What a calibration's unknowns are called together, by kind; all others are the arm's masses."""
@@ -39,7 +41,8 @@ CHI2_95 = Z95**2  # chi-square above its least at the ends of a 95 % interval of
 PROFILE = "chi-square above the least"
 PROFILE_STEPS, PROFILE_STDS, PROFILE_ITERATIONS = 6, 3.0, 15
 """At how many values to each side a profile is fitted again, how far it reaches, and iterations of each fit at most."""
-PROFILE_HIGHEST = 100.0  # a profile ends where it rises above this: what comes then is no continuation of the fit
+# a profile ends where it rises above this: what comes then is no continuation of the fit
+PROFILE_HIGHEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,14 @@ class SearchOptions:
     solver: str = "lm"  # one of `solvers.SOLVERS`
     integrator: str = "rk4"
     step_s: float = 1.0 / 240.0
-    starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)  # first guesses, two orders of magnitude apart
+    # first guesses, two orders of magnitude apart
+    starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)
 
     def __post_init__(self) -> None:
         if self.solver not in solvers.SOLVERS:
-            raise ConfigurationError(f"--solver {self.solver}: choose one of {', '.join(solvers.SOLVERS)}")
+            raise ConfigurationError(
+                f"--solver {self.solver}: choose one of {', '.join(solvers.SOLVERS)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -86,12 +92,16 @@ class FitResult:
     def determined(self, key: Key) -> tuple[float, float]:
         """Of an unknown: its value and standard deviation, as the recording and its prior determine it."""
         row = self.problem.index[key]
-        return self.value_of(key), float(np.sqrt(Posterior(self.problem, self.values).whole_covariance()[row, row]))
+        return self.value_of(key), float(
+            np.sqrt(Posterior(self.problem, self.values).whole_covariance()[row, row])
+        )
 
     def values_of(self, unknowns: Sequence[Unknown]) -> np.ndarray:
         """Its values of another problem's unknowns, theirs where it has none, shape (N,)."""
         index = self.problem.index
-        return np.array([float(self.values[index[u.key]]) if u.key in index else u.value for u in unknowns])
+        return np.array(
+            [float(self.values[index[u.key]]) if u.key in index else u.value for u in unknowns]
+        )
 
     def column(self, name: str) -> int:
         """Place of an unknown among the free ones."""
@@ -109,7 +119,11 @@ class FitResult:
 
 def known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
     """Whether the file leaves no drive-train term of the driven joints open."""
-    return not any(getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS)
+    return not any(
+        getattr(robot.drive_trains[run.run.joint], term).std > 0.0
+        for run in runs
+        for term in DRIVE_TERMS
+    )
 
 
 def solve_load(
@@ -123,7 +137,9 @@ def solve_load(
     rough: bool = False,
 ) -> FitResult:
     """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
-    unknowns = load_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
+    unknowns = load_unknowns(
+        robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2]
+    )
     if start_velocity_std is not None:
         unknowns = [replace(u, std=start_velocity_std) if u.kind == "v0" else u for u in unknowns]
     problem = Problem(robot, runs, facts, unknowns, options.integrator, options.step_s)
@@ -138,7 +154,12 @@ def solve_load(
         windows = problem.simulator.windows if start is None else None
         iterations, tolerance = (10, 0.03) if rough else (30, 1e-4)
         solution = solvers.levenberg_marquardt(
-            problem, starts, windows, iterations=iterations, tolerance=tolerance, persistent=not rough
+            problem,
+            starts,
+            windows,
+            iterations=iterations,
+            tolerance=tolerance,
+            persistent=not rough,
         )
     elif options.solver == "adam":
         solution = solvers.adam(problem, starts)
@@ -147,7 +168,9 @@ def solve_load(
     return FitResult.of(problem, solution)
 
 
-def fit_both(solve: Callable[..., FitResult], again: Callable[[FitResult, FitResult], bool]) -> tuple[FitResult, FitResult]:
+def fit_both(
+    solve: Callable[..., FitResult], again: Callable[[FitResult, FitResult], bool]
+) -> tuple[FitResult, FitResult]:
     """A fit with the robot as it is stated, and from there the one in which all that is open moves under its prior.
 
     ``solve`` takes a role for what is open, and a fit to start from (``start``), default every start; ``again`` says of both fits
@@ -171,23 +194,32 @@ def fit_opened(solve: Callable[..., FitResult]) -> FitResult:
     return solve(Role.FREE, start=solve(Role.FROZEN))
 
 
-def uncalibrated(robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]]) -> list[Reason]:
+def uncalibrated(
+    robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]]
+) -> list[Reason]:
     """A sentence where the interval carries the file's priors instead of a calibration; ``budget`` in kg."""
     if robot.is_calibrated():
         joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
-        if joints and robot.calibration is not None:  # a file that only says so leaves nothing to be said
-            open_of_it = "was not calibrated, so the interval carries what the robot file leaves open of it"
+        # a file that only says so leaves nothing to be said
+        if joints and robot.calibration is not None:
+            open_of_it = (
+                "was not calibrated, so the interval carries what the robot file leaves open of it"
+            )
             return [Reason("not_calibrated", f"{', '.join(joints)} {open_of_it}")]
         return []
     if known_exactly(robot, runs):
         return []
-    largest = [f"{source_label(source)} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
+    largest = [
+        f"{source_label(source)} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER
+    ][:3]
     sentence = "the robot has not been calibrated: the interval carries what its file leaves open"
     sentence += f" (standard deviations: {', '.join(largest)})" if largest else ""
     return [Reason("not_calibrated", sentence)]
 
 
-def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_mass") -> list[tuple[str, float]]:
+def error_budget(
+    fit: FitResult, covariance: np.ndarray, name: str = "payload_mass"
+) -> list[tuple[str, float]]:
     """Which source puts how much standard deviation on the mass called ``name`` [kg], largest first.
 
     With normal matrix ``J^T J + P`` and its inverse C, the variance of the mass is ``C J^T J C + C P C``: the first part is the
@@ -214,7 +246,9 @@ def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_ma
     return sorted((entry for entry in budget if entry[1] > 1e-7), key=lambda entry: -entry[1])
 
 
-def _split(row: np.ndarray, precision: np.ndarray, groups: Mapping[str, Sequence[int]]) -> dict[str, float]:
+def _split(
+    row: np.ndarray, precision: np.ndarray, groups: Mapping[str, Sequence[int]]
+) -> dict[str, float]:
     """A variance that correlated unknowns cause together, split among groups of them, which are places of unknowns by name.
 
     A group's share is what knowing it would take from the variance, on average over all orders in which the groups become known
@@ -231,7 +265,8 @@ def _split(row: np.ndarray, precision: np.ndarray, groups: Mapping[str, Sequence
         rows = [place for group in sorted(subset) for place in within[group]]
         if not rows:
             return 0.0
-        seen, sizes = row[every][rows], np.sqrt(np.diag(prior)[rows])
+        seen = row[every][rows]
+        sizes = np.sqrt(np.diag(prior)[rows])
         block = prior[np.ix_(rows, rows)] / sizes[:, None] / sizes
         return float(seen / sizes @ np.linalg.solve(block, seen / sizes))
 
@@ -257,7 +292,8 @@ def rivals(fit: FitResult, name: str, value: float, std: float, share: float) ->
 
     Masses that differ by less than a ``share`` of them are one.
     """
-    ends, cost = fit.physical(name), fit.solution.cost
+    ends = fit.physical(name)
+    cost = fit.solution.cost
     near = cost < cost[fit.solution.best] + 2.0
     apart = np.abs(ends - value) > max(3.0 * std, share * abs(value), 5e-4)
     found: list[float] = []
@@ -285,20 +321,29 @@ def summary(
     """
     refined = () if final is None or final is fit else _paths(final, name, tolerance, margin)
     paths = _paths(fit, name, tolerance, margin, starts)
-    return SolverSummary(options.solver, "default", iterations, paths, options.integrator, options.step_s, refined)
+    return SolverSummary(
+        options.solver, "default", iterations, paths, options.integrator, options.step_s, refined
+    )
 
 
 def _paths(
-    fit: FitResult, name: str, tolerance: float, margin: float, starts: Sequence[float] | None = None
+    fit: FitResult,
+    name: str,
+    tolerance: float,
+    margin: float,
+    starts: Sequence[float] | None = None,
 ) -> tuple[StartPath, ...]:
     """See ``summary``; without ``starts`` each path starts where its first iteration does."""
     solution = fit.solution
-    ends, history = fit.physical(name), fit.physical(name, solution.path)
+    ends = fit.physical(name)
+    history = fit.physical(name, solution.path)
     near = np.abs(ends - ends[solution.best]) <= tolerance
     near &= solution.cost < solution.cost[solution.best] + margin
     firsts = history[0].tolist() if starts is None else itertools.cycle(starts)
     numbers = zip(firsts, ends.tolist(), solution.cost.tolist(), near.tolist(), strict=False)
-    return tuple(StartPath(*row, history[:, s], solution.path_cost[:, s]) for s, row in enumerate(numbers))
+    return tuple(
+        StartPath(*row, history[:, s], solution.path_cost[:, s]) for s, row in enumerate(numbers)
+    )
 
 
 def other_suspects(robot: Robot) -> list[str]:
@@ -311,8 +356,16 @@ def other_suspects(robot: Robot) -> list[str]:
 
 def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
     """All unknowns with prior and posterior, as a report shows them."""
-    rows = zip(fit.problem.unknowns, fit.values.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
-    return tuple(UnknownRow(u.kind, u.role.value, u.value, u.std, value, std, scope=u.scope) for u, value, std in rows)
+    rows = zip(
+        fit.problem.unknowns,
+        fit.values.tolist(),
+        np.sqrt(np.diag(covariance)).tolist(),
+        strict=True,
+    )
+    return tuple(
+        UnknownRow(u.kind, u.role.value, u.value, u.std, value, std, scope=u.scope)
+        for u, value, std in rows
+    )
 
 
 class _Held:
@@ -326,23 +379,31 @@ class _Held:
         self.coordinates = problem.coordinates
         self._problem, self._column, self._inflation, self._best = problem, column, inflation, best
 
-    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See ``LeastSquares``."""
         cost, gradient, matrix = self._problem.linearise(internal, counts)
         if self._inflation > 1.0:
-            precision, slope = self.coordinates.prior_precision, self.coordinates.slope(internal)
+            precision = self.coordinates.prior_precision
+            slope = self.coordinates.slope(internal)
             off = self.coordinates.physical(internal) - self._best
-            pull, share = off @ precision, 1.0 - 1.0 / self._inflation
+            pull = off @ precision
+            share = 1.0 - 1.0 / self._inflation
             cost = cost / self._inflation + share * 0.5 * np.einsum("sf,sf->s", off, pull)
             gradient = gradient / self._inflation + share * pull * slope
-            matrix = matrix / self._inflation + share * precision * slope[:, :, None] * slope[:, None, :]
+            matrix = (
+                matrix / self._inflation + share * precision * slope[:, :, None] * slope[:, None, :]
+            )
         gradient[:, self._column] = 0.0
         matrix[:, self._column, :] = matrix[:, :, self._column] = 0.0
         matrix[:, self._column, self._column] = 1.0
         return cost, gradient, matrix
 
 
-def misfit_profile(fit: FitResult, name: str, posterior: Posterior, inflation: float, value: float, std: float) -> Scan:
+def misfit_profile(
+    fit: FitResult, name: str, posterior: Posterior, inflation: float, value: float, std: float
+) -> Scan:
     """Chi-square above its least over the unknown called ``name``, everything else fitted again at each of its values.
 
     Upwards and downwards from the fit at once, each of these fits starts from its neighbour's end, where the posterior
@@ -350,25 +411,35 @@ def misfit_profile(fit: FitResult, name: str, posterior: Posterior, inflation: f
     likelihood). It reaches as far about the stated value, in the unknown's unit, as about that of the fit, whose
     posterior has the inflation of the samples' variance.
     """
-    problem, row, column = fit.problem, fit.problem.index[name], fit.column(name)
-    unknown, best, own = problem.unknowns[row], float(fit.values[row]), float(posterior.covariance[column, column])
+    problem = fit.problem
+    row = fit.problem.index[name]
+    column = fit.column(name)
+    unknown = problem.unknowns[row]
+    best = float(fit.values[row])
+    own = float(posterior.covariance[column, column])
     if not np.isfinite([fit.chi2, best, value, std, own]).all() or own <= 0.0:
         return Scan(np.zeros(0), np.zeros(0), PROFILE, CHI2_95)
     # what spans orders of magnitude is less than nothing only where an empty hand reads so
     lowest = 0.0 if unknown.asinh_scale > 0.0 and best > 0.0 else unknown.lower
-    low, high = min(best, value) - PROFILE_STDS * std, max(best, value) + PROFILE_STDS * std
+    low = min(best, value) - PROFILE_STDS * std
+    high = max(best, value) + PROFILE_STDS * std
     at = fit.values[problem.free]
-    coordinates, held = problem.coordinates, _Held(problem, column, inflation, at)
+    coordinates = problem.coordinates
+    held = _Held(problem, column, inflation, at)
     at_best = coordinates.internal(at)
     step = (np.array([max(low, lowest), min(high, unknown.upper)]) - best) / PROFILE_STEPS
     ahead = np.outer(step, posterior.covariance[:, column] / own)
     ahead[:, column] = step
     least = float(held.linearise(at_best[None])[0][0])
-    grid, costs = [best], [least]
-    end, follows = np.tile(at_best, (2, 1)), np.full(2, True)
+    grid = [best]
+    costs = [least]
+    end = np.tile(at_best, (2, 1))
+    follows = np.full(2, True)
     for _ in range(PROFILE_STEPS):
         guess = coordinates.internal(coordinates.physical(end) + ahead)
-        solution = solvers.levenberg_marquardt(held, guess, None, iterations=PROFILE_ITERATIONS, tolerance=0.1)
+        solution = solvers.levenberg_marquardt(
+            held, guess, None, iterations=PROFILE_ITERATIONS, tolerance=0.1
+        )
         end = solution.internal
         follows &= 2.0 * (solution.cost - least) < PROFILE_HIGHEST
         grid += coordinates.physical(end)[follows, column].tolist()

@@ -16,7 +16,8 @@ from proprio_ros.quantity import shown
 from proprio_ros.robot import DriveTrain, Robot
 
 MIN_USED = 5
-STUCK_TRAVEL = 0.1  # below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is
+# below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is
+STUCK_TRAVEL = 0.1
 UNMOVED_RAD = 0.02  # a gripper that moves less shows nothing but its friction
 LITTLE_TRAVEL = 0.3
 """Travel that a trustworthy weighing has: where the joint barely creeps, rounding of the encoder costs 2 to 4 g."""
@@ -29,10 +30,12 @@ MISFIT_LIMIT = 9.0
 """Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
 CONTRADICTION = 2.5
 """Reduced chi-square with which the other runs may predict a run: beyond it, and beyond chance, the run contradicts them."""
-LEFT_OUT_AT_MOST = 0.25  # part of the runs that may contradict the others before all of them are refused
+# part of the runs that may contradict the others before all of them are refused
+LEFT_OUT_AT_MOST = 0.25
 
 STEADY = 0.1  # part of itself by which the current of a push may change
-STILL_SIGMAS = 3.0  # so many standard deviations more than is known may hold a joint that stands still
+# so many standard deviations more than is known may hold a joint that stands still
+STILL_SIGMAS = 3.0
 
 
 @dataclass
@@ -48,10 +51,13 @@ class Contradiction:
     """A run that the others predict badly."""
 
     sentence: str  # what it says, and what they say; empty where that is the same
-    half: float | None = None  # of the difference between two values that are nearly alike; None where they are not
+    # of the difference between two values that are nearly alike; None where they are not
+    half: float | None = None
 
 
-def contradiction(name: str, unit: str, one: float, others: float, alike: float, same: float, question: str) -> Contradiction:
+def contradiction(
+    name: str, unit: str, one: float, others: float, alike: float, same: float, question: str
+) -> Contradiction:
     """What to make of the run called ``name`` that says ``one`` value where the others say another.
 
     Values that differ by less than ``alike`` do not contradict each other; half of the difference then counts as uncertainty. What
@@ -64,7 +70,9 @@ def contradiction(name: str, unit: str, one: float, others: float, alike: float,
     if apart < alike:
         differs = f"{name} differs from the other runs: {said}; the interval carries half of that"
         return Contradiction(Reason("runs_differ", differs), 0.5 * apart)
-    return Contradiction(Reason("runs_contradict", f"{name} contradicts the other runs: {said}; {question}"))
+    return Contradiction(
+        Reason("runs_contradict", f"{name} contradicts the other runs: {said}; {question}")
+    )
 
 
 def chi2_limit(dof: float, sigmas: float = MISFIT_SIGMAS) -> float:
@@ -80,7 +88,9 @@ def unusable(run: PreparedRun) -> str:
     if abs(run.travel) < STUCK_TRAVEL:
         so = "so friction and not the weight decides where it is"
         cure = f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
-        return Reason("stuck", f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {so}: {cure}")
+        return Reason(
+            "stuck", f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {so}: {cure}"
+        )
     return ""
 
 
@@ -96,27 +106,39 @@ def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
     """Warn of what is unusual about a run by itself."""
     found.notes.extend(f"{run.run.name}: {note}" for note in run.run.notes)
     if run.used >= MIN_USED:
-        found.reasons += [Reason(code, f"{run.run.name}: {said}") for code, said in _unusual(robot, run)]
+        found.reasons += [
+            Reason(code, f"{run.run.name}: {said}") for code, said in _unusual(robot, run)
+        ]
 
 
 def _unusual(robot: Robot, run: PreparedRun) -> Iterator[tuple[str, str]]:
     """Codes and sentences."""
-    joint, model = run.run.joint, robot.model.joint(run.run.joint)
+    joint = run.run.joint
+    model = robot.model.joint(run.run.joint)
     if run.cut_reason:
         later = len(run.run.times_s) - run.used
         yield "left_out_samples", f"{run.cut_reason}; {later} later samples were left out"
     # fingers on a stiff block do not get that far
     if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and model.kind != "prismatic":
         cure = f"a probe with at least {LITTLE_TRAVEL} rad gives a much narrower interval"
-        yield "short_travel", f"{joint} moved only {abs(run.travel):.2f} rad in the samples used: {cure}"
+        yield (
+            "short_travel",
+            f"{joint} moved only {abs(run.travel):.2f} rad in the samples used: {cure}",
+        )
     margin = 2.0 * run.drive.encoder_resolution
     for limit, side in ((model.lower, -1.0), (model.upper, 1.0)):
         if side * (run.rest.value - limit / run.drive.transmission) > -margin:
             stop = "where the stop may carry part of the weight: start away from it"
-            yield "starts_at_limit", f"{joint} starts at its limit ({run.rest.value:.3f} rad), {stop}"
-    current, allowed = float(np.abs(run.run.input_current_A).max()), robot.motors[joint].current_limit_A
+            yield (
+                "starts_at_limit",
+                f"{joint} starts at its limit ({run.rest.value:.3f} rad), {stop}",
+            )
+    current = float(np.abs(run.run.input_current_A).max())
+    allowed = robot.motors[joint].current_limit_A
     if current > allowed:
-        given = f"{shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}"
+        given = (
+            f"{shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}"
+        )
         cure = "probe below the limit, or correct current_limit_A in the robot file"
         yield "current_above_limit", f"{given}, so less flowed than the input says: {cure}"
     for held, span in run.run.held_span.items():
@@ -138,7 +160,9 @@ def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
     return sentences
 
 
-def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Sequence[PreparedRun], mass: float) -> str:
+def stood_still(
+    robot: Robot, problem: Problem, values: np.ndarray, still: Sequence[PreparedRun], mass: float
+) -> str:
     """A sentence about the first run whose joint stood still and should not have; empty where there is none.
 
     No simulation follows a joint that friction holds, so such a run (one of ``still``) is not part of the fit. But what holds it is
@@ -146,7 +170,8 @@ def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Seque
     its unknowns and ``mass`` [kg] in the hand.
     """
     for run in still:
-        joint, drive = run.run.joint, run.drive
+        joint = run.run.joint
+        drive = run.drive
         driving = run.run.input_current_A[run.run.input_times_s < run.run.times_s[-1]]
         steady = len(driving) > 0 and np.ptp(driving) <= STEADY * np.abs(driving).max()
         if not steady or robot.model.joint(joint).kind == "prismatic":
@@ -162,11 +187,18 @@ def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Seque
         per_kg = run.coefficients.per_kg(problem.facts)
         held = mass if run.load is None else run.load.mass
         net = motor - arm_weight - held * run.weight_at_rest(per_kg)
-        dry = max(fitted("coulomb"), drive.coulomb.value) + max(fitted("load_friction"), 0.0) * abs(motor)
+        dry = max(fitted("coulomb"), drive.coulomb.value) + max(fitted("load_friction"), 0.0) * abs(
+            motor
+        )
         at_rest = 1.0 + max(fitted("stribeck"), drive.stribeck.value)
         open_stds = (*run.torque_stds, drive.stribeck.std * dry, robot.link_mass_std * arm_weight)
         over = abs(net) - at_rest * dry - STILL_SIGMAS * float(np.hypot.reduce(open_stds))
-        inertia = run.coefficients.arm[0] + held * per_kg[0] + drive.armature.value + 2.0 * drive.armature.std
+        inertia = (
+            run.coefficients.arm[0]
+            + held * per_kg[0]
+            + drive.armature.value
+            + 2.0 * drive.armature.std
+        )
         lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])
         if 0.5 * over / float(inertia) * lasted_s**2 >= LITTLE_TRAVEL:
             stood = f"{run.run.name}: {joint} stood still with {shown('A', current)}"
@@ -181,7 +213,9 @@ def contradicting(posterior: Posterior) -> int | None:
     count = len(posterior.problem.runs)
     if count < 2:
         return None
-    ratios = [surprising(len(residual), chi2) for residual, chi2 in map(posterior.held_out, range(count))]
+    ratios = [
+        surprising(len(residual), chi2) for residual, chi2 in map(posterior.held_out, range(count))
+    ]
     worst = int(np.argmax(ratios))
     return worst if ratios[worst] > 1.0 else None
 

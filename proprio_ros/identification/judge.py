@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.identification.estimate import Scan, Value, Verdict
-from proprio_ros.identification.fit import FitResult, error_budget, misfit_profile, other_suspects, source_label, unknown_rows
+from proprio_ros.identification.fit import (
+    FitResult,
+    error_budget,
+    misfit_profile,
+    other_suspects,
+    source_label,
+    unknown_rows,
+)
 from proprio_ros.identification.gates import MOVING_START, chi2_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
@@ -37,7 +44,8 @@ class Refusal:
     """Why an answer is not simply accepted."""
 
     verdict: Verdict  # what that makes of the answer
-    withheld: str  # in a few words, where the value would stand; empty where the value is given nevertheless
+    # in a few words, where the value would stand; empty where the value is given nevertheless
+    withheld: str
     reasons: tuple[str, ...]  # in sentences, before whatever else was found
 
 
@@ -59,7 +67,8 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
 
     Then joint states pause, or come with stamps that are not when the positions were read, which shows in their steps.
     """
-    pauses, scatters = [], []
+    pauses = []
+    scatters = []
     for run in (prepared.run for prepared in runs):
         steps_s = np.diff(np.concatenate([run.before_times_s, run.times_s]))
         if len(steps_s) and steps_s.max() > max(PAUSE_S, PAUSE_STEPS * float(np.median(steps_s))):
@@ -68,7 +77,8 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
         usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
         if len(steps_s) and steps_s.std() > max(UNEVEN_S, UNEVEN_SHARE * usual_s):
             scatters.append((float(steps_s.std()), usual_s, run.name))
-    busy, again = "a computer that is busy elsewhere", "keep it free and record again"
+    busy = "a computer that is busy elsewhere"
+    again = "keep it free and record again"
     if pauses:
         longest_s, name = max(pauses, key=lambda entry: entry[0])
         paused = f"{name}: the joint states pause for {1e3 * longest_s:.0f} ms"
@@ -153,22 +163,34 @@ class Assessment:
         moved. What a calibration left correlated is looked at together, too.
         """
         far: dict[str, tuple[float, str]] = {}
-        for row in (row for fit in (self.opened, self.fit) for row in unknown_rows(fit, self.covariance)):
-            guessed = row.kind == "v0" and self.robot.calibration is None and abs(row.value) < MOVING_START
+        for row in (
+            row for fit in (self.opened, self.fit) for row in unknown_rows(fit, self.covariance)
+        ):
+            guessed = (
+                row.kind == "v0"
+                and self.robot.calibration is None
+                and abs(row.value) < MOVING_START
+            )
             if guessed or row.pull is None or abs(row.pull) <= FAR:
                 continue
             off = f"{abs(row.pull):.1f} standard deviations from what was known"
             known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
-            far[row.name] = abs(row.pull), f"{row.name} came out as {shown(row.unit, row.value)}, {off} ({known})"
+            far[row.name] = (
+                abs(row.pull),
+                f"{row.name} came out as {shown(row.unit, row.value)}, {off} ({known})",
+            )
         sentences = [sentence for _, sentence in sorted(far.values(), reverse=True)[:NAMED_AT_MOST]]
         return sentences or self._far_together()
 
     def _far_together(self) -> list[str]:
-        problem, calibration = self.opened.problem, self.robot.calibration
+        problem = self.opened.problem
+        calibration = self.robot.calibration
         if calibration is None:
             return []
         keys = set(calibration.keys)
-        own = [column for column, row in enumerate(problem.free) if problem.unknowns[row].key in keys]
+        own = [
+            column for column, row in enumerate(problem.free) if problem.unknowns[row].key in keys
+        ]
         block = np.ix_(own, own)
         precision = problem.coordinates.prior_precision[block]
         off = self.opened.values[problem.free[own]] - problem.coordinates.prior_mean[own]
@@ -187,7 +209,9 @@ class Assessment:
 
     def profile(self) -> Scan:
         """How much worse other values of the unknown explain the recording, everything else that is open fitted again."""
-        return misfit_profile(self.opened, self.name, self.posterior, self.inflation, self.value, self.std)
+        return misfit_profile(
+            self.opened, self.name, self.posterior, self.inflation, self.value, self.std
+        )
 
 
 def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Refusal:
@@ -211,13 +235,17 @@ def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Re
             )
     if off := stamps_off(assessed.fit):
         others = () if refusal.verdict is Verdict.TOO_WIDE else refusal.reasons
-        refusal = Refusal(Verdict.REJECTED, "the input is not stamped as the joint moved", (*off, *others))
+        refusal = Refusal(
+            Verdict.REJECTED, "the input is not stamped as the joint moved", (*off, *others)
+        )
     return refusal
 
 
 def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[Refusal]:
     """Where the interval of a fit is wider than is useful, whatever explains the recording."""
-    unit, value, std = assessed.unit, assessed.value, assessed.std
+    unit = assessed.unit
+    value = assessed.value
+    std = assessed.std
     if not useful.exceeded_by(value, std):
         return
     interval = shown(unit, *not_negative(value, std), spec=spec_for(unit, std))
@@ -228,7 +256,9 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     more = "calibrate the robot on empty-hand runs, or record more runs"
     if assessed.known:
         more = "record more runs, with more travel"
-    sentence = f"anything from {interval} explains the recording, wider than {limit}{mostly}: {more}"
+    sentence = (
+        f"anything from {interval} explains the recording, wider than {limit}{mostly}: {more}"
+    )
     yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
 
 
@@ -238,11 +268,19 @@ def guessed(guesses: Sequence[Guess], value: float) -> Reason:
     listed = ", ".join(f"{guess.key} ({guess.taken}, +- {guess.spread})" for guess in guesses)
     share = f" (std {100.0 * off / value:.0f} %)" if value > 0.0 else ""
     cure = f"state it with --set {guesses[0].key}=.."
-    return Reason("guessed_facts", f"guessed, not stated: {listed}; the interval carries that{share}: {cure}")
+    return Reason(
+        "guessed_facts", f"guessed, not stated: {listed}; the interval carries that{share}: {cure}"
+    )
 
 
 def positive(
-    name: str, unit: str, value: float, std: float, withheld: str = "", highest: float = np.inf, quantile: float = Z95
+    name: str,
+    unit: str,
+    value: float,
+    std: float,
+    withheld: str = "",
+    highest: float = np.inf,
+    quantile: float = Z95,
 ) -> Value:
     """A quantity that is not negative, with an interval that is not either: an empty hand reads 0.
 

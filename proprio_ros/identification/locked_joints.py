@@ -17,7 +17,9 @@ from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, ReducedModel, Robot
 from proprio_ros.sim.payload import PayloadFacts, pseudo_inertia_basis
 
-FINEST_KNOT_S, KNOT_S = 0.005, 0.025  # spacing of the accelerations that describe a motion
+# spacing of the accelerations that describe a motion
+FINEST_KNOT_S = 0.005
+KNOT_S = 0.025
 MUCH_FINER, FINER_STEPS = 30.0, 6
 """So much finer than they are said to be readings may be, and so many steps to there are tried."""
 MOVED_EVIDENCE = 5.0
@@ -25,8 +27,10 @@ MOVED_EVIDENCE = 5.0
 LOCKED_SCALES = np.geomspace(0.02, 10.0, 10)
 """Accelerations [rad/s^2] that a yielding joint is tried with; 0.02 moves it by 1 mrad in 0.3 s."""
 DRIVEN_SCALES = np.geomspace(1.0, 300.0, 8)
-REST_S = 0.2  # where a joint rests is determined from so much of what was recorded before the onset [s]
-AWAY_READINGS = 4.0  # farther from there than this, in counts with their noise, it was still on its way
+# where a joint rests is determined from so much of what was recorded before the onset [s]
+REST_S = 0.2
+# farther from there than this, in counts with their noise, it was still on its way
+AWAY_READINGS = 4.0
 
 
 @dataclass(frozen=True)
@@ -59,21 +63,28 @@ class Followed:
     def at(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As `Motion.at`."""
         known = self.position - self.start, self.velocity, np.gradient(self.velocity, self.times_s)
-        position, velocity, acceleration = (np.interp(times_s, self.times_s, each, left=0.0) for each in known)
+        position, velocity, acceleration = (
+            np.interp(times_s, self.times_s, each, left=0.0) for each in known
+        )
         return position, velocity, acceleration
 
 
 def _basis(times_s: np.ndarray, knots_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What one unit of acceleration at each knot does to position, velocity and acceleration; shapes (T, K)."""
     step = knots_s[1] - knots_s[0]
-    left = times_s[:, None] - np.concatenate([[knots_s[0] - step], knots_s, [knots_s[-1] + step]])[None, :]
+    left = (
+        times_s[:, None]
+        - np.concatenate([[knots_s[0] - step], knots_s, [knots_s[-1] + step]])[None, :]
+    )
 
     def hats(order: int) -> np.ndarray:
         # a hat is three ramps; each integral of a ramp raises its power
         ramp = np.maximum(left, 0.0) ** order / float(math.factorial(order))
         return (ramp[:, :-2] - 2.0 * ramp[:, 1:-1] + ramp[:, 2:]) / step
 
-    acceleration, velocity, position = hats(1), hats(2), hats(3)
+    acceleration = hats(1)
+    velocity = hats(2)
+    position = hats(3)
     # the motion starts at time 0: the first hat's rise before it has not happened
     since = np.maximum(times_s, 0.0)
     velocity[:, 0] -= 0.5 * step
@@ -99,15 +110,25 @@ def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.n
     # a walk from a free start: covariance of its values at the knots, for scale 1
     walk = np.linalg.cholesky((np.minimum.outer(knots, knots) + knots[-1]) / (2.0 * knots[-1]))
     # where the joint rests is not known beforehand
-    middle, off = float(np.mean(position)), position - np.mean(position)
+    middle = float(np.mean(position))
+    off = position - np.mean(position)
     spread = shape @ walk
     left, size, right = np.linalg.svd(spread - spread.mean(axis=0), full_matrices=False)
     along = left.T @ off
-    across, more = max(float(off @ off - along @ along), 0.0), len(off) - 1 - len(size)
-    noise = np.unique(np.append(np.geomspace(max(_rounding(position), sigma / MUCH_FINER), sigma, FINER_STEPS), sigma))
+    across = max(float(off @ off - along @ along), 0.0)
+    more = len(off) - 1 - len(size)
+    noise = np.unique(
+        np.append(
+            np.geomspace(max(_rounding(position), sigma / MUCH_FINER), sigma, FINER_STEPS), sigma
+        )
+    )
     noise = noise[noise <= sigma][:, None] ** 2
     variance = noise[..., None] + (scales[:, None] * size) ** 2  # shape (N, S, K)
-    evidence = -0.5 * (np.sum(along**2 / variance + np.log(variance), axis=2) + across / noise + more * np.log(noise))
+    evidence = -0.5 * (
+        np.sum(along**2 / variance + np.log(variance), axis=2)
+        + across / noise
+        + more * np.log(noise)
+    )
     still = -0.5 * ((along @ along + across) / noise + (len(size) + more) * np.log(noise))
     fine, best = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
     acceleration = walk @ (right.T @ (scales[best] ** 2 * size * along / variance[fine, best]))
@@ -117,7 +138,8 @@ def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.n
 
 def _knots(times_s: np.ndarray) -> np.ndarray:
     """Where accelerations are, twice as far apart as readings, as far as that makes sense."""
-    apart, end = float(np.clip(2.0 * np.median(np.diff(times_s)), FINEST_KNOT_S, KNOT_S)), float(times_s[-1])
+    apart = float(np.clip(2.0 * np.median(np.diff(times_s)), FINEST_KNOT_S, KNOT_S))
+    end = float(times_s[-1])
     return np.linspace(0.0, max(end, apart), max(int(np.ceil(end / apart)), 1) + 1)
 
 
@@ -144,13 +166,22 @@ def rests_from(before_times_s: np.ndarray, before: np.ndarray, drive: DriveTrain
     return 0 if off[-len(last) :].any() or not off.any() else int(np.flatnonzero(off)[-1]) + 1
 
 
-def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> tuple[dict[str, float], dict[str, Motion]]:
+def locked_motions(
+    robot: Robot, run: Run, joints: tuple[str, ...]
+) -> tuple[dict[str, float], dict[str, Motion]]:
     """Where locked joints stood, of those that moved, and the motions of those that moved during the run beyond their noise."""
-    stood, found = {}, {}
+    stood = {}
+    found = {}
     times_s = np.concatenate([run.before_times_s, run.times_s])
     for name in joints:
-        drive, readings = robot.drive_trains.get(name), run.held_position.get(name)
-        if drive is None or readings is None or np.ptp(readings) == 0.0 or robot.model.joint(name).kind == "prismatic":
+        drive = robot.drive_trains.get(name)
+        readings = run.held_position.get(name)
+        if (
+            drive is None
+            or readings is None
+            or np.ptp(readings) == 0.0
+            or robot.model.joint(name).kind == "prismatic"
+        ):
             continue
         rests = rests_from(run.before_times_s, readings[: len(run.before_times_s)], drive)
         stood[name] = float(np.mean(readings[rests:]))
@@ -161,7 +192,12 @@ def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> tuple[dic
 
 
 def loads_of_yielding(
-    robot: Robot, run: Run, motions: Mapping[str, Motion | Followed], facts: PayloadFacts, noise: float, own: Followed | None = None
+    robot: Robot,
+    run: Run,
+    motions: Mapping[str, Motion | Followed],
+    facts: PayloadFacts,
+    noise: float,
+    own: Followed | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Load that yielding joints, whose motions are given, put on the driven one, beside what it carries when they stand still.
 
@@ -176,12 +212,17 @@ def loads_of_yielding(
     model = robot.model.lock([run.joint, *motions], held, robot.gravity)
     rests = rests_from(run.before_times_s, run.before_position, robot.drive_trains[run.joint])
     times_s = np.concatenate([run.before_times_s, run.times_s])[rests:]
-    driven = own or smooth(times_s, np.concatenate([run.before_position, run.position])[rests:], noise, DRIVEN_SCALES)
+    driven = own or smooth(
+        times_s, np.concatenate([run.before_position, run.position])[rests:], noise, DRIVEN_SCALES
+    )
     # the torque is constant over half of what is between two knots, at its value in the middle; its bends are ten times slower
-    segment_s = float(driven.times_s[1]) if isinstance(driven, Followed) else 0.5 * float(driven.knots_s[1])
+    segment_s = (
+        float(driven.times_s[1]) if isinstance(driven, Followed) else 0.5 * float(driven.knots_s[1])
+    )
     begins = np.arange(0.0, float(run.times_s[-1]), segment_s)
     rest = np.zeros(len(begins))
-    still, moving = [], []
+    still = []
+    moving = []
     for name in model.joint_names:
         motion = driven if name == run.joint else motions[name]
         away, velocity, acceleration = motion.at(begins + 0.5 * segment_s)
@@ -189,7 +230,9 @@ def loads_of_yielding(
         still.append(moving[-1] if name == run.joint else (rest + motion.start, rest, rest))
     inertias = arm_and_payload(robot, model, facts)
     row = model.joint_names.index(run.joint)
-    return begins, joint_torque(model, moving, row, inertias) - joint_torque(model, still, row, inertias)
+    return begins, joint_torque(model, moving, row, inertias) - joint_torque(
+        model, still, row, inertias
+    )
 
 
 def arm_and_payload(robot: Robot, model: ReducedModel, facts: PayloadFacts) -> np.ndarray:
@@ -203,7 +246,10 @@ def arm_and_payload(robot: Robot, model: ReducedModel, facts: PayloadFacts) -> n
 
 
 def joint_torque(
-    model: ReducedModel, motion: list[tuple[np.ndarray, np.ndarray, np.ndarray]], joint: int, inertias: np.ndarray
+    model: ReducedModel,
+    motion: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    joint: int,
+    inertias: np.ndarray,
 ) -> np.ndarray:
     """Torque that a joint needs for a motion of all joints (d'Alembert's principle over homogeneous transforms), shape (T, I).
 
@@ -215,7 +261,8 @@ def joint_torque(
     """
     gravity = np.zeros((4, 4))
     gravity[:3, 3] = model.gravity
-    ground, zero = np.eye(4), np.zeros((4, 4))
+    ground = np.eye(4)
+    zero = np.zeros((4, 4))
     torque = np.zeros((len(motion[0][0]), len(inertias)))
     bodies: list[tuple[np.ndarray, ...]] = []
     for n, (q, v, a) in enumerate(motion):
@@ -227,7 +274,11 @@ def joint_torque(
             x, y, z = model.axes[n]
             generator[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
             squared = generator @ generator
-            moved = np.eye(4) + np.sin(q)[:, None, None] * generator + (1.0 - np.cos(q))[:, None, None] * squared
+            moved = (
+                np.eye(4)
+                + np.sin(q)[:, None, None] * generator
+                + (1.0 - np.cos(q))[:, None, None] * squared
+            )
         # generator and motion commute
         local = model.placement[n] @ moved
         by_q = local @ generator
@@ -242,5 +293,7 @@ def joint_torque(
             varied @ local + (place @ by_q if n == joint else 0.0),
         )
         bodies.append(here)
-        torque += (here[3].swapaxes(1, 2) @ (here[2] - gravity)).reshape(-1, 16) @ inertias[:, n].reshape(-1, 16).T
+        torque += (here[3].swapaxes(1, 2) @ (here[2] - gravity)).reshape(-1, 16) @ inertias[
+            :, n
+        ].reshape(-1, 16).T
     return torque

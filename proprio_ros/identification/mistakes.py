@@ -38,7 +38,12 @@ def of_all_joints() -> Iterator[Mistake]:
     """Those that a publisher makes of all joints at once."""
     sign = "the effort of all joints has the sign of the torque that gravity makes, not of what holds against it"
     yield Mistake(f"{sign}: its publisher counts it the other way round", -1.0)
-    yield Mistake("the positions of all joints are in degrees: convert them to rad", angle=180.0 / pi)
+    yield Mistake(
+        "the positions of all joints are in degrees: convert them to rad", angle=180.0 / pi
+    )
     for factor in FACTORS:
         unit = "it is in another unit (--effort-unit)"
-        yield Mistake(f"the effort of all joints is about {factor:g} times what the URDF needs: {unit}", factor)
+        yield Mistake(
+            f"the effort of all joints is about {factor:g} times what the URDF needs: {unit}",
+            factor,
+        )

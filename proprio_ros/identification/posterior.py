@@ -33,7 +33,9 @@ class Posterior:
         self.residual = (problem.measured - q[0])[seen] * weight
         self.velocity = v[0][seen]
         self.sensitivity = dq[0][seen] * weight[:, None]
-        self.run = np.repeat(np.arange(len(problem.runs)), problem.weight.shape[1]).reshape(seen.shape)[seen]
+        self.run = np.repeat(np.arange(len(problem.runs)), problem.weight.shape[1]).reshape(
+            seen.shape
+        )[seen]
         self._weight = weight
         normal = self.sensitivity.T @ self.sensitivity + problem.coordinates.prior_precision
         normal += problem.other_information(values)
@@ -54,7 +56,10 @@ class Posterior:
         coordinates = self.problem.coordinates
         internal = coordinates.internal(self.values[self.problem.free])[None]
         _, downhill, matrix = self.problem.linearise(internal)
-        return (bounded_step(internal, downhill, matrix, np.zeros(1), coordinates) * coordinates.slope(internal))[0]
+        return (
+            bounded_step(internal, downhill, matrix, np.zeros(1), coordinates)
+            * coordinates.slope(internal)
+        )[0]
 
     def whole_covariance(self) -> np.ndarray:
         """Covariance of all unknowns, shape (N, N); zero where an unknown is not free."""
@@ -65,7 +70,9 @@ class Posterior:
     def follows(self, name: str, others: Sequence[str]) -> np.ndarray:
         """By how much a free unknown would follow others that were taken as known, to first order: per unit of each, shape (K,)."""
         problem = self.problem
-        _, _, dq = problem.simulate(self.values[None], np.array([problem.index[other] for other in others]))
+        _, _, dq = problem.simulate(
+            self.values[None], np.array([problem.index[other] for other in others])
+        )
         by_others = dq[0][problem.weight > 0.0] * self._weight[:, None]
         place = list(problem.free).index(problem.index[name])
         followed: np.ndarray = -(self.covariance @ self.sensitivity.T @ by_others)[place]
@@ -90,12 +97,18 @@ class Posterior:
         return whitened / self._weight[rows], float(residual @ whitened)
 
 
-def run_fits(problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]) -> tuple[tuple[RunFit, ...], float, float]:
+def run_fits(
+    problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]
+) -> tuple[tuple[RunFit, ...], float, float]:
     """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
     q, _, _ = problem.simulate(values[None], problem.free[:3])
-    fits, squares, expected, samples = [], 0.0, 0.0, 0
+    fits = []
+    squares = 0.0
+    expected = 0.0
+    samples = 0
     for row, prepared in enumerate(runs):
-        run, used = prepared.run, prepared.used
+        run = prepared.run
+        used = prepared.used
         simulated = q[0, row, :used]
         squares += float(np.sum((simulated - prepared.position) ** 2))
         expected += float(np.sum(prepared.sigma**2))
@@ -103,5 +116,7 @@ def run_fits(problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]) 
         driven = float(run.input_current_A[np.argmax(np.abs(run.input_current_A))])
         followed = prepared.times_s, prepared.position, simulated, prepared.sigma
         left_out = run.times_s[used:], run.position[used:]
-        fits.append(RunFit(run.name, run.joint, run.source, driven, *followed, *left_out, prepared.travel))
+        fits.append(
+            RunFit(run.name, run.joint, run.source, driven, *followed, *left_out, prepared.travel)
+        )
     return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))

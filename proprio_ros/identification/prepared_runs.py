@@ -13,8 +13,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.coefficients import Coefficients, arm_coefficients, slide_coefficients
-from proprio_ros.identification.locked_joints import Motion, loads_of_yielding, locked_motions, rests_from
+from proprio_ros.identification.coefficients import (
+    Coefficients,
+    arm_coefficients,
+    slide_coefficients,
+)
+from proprio_ros.identification.locked_joints import (
+    Motion,
+    loads_of_yielding,
+    locked_motions,
+    rests_from,
+)
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
@@ -22,8 +31,10 @@ from proprio_ros.sim.payload import PayloadFacts, payload_parameters
 
 START_STD = 0.1  # how far off a free swing's first reading may be: next to nothing is assumed [rad]
 SLOPE_S = 0.08  # over which the velocity is taken with which a free swing begins [s]
-FIRST_SWING_ERROR = 0.02  # what is taken for the error of a simulated swing until the swing shows it [rad]
-SLOW = 0.1  # below this speed the direction of a swing is not read off its samples for certain [rad/s]
+# what is taken for the error of a simulated swing until the swing shows it [rad]
+FIRST_SWING_ERROR = 0.02
+# below this speed the direction of a swing is not read off its samples for certain [rad/s]
+SLOW = 0.1
 MIN_SLOW = 3  # slow samples needed to relate reported effort to the command
 
 
@@ -37,7 +48,9 @@ class KnownLoad:
     @property
     def inertial_parameters(self) -> np.ndarray:
         """Shape (10,), see ``payload_parameters``."""
-        return payload_parameters(np.array(self.mass), self.facts.com, self.facts.shape.second_moment_per_mass)
+        return payload_parameters(
+            np.array(self.mass), self.facts.com, self.facts.shape.second_moment_per_mass
+        )
 
 
 @dataclass(frozen=True)
@@ -51,13 +64,15 @@ class PreparedRun:
     coefficients: Coefficients
     sigma: np.ndarray  # standard deviation of each used sample [rad or m], shape (used,)
     rest: Quantity  # start position, from the samples before onset
-    limited: bool  # whether the supply may limit the current inside the window, as far as the recording says
+    # whether the supply may limit the current inside the window, as far as the recording says
+    limited: bool
     load: KnownLoad | None = None  # what the hand is known to hold; None: the payload to be weighed
     # yielding_times_s, yielding_load: see ``loads_of_yielding``. In a free swing it is the load that each kilogram's
     # weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
-    arm_as_payload: float = 0.0  # payload that would load the gears as the arm does [kg]; only known of free swings
+    # payload that would load the gears as the arm does [kg]; only known of free swings
+    arm_as_payload: float = 0.0
 
     @property
     def times_s(self) -> np.ndarray:
@@ -87,9 +102,16 @@ class PreparedRun:
     @property
     def torque_stds(self) -> np.ndarray:
         """What the robot file leaves open of the torque that moves the joint: Coulomb, motor, load friction [N m]."""
-        drive, current = self.drive, float(np.abs(self.run.input_current_A).max())
+        drive = self.drive
+        current = float(np.abs(self.run.input_current_A).max())
         motor = drive.torque_constant.value * current
-        return np.array([drive.coulomb.std, drive.torque_constant.std * current, drive.load_friction.std * motor])
+        return np.array(
+            [
+                drive.coulomb.std,
+                drive.torque_constant.std * current,
+                drive.load_friction.std * motor,
+            ]
+        )
 
 
 def joints_of(runs: Sequence[PreparedRun]) -> tuple[str, ...]:
@@ -108,7 +130,9 @@ def turning_with(robot: Robot, run: PreparedRun) -> list[tuple[str, float]]:
     if robot.model.joint(run.run.joint).kind == "prismatic":
         return []
     driven = axis(run.run.joint)
-    turning = [name for name in run.coefficients.pose if robot.model.joint(name).kind != "prismatic"]
+    turning = [
+        name for name in run.coefficients.pose if robot.model.joint(name).kind != "prismatic"
+    ]
     shares = [(name, float(axis(name) @ driven)) for name in turning]
     return [(name, share) for name, share in shares if abs(share) > 1e-3]
 
@@ -123,7 +147,11 @@ def at_the_shaft(robot: Robot, run: Run) -> Run:
 
 
 def prepare_run(
-    robot: Robot, run: Run, load: KnownLoad | None = None, facts: PayloadFacts | None = None, past_fast: bool = False
+    robot: Robot,
+    run: Run,
+    load: KnownLoad | None = None,
+    facts: PayloadFacts | None = None,
+    past_fast: bool = False,
 ) -> PreparedRun:
     """Choose the usable window, weigh the samples, and reduce the robot to the driven joint.
 
@@ -143,22 +171,29 @@ def prepare_run(
     if (load is None or load.mass > 0.0) and not coefficients.payload.any():
         still = f"{run.joint} was driven but does not move {robot.payload_frame}"
         raise RecordingError(f"{run.name}: {still}: probe a joint between the base and it")
-    drive, joint = robot.drive_trains[run.joint], robot.model.joint(run.joint)
+    drive = robot.drive_trains[run.joint]
+    joint = robot.model.joint(run.joint)
     run = at_the_shaft(robot, run)
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)
-    lower, upper = joint.lower / drive.transmission, joint.upper / drive.transmission
+    lower = joint.lower / drive.transmission
+    upper = joint.upper / drive.transmission
     counted = np.ones_like(followed) if past_fast or run.free else followed
     used, reason = _usable_window(run, velocity, counted, drive, lower, upper)
     yielding_times_s = yielding_load = None
     if motions:
         where = load.facts if load is not None else facts or PayloadFacts()
-        yielding_times_s, yielding_load = loads_of_yielding(robot, run, motions, where, drive.reading_std)
+        yielding_times_s, yielding_load = loads_of_yielding(
+            robot, run, motions, where, drive.reading_std
+        )
     arm_as_payload = 0.0
     if run.free and coefficients.payload.any():
-        facts_of_it = load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
+        facts_of_it = (
+            load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
+        )
         arm_as_payload, per_kg = _weight_on_gears(run, coefficients, facts_of_it)
-        yielding_times_s, yielding_load = run.times_s, np.stack([np.zeros_like(per_kg), per_kg], axis=1)
+        yielding_times_s = run.times_s
+        yielding_load = np.stack([np.zeros_like(per_kg), per_kg], axis=1)
     return PreparedRun(
         run,
         used,
@@ -183,7 +218,9 @@ def _reduced(robot: Robot, run: Run) -> tuple[Run, Coefficients, dict[str, Motio
     others = [name for name in robot.model.independent_joints if name != run.joint]
     if missing := [name for name in others if name not in run.held]:
         cure = f"state it with --set held.{missing[0]}=VALUE"
-        raise RecordingError(f"{run.name}: no position of {', '.join(missing)} in the recording; {cure}")
+        raise RecordingError(
+            f"{run.name}: no position of {', '.join(missing)} in the recording; {cure}"
+        )
     if robot.model.joint(run.joint).kind == "prismatic":
         return run, slide_coefficients(robot, run), {}
     coefficients = arm_coefficients(robot, run, others)
@@ -216,10 +253,14 @@ def _rest(robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
         return Quantity(float(run.position[0]), 3.0 * (robot.residual_scale * drive.reading_std))
     # at rest the rounding error repeats, so only the noise averages out
     noise = drive.encoder_noise / np.sqrt(len(resting))
-    return Quantity(float(np.mean(resting)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise)))
+    return Quantity(
+        float(np.mean(resting)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise))
+    )
 
 
-def _weight_on_gears(run: Run, coefficients: Coefficients, facts: PayloadFacts) -> tuple[float, np.ndarray]:
+def _weight_on_gears(
+    run: Run, coefficients: Coefficients, facts: PayloadFacts
+) -> tuple[float, np.ndarray]:
     """What friction that grows with the load acts on in a free swing.
 
     With no current the gears carry the weight, and lose part of it in the direction of motion. Where the joint is and which way it
@@ -232,7 +273,9 @@ def _weight_on_gears(run: Run, coefficients: Coefficients, facts: PayloadFacts) 
     _, cos, sin, constant = coefficients.per_kg(facts)
     arm = float(np.hypot(coefficients.arm[1], coefficients.arm[2]))
     width = max(round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1, 3)
-    smooth = np.convolve(np.pad(run.position, width // 2, mode="edge"), np.full(width, 1.0 / width), "valid")
+    smooth = np.convolve(
+        np.pad(run.position, width // 2, mode="edge"), np.full(width, 1.0 / width), "valid"
+    )
     side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
     moment = np.abs(cos * np.cos(run.position) + sin * np.sin(run.position) + constant)
     return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
@@ -247,8 +290,14 @@ def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
     blind = np.zeros(len(run.times_s), dtype=bool)
     if run.reported_effort is None:
         return blind
-    command = run.input_current_A[np.searchsorted(run.input_times_s, run.times_s, side="left").clip(1) - 1]
-    slow = (np.abs(velocity) < 0.5 * drive.usable_velocity) & (command != 0.0) & np.isfinite(run.reported_effort)
+    command = run.input_current_A[
+        np.searchsorted(run.input_times_s, run.times_s, side="left").clip(1) - 1
+    ]
+    slow = (
+        (np.abs(velocity) < 0.5 * drive.usable_velocity)
+        & (command != 0.0)
+        & np.isfinite(run.reported_effort)
+    )
     slow &= run.times_s > run.times_s[0]  # the first report may be older than the command
     if slow.sum() < MIN_SLOW or np.median(run.reported_effort[slow] / command[slow]) <= 0.0:
         return blind
@@ -259,7 +308,12 @@ def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
 
 
 def _usable_window(
-    run: Run, velocity: np.ndarray, followed: np.ndarray, drive: DriveTrain, lower: float, upper: float
+    run: Run,
+    velocity: np.ndarray,
+    followed: np.ndarray,
+    drive: DriveTrain,
+    lower: float,
+    upper: float,
 ) -> tuple[int, str]:
     """How many samples come before the joint meets its limit, or runs so fast that the supply may no longer drive the current.
 
@@ -272,7 +326,8 @@ def _usable_window(
     step = np.diff(run.position, prepend=run.position[0])
     # where the sample would be at the speed of the last interval: an impact may hide between two samples
     expected = before + np.concatenate([[0.0], step[:-1]])
-    furthest, nearest = np.maximum(run.position, expected), np.minimum(run.position, expected)
+    furthest = np.maximum(run.position, expected)
+    nearest = np.minimum(run.position, expected)
     beyond = (furthest > upper - margin) | (nearest < lower + margin)
     # a joint that starts at a limit and leaves it is free to move
     stopped = np.flatnonzero(beyond & (np.abs(run.position - run.position[0]) > margin))

@@ -66,9 +66,15 @@ class Problem:
         self.free = np.array([row for row, u in enumerate(unknowns) if u.role is Role.FREE])
         calibration = robot.calibration
         if calibration is not None and calibration.swing_error > 0.0:
-            calibration = calibration.given({(kind, run.run.joint) for run in runs if run.run.free for kind in RISE})
+            calibration = calibration.given(
+                {(kind, run.run.joint) for run in runs if run.run.free for kind in RISE}
+            )
         free = [unknowns[row] for row in self.free]
-        belong = of_one_kind(robot, free) if calibration is None else (calibration.keys, calibration.covariance)
+        belong = (
+            of_one_kind(robot, free)
+            if calibration is None
+            else (calibration.keys, calibration.covariance)
+        )
         self.coordinates = Coordinates(free, belong)
         self.base = np.array([u.value for u in unknowns])
         self.simulator = self._simulator([self._joint_run(run, step_s) for run in runs], integrator)
@@ -81,9 +87,13 @@ class Problem:
         # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
         bent = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS, *OF_A_SWING}
         kinds = {u.kind for u in free}
-        self._affine = kinds.isdisjoint(bent) and not kinds.issuperset({"torque_constant", "disturbance"})
+        self._affine = kinds.isdisjoint(bent) and not kinds.issuperset(
+            {"torque_constant", "disturbance"}
+        )
         self._ripple = [
-            (-1, -1) if run.run.free else tuple(self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS)
+            (-1, -1)
+            if run.run.free
+            else tuple(self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS)
             for run in self.runs
         ]
         seen = [row for pair in self._ripple for row in pair if row >= 0]
@@ -96,14 +106,19 @@ class Problem:
     def _touching(self) -> list[np.ndarray]:
         """Which free unknowns can change anything in each run; of use to a fit only."""
         free = [self.unknowns[row] for row in self.free]
-        return [np.flatnonzero([self._touches(u, row) for u in free]) for row in range(len(self.runs))]
+        return [
+            np.flatnonzero([self._touches(u, row) for u in free]) for row in range(len(self.runs))
+        ]
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator[Any]:
+    def _simulator(
+        self, runs: list[JointRun], integrator: str
+    ) -> JointSimulator | MixedSimulator[Any]:
         return JointSimulator(runs, integrator)
 
     def _touches(self, unknown: Unknown, row: int) -> bool:
         """Whether an unknown can change anything in a run: its joints, its links, its own start, and what all share."""
-        run, owner = self.runs[row], unknown.scope
+        run = self.runs[row]
+        owner = unknown.scope
         if unknown.kind in PAYLOAD_TERMS:
             return run.load is None
         kept = unknown.kind in KEPT_IN_A_SWING and owner == run.run.joint
@@ -121,7 +136,10 @@ class Problem:
     def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
         drive = run.drive
         motor = float(np.abs(run.run.input_current_A).max()) * drive.torque_constant.value
-        friction = self._reach(("coulomb", run.run.joint)) + self._reach(("load_friction", run.run.joint)) * motor
+        friction = (
+            self._reach(("coulomb", run.run.joint))
+            + self._reach(("load_friction", run.run.joint)) * motor
+        )
         friction *= 1.0 + self.unknowns[self.index["stribeck", run.run.joint]].value
         # near standstill Coulomb's law turns over within friction_velocity: the step must resolve v_s J / f_c
         lightest = float(run.coefficients.arm[0]) + 0.5 * drive.armature.value
@@ -132,7 +150,11 @@ class Problem:
             input_times_s,
             input_current_A,
             # where the motor reported the commanded current throughout, no nominal supply may overrule it
-            (drive.supply_voltage_V if run.limited else 0.0, drive.back_emf_V_s_per_rad, drive.resistance_ohm),
+            (
+                drive.supply_voltage_V if run.limited else 0.0,
+                drive.back_emf_V_s_per_rad,
+                drive.resistance_ohm,
+            ),
             self.robot.friction_velocity,
             step_s,
             float(np.clip(fine, 5e-5, step_s)),
@@ -141,7 +163,8 @@ class Problem:
 
     def _inputs(self, run: PreparedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Current, and the load of yielding joints: stamped when they were read, so it is earlier by the delay."""
-        times_s, current_A = run.run.input_times_s, run.run.input_current_A
+        times_s = run.run.input_times_s
+        current_A = run.run.input_current_A
         if run.yielding_times_s is None or run.yielding_load is None:
             return times_s, current_A, None
         begins = run.yielding_times_s - self.robot.delay.value
@@ -165,14 +188,17 @@ class Problem:
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As ``parameters``, by every unknown."""
-        guesses, width = len(values), len(self.simulator.parameters)
+        guesses = len(values)
+        width = len(self.simulator.parameters)
         p = np.zeros((guesses, len(self.runs), width))
         dp = np.zeros((guesses, len(self.runs), width, len(self.unknowns)))
         at = self.index
         payload = self._payload(values) if "payload_mass" in at else None
         for row, run in enumerate(self.runs):
             joint = run.run.joint
-            p[:, row, _GRAVITY_ROWS], dp[:, row, _GRAVITY_ROWS] = self._moving_part(row, values, payload)
+            p[:, row, _GRAVITY_ROWS], dp[:, row, _GRAVITY_ROWS] = self._moving_part(
+                row, values, payload
+            )
             direct: dict[Key, str] = {(kind, joint): kind for kind in DRIVE_TERMS}
             direct |= {("armature", joint): "inertia", "delay": "delay", ("onset", row): "delay"}
             direct |= {("q0", row): "q0", ("v0", row): "v0"}
@@ -200,9 +226,12 @@ class Problem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Inertia and gravity load of arm and payload, shape (S, 4), and their derivative by every unknown, shape (S, 4, N)."""
         run = self.runs[row]
-        c, at, guesses = run.coefficients, self.index, len(values)
+        c = run.coefficients
+        at = self.index
+        guesses = len(values)
         arm_scale = values[:, at["arm_scale"]]
-        arm, lever = np.tile(c.arm, (guesses, 1)), np.tile(c.payload, (guesses, 1, 1))
+        arm = np.tile(c.arm, (guesses, 1))
+        lever = np.tile(c.payload, (guesses, 1, 1))
         shifts = [self._shift(name, run.run.held[name], values) for name in c.pose]
         for h, (shift, _) in enumerate(shifts):
             # the joint stands at its reading plus its zero, less the encoder's error
@@ -233,9 +262,12 @@ class Problem:
             if run.run.free:
                 own = at["swing_zero", row]
                 z = self.base[zero] + values[:, own]
-            cos, sin = np.cos(z), np.sin(z)
-            ga, gb = g[:, 1].copy(), g[:, 2].copy()
-            da, db = d[:, 1].copy(), d[:, 2].copy()
+            cos = np.cos(z)
+            sin = np.sin(z)
+            ga = g[:, 1].copy()
+            gb = g[:, 2].copy()
+            da = d[:, 1].copy()
+            db = d[:, 2].copy()
             g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
             d[:, 1] = da * cos[:, None] + db * sin[:, None]
             d[:, 2] = db * cos[:, None] - da * sin[:, None]
@@ -257,8 +289,10 @@ class Problem:
         logarithm of its variance, which the most probable values of all unknowns leave out, is missing then (MacKay 1999, Neural
         Computation 11, 1035). Sixty empty-hand runs so made everything 2 % lighter.
         """
-        run, at = self.runs[row], self.index
-        constant, disturbance = at["torque_constant", run.run.joint], at["disturbance", row]
+        run = self.runs[row]
+        at = self.index
+        constant = at["torque_constant", run.run.joint]
+        disturbance = at["disturbance", row]
         stated = run.drive.torque_constant.value
         factor = values[:, constant] / stated
         to = INDEX["gravity_constant"]
@@ -272,16 +306,21 @@ class Problem:
         The gears carry no motor's torque but the weight, and lose the same part of it; ``carried`` is what they lose per moment
         of a kilogram.
         """
-        at, joint = self.index, self.runs[row].run.joint
+        at = self.index
+        joint = self.runs[row].run.joint
         change = at["friction_change", row]
         factor = 1.0 + values[:, change]
         for kind in ("coulomb", "viscous"):
             p[:, row, INDEX[kind]] *= factor
             dp[:, row, INDEX[kind], at[kind, joint]] = factor
             dp[:, row, INDEX[kind], change] = values[:, at[kind, joint]]
-        run, load_friction = self.runs[row], at["load_friction", joint]
-        mass = run.arm_as_payload + (values[:, at["payload_mass"]] if run.load is None else run.load.mass)
-        lost, carried = values[:, load_friction], INDEX["carried"]
+        run = self.runs[row]
+        load_friction = at["load_friction", joint]
+        mass = run.arm_as_payload + (
+            values[:, at["payload_mass"]] if run.load is None else run.load.mass
+        )
+        lost = values[:, load_friction]
+        carried = INDEX["carried"]
         p[:, row, carried] = factor * lost * mass
         dp[:, row, carried, load_friction] = factor * mass
         dp[:, row, carried, change] = lost * mass
@@ -290,34 +329,50 @@ class Problem:
 
     def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""
-        at, guesses = self.index, len(values)
+        at = self.index
+        guesses = len(values)
         mass = values[:, at["payload_mass"]]
         com = values[:, [at[f"payload_com_{axis}"] for axis in "xyz"]]
         scale = values[:, at["shape_scale"]]
         spread = self.facts.shape.second_moment_per_mass
         per_spread = payload_parameters(np.ones(guesses), np.zeros((guesses, 3)), spread)
         per_spread[:, 0] = 0.0
-        per_mass = payload_parameters(np.ones(guesses), com, np.zeros((3, 3))) + scale[:, None] * per_spread
+        per_mass = (
+            payload_parameters(np.ones(guesses), com, np.zeros((3, 3)))
+            + scale[:, None] * per_spread
+        )
         by_com = payload_parameters_by_com(mass, com)
         changes = {at["payload_mass"]: per_mass, at["shape_scale"]: mass[:, None] * per_spread}
-        changes |= {at[f"payload_com_{name}"]: by_com[:, :, axis] for axis, name in enumerate("xyz")}
+        changes |= {
+            at[f"payload_com_{name}"]: by_com[:, :, axis] for axis, name in enumerate("xyz")
+        }
         return mass[:, None] * per_mass, changes
 
-    def _shift(self, name: str, reading: float, values: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
+    def _shift(
+        self, name: str, reading: float, values: np.ndarray
+    ) -> tuple[np.ndarray, list[tuple[int, float]]]:
         """True position less reading of a locked joint, shape (S,), and what it changes with."""
         terms = [("zero", 1.0), ("ripple_cos", -np.cos(reading)), ("ripple_sin", -np.sin(reading))]
-        present = [(self.index[kind, name], float(factor)) for kind, factor in terms if (kind, name) in self.index]
-        return sum((values[:, row] * factor for row, factor in present), np.zeros(len(values))), present
+        present = [
+            (self.index[kind, name], float(factor))
+            for kind, factor in terms
+            if (kind, name) in self.index
+        ]
+        return sum(
+            (values[:, row] * factor for row, factor in present), np.zeros(len(values))
+        ), present
 
     def _start_reading(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
         """``q0`` is what the encoder shows at the start; the simulator wants it without the encoder's error."""
         cos_row, sin_row = self._ripple[row]
         if not self._ripples or cos_row < 0:
             return
-        a, b = values[:, cos_row], values[:, sin_row]
+        a = values[:, cos_row]
+        b = values[:, sin_row]
         start = INDEX["q0"]
         q = p[:, row, start].copy()
-        cos, sin = np.cos(q), np.sin(q)
+        cos = np.cos(q)
+        sin = np.sin(q)
         p[:, row, start] = q - a * cos - b * sin
         dp[:, row, start, self.index["q0", row]] = 1.0 + a * sin - b * cos
         dp[:, row, start, cos_row] = -cos
@@ -330,8 +385,10 @@ class Problem:
         cos_row, sin_row = self._ripple[row]
         if cos_row < 0:
             return q, dq
-        a, b = values[:, cos_row, None], values[:, sin_row, None]
-        cos, sin = np.cos(q), np.sin(q)
+        a = values[:, cos_row, None]
+        b = values[:, sin_row, None]
+        cos = np.cos(q)
+        sin = np.sin(q)
         dq = dq * (1.0 - a * sin + b * cos)[..., None]
         for unknown, wave in ((cos_row, cos), (sin_row, sin)):
             dq[..., columns == unknown] += wave[..., None]
@@ -364,13 +421,17 @@ class Problem:
 
     def _worlds(self, guesses: int) -> np.ndarray:
         if guesses not in self._world_runs:
-            self._world_runs[guesses] = _read_only(np.tile(np.arange(len(self.runs), dtype=np.int32), guesses))
+            self._world_runs[guesses] = _read_only(
+                np.tile(np.arange(len(self.runs), dtype=np.int32), guesses)
+            )
         return self._world_runs[guesses]
 
     def _identity(self, worlds: int) -> np.ndarray:
         """Tangent directions along the simulator's own parameters, shape (W, P, P)."""
         if worlds not in self._identities:
-            self._identities[worlds] = _read_only(np.tile(np.eye(len(self.simulator.parameters)), (worlds, 1, 1)))
+            self._identities[worlds] = _read_only(
+                np.tile(np.eye(len(self.simulator.parameters)), (worlds, 1, 1))
+            )
         return self._identities[worlds]
 
     def _rollout(
@@ -382,13 +443,20 @@ class Problem:
             q and v (S, R, T); q's derivative, shape (S, R, T, F) by the unknowns where these are few, (S, R, T, P) by the
             simulator's own parameters where they are many; which of the two.
         """
-        direct, runs = dp.shape[-1] <= len(self.simulator.parameters), len(self.runs)
+        direct = dp.shape[-1] <= len(self.simulator.parameters)
+        runs = len(self.runs)
         guesses = len(p) // runs
         tangents = dp if direct else self._identity(len(p))
         q, v, dq = self.simulator.jacobian(self._worlds(guesses), p, tangents, counts)
-        return *(a.reshape(guesses, runs, -1) for a in (q, v)), dq.reshape(guesses, runs, -1, dq.shape[-1]), direct
+        return (
+            *(a.reshape(guesses, runs, -1) for a in (q, v)),
+            dq.reshape(guesses, runs, -1, dq.shape[-1]),
+            direct,
+        )
 
-    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cost, gradient and Gauss-Newton matrix in solver coordinates, priors included.
 
         Args:
@@ -417,11 +485,15 @@ class Problem:
             dp = dp.reshape(guesses, runs, *dp.shape[1:])
             # run by run: a run is touched by few of many unknowns
             for row in range(runs):
-                columns, count = self._touching[row], int(counts[row])
-                shown, slopes = q[:, row, :count], dq[:, row, :count]
+                columns = self._touching[row]
+                count = int(counts[row])
+                shown = q[:, row, :count]
+                slopes = dq[:, row, :count]
                 slopes = slopes[:, :, columns] if direct else slopes @ dp[:, row][:, :, columns]
                 if self._ripples:
-                    shown, slopes = self._observe(row, values, shown.copy(), slopes, self.free[columns])
+                    shown, slopes = self._observe(
+                        row, values, shown.copy(), slopes, self.free[columns]
+                    )
                 weight = self.weight[row, :count]
                 residual = (shown - self.measured[row, :count]) * weight
                 slopes = slopes * weight[:, None]
@@ -447,16 +519,20 @@ class Problem:
         """Information of other signals than the encoder's on the free unknowns at given values, shape (F, F): none here."""
         return np.zeros((len(self.free), len(self.free)))
 
-    def simulate(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def simulate(
+        self, values: np.ndarray, columns: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the encoder shows and velocities, shapes (S, R, T), and sensitivities, shape (S, R, T, F); all copies.
 
         ``values`` and ``columns`` are those of ``parameters``.
         """
         p, dp = self.parameters(values, columns)
-        p, dp = p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
+        p = p.reshape(-1, p.shape[-1])
+        dp = dp.reshape(-1, *dp.shape[2:])
         with np.errstate(over="ignore", invalid="ignore"):
             q, v, dq, direct = self._rollout(p, dp)
-            q, v = q.copy(), v.copy()
+            q = q.copy()
+            v = v.copy()
             dq = dq.copy() if direct else dq @ dp.reshape(*q.shape[:2], *dp.shape[1:])
         if self._ripples:
             for row in range(len(self.runs)):

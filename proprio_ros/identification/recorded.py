@@ -25,10 +25,12 @@ def recorded_run(robot: Robot, run: Run, baseline: bool = False) -> RecordedRun:
     position = np.concatenate([run.before_position[shown], run.position])
     seen = at_the_shaft(robot, run)
     slides = seen is run and robot.model.joint(run.joint).kind == "prismatic"
-    arm, driven = np.zeros((2, 0, 2, 2)), np.zeros((2, 2))
+    arm = np.zeros((2, 0, 2, 2))
+    driven = np.zeros((2, 2))
     if len(position):
         poses = [{**run.held, run.joint: float(position[row])} for row in (0, -1)]
-        with suppress(RobotError):  # locked joints that nobody recorded: the fit asks for those that matter to it
+        # locked joints that nobody recorded: the fit asks for those that matter to it
+        with suppress(RobotError):
             arm, driven = side_view(robot, run.joint, poses)
     return RecordedRun(
         run.name,
@@ -74,14 +76,18 @@ def held_views(
         out = [float(np.linalg.norm(hand[:3, 3] - up * (up @ hand[:3, 3]))) for hand in hands]
         far = int(np.argmax(out))
         drawn = [*poses[:: AROUND // (POSES - 1)], poses[far]]
-        sides = [("from the side", np.array([right, up])), ("from above", np.array([right, np.cross(up, right)]))]
+        sides = [
+            ("from the side", np.array([right, up])),
+            ("from above", np.array([right, np.cross(up, right)])),
+        ]
         sides = sides[: len(motion.joints)]  # of one joint the side along its axis shows all
         links = [links_in(robot, plane, drawn) for _, plane in sides]
     except RobotError:  # locked joints that nobody recorded
         return ()
     views = []
     for (side, plane), arm in zip(sides, links, strict=True):
-        hand, seen = plane @ hands[far][:3, 3], plane @ hands[far][:3, :3]
+        hand = plane @ hands[far][:3, 3]
+        seen = plane @ hands[far][:3, :3]
         if load is None or not load[0] > 0.0:  # nothing has no body
             views.append(HeldView(side, arm, hand))
             continue
@@ -89,8 +95,22 @@ def held_views(
         centre = hand + seen @ np.asarray(centre_m)
         # that of an ellipsoid along one of its half axes is a fifth of their square
         spread = 5.0 * (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
-        within = None if within_m is None else _outline(centre, seen @ np.diag(np.square(within_m)) @ seen.T)
-        views.append(HeldView(side, arm, hand, centre, within, _outline(centre, seen @ spread @ seen.T), inertia_is))
+        within = (
+            None
+            if within_m is None
+            else _outline(centre, seen @ np.diag(np.square(within_m)) @ seen.T)
+        )
+        views.append(
+            HeldView(
+                side,
+                arm,
+                hand,
+                centre,
+                within,
+                _outline(centre, seen @ spread @ seen.T),
+                inertia_is,
+            )
+        )
     return tuple(views)
 
 

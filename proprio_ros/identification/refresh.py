@@ -37,7 +37,9 @@ ITERATIONS = 40
 
 
 def refresh(
-    robot: Robot, runs: Sequence[robot_calibration.LoadedRun], progress: Callable[[str], None] = lambda _: None
+    robot: Robot,
+    runs: Sequence[robot_calibration.LoadedRun],
+    progress: Callable[[str], None] = lambda _: None,
 ) -> CalibrationEstimate:
     """Bring a robot's calibration, aged to when the runs were made, up to date; most of the runs are with an empty hand.
 
@@ -69,7 +71,8 @@ def refresh(
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     solution = solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)
     ended = FitResult.of(problem, solution)
-    values, chi2 = ended.values, ended.reduced_chi2
+    values = ended.values
+    chi2 = ended.reduced_chi2
     # as in a weighing: runs that are not quite explained count for less
     posterior = Posterior(problem, values, 1.0 if ended.explains else max(1.0, chi2))
     rows = robot_calibration.shared_rows(problem, values, posterior.covariance)
@@ -78,7 +81,11 @@ def refresh(
     hand = robot_calibration.empty_hand(problem, values, posterior)
     reasons = robot_calibration.not_empty(hand, NOT_EMPTY)
     if chi2 > MISFIT_LIMIT or moved:
-        what = f"{', '.join(moved[:3])} standard deviations off" if moved else f"reduced chi-square {chi2:.1f}"
+        what = (
+            f"{', '.join(moved[:3])} standard deviations off"
+            if moved
+            else f"reduced chi-square {chi2:.1f}"
+        )
         said = f"the calibration no longer fits, not even with the drift that the robot file states ({what})"
         cure = "was the hand empty, and did anything touch the arm? If not, calibrate anew"
         reasons.append(Reason("drift", f"{said}: {cure}"))
@@ -98,11 +105,14 @@ def refresh(
     )
 
 
-def _updated(old: Calibration, problem: Problem, values: np.ndarray, posterior: Posterior) -> Calibration:
+def _updated(
+    old: Calibration, problem: Problem, values: np.ndarray, posterior: Posterior
+) -> Calibration:
     """The calibration after the fit; what the runs do not touch moves along as it is correlated with what they do."""
     place = {key: row for row, key in enumerate(old.keys)}
     free = [(f, row) for f, row in enumerate(problem.free) if problem.unknowns[row].key in place]
-    of_fit, rows = [f for f, _ in free], [row for _, row in free]
+    of_fit = [f for f, _ in free]
+    rows = [row for _, row in free]
     own = [place[problem.unknowns[row].key] for row in rows]
     prior = old.covariance[np.ix_(own, own)]
     follows = old.covariance[:, own] @ scaled_inverse(prior)

@@ -15,15 +15,33 @@ import numpy as np
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import gates, solvers
-from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate, EmptyHand, HeldOutRun
-from proprio_ros.identification.calibration_fit import Fitted, fit, foretold, of_runs, spread_of_runs, with_another_rise
+from proprio_ros.identification.calibration_estimate import (
+    NOT_EMPTY,
+    CalibrationEstimate,
+    EmptyHand,
+    HeldOutRun,
+)
+from proprio_ros.identification.calibration_fit import (
+    Fitted,
+    fit,
+    foretold,
+    of_runs,
+    spread_of_runs,
+    with_another_rise,
+)
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, robot_unknowns
-from proprio_ros.identification.swings import CHANGING, MISSED_SHARE, are_free_responses, missed_share, said_missed
+from proprio_ros.identification.swings import (
+    CHANGING,
+    MISSED_SHARE,
+    are_free_responses,
+    missed_share,
+    said_missed,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import shown
@@ -32,18 +50,23 @@ from proprio_ros.robot import Robot
 
 STRANGE = 4.0
 """Torque or onset of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
-COARSE = 3.0  # residuals so many times coarser than encoder and stamps explain: the model does not describe this robot
+# residuals so many times coarser than encoder and stamps explain: the model does not describe this robot
+COARSE = 3.0
 UNSTEADY = 6.0
 """Torque from run to run over what the robot file expects, beyond which the model does not describe this robot either."""
 LATE_S, BEGINNING = 0.015, (0.03, 0.3)
 """A push that begins so much later than most is looked at by itself; its beginning is this part of its way."""
-FAR_FROM_FILE = 4.0  # standard deviations of its prior by which an unknown may differ from the robot file unremarked
-UNLEARNT = 0.7  # posterior over prior standard deviation above which the runs have not determined an unknown
+# standard deviations of its prior by which an unknown may differ from the robot file unremarked
+FAR_FROM_FILE = 4.0
+# posterior over prior standard deviation above which the runs have not determined an unknown
+UNLEARNT = 0.7
 INSEPARABLE = 0.95  # correlation above which two unknowns are determined only together
 MAYBE_NOT_EMPTY = 3.0  # standard deviations of a mass in the empty hand beyond which that is said
 SAID_AT_MOST = 6
-HIDDEN_STARTS, HIDDEN_ITERATIONS = 3, 20
-HIDDEN_STEP_KG = 1e-4  # with which the sensitivity to a mass in the empty hand is taken by difference
+HIDDEN_STARTS = 3
+HIDDEN_ITERATIONS = 20
+# with which the sensitivity to a mass in the empty hand is taken by difference
+HIDDEN_STEP_KG = 1e-4
 
 
 class LoadedRun(NamedTuple):
@@ -53,7 +76,9 @@ class LoadedRun(NamedTuple):
     load: KnownLoad = KnownLoad()
 
 
-def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None) -> CalibrationEstimate:
+def calibrate(
+    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
+) -> CalibrationEstimate:
     """Learn the robot from empty-hand runs, and runs with a weighed reference; what its file states is the prior.
 
     Raises:
@@ -73,30 +98,52 @@ def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str],
     swings = are_free_responses(usable)
     if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
         exactly = f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known"
-        raise ConfigurationError(f"{exactly}, so there is nothing to learn: give the numbers standard deviations")
+        raise ConfigurationError(
+            f"{exactly}, so there is nothing to learn: give the numbers standard deviations"
+        )
     progress(f"fitting {len(usable)} runs")
     fitted, left_out = _fit_what_agrees(robot, usable, progress)
     if swings:
         fitted = with_another_rise(fitted)
-    problem, values, posterior = fitted.problem, fitted.values, fitted.posterior
-    whole, one_way = _as_calibration(fitted), _driven_one_way(robot, problem.runs)
+    problem = fitted.problem
+    values = fitted.values
+    posterior = fitted.posterior
+    whole = _as_calibration(fitted)
+    one_way = _driven_one_way(robot, problem.runs)
     hand = empty_hand(problem, values, posterior)
-    refusals = [*not_empty(hand, NOT_EMPTY), *_delay_on_bound(fitted), *_misfits(robot, fitted, left_out, len(usable))]
-    verdict, reasons, calibration = Verdict.REJECTED, refusals, whole
+    refusals = [
+        *not_empty(hand, NOT_EMPTY),
+        *_delay_on_bound(fitted),
+        *_misfits(robot, fitted, left_out, len(usable)),
+    ]
+    verdict = Verdict.REJECTED
+    reasons = refusals
+    calibration = whole
     if not refusals:
         verdict, reasons, calibration = _separated(whole, problem.runs, one_way)
     if left_out:
-        reasons.append(gates.said_left_out(left_out, len(usable), "was the hand as stated, and nothing in the way?"))
+        reasons.append(
+            gates.said_left_out(
+                left_out, len(usable), "was the hand as stated, and nothing in the way?"
+            )
+        )
     rows = shared_rows(problem, values, fitted.covariance)
-    if not swings:  # swings differ by more than a run says of itself: a good servo's loads would be doubted
+    # swings differ by more than a run says of itself: a good servo's loads would be doubted
+    if not swings:
         reasons += _not_as_stated(empty_hand(problem, values, posterior, references=True))
     reasons += [*not_empty(hand, MAYBE_NOT_EMPTY, NOT_EMPTY), *_far_from_file(rows)]
     if apart := int(np.sum(~(fitted.cost <= fitted.cost.min() + 2.0))):
-        found.notes.append(f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken")
+        found.notes.append(
+            f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken"
+        )
     if swings:
-        nothing = f"free swings tell nothing of the torque constant of {', '.join(joints_of(usable))}"
+        nothing = (
+            f"free swings tell nothing of the torque constant of {', '.join(joints_of(usable))}"
+        )
         instead = "weigh from free swings with this calibration"
-        found.notes.append(f"{nothing}: {instead}; what a current drives would carry the robot file's torque constant")
+        found.notes.append(
+            f"{nothing}: {instead}; what a current drives would carry the robot file's torque constant"
+        )
     else:
         reasons += gates.never_reversed(problem.runs)
     fits, rms, expected = run_fits(problem, values, problem.runs)
@@ -121,7 +168,10 @@ def calibrate(robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str],
 
 
 def usable_runs(
-    robot: Robot, runs: Sequence[LoadedRun], found: gates.Findings, refused: Callable[[PreparedRun], str] = lambda _: ""
+    robot: Robot,
+    runs: Sequence[LoadedRun],
+    found: gates.Findings,
+    refused: Callable[[PreparedRun], str] = lambda _: "",
 ) -> list[PreparedRun]:
     """The runs that a calibration can use; what is wrong with the others, and unusual about these, goes to the notes of ``found``.
 
@@ -142,20 +192,28 @@ def usable_runs(
     return usable
 
 
-def nothing_usable(robot: Robot, which: str, given: int, found: gates.Findings) -> CalibrationEstimate:
+def nothing_usable(
+    robot: Robot, which: str, given: int, found: gates.Findings
+) -> CalibrationEstimate:
     """The answer where no run can be used; ``which`` joint must move, in words."""
     reason = f"no run can be used: {which} joint must move by at least 0.1 rad inside its limits"
-    return CalibrationEstimate(robot.name, Verdict.NOT_IDENTIFIABLE, (reason,), given, None, notes=tuple(found.notes))
+    return CalibrationEstimate(
+        robot.name, Verdict.NOT_IDENTIFIABLE, (reason,), given, None, notes=tuple(found.notes)
+    )
 
 
 def _misfits(robot: Robot, fitted: Fitted, left_out: Sequence[str], count: int) -> list[str]:
     """Why these runs are no calibration of this robot, in a sentence; empty where they are one."""
     noise = fitted.noise
     if len(left_out) > gates.LEFT_OUT_AT_MOST * count:
-        return ["the runs contradict each other: was the hand empty in all of them, and is this the right robot?"]
+        return [
+            "the runs contradict each other: was the hand empty in all of them, and is this the right robot?"
+        ]
     unlike = "does not describe the robot in the recordings"
     if noise.residual_scale > COARSE:
-        coarse = f"the residuals are {noise.residual_scale:.1f} times what encoder and stamps explain"
+        coarse = (
+            f"the residuals are {noise.residual_scale:.1f} times what encoder and stamps explain"
+        )
         return [f"misfit: {coarse}: this robot file {unlike} (URDF, unit of the current, gears?)"]
     if noise.torque_disturbance > UNSTEADY * robot.torque_disturbance:
         come = f"{shown('N m', noise.torque_disturbance, spec='.0f')} come and go from run to run"
@@ -178,7 +236,9 @@ def _separated(
 ) -> tuple[Verdict, list[str], Calibration]:
     """What the runs tell apart: the verdict, why, and the calibration without the joints whose torque and friction they do not."""
     if len(runs) == 1:
-        alone = f"{runs[0].run.name} is the only run, and nothing confirms it: add others, both ways"
+        alone = (
+            f"{runs[0].run.name} is the only run, and nothing confirms it: add others, both ways"
+        )
         return Verdict.NOT_IDENTIFIABLE, [Reason("one_run", alone)], whole
     if not one_way:
         return Verdict.ACCEPTED, [], whole
@@ -205,7 +265,9 @@ def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool
     return {joint: seen.pop() for joint, seen in ways.items() if len(seen) == 1}
 
 
-def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior, references: bool = False) -> EmptyHand | None:
+def empty_hand(
+    problem: Problem, at: np.ndarray, posterior: Posterior, references: bool = False
+) -> EmptyHand | None:
     """The mass with which the hand of all empty runs would fit best: one step from the fit, everything else moving with it.
 
     A score test (Rao 1948): the fit's gradient by a mass that it does not have, over the information that no other unknown takes.
@@ -225,28 +287,40 @@ def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior, reference
 
     if all(hiding(run, 1.0) is run for run in problem.runs):
         return None
-    some, seen = problem.free[:1], problem.weight > 0.0
-    change = hiding_all(HIDDEN_STEP_KG).simulate(at[None], some)[0] - problem.simulate(at[None], some)[0]
+    some = problem.free[:1]
+    seen = problem.weight > 0.0
+    change = (
+        hiding_all(HIDDEN_STEP_KG).simulate(at[None], some)[0] - problem.simulate(at[None], some)[0]
+    )
     slope = change[0][seen] / HIDDEN_STEP_KG * problem.weight[seen]
     across = posterior.sensitivity.T @ slope
     information = float(slope @ slope - across @ posterior.covariance @ across)
     if information <= 0.0:
         return None
-    mass, std = float(slope @ posterior.residual - across @ posterior.step) / information, information**-0.5
+    mass = float(slope @ posterior.residual - across @ posterior.step) / information
+    std = information**-0.5
     if abs(mass) > MAYBE_NOT_EMPTY * std:
         follows = posterior.covariance @ across * mass
         open_to = [problem.unknowns[row] for row in problem.free]
         places = at[problem.free] - np.linspace(0.0, 1.0, HIDDEN_STARTS)[:, None] * follows
-        starts = problem.coordinates.internal(np.clip(places, [u.lower for u in open_to], [u.upper for u in open_to]))
+        starts = problem.coordinates.internal(
+            np.clip(places, [u.lower for u in open_to], [u.upper for u in open_to])
+        )
         before = problem.linearise(starts[:1])[0]
-        after = solvers.levenberg_marquardt(hiding_all(mass), starts, None, iterations=HIDDEN_ITERATIONS).cost
+        after = solvers.levenberg_marquardt(
+            hiding_all(mass), starts, None, iterations=HIDDEN_ITERATIONS
+        ).cost
         std = max(std, abs(mass) / max(2.0 * float(before[0] - after.min()), 1e-6) ** 0.5)
     return EmptyHand(mass, std)
 
 
 def not_empty(hand: EmptyHand | None, beyond: float, up_to: float = np.inf) -> list[str]:
     """That the hand was not empty, where the runs say so by more than ``beyond`` standard deviations, and by at most ``up_to``."""
-    return [Reason("hand_not_empty", hand.contradiction())] if hand and beyond < abs(hand.pull) <= up_to else []
+    return (
+        [Reason("hand_not_empty", hand.contradiction())]
+        if hand and beyond < abs(hand.pull) <= up_to
+        else []
+    )
 
 
 def _not_as_stated(off: EmptyHand | None) -> list[str]:
@@ -259,7 +333,9 @@ def _not_as_stated(off: EmptyHand | None) -> list[str]:
     return [Reason("far_from_prior", said)]
 
 
-def _fit_what_agrees(robot: Robot, runs: list[PreparedRun], progress: Callable[[str], None]) -> tuple[Fitted, list[str]]:
+def _fit_what_agrees(
+    robot: Robot, runs: list[PreparedRun], progress: Callable[[str], None]
+) -> tuple[Fitted, list[str]]:
     """Fit all runs; while one of them contradicts the rest, leave it out and fit again.
 
     A run that was not as stated bends the fit, and an honest one may look worse by that: each that was left out comes back where
@@ -272,7 +348,8 @@ def _fit_what_agrees(robot: Robot, runs: list[PreparedRun], progress: Callable[[
         progress(f"{', '.join(run.run.name for run in late)} began late; fitting without")
         others = fit(robot, _without(late, runs))
         left_out = [run for run in late if gates.surprising(*foretold(robot, others, run)) > 1.0]
-    late, kept = left_out[:], _without(left_out, runs)
+    late = left_out[:]
+    kept = _without(left_out, runs)
     fitted = fit(robot, kept)
     while len(left_out) <= gates.LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
         if (outlier := _outlier(robot, fitted)) is None:
@@ -284,7 +361,8 @@ def _fit_what_agrees(robot: Robot, runs: list[PreparedRun], progress: Callable[[
         without = _without([run], left_out)
         again = fit(robot, _without(without, runs))
         if _outlier(robot, again) is None:
-            fitted, left_out = again, without
+            fitted = again
+            left_out = without
     return fitted, [run.run.name for run in left_out]
 
 
@@ -296,7 +374,8 @@ def _late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
     """Runs whose joint leaves its rest much later than in its others, the latest first, and not too many to be exceptions."""
     if runs[0].run.free:
         return []
-    begins_s, joints = np.array([_begins_s(run) for run in runs]), np.array([run.run.joint for run in runs])
+    begins_s = np.array([_begins_s(run) for run in runs])
+    joints = np.array([run.run.joint for run in runs])
     off_s = begins_s - [np.median(begins_s[joints == joint]) for joint in joints]
     latest = np.argsort(-off_s, kind="stable")[: int(gates.LEFT_OUT_AT_MOST * len(runs))]
     return [runs[row] for row in latest if off_s[row] > LATE_S]
@@ -323,16 +402,25 @@ def _outlier(robot: Robot, fitted: Fitted) -> int | None:
         rows, found, learnt = of_runs(kind, fitted.problem, fitted.posterior)
         for place, row in enumerate(rows) if len(rows) >= 3 else ():
             others = np.arange(len(rows)) != place
-            strange.append((abs(float(found[place])) / spread_of_runs(usual, found[others], learnt[others]), row))
+            strange.append(
+                (
+                    abs(float(found[place])) / spread_of_runs(usual, found[others], learnt[others]),
+                    row,
+                )
+            )
     worst = max(strange)[1]
     return None if worst < 0 else worst
 
 
-def shared_rows(problem: Problem, values: np.ndarray, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
+def shared_rows(
+    problem: Problem, values: np.ndarray, covariance: np.ndarray
+) -> tuple[UnknownRow, ...]:
     """Every shared unknown, prior against posterior; ``values`` (N,) of all unknowns, ``covariance`` (F, F) of the free ones."""
     stds = np.sqrt(np.diag(covariance))
     return tuple(
-        UnknownRow(u.kind, u.role.value, u.value, u.std, float(values[row]), float(stds[f]), scope=u.scope)
+        UnknownRow(
+            u.kind, u.role.value, u.value, u.std, float(values[row]), float(stds[f]), scope=u.scope
+        )
         for f, row in enumerate(problem.free)
         if (u := problem.unknowns[row]).shared
     )
@@ -353,7 +441,8 @@ def _far_from_file(rows: Sequence[UnknownRow]) -> list[str]:
 def _delay_on_bound(fitted: Fitted) -> list[str]:
     """A sentence where commands were stamped further from what they did than a delay can be: the rest bends torque and friction."""
     row = fitted.problem.index["delay"]
-    unknown, delay = fitted.problem.unknowns[row], float(fitted.values[row])
+    unknown = fitted.problem.unknowns[row]
+    delay = float(fitted.values[row])
     spare = 0.01 * (unknown.upper - unknown.lower)
     if unknown.std == 0.0 or unknown.lower + spare < delay < unknown.upper - spare:
         return []
@@ -371,20 +460,31 @@ def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
     return tuple(entries)
 
 
-def _not_separated(robot: Robot, problem: Problem, rows: Sequence[UnknownRow], calibration: Calibration) -> tuple[str, ...]:
+def _not_separated(
+    robot: Robot, problem: Problem, rows: Sequence[UnknownRow], calibration: Calibration
+) -> tuple[str, ...]:
     """What these runs leave open, in sentences: drive-train terms at their prior, and pairs that only occur together."""
     sentences = []
     for row in rows:
-        if row.kind in DRIVE_TERMS and row.kind != "stribeck_velocity" and row.std > UNLEARNT * row.prior_std:
+        if (
+            row.kind in DRIVE_TERMS
+            and row.kind != "stribeck_velocity"
+            and row.std > UNLEARNT * row.prior_std
+        ):
             unit = "" if row.unit == "1" else " " + row.unit
-            sentences.append(f"{row.label} was not learnt: still {row.value:.3g} +- {row.std:.2g}{unit}")
+            sentences.append(
+                f"{row.label} was not learnt: still {row.value:.3g} +- {row.std:.2g}{unit}"
+            )
     correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
     pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
     for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):
         both = f"{label_of(calibration.keys[a])} and {label_of(calibration.keys[b])}"
         signed = f"(correlation {calibration.correlation[a, b]:+.3f})"
         sentences.append(f"{both} were only determined together {signed}")
-    if not any(run.load is not None and run.load.mass > 0.0 for run in problem.runs) and robot.arm_scale.std > 0.0:
+    if (
+        not any(run.load is not None and run.load.mass > 0.0 for run in problem.runs)
+        and robot.arm_scale.std > 0.0
+    ):
         scale = calibration.quantities.get("arm_scale", robot.arm_scale)
         ratio = "torque constants and the arm's weight were only determined as a ratio"
         until = "until a run holds a weighed reference (--reference BAG=KG)"
@@ -395,7 +495,8 @@ def _not_separated(robot: Robot, problem: Problem, rows: Sequence[UnknownRow], c
 
 
 def _as_calibration(fitted: Fitted) -> Calibration:
-    problem, noise = fitted.problem, fitted.noise
+    problem = fitted.problem
+    noise = fitted.noise
     shared = [f for f, row in enumerate(problem.free) if problem.unknowns[row].shared]
     rows = problem.free[shared]
     if noise.swing_error == 0.0:

@@ -17,9 +17,18 @@ from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 PAYLOAD_TERMS = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale")
-DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")
+DRIVE_TERMS = (
+    "torque_constant",
+    "coulomb",
+    "viscous",
+    "load_friction",
+    "armature",
+    "stribeck",
+    "stribeck_velocity",
+)
 """Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
-SLOWEST_STRIBECK = 0.02  # a bump of friction narrower than this is over within a sample of any push [rad/s]
+# a bump of friction narrower than this is over within a sample of any push [rad/s]
+SLOWEST_STRIBECK = 0.02
 RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
 """The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
 START_VELOCITY_STD = 2.0
@@ -43,14 +52,24 @@ that number better than anybody knows it."""
 
 
 def load_unknowns(
-    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, drive_role: Role, start_mass_kg: float
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    drive_role: Role,
+    start_mass_kg: float,
 ) -> list[Unknown]:
     """All unknowns of a weighing: the payload, from whose ``start_mass_kg`` a fit starts, and those of `robot_unknowns`."""
     unknowns = [Unknown("payload_mass", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
     for axis, name in enumerate("xyz"):
         spread = float(facts.com_std[axis])
-        unknowns.append(Unknown(f"payload_com_{name}", float(facts.com[axis]), spread, -1.0, 1.0).at_role(Role.FREE))
-    unknowns.append(Unknown("shape_scale", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role))
+        unknowns.append(
+            Unknown(f"payload_com_{name}", float(facts.com[axis]), spread, -1.0, 1.0).at_role(
+                Role.FREE
+            )
+        )
+    unknowns.append(
+        Unknown("shape_scale", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role)
+    )
     return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
 
 
@@ -69,7 +88,9 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
         for kind in DRIVE_TERMS:
             lower = SLOWEST_STRIBECK if kind == "stribeck_velocity" else 0.0
             shared.append(_from_quantity(kind, name, getattr(drive, kind), lower=lower))
-    for name in dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose)):
+    for name in dict.fromkeys(
+        name for run in runs for name in (run.run.joint, *run.coefficients.pose)
+    ):
         moved = robot.drive_trains.get(name)
         if moved is not None and moved.transmission == 1.0:
             # a locked joint's reading is rounded the same way in every sample
@@ -81,20 +102,32 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
     links = dict.fromkeys(key for run in runs for key in run.coefficients.links)
     shared += [_from_quantity(kind, link, Quantity(0.0, stds[kind])) for kind, link in links]
     known = {} if robot.calibration is None else robot.calibration.quantities
-    shared = [_from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u for u in shared]
+    shared = [
+        _from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u
+        for u in shared
+    ]
     unknowns = [u.at_role(drive_role) for u in shared]
     for row, run in enumerate(runs):
         free = run.run.free
-        start_velocity = (run.start_velocity, START_VELOCITY_STD) if free else (0.0, robot.start_velocity)
-        unknowns += [Unknown("q0", run.rest.value, run.rest.std, scope=row), Unknown("v0", *start_velocity, scope=row)]
+        start_velocity = (
+            (run.start_velocity, START_VELOCITY_STD) if free else (0.0, robot.start_velocity)
+        )
+        unknowns += [
+            Unknown("q0", run.rest.value, run.rest.std, scope=row),
+            Unknown("v0", *start_velocity, scope=row),
+        ]
         of_run = []
         if free:
             zero_std = ZERO_REPEATS * robot.drive_trains[run.run.joint].zero.std
-            stds = dict(zip(OF_A_SWING, (robot.friction_spread, MOMENT_REPEATS, zero_std), strict=True))
+            stds = dict(
+                zip(OF_A_SWING, (robot.friction_spread, MOMENT_REPEATS, zero_std), strict=True)
+            )
             of_run = [Unknown(kind, 0.0, std, -0.9, scope=row) for kind, std in stds.items()]
         of_run.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row))
         # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
-        of_run.append(Unknown("disturbance", 0.0, 0.0 if free else robot.torque_disturbance, scope=row))
+        of_run.append(
+            Unknown("disturbance", 0.0, 0.0 if free else robot.torque_disturbance, scope=row)
+        )
         unknowns += [unknown.at_role(drive_role) for unknown in of_run]
     return unknowns
 
@@ -108,21 +141,33 @@ def onset_std(robot: Robot, run: PreparedRun) -> float:
     if run.run.free:  # no command begins it
         return 0.0
     period = float(np.median(np.diff(run.run.times_s)))
-    pause = float(run.run.times_s[0] - run.run.before_times_s[-1]) if len(run.run.before_times_s) else 0.0
+    pause = (
+        float(run.run.times_s[0] - run.run.before_times_s[-1])
+        if len(run.run.before_times_s)
+        else 0.0
+    )
     of_measured = period / 2.0 if run.run.source == MEASURED_EFFORT else 0.0
     of_pause = pause / 12.0**0.5 if pause > 2.5 * period else 0.0
     return math.hypot(robot.onset_jitter_s, of_measured, of_pause)
 
 
-def _from_quantity(kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf) -> Unknown:
-    return Unknown(kind, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper, scope=scope)
+def _from_quantity(
+    kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf
+) -> Unknown:
+    return Unknown(
+        kind, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper, scope=scope
+    )
 
 
 def of_one_kind(robot: Robot, free: Sequence[Unknown]) -> tuple[list[Key], np.ndarray]:
     """Keys and prior covariance of the torque constants among some unknowns; motors of one kind err together in part."""
     constants = [unknown for unknown in free if unknown.kind == "torque_constant"]
-    kinds = [robot.drive_trains[str(unknown.scope)].nominal_effort_per_current for unknown in constants]
+    kinds = [
+        robot.drive_trains[str(unknown.scope)].nominal_effort_per_current for unknown in constants
+    ]
     std = np.array([unknown.std for unknown in constants])
-    alike = np.array([[one == other for other in kinds] for one in kinds], dtype=float).reshape(len(std), len(std))
+    alike = np.array([[one == other for other in kinds] for one in kinds], dtype=float).reshape(
+        len(std), len(std)
+    )
     shares = COMMON_SHARE * alike + (1.0 - COMMON_SHARE) * np.eye(len(std))
     return [unknown.key for unknown in constants], shares * np.outer(std, std)

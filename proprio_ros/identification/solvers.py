@@ -24,7 +24,9 @@ class LeastSquares(Protocol):
 
     coordinates: Coordinates
 
-    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cost (S,), gradient (S, F), Gauss-Newton matrix (S, F, F)."""
         ...
 
@@ -45,14 +47,19 @@ class Solution:
 
 
 def bounded_step(
-    u: np.ndarray, gradient: np.ndarray, matrix: np.ndarray, damping: np.ndarray, coordinates: Coordinates
+    u: np.ndarray,
+    gradient: np.ndarray,
+    matrix: np.ndarray,
+    damping: np.ndarray,
+    coordinates: Coordinates,
 ) -> np.ndarray:
     """Damped Gauss-Newton step of every start, shape (S, F), that respects the bounds.
 
     An unknown that sits on a bound and is pushed outward stays; one whose step would cross a bound goes to it, and the others
     are solved for again with that in mind.
     """
-    lower, upper = coordinates.lower, coordinates.upper
+    lower = coordinates.lower
+    upper = coordinates.upper
     diagonal = np.arange(u.shape[1])
     fixed = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
     step = np.zeros_like(u)
@@ -105,7 +112,8 @@ def levenberg_marquardt(
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
-    damping, growth = np.full(len(u), 1e-3), np.full(len(u), 2.0)
+    damping = np.full(len(u), 1e-3)
+    growth = np.full(len(u), 2.0)
     path: list[np.ndarray] = [u.copy()]
     path_cost: list[np.ndarray] = []
     for fraction in WINDOWS if windows is not None else WINDOWS[-1:]:
@@ -125,11 +133,16 @@ def levenberg_marquardt(
             size = np.sqrt(np.maximum(curvature, 0.0))
             downhill = -np.einsum("si,si->s", gradient, moved)
             promised = downhill - 0.5 * curvature
-            finite = better & np.isfinite(cost)  # the first guess that can be simulated gains without measure
-            gained = np.where(finite, np.where(finite, cost, 0.0) - np.where(finite, trial_cost, 0.0), 0.0)
+            # the first guess that can be simulated gains without measure
+            finite = better & np.isfinite(cost)
+            gained = np.where(
+                finite, np.where(finite, cost, 0.0) - np.where(finite, trial_cost, 0.0), 0.0
+            )
             # Nielsen 1999: the damping follows how much of the promised decrease came true
             kept = np.clip(gained / np.maximum(promised, np.maximum(gained, 1e-300)), 0.0, 1.0)
-            damping = damping * np.where(better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth)
+            damping = damping * np.where(
+                better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth
+            )
             damping = np.clip(damping, 1e-8, 1e10)
             growth = np.where(better, 2.0, 2.0 * growth)
             overshot = persistent & ~better & (downhill > IDLE_GAIN)  # a shorter step gains
@@ -165,14 +178,18 @@ def adam_descent(
     the coordinates, shape (F,) or one for all; ``upper``: likewise.
     """
     u = starts.astype(np.float64).copy()
-    first, second = np.zeros_like(u), np.zeros_like(u)
-    path, path_cost = [u.copy()], []
+    first = np.zeros_like(u)
+    second = np.zeros_like(u)
+    path = [u.copy()]
+    path_cost = []
     for n in range(iterations):
         cost, gradient = gradient_of(u)
         path_cost.append(cost.copy())
         first = 0.9 * first + 0.1 * gradient
         second = 0.999 * second + 0.001 * gradient**2
-        direction = (first / (1.0 - 0.9 ** (n + 1))) / (np.sqrt(second / (1.0 - 0.999 ** (n + 1))) + 1e-8)
+        direction = (first / (1.0 - 0.9 ** (n + 1))) / (
+            np.sqrt(second / (1.0 - 0.999 ** (n + 1))) + 1e-8
+        )
         u = np.clip(u - cosine_annealed(rate, n, iterations) * direction, lower, upper)
         path.append(u.copy())
     cost, _ = gradient_of(u)
@@ -180,7 +197,9 @@ def adam_descent(
     return Solution(u, cost, np.array(path), np.array(path_cost), iterations)
 
 
-def adam(problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate: float = 0.1) -> Solution:
+def adam(
+    problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate: float = 0.1
+) -> Solution:
     """Adam on the same cost as Levenberg-Marquardt, in units of each unknown's natural length."""
     coordinates = problem.coordinates
     natural = coordinates.natural
@@ -189,12 +208,15 @@ def adam(problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate:
         cost, gradient, _ = problem.linearise(scaled * natural)
         return cost, gradient * natural
 
-    lower, upper = coordinates.lower / natural, coordinates.upper / natural
+    lower = coordinates.lower / natural
+    upper = coordinates.upper / natural
     found = adam_descent(gradient_of, starts / natural, rate, iterations, lower, upper)
     return replace(found, internal=found.internal * natural, path=found.path * natural)
 
 
-def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed: int = 1) -> Solution:
+def cma(
+    problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed: int = 1
+) -> Solution:
     """CMA-ES (Hansen's ``cma``), one search per start, each generation in one launch.
 
     Raises `ConfigurationError`: The library is not installed.
@@ -202,15 +224,26 @@ def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed:
     try:
         import cma as library
     except ImportError as error:
-        raise ConfigurationError("--solver cma needs the package 'cma': pip install cma, or use --solver lm") from error
+        raise ConfigurationError(
+            "--solver cma needs the package 'cma': pip install cma, or use --solver lm"
+        ) from error
     coordinates = problem.coordinates
     natural = coordinates.natural
     bounds = [list(coordinates.lower / natural), list(coordinates.upper / natural)]
-    options = {"bounds": bounds, "seed": seed, "verbose": -9, "maxiter": generations, "tolfun": 1e-9, "tolx": 1e-9}
-    paths, path_costs = [], []
+    options = {
+        "bounds": bounds,
+        "seed": seed,
+        "verbose": -9,
+        "maxiter": generations,
+        "tolfun": 1e-9,
+        "tolx": 1e-9,
+    }
+    paths = []
+    path_costs = []
     for start in starts:
         search = library.CMAEvolutionStrategy(start / natural, 0.5, options)
-        path, path_cost = [start], [float(problem.linearise(start[None])[0][0])]
+        path = [start]
+        path_cost = [float(problem.linearise(start[None])[0][0])]
         while not search.stop():
             asked = np.array(search.ask())
             cost = problem.linearise(asked * natural)[0]
@@ -221,6 +254,8 @@ def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed:
         path_costs.append(path_cost)
     # a search that ends early stays where it ended
     length = max(len(path) for path in paths)
-    padded = np.array([path + [path[-1]] * (length - len(path)) for path in paths]).transpose(1, 0, 2)
+    padded = np.array([path + [path[-1]] * (length - len(path)) for path in paths]).transpose(
+        1, 0, 2
+    )
     padded_cost = np.array([c + [c[-1]] * (length - len(c)) for c in path_costs]).T
     return Solution(padded[-1], padded_cost[-1], padded, padded_cost, length - 1)

@@ -28,7 +28,8 @@ way, and by then gravity, friction and joints that yield have changed its accele
 RESTED_S = 0.5  # of the rest before it, so much is looked at
 GRID_S = 0.004  # onsets are looked for at instants so far apart
 FORETELL_S = 0.25  # so much of the motion before the end of a push foretells how it would go on
-MOVING_RAD_S = 0.5  # a slower joint may stop and stick where its push ends, which looks as if nothing had changed
+# a slower joint may stop and stick where its push ends, which looks as if nothing had changed
+MOVING_RAD_S = 0.5
 SHARE = 0.75
 """A change of acceleration that is below this part of what the end of the current makes, by three standard deviations, is none."""
 MIN_BEYOND = 2  # samples beyond the end that it takes to see that
@@ -42,26 +43,45 @@ def stamps_off(fit: FitResult) -> list[Reason]:
     found: list[Reason] = []
     cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
     for run, row in zip(problem.runs, parameters, strict=True):
-        if run.run.free or run.run.source == MEASURED_EFFORT:  # which comes in one message with the positions
+        # which comes in one message with the positions
+        if run.run.free or run.run.source == MEASURED_EFFORT:
             continue
-        if len(run.run.input_times_s) > 1:  # what is shaken inside a container pushes back at any time
+        # what is shaken inside a container pushes back at any time
+        if len(run.run.input_times_s) > 1:
             continue
-        if robot.model.joint(run.run.joint).kind == "prismatic":  # fingers meet something, which pushes back, too
+        # fingers meet something, which pushes back, too
+        if robot.model.joint(run.run.joint).kind == "prismatic":
             continue
         period = float(np.median(np.diff(run.run.times_s)))
         spread = max(STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))), 0.5 * period)
-        change = -row[INDEX["torque_constant"]] * float(run.run.input_current_A[-1]) / row[INDEX["inertia"]]
+        change = (
+            -row[INDEX["torque_constant"]]
+            * float(run.run.input_current_A[-1])
+            / row[INDEX["inertia"]]
+        )
         # what begins before it is said to, ends before it is said to
-        if (begun_s := moves_before(run, robot.delay.value - spread, robot.stamp_jitter_s)) is not None:
-            said = f"moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it"
+        if (
+            begun_s := moves_before(run, robot.delay.value - spread, robot.stamp_jitter_s)
+        ) is not None:
+            said = (
+                f"moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it"
+            )
             off = ("late", "early")
-        elif (driven_s := driven_beyond(run, robot.delay.value + spread, change, robot.stamp_jitter_s)) is not None:
-            said = f"is still driven {1e3 * driven_s:.0f} ms after the current is said to have ended"
+        elif (
+            driven_s := driven_beyond(run, robot.delay.value + spread, change, robot.stamp_jitter_s)
+        ) is not None:
+            said = (
+                f"is still driven {1e3 * driven_s:.0f} ms after the current is said to have ended"
+            )
             off = ("early", "late")
         else:
             continue
-        question = f"are the stamps of {run.run.source} {off[0]}, or those of the joint states {off[1]}?"
-        found.append(Reason("stamps_off", f"{run.run.name}: {run.run.joint} {said}: {question} {cure}"))
+        question = (
+            f"are the stamps of {run.run.source} {off[0]}, or those of the joint states {off[1]}?"
+        )
+        found.append(
+            Reason("stamps_off", f"{run.run.name}: {run.run.joint} {said}: {question} {cure}")
+        )
     return found
 
 
@@ -78,19 +98,25 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     away = np.abs(position - np.median(position[:3])) > BEGINS_RAD
     count = int(np.argmax(away)) if away.any() else len(times_s)
     count = min(count, int(np.searchsorted(times_s, least_s + BEGINS_S)))
-    times_s, position = times_s[:count], position[:count]
+    times_s = times_s[:count]
+    position = position[:count]
     if count < 7:
         return None
     weight = 1.0 / _sigma(run, times_s, position, jitter_s)
     # two samples of rest, and three of motion; the earliest onset that is allowed is tried itself
-    onsets = np.arange(least_s - GRID_S * np.floor((least_s - times_s[1]) / GRID_S), times_s[-3], GRID_S)
+    onsets = np.arange(
+        least_s - GRID_S * np.floor((least_s - times_s[1]) / GRID_S), times_s[-3], GRID_S
+    )
     if not len(onsets):
         return None
     since_s = np.maximum(times_s - onsets[:, None], 0.0)
-    basis, upper = np.linalg.qr(np.stack([np.ones_like(since_s), since_s**3, since_s**2], axis=2) * weight[:, None])
+    basis, upper = np.linalg.qr(
+        np.stack([np.ones_like(since_s), since_s**3, since_s**2], axis=2) * weight[:, None]
+    )
     seen = (position - position[0]) * weight
     along = seen @ basis
-    along[along[:, 2] / upper[:, 2, 2] * seen[-1] < 0.0, 2] = 0.0  # what first moves the other way is a joint that creeps at rest
+    # what first moves the other way is a joint that creeps at rest
+    along[along[:, 2] / upper[:, 2, 2] * seen[-1] < 0.0, 2] = 0.0
     chi2 = seen @ seen - np.sum(along**2, axis=1)
     best = float(chi2.min())
     good = onsets[chi2 <= best + SURE * max(best / (count - 5), 1.0)]
@@ -138,11 +164,15 @@ def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: floa
     return None
 
 
-def _sigma(run: PreparedRun, times_s: np.ndarray, position: np.ndarray, jitter_s: float) -> np.ndarray:
+def _sigma(
+    run: PreparedRun, times_s: np.ndarray, position: np.ndarray, jitter_s: float
+) -> np.ndarray:
     return np.hypot(max(run.drive.reading_std, 1e-9), np.gradient(position, times_s) * jitter_s)
 
 
-def _fitted(columns: np.ndarray, position: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _fitted(
+    columns: np.ndarray, position: np.ndarray, weight: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
     """Chi-square of a linear least-squares fit, its values, and their standard deviations."""
     length = np.linalg.norm(columns * weight[:, None], axis=0)
     scaled = columns * weight[:, None] / length

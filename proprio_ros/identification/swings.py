@@ -20,8 +20,10 @@ from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
 
-MISSED_SHARE = 0.03  # a simulation that misses a swing by more than this share of its span (rms) does not explain it
-MUCH_WORSE = 6.0  # a swing may be followed so many times worse than those of the calibration before it contradicts them
+# a simulation that misses a swing by more than this share of its span (rms) does not explain it
+MISSED_SHARE = 0.03
+# a swing may be followed so many times worse than those of the calibration before it contradicts them
+MUCH_WORSE = 6.0
 CHANGING = 0.5  # friction that differs by more than this share from swing to swing is no friction
 MOST_CORRELATED = 0.95
 FRICTION_LAW, FRICTION_LAW_SHARE = "friction_law", 0.015
@@ -38,7 +40,9 @@ def are_free_responses(runs: Sequence[PreparedRun]) -> bool:
     free = [run.run.name for run in runs if run.run.free]
     driven = [run.run.name for run in runs if not run.run.free]
     if free and driven:
-        raise RecordingError(f"{free[0]} is a free swing and {driven[0]} is driven by a current: give them apart")
+        raise RecordingError(
+            f"{free[0]} is a free swing and {driven[0]} is driven by a current: give them apart"
+        )
     return bool(free)
 
 
@@ -59,12 +63,14 @@ def swing_error(posterior: Posterior) -> float:
 
 def stamp_jitter(posterior: Posterior) -> float:
     """Of the stamps [s]: how much more neighbouring samples differ from each other where the joint is fast."""
-    moved, squares = [], []
+    moved = []
+    squares = []
     for row, (run, part) in enumerate(zip(posterior.problem.runs, _missed(posterior), strict=True)):
         rough = np.sqrt(2.0 / 3.0) * (part[1:-1] - 0.5 * (part[2:] + part[:-2]))
         moved.append(posterior.velocity[posterior.run == row][1:-1] ** 2)
         squares.append(rough**2 - run.drive.reading_std**2)
-    speed2, square = np.concatenate(moved), np.concatenate(squares)
+    speed2 = np.concatenate(moved)
+    square = np.concatenate(squares)
     return float(np.sqrt(max(float(square @ speed2), 0.0) / max(float(speed2 @ speed2), 1e-300)))
 
 

@@ -40,7 +40,9 @@ class Unknown(Tag):
             raise ConfigurationError(f"{self.name}: {given} must be finite and std not negative")
         if not self.lower <= self.value <= self.upper:
             bounds = f"[{self.lower}, {self.upper}]"
-            raise ConfigurationError(f"{self.name} = {self.value} {self.unit} lies outside {bounds}")
+            raise ConfigurationError(
+                f"{self.name} = {self.value} {self.unit} lies outside {bounds}"
+            )
 
     def at_role(self, role: Role) -> Unknown:
         """A copy with another role; what is known exactly stays frozen."""
@@ -63,7 +65,11 @@ class Coordinates:
             the others are independent. Keys that are not among the unknowns are marginalised out.
     """
 
-    def __init__(self, unknowns: Sequence[Unknown], correlated: tuple[Sequence[Key], np.ndarray] | None = None) -> None:
+    def __init__(
+        self,
+        unknowns: Sequence[Unknown],
+        correlated: tuple[Sequence[Key], np.ndarray] | None = None,
+    ) -> None:
         scales = np.array([u.asinh_scale for u in unknowns])
         self._curved = scales > 0.0
         self._scales = np.where(self._curved, scales, 1.0)
@@ -76,7 +82,9 @@ class Coordinates:
         if correlated is not None:
             self._correlate([u.key for u in unknowns], *correlated)
         # one step of the solver never leaves the range in which the linearisation means something
-        self.step_limit = np.where(self._curved, 1.5, np.where(np.isfinite(stds), 5.0 * stds, np.inf))
+        self.step_limit = np.where(
+            self._curved, 1.5, np.where(np.isfinite(stds), 5.0 * stds, np.inf)
+        )
         # a natural length per coordinate, for solvers that want one (Adam, CMA-ES)
         self.natural = np.where(self._curved, 1.0, np.where(np.isfinite(stds), stds, 1.0))
 
@@ -85,7 +93,9 @@ class Coordinates:
         own = [row for row, key in enumerate(free) if key in where]
         if own:
             given = [where[free[row]] for row in own]
-            self.prior_precision[np.ix_(own, own)] = scaled_inverse(covariance[np.ix_(given, given)])
+            self.prior_precision[np.ix_(own, own)] = scaled_inverse(
+                covariance[np.ix_(given, given)]
+            )
 
     def internal(self, physical: np.ndarray) -> np.ndarray:
         """Solver coordinates of physical values, shape (..., F)."""
@@ -93,8 +103,12 @@ class Coordinates:
 
     def physical(self, internal: np.ndarray) -> np.ndarray:
         """Physical values of solver coordinates, shape (..., F)."""
-        return np.where(self._curved, self._scales * np.sinh(np.where(self._curved, internal, 0.0)), internal)
+        return np.where(
+            self._curved, self._scales * np.sinh(np.where(self._curved, internal, 0.0)), internal
+        )
 
     def slope(self, internal: np.ndarray) -> np.ndarray:
         """d physical / d internal, shape (..., F)."""
-        return np.where(self._curved, self._scales * np.cosh(np.where(self._curved, internal, 0.0)), 1.0)
+        return np.where(
+            self._curved, self._scales * np.cosh(np.where(self._curved, internal, 0.0)), 1.0
+        )

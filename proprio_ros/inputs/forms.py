@@ -70,13 +70,21 @@ class Number(Form):
     def read(self, value: Any) -> float:
         number = finite(value)
         if number is None:
-            kind = "a finite number" if isinstance(value, (int, float)) and not isinstance(value, bool) else "a number"
+            kind = (
+                "a finite number"
+                if isinstance(value, (int, float)) and not isinstance(value, bool)
+                else "a number"
+            )
             raise FormError(f"expected {kind}, got {shortly(value)}")
         if self.lowest <= number <= self.highest and not (self.open and number == self.lowest):
             return number
         words = f"must be {self._range()}"
         if self.lowest >= 0.0 >= number:
-            words = "must not be negative" if self.lowest == 0.0 and not self.open else "must be positive"
+            words = (
+                "must not be negative"
+                if self.lowest == 0.0 and not self.open
+                else "must be positive"
+            )
         raise FormError(f"{words}, got {number}{self._hint()}")
 
     def _hint(self) -> str:
@@ -85,13 +93,19 @@ class Number(Form):
     def _range(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         if math.isinf(self.highest):
-            return "any" if math.isinf(self.lowest) else f"{'above' if self.open else 'at least'} {self.lowest:g}{unit}"
+            return (
+                "any"
+                if math.isinf(self.lowest)
+                else f"{'above' if self.open else 'at least'} {self.lowest:g}{unit}"
+            )
         if self.open:
             return f"above {self.lowest:g} and at most {self.highest:g}{unit}"
         return f"from {self.lowest:g} to {self.highest:g}{unit}"
 
     def described(self) -> str:
-        return f"number {self._range()}" if self._range() != "any" else f"number {self.unit}".rstrip()
+        return (
+            f"number {self._range()}" if self._range() != "any" else f"number {self.unit}".rstrip()
+        )
 
 
 @dataclass(frozen=True)
@@ -101,7 +115,9 @@ class Whole(Number):
     def read(self, value: Any) -> int:
         number = finite(value)
         if number is None or number != int(number) or not self.lowest <= number <= self.highest:
-            raise FormError(f"expected a whole number {self._range()}, got {shortly(value)}{self._hint()}")
+            raise FormError(
+                f"expected a whole number {self._range()}, got {shortly(value)}{self._hint()}"
+            )
         return int(number)
 
     def described(self) -> str:
@@ -131,7 +147,11 @@ class Numbers(Form):
     def _kind(self) -> str:
         if self.example:
             return self.example
-        return f"a list of {self.least} to {self.most} numbers" if self.count is None else f"{self.count} numbers"
+        return (
+            f"a list of {self.least} to {self.most} numbers"
+            if self.count is None
+            else f"{self.count} numbers"
+        )
 
     def described(self) -> str:
         return f"{self._kind()}, each a {self.each.described()}"
@@ -161,7 +181,9 @@ class Text(Form):
         if not isinstance(value, str) or not value:
             raise FormError(f"expected {self.what}, got {shortly(value)}")
         if len(value) > self.longest or not value.isprintable():
-            raise FormError(f"expected {self.what} of at most {self.longest} printable characters, got {shortly(value)}")
+            raise FormError(
+                f"expected {self.what} of at most {self.longest} printable characters, got {shortly(value)}"
+            )
         return value
 
     def described(self) -> str:
@@ -211,7 +233,8 @@ class Part(Form):
 
 
 REQUIRED: Any = object()  # the default of a key that must be there
-LEFT_OUT: Any = object()  # the default of a key that is left out of what is read where it is not there
+# the default of a key that is left out of what is read where it is not there
+LEFT_OUT: Any = object()
 
 
 @dataclass(frozen=True)
@@ -239,7 +262,9 @@ def refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
     """Raises: FormError: A key is not among those known, with the one that is nearest to it."""
     for key in given:
         if key not in known:
-            raise FormError(f"unknown key {shortly(key)}; {did_you_mean(key, known)}valid keys: {', '.join(known)}")
+            raise FormError(
+                f"unknown key {shortly(key)}; {did_you_mean(key, known)}valid keys: {', '.join(known)}"
+            )
 
 
 def section(value: Any, fields: Mapping[str, Field | Form]) -> dict[str, Any]:
@@ -248,7 +273,9 @@ def section(value: Any, fields: Mapping[str, Field | Form]) -> dict[str, Any]:
     refuse_unknown(given, fields)
     result = {}
     for key, entry in fields.items():
-        form, default = (entry, LEFT_OUT) if isinstance(entry, Form) else (entry.form, entry.default)
+        form, default = (
+            (entry, LEFT_OUT) if isinstance(entry, Form) else (entry.form, entry.default)
+        )
         if key in given:
             with under(key):
                 result[key] = form.read(given[key])

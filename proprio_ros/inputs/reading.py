@@ -20,12 +20,14 @@ from typing import Any
 
 from proprio_ros.errors import ProprioError, one_line
 
-LONGEST_TEXT = 2_000_000  # bytes of a YAML or JSON file, and of a URDF; a calibration of forty joints has a tenth of it
+# bytes of a YAML or JSON file, and of a URDF; a calibration of forty joints has a tenth of it
+LONGEST_TEXT = 2_000_000
 LONGEST_VALUE = 10_000  # characters of one VALUE of KEY=VALUE
 LONGEST_TABLE = 64_000_000  # bytes of a CSV file: over ten hours at 30 Hz
 DEEPEST = 32  # lists and mappings within each other; the deepest file of this package has six
 _TOO_DEEP = f"nested more than {DEEPEST} deep"
-MOST_NODES = 20_000  # keys, values, lists and mappings of a YAML file, those that an alias stands for counted each time
+# keys, values, lists and mappings of a YAML file, those that an alias stands for counted each time
+MOST_NODES = 20_000
 LONGEST_NAME, LONGEST_PATH = 255, 4095
 """Bytes of a file's name and of a path (Linux: NAME_MAX, PATH_MAX less its final zero)."""
 
@@ -74,7 +76,9 @@ def text_of(path: Path, error: type[ProprioError], longest: int = LONGEST_TEXT) 
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror or reason})") from reason
     if len(data) > longest:
-        raise error(f"{path}: has over {longest / 1e6:g} MB, and no such file of this package is that long")
+        raise error(
+            f"{path}: has over {longest / 1e6:g} MB, and no such file of this package is that long"
+        )
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as reason:
@@ -97,12 +101,18 @@ def _whole(digits: str) -> int | float:
 
 
 def _check_depth(content: Any) -> None:
-    level, depth = [content], 0
+    level = [content]
+    depth = 0
     while level:
         if depth > DEEPEST:
             raise _Refused(_TOO_DEEP)
-        nested = [outer.values() if isinstance(outer, dict) else outer for outer in level if isinstance(outer, (dict, list))]
-        level, depth = list(chain.from_iterable(nested)), depth + 1
+        nested = [
+            outer.values() if isinstance(outer, dict) else outer
+            for outer in level
+            if isinstance(outer, (dict, list))
+        ]
+        level = list(chain.from_iterable(nested))
+        depth = depth + 1
 
 
 def yaml_of(text: str) -> Any:
@@ -166,7 +176,8 @@ def _parsed(text: str) -> Any:
         raise _Refused(_TOO_DEEP) from None
     # a reader of YAML lets whatever its text leads it to through: of dates that are none, of tags that nobody knows
     except Exception as reason:
-        problem, mark = getattr(reason, "problem", None), getattr(reason, "problem_mark", None)
+        problem = getattr(reason, "problem", None)
+        mark = getattr(reason, "problem_mark", None)
         where = f", line {mark.line + 1}" if problem and mark is not None else ""
         words = " ".join(str(problem or reason).split())
         raise _Refused(one_line(words, 160) + where if words else type(reason).__name__) from reason
@@ -181,4 +192,6 @@ def yaml_file(path: Path, kind: type[ProprioError], called: str = "") -> Any:
     try:
         return yaml_of(text)
     except ValueError as error:
-        raise kind(f"{called or path}: not readable as YAML ({one_line(str(error), 120)})") from error
+        raise kind(
+            f"{called or path}: not readable as YAML ({one_line(str(error), 120)})"
+        ) from error

@@ -32,7 +32,10 @@ KINDS: dict[str, tuple[str, str]] = {
 
 WRITTEN_BY = '<meta name="generator" content="proprio_ros">'
 """In the head of every page, by which it may be replaced later."""
-_OWN_PAGE = (WRITTEN_BY.encode(), b"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-")
+_OWN_PAGE = (
+    WRITTEN_BY.encode(),
+    b"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-",
+)
 """The second is in pages of versions that did not say who wrote them."""
 
 _MARKER = "config/robots/open_manipulator_x.yaml"
@@ -69,7 +72,9 @@ def resource_names(kind: str) -> tuple[str, ...]:
     """Names of all resources of one of `KINDS`, sorted."""
     folder, suffix = KINDS[kind]
     found = (share_directory() / folder).glob(f"*{suffix}")
-    return tuple(sorted(path.name.removesuffix(suffix) for path in found if suffix or path.is_dir()))
+    return tuple(
+        sorted(path.name.removesuffix(suffix) for path in found if suffix or path.is_dir())
+    )
 
 
 def resource(kind: str, name: str) -> Path:
@@ -81,7 +86,9 @@ def resource(kind: str, name: str) -> Path:
     path = share_directory() / folder / (name.removesuffix(suffix) + suffix)
     if len(os.fsencode(name)) > 200 or "\0" in name or not path.exists():
         choices = ", ".join(resource_names(kind)) or "none"
-        raise ConfigurationError(f"no {name[:100]!r} among the {kind}; there are: {choices}; or give a path")
+        raise ConfigurationError(
+            f"no {name[:100]!r} among the {kind}; there are: {choices}; or give a path"
+        )
     return path
 
 
@@ -114,7 +121,9 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.")
         temporary = Path(name)
         with open(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
-            os.fchmod(handle, stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask())
+            os.fchmod(
+                handle, stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask()
+            )
             stream.write(text)
         os.replace(temporary, path)
     except (OSError, ValueError) as error:
@@ -138,7 +147,9 @@ def check_new(path: Path, suffixes: Sequence[str], force: bool) -> None:
     if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
         raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
     if path.exists() and not force:
-        raise ConfigurationError(f"--output {path}: the file exists; --force replaces it (in Python: force=True)")
+        raise ConfigurationError(
+            f"--output {path}: the file exists; --force replaces it (in Python: force=True)"
+        )
 
 
 def check_page(path: Path, option: str, force: bool = False) -> None:
@@ -156,13 +167,20 @@ def check_page(path: Path, option: str, force: bool = False) -> None:
     except (OSError, ValueError):  # who writes it says why it cannot be
         return
     if not head.startswith(b"<!doctype html>") or not any(mark in head for mark in _OWN_PAGE):
-        or_force = ", or --force replaces it (in Python: force=True)" if option == "--report" else ""
-        raise ConfigurationError(f"{option} {path}: the file exists and is no page of proprio: name another{or_force}")
+        or_force = (
+            ", or --force replaces it (in Python: force=True)" if option == "--report" else ""
+        )
+        raise ConfigurationError(
+            f"{option} {path}: the file exists and is no page of proprio: name another{or_force}"
+        )
 
 
 def _umask() -> int:
     """The user's umask, without setting it: other threads may be making files."""
-    with suppress(OSError, ValueError, IndexError), open("/proc/self/status", encoding="ascii") as status:
+    with (
+        suppress(OSError, ValueError, IndexError),
+        open("/proc/self/status", encoding="ascii") as status,
+    ):
         return int(next(line for line in status if line.startswith("Umask:")).split()[1], 8)
     return 0o022
 

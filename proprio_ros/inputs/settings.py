@@ -13,7 +13,16 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from proprio_ros.errors import ConfigurationError, one_line
-from proprio_ros.inputs.forms import Choice, Form, FormError, Number, Numbers, Perhaps, Whole, shortly
+from proprio_ros.inputs.forms import (
+    Choice,
+    Form,
+    FormError,
+    Number,
+    Numbers,
+    Perhaps,
+    Whole,
+    shortly,
+)
 from proprio_ros.inputs.reading import LONGEST_VALUE, json_of, yaml_file
 from proprio_ros.inputs.resources import resource
 
@@ -34,35 +43,58 @@ def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
         except ValueError as error:
             if text[:1] in '[{"' or not text:
                 why = error if "nested" in str(error) else "e.g. [0,0,0.01] or 0.03"
-                raise ConfigurationError(f"--set {one_line(pair, 100)}: {shortly(text)} is not JSON, {why}") from None
+                raise ConfigurationError(
+                    f"--set {one_line(pair, 100)}: {shortly(text)} is not JSON, {why}"
+                ) from None
             settings[key] = text  # a bare word such as cube
     return settings
 
 
 _MASS = Number(unit="kg", lowest=0.0, highest=20.0, open=True)
 SEARCH: dict[str, Form] = {
-    "solver.starts_kg": Numbers("first guesses", _MASS, most=20, example="at least one positive mass in kg"),
-    "solver.starts_Pa": Numbers(
-        "first guesses", Number(unit="Pa", lowest=1.0, highest=1e10), example="at least one positive modulus in Pa"
+    "solver.starts_kg": Numbers(
+        "first guesses", _MASS, most=20, example="at least one positive mass in kg"
     ),
-    "solver.integrator": Choice("semi_implicit: the paper's equation (2)", ("rk4", "semi_implicit")),
+    "solver.starts_Pa": Numbers(
+        "first guesses",
+        Number(unit="Pa", lowest=1.0, highest=1e10),
+        example="at least one positive modulus in Pa",
+    ),
+    "solver.integrator": Choice(
+        "semi_implicit: the paper's equation (2)", ("rk4", "semi_implicit")
+    ),
     # a run of a second takes 1e4 steps of the shortest; at the longest, no integrator knows what an arm does
     "solver.step_s": Number("longest step of the simulation", "s", 1e-4, 0.02),
     "solver.widest_relative": Number(
-        "half width of the widest 95 % interval that is an answer, over the value", "", 0.0, 10.0, open=True
+        "half width of the widest 95 % interval that is an answer, over the value",
+        "",
+        0.0,
+        10.0,
+        open=True,
     ),
-    "solver.wide_share": Number("an interval wider than +- this share of the value is too wide", "", 0.0, 100.0, open=True),
+    "solver.wide_share": Number(
+        "an interval wider than +- this share of the value is too wide", "", 0.0, 100.0, open=True
+    ),
     "solver.wide_floor_kg": Number("but not where it is narrower than +- this", "kg", 0.0, 10.0),
-    "solver.signals": Choice("what runs that a camera saw are fitted to", ("both", "joint", "camera")),
+    "solver.signals": Choice(
+        "what runs that a camera saw are fitted to", ("both", "joint", "camera")
+    ),
     "paper.substeps": Whole("Euler steps per 1/60 s frame, 4 to 64 in the paper", "", 1, 1024),
     "paper.iterations": Whole("length of the cosine schedule", "", 1, 10_000),
-    "paper.extended_iterations": Whole("of the schedule that is allowed to converge", "", 1, 10_000),
-    "paper.learning_rate": Number("Adam's, at the start", "kg", 0.0, 10.0, open=True),
-    "paper.starts_kg": Numbers("first guesses", _MASS, most=20, example="at least one positive mass in kg"),
-    "paper.loss_time_s": Perhaps(
-        "simulated instant that is compared; null: the last sample's", Number(unit="s", lowest=0.0, highest=60.0)
+    "paper.extended_iterations": Whole(
+        "of the schedule that is allowed to converge", "", 1, 10_000
     ),
-    "paper.loss_sample": Perhaps("number of the sample it is compared with; null: the last", Whole(lowest=-1e6, highest=1e6)),
+    "paper.learning_rate": Number("Adam's, at the start", "kg", 0.0, 10.0, open=True),
+    "paper.starts_kg": Numbers(
+        "first guesses", _MASS, most=20, example="at least one positive mass in kg"
+    ),
+    "paper.loss_time_s": Perhaps(
+        "simulated instant that is compared; null: the last sample's",
+        Number(unit="s", lowest=0.0, highest=60.0),
+    ),
+    "paper.loss_sample": Perhaps(
+        "number of the sample it is compared with; null: the last", Whole(lowest=-1e6, highest=1e6)
+    ),
 }
 """Forms of how a probe searches; what is stated about an object is in the ``facts.py`` of its probe."""
 
@@ -98,7 +130,9 @@ class Settings:
         self.taken.update(found)
         return {key[len(prefix) :]: value for key, value in found.items()}
 
-    def options(self, kind: Callable[..., _Options], prefix: str, defaults: Mapping[str, Any]) -> _Options:
+    def options(
+        self, kind: Callable[..., _Options], prefix: str, defaults: Mapping[str, Any]
+    ) -> _Options:
         """The options of a solver, a data class, from the keys under a prefix such as ``solver.``; `SEARCH` has their forms.
 
         What the user leaves out is as in the defaults (of the probe's file), else as in the class.
@@ -109,7 +143,9 @@ class Settings:
         for entry in fields(kind):  # type: ignore[arg-type]
             if entry.name != "solver":  # the command line has a flag for it
                 key = prefix + entry.name
-                values[entry.name] = self.take(key, defaults.get(entry.name, entry.default), SEARCH.get(key))
+                values[entry.name] = self.take(
+                    key, defaults.get(entry.name, entry.default), SEARCH.get(key)
+                )
         return kind(**values)
 
     def refuse_rest(self) -> None:
@@ -119,15 +155,22 @@ class Settings:
             # the nearest first, since the list may be longer than a sentence
             section = names[0].partition(".")[0]
             close = difflib.get_close_matches(names[0][:100], self._known, n=1)
-            known = sorted(set(self._known), key=lambda key: (key not in close, not key.startswith(f"{section}."), key))
-            raise ConfigurationError(f"--set {one_line(', '.join(names), 60)}: unknown; valid keys: {', '.join(known)}")
+            known = sorted(
+                set(self._known),
+                key=lambda key: (key not in close, not key.startswith(f"{section}."), key),
+            )
+            raise ConfigurationError(
+                f"--set {one_line(', '.join(names), 60)}: unknown; valid keys: {', '.join(known)}"
+            )
 
 
 def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
     """What the file of a probe in ``config/probes`` says; refuses one that is not readable, or lacks one of these sections."""
     path: Path = resource("probes", name)
     content = yaml_file(path, ConfigurationError)
-    if not isinstance(content, dict) or not all(isinstance(content.get(section), dict) for section in sections):
+    if not isinstance(content, dict) or not all(
+        isinstance(content.get(section), dict) for section in sections
+    ):
         raise ConfigurationError(f"{path}: needs the sections {', '.join(sorted(sections))}")
     return content
 

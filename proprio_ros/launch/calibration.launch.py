@@ -35,7 +35,13 @@ from proprio_ros.probes.base import HasBaseline
 RELEASE_S = "15.0"
 """From SIGINT to SIGTERM [s]: a job that is under way is ended and its recording written before a node goes."""
 KILL_S = "5.0"
-TYPES = {"seed": int, "rate": float, "reference": float, "reference_mass": float, "reference_wait": float}
+TYPES = {
+    "seed": int,
+    "rate": float,
+    "reference": float,
+    "reference_mass": float,
+    "reference_wait": float,
+}
 """Of parameters that are no texts."""
 ABOUT = {
     "virtual": ("false", "Start a virtual robot, and drive it."),
@@ -55,7 +61,9 @@ ABOUT = {
 """Default and description of every argument."""
 BOOLEAN = ["true", "false"]
 ARGUMENTS = [
-    DeclareLaunchArgument(name, default_value=value, description=words, choices=BOOLEAN if value in BOOLEAN else None)
+    DeclareLaunchArgument(
+        name, default_value=value, description=words, choices=BOOLEAN if value in BOOLEAN else None
+    )
     for name, (value, words) in ABOUT.items()
 ]
 
@@ -70,7 +78,9 @@ def _program(node: str) -> dict[str, str]:
 
 
 def _nodes(context: LaunchContext) -> list[Any]:
-    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    given = {
+        argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
+    }
     namespace = given["namespace"].strip("/")
     virtual = given["virtual"] == "true"
     if given["params_file"]:
@@ -80,15 +90,26 @@ def _nodes(context: LaunchContext) -> list[Any]:
     except ProprioError as error:
         # this ends the launch with one line and exit code 1; a Shutdown would end it with 0
         raise RuntimeError(str(error)) from None
-    link = Path(tempfile.gettempdir()) / "_".join(["proprio_virtual", *namespace.split("/")]).rstrip("_")
+    link = Path(tempfile.gettempdir()) / "_".join(
+        ["proprio_virtual", *namespace.split("/")]
+    ).rstrip("_")
     port = given["port"] or (str(link) if virtual else "")
-    mass, data, wait_s = given["reference_mass"], given["data_directory"], ""
+    mass = given["reference_mass"]
+    data = given["data_directory"]
+    wait_s = ""
     if virtual:
-        mass, wait_s = mass or "0.1", "1.0"
+        mass = mass or "0.1"
+        wait_s = "1.0"
         data = data or f"~/.ros/proprio_ros/virtual_{given['seed'] or 'default'}"
-    reference = mass if virtual and float(mass) > 0.0 else ""  # whoever has no weight has none to put into the hand either
+    # whoever has no weight has none to put into the hand either
+    reference = mass if virtual and float(mass) > 0.0 else ""
     overrides: dict[str, dict[str, str]] = {
-        "virtual": {"link": port, "object": given["object"], "seed": given["seed"], "reference": reference},
+        "virtual": {
+            "link": port,
+            "object": given["object"],
+            "seed": given["seed"],
+            "reference": reference,
+        },
         "driver": {"port": port, "rate": given["rate"]},
         "excitation": {},
         "identifier": {
@@ -103,7 +124,10 @@ def _nodes(context: LaunchContext) -> list[Any]:
     prefix = "setpriv --pdeathsig INT --" if shutil.which("setpriv") else None
     actions: list[Any] = []
     for node, values in overrides.items():
-        files = [str(resource("parameters", node)), *([given["params_file"]] if given["params_file"] else [])]
+        files = [
+            str(resource("parameters", node)),
+            *([given["params_file"]] if given["params_file"] else []),
+        ]
         stated = {
             name: ParameterValue(TextSubstitution(text=value), value_type=TYPES.get(name, str))
             for name, value in {"robot": given["robot"], **values}.items()
@@ -127,7 +151,9 @@ def _nodes(context: LaunchContext) -> list[Any]:
         )
     base = f"/{namespace}" if namespace else ""
     for service in _services_for(given["object"] if virtual else ""):
-        actions.append(LogInfo(msg=f"ros2 service call {base}/identifier/{service} std_srvs/srv/Trigger"))
+        actions.append(
+            LogInfo(msg=f"ros2 service call {base}/identifier/{service} std_srvs/srv/Trigger")
+        )
     return actions
 
 
@@ -147,7 +173,11 @@ def _ended(node: str, event: Any, context: LaunchContext) -> list[Any]:
 def _services_for(held: str) -> list[str]:
     """What to call for what the virtual hand holds; without one, for a payload."""
     kind = held.partition(":")[0].strip()
-    theirs = (probe for probe in all_probes() if probe.virtual_object is not None and probe.virtual_object.kind == kind)
+    theirs = (
+        probe
+        for probe in all_probes()
+        if probe.virtual_object is not None and probe.virtual_object.kind == kind
+    )
     probe = next(theirs, all_probes()[0])
     baseline = [f"record_{probe.name}_baseline"] if isinstance(probe, HasBaseline) else []
     return [*baseline, f"calibrate_{probe.name}"]

@@ -18,7 +18,10 @@ from proprio_ros.inputs.resources import resource, share_directory
 from proprio_ros.robot import RobotModel
 
 ABOUT = {
-    "urdf": ("open_manipulator_x", "URDF of the robot: one that comes with the package, or a path."),
+    "urdf": (
+        "open_manipulator_x",
+        "URDF of the robot: one that comes with the package, or a path.",
+    ),
     "namespace": ("", "Of the arm's nodes and frames, as in calibration.launch.py."),
     "rviz": ("true", "Start RViz; false publishes the frames only."),
     "rviz_config": ("", "RViz configuration file. Empty: the package's config/proprio.rviz."),
@@ -26,7 +29,9 @@ ABOUT = {
 """Default and description of every argument."""
 BOOLEAN = ["true", "false"]
 ARGUMENTS = [
-    DeclareLaunchArgument(name, default_value=value, description=words, choices=BOOLEAN if value in BOOLEAN else None)
+    DeclareLaunchArgument(
+        name, default_value=value, description=words, choices=BOOLEAN if value in BOOLEAN else None
+    )
     for name, (value, words) in ABOUT.items()
 ]
 
@@ -51,16 +56,23 @@ def _rviz_config(namespace: str) -> Path:
 
 
 def _nodes(context: LaunchContext) -> list[Any]:
-    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    given = {
+        argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
+    }
     namespace = given["namespace"].strip("/")
     wanted = ["robot_state_publisher", *(["rviz2"] if given["rviz"] == "true" else [])]
     missing = [package for package in wanted if not _installed(package)]
     if missing:
         packages = " ".join(f"ros-jazzy-{package.replace('_', '-')}" for package in missing)
         words = f"{' and '.join(missing)} not found: install them (apt install {packages}) and source the workspace"
-        raise RuntimeError(words)  # ends the launch with one line and exit code 1; a Shutdown would end it with 0
+        # ends the launch with one line and exit code 1; a Shutdown would end it with 0
+        raise RuntimeError(words)
     try:
-        urdf = Path(given["urdf"]) if Path(given["urdf"]).is_file() else resource("urdf", given["urdf"])
+        urdf = (
+            Path(given["urdf"])
+            if Path(given["urdf"]).is_file()
+            else resource("urdf", given["urdf"])
+        )
         root = RobotModel.from_urdf(urdf).root
     except ProprioError as error:
         raise RuntimeError(str(error)) from None
@@ -85,7 +97,9 @@ def _nodes(context: LaunchContext) -> list[Any]:
                 executable="rviz2",
                 namespace=namespace,
                 arguments=["-d", config, "-f", frames + root],
-                remappings=[(f"/{topic}", f"{prefix}/{topic}") for topic in topics] if namespace else [],
+                remappings=[(f"/{topic}", f"{prefix}/{topic}") for topic in topics]
+                if namespace
+                else [],
                 output="screen",
                 on_exit=[Shutdown(reason="RViz was closed")],
             )

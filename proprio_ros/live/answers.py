@@ -15,7 +15,11 @@ from proprio_ros.quantity import Z95, shown, spec_for
 def interval_of(estimate: Estimate) -> str:
     """The first value in words; empty where it is not determined."""
     value = estimate.values[0]
-    if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
+    if (
+        estimate.verdict is not Verdict.ACCEPTED
+        or not isinstance(value.value, float)
+        or value.ci95 is None
+    ):
         return ""
     spec = spec_for(value.unit, value.std if isinstance(value.std, float) else None)
     return f"{shown(value.unit, value.value, spec=spec)}, 95 % interval {shown(value.unit, *value.ci95, spec=spec)}"
@@ -39,8 +43,15 @@ def live_answer(estimate: Estimate) -> tuple[int, str, dict[str, Any]] | None:
     if known is None:
         return None
     (name, unit), (value, std) = probe_named(estimate.probe).answer, known
-    samples, half = sum(len(run.times_s) for run in estimate.run_fits), Z95 * std
-    entries = {"probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit}
+    samples = sum(len(run.times_s) for run in estimate.run_fits)
+    half = Z95 * std
+    entries = {
+        "probe": estimate.probe,
+        "final": False,
+        "samples": samples,
+        name: value,
+        f"{name}.unit": unit,
+    }
     entries |= {f"{name}.std": std, f"{name}.ci95": [value - half, value + half]}
     words = shown(unit, value, half, spec=spec_for(unit, std), between=" +- ")
     return samples, f"live, {samples} samples: {words}", entries
@@ -48,7 +59,11 @@ def live_answer(estimate: Estimate) -> tuple[int, str, dict[str, Any]] | None:
 
 def as_diagnostics(estimate: Estimate) -> dict[str, Any]:
     """Keys and values of a diagnostics message about an estimate."""
-    entries: dict[str, Any] = {"probe": estimate.probe, "verdict": estimate.verdict.value, "robot": estimate.robot}
+    entries: dict[str, Any] = {
+        "probe": estimate.probe,
+        "verdict": estimate.verdict.value,
+        "robot": estimate.robot,
+    }
     for value in estimate.values:
         entries[value.name] = "not determined" if value.value is None else value.value
         entries[f"{value.name}.unit"] = value.unit
@@ -61,8 +76,16 @@ def as_diagnostics(estimate: Estimate) -> dict[str, Any]:
 
 def calibration_as_diagnostics(estimate: CalibrationEstimate) -> dict[str, Any]:
     """The same about a calibration of the robot."""
-    entries: dict[str, Any] = {"probe": "robot", "verdict": estimate.verdict.value, "runs": estimate.runs}
+    entries: dict[str, Any] = {
+        "probe": "robot",
+        "verdict": estimate.verdict.value,
+        "runs": estimate.runs,
+    }
     for row in estimate.unknowns:
         if not row.is_detail:
-            entries |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
+            entries |= {
+                row.name: row.value,
+                f"{row.name}.unit": row.unit,
+                f"{row.name}.std": row.std,
+            }
     return entries

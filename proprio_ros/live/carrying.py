@@ -42,7 +42,8 @@ class Capability:
     joint: str  # that has the least left
     # what it has left over of its limit, relative to it, after gravity, dry friction and 1.96 standard deviations
     margin: float
-    most_kg: float  # the heaviest load with which every joint has something left; 0: not even the arm alone
+    # the heaviest load with which every joint has something left; 0: not even the arm alone
+    most_kg: float
 
     @property
     def can(self) -> bool:
@@ -62,20 +63,34 @@ class Carrier:
 
     def __init__(self, robot: Robot) -> None:
         known = robot.motion_calibration
-        turning = [n for n in robot.model.independent_joints if robot.model.joint(n).kind != "prismatic"]
-        joints = [name for name in turning if name in robot.drive_trains] if known is None else list(known.joints)
+        turning = [
+            n for n in robot.model.independent_joints if robot.model.joint(n).kind != "prismatic"
+        ]
+        joints = (
+            [name for name in turning if name in robot.drive_trains]
+            if known is None
+            else list(known.joints)
+        )
         others = [name for name in robot.model.independent_joints if name not in joints]
-        held = zero_pose(robot, others) | {name: at for name, at in robot.held.items() if name in others}
+        held = zero_pose(robot, others) | {
+            name: at for name, at in robot.held.items() if name in others
+        }
         self._arm = Arm.of(robot, joints, held)
         self.joints, count = self._arm.model.joint_names, len(joints)
         if known is None:
             stated = file_prior(robot, self._arm)
             self._values, covariance, self._scale = stated.values, stated.covariance.copy(), 1.0
-            self._friction = np.array([robot.drive_trains[name].coulomb.value for name in self.joints])
+            self._friction = np.array(
+                [robot.drive_trains[name].coulomb.value for name in self.joints]
+            )
             own = slice(-FRICTION * count, None)  # nobody knows an offset: none
             self._values[own] = covariance[own] = covariance[:, own] = 0.0
         else:
-            self._values, covariance, self._scale = known.values, known.covariance.copy(), known.torque_scale
+            self._values, covariance, self._scale = (
+                known.values,
+                known.covariance.copy(),
+                known.torque_scale,
+            )
             covariance[known.friction, known.friction] += np.diag(known.friction_spread**2)
             self._friction = np.abs(known.values[known.friction][count : 2 * count])
         self._covariance = covariance
@@ -83,8 +98,13 @@ class Carrier:
 
     @staticmethod
     def _limit(robot: Robot, name: str) -> float:
-        motor, constant = robot.motors.get(name), robot.drive_trains[name].torque_constant.value
-        by_current = np.inf if motor is None or motor.current_limit_A <= 0.0 else motor.current_limit_A * constant
+        motor = robot.motors.get(name)
+        constant = robot.drive_trains[name].torque_constant.value
+        by_current = (
+            np.inf
+            if motor is None or motor.current_limit_A <= 0.0
+            else motor.current_limit_A * constant
+        )
         return float(min(robot.model.joint(name).effort_limit or np.inf, by_current))
 
     def efforts(self, pose: Mapping[str, float], load: Load) -> tuple[FloatArray, FloatArray]:
@@ -95,15 +115,28 @@ class Carrier:
         if lacking := [name for name in self.joints if name not in pose]:
             raise RobotError(f"the pose lacks {', '.join(lacking)}; state all joints")
         count = len(self.joints)
-        columns = gravity_torques(self._arm.model, np.array([[pose[name] for name in self.joints]]))[0]
-        own, none = np.eye(count), np.zeros((count, count))
+        columns = gravity_torques(
+            self._arm.model, np.array([[pose[name] for name in self.joints]])
+        )[0]
+        own = np.eye(count)
+        none = np.zeros((count, count))
         bodies = columns.reshape(count, -1)
         design = np.hstack([bodies, *[none] * (len(self._values) // count - PARAMETERS - 1), own])
         hand = columns[:, self._arm.body] @ self._arm.from_payload
-        rows = Rows(np.zeros(count), np.arange(count), design, hand, np.zeros(count), np.zeros(count), np.zeros(0))
+        rows = Rows(
+            np.zeros(count),
+            np.arange(count),
+            design,
+            hand,
+            np.zeros(count),
+            np.zeros(count),
+            np.zeros(0),
+        )
         along = hand @ point_mass(np.asarray(load.centre_m)) / self._scale
         fill_drives(design, self._values, rows, slice(11 * count, 12 * count), load.mass_kg * along)
-        variance = np.einsum("ij,jk,ik->i", design, self._covariance, design) + (load.std_kg * along) ** 2
+        variance = (
+            np.einsum("ij,jk,ik->i", design, self._covariance, design) + (load.std_kg * along) ** 2
+        )
         variance += np.square(load.mass_kg * CENTRE_STD_M / self._scale * hand[:, 1:4]).sum(axis=1)
         result: FloatArray = design @ self._values + load.mass_kg * along
         return result, np.sqrt(variance)
@@ -118,10 +151,17 @@ class Carrier:
     def capability(self, poses: Sequence[Mapping[str, float]], load: Load) -> Capability:
         """Whether the arm can carry a load at all of some poses [rad]; the worst of them decides."""
         worst = min((self._left(pose, load) for pose in poses), key=lambda left: float(left.min()))
-        least, most = 0.0, self._arm.kg
+        least = 0.0
+        most = self._arm.kg
         for _ in range(30):
             middle = 0.5 * (least + most)
-            able = min(float(self._left(pose, Load(middle, 0.0, load.centre_m)).min()) for pose in poses) >= 0.0
+            able = (
+                min(
+                    float(self._left(pose, Load(middle, 0.0, load.centre_m)).min())
+                    for pose in poses
+                )
+                >= 0.0
+            )
             least, most = (middle, most) if able else (least, middle)
         return Capability(self.joints[int(worst.argmin())], float(worst.min()), least)
 
@@ -129,7 +169,10 @@ class Carrier:
 def way(start: Mapping[str, float], goal: Mapping[str, float]) -> list[dict[str, float]]:
     """Poses on the straight way of the joints from one pose to another, which may leave joints where they are [rad]."""
     shares = np.linspace(0.0, 1.0, WAY_POSES)
-    return [{**start, **{name: (1.0 - s) * start.get(name, to) + s * to for name, to in goal.items()}} for s in shares.tolist()]
+    return [
+        {**start, **{name: (1.0 - s) * start.get(name, to) + s * to for name, to in goal.items()}}
+        for s in shares.tolist()
+    ]
 
 
 def capability_entries(found: Capability, load: Load) -> dict[str, object]:

@@ -18,7 +18,8 @@ def probability_of_load(mass_kg: float, std_kg: float, least_kg: float) -> float
     if not (math.isfinite(mass_kg) and 0.0 < std_kg < math.inf):
         return 0.5
     object_kg = max(mass_kg, least_kg)
-    empty = 0.5 * (mass_kg / std_kg) ** 2 - 0.5 * ((mass_kg - object_kg) / std_kg) ** 2  # log of the ratio
+    # log of the ratio
+    empty = 0.5 * (mass_kg / std_kg) ** 2 - 0.5 * ((mass_kg - object_kg) / std_kg) ** 2
     return 1.0 / (1.0 + math.exp(-empty)) if empty > -700.0 else 0.0
 
 
@@ -45,11 +46,17 @@ class Holding:
     def hear(self, time_ns: int, mass_kg: float, std_kg: float) -> None:
         """An estimate, and when it was."""
         self.probability = probability_of_load(mass_kg, std_kg, self._least_kg)
-        told = True if self.probability >= TAKEN else False if self.probability <= LEFT else self.state
+        told = (
+            True if self.probability >= TAKEN else False if self.probability <= LEFT else self.state
+        )
         if told is not self.state:
             self.state, self.since_ns = told, time_ns
 
     def entries(self, time_ns: int) -> dict[str, object]:
         """Keys and values of a diagnostics message."""
         known = {} if self.state is None else {"holding_for": 1e-9 * (time_ns - self.since_ns)}
-        return {"holding": "unknown" if self.state is None else self.state, "holding.probability": self.probability, **known}
+        return {
+            "holding": "unknown" if self.state is None else self.state,
+            "holding.probability": self.probability,
+            **known,
+        }

@@ -22,26 +22,32 @@ class JobError(ProprioError):
 
     def __init__(self, sentence: str, aborted_by: str = "") -> None:
         super().__init__(sentence)
-        self.aborted_by = aborted_by  # what ended a push, such as "limit"; empty where none was ended
+        # what ended a push, such as "limit"; empty where none was ended
+        self.aborted_by = aborted_by
 
 
 @dataclass
 class Job:
     """What was asked by a call, and how far it has come."""
 
-    kind: str  # `ROBOT`, `WEIGH`, or the name of a probe, with `_baseline` behind it where that is recorded
+    # `ROBOT`, `WEIGH`, or the name of a probe, with `_baseline` behind it where that is recorded
+    kind: str
     service: str  # that was called
-    cancelled: clock.Event = field(default_factory=clock.event)  # set when somebody asks for its end ..
+    # set when somebody asks for its end ..
+    cancelled: clock.Event = field(default_factory=clock.event)
     ended: clock.Event = field(default_factory=clock.event)  # .. and when that is reached
     success: bool = False
     message: str = ""
-    settings: tuple[str, ...] = ()  # KEY=VALUE, about the object; these win over what the node knows
+    # KEY=VALUE, about the object; these win over what the node knows
+    settings: tuple[str, ...] = ()
     sequence: str = ""  # to be made; empty: the parameter's
     bag: str = ""  # the recording; empty: there is none yet
-    entries: Mapping[str, Any] = field(default_factory=dict)  # keys and values of its estimate in the end
+    # keys and values of its estimate in the end
+    entries: Mapping[str, Any] = field(default_factory=dict)
     on_end: list[Callable[[], None]] = field(default_factory=list)  # called at its end
     reason: str = ""  # why no further push was chosen; empty where none was to be
-    until: Until | None = None  # pushes are chosen until then, whatever the sequence says; None: what it says counts
+    # pushes are chosen until then, whatever the sequence says; None: what it says counts
+    until: Until | None = None
     decisions: list[Decision] = field(default_factory=list)  # one by one, where pushes were chosen
 
     def plan(self, default: str, robot: Robot) -> ExcitationSequence:

@@ -17,7 +17,9 @@ from proprio_ros.recordings.motions import MOVED_RAD
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 
-_RECORD = "record the arm with an empty hand while it works, run `proprio calibrate BAG --output FILE`"
+_RECORD = (
+    "record the arm with an empty hand while it works, run `proprio calibrate BAG --output FILE`"
+)
 NO_MOTIONS = f"there is no calibration of motions; {_RECORD}, and give that file as the parameter calibration"
 
 
@@ -26,7 +28,9 @@ def current_A(effort: float, unit: str, effort_per_current: float) -> float:
     return (1.0 / effort_per_current if unit == "N.m" else ampere(unit)) * effort
 
 
-def any_moved(states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]) -> bool:
+def any_moved(
+    states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]
+) -> bool:
     """Whether any of these joints moved, by the names and positions of joint states [rad or m]."""
     seen: dict[str, list[float]] = {name: [] for name in joints}
     for names, positions in states:
@@ -52,19 +56,30 @@ class OnlineFeed:
     Raises `RobotError`: The calibration is of another arm.
     """
 
-    def __init__(self, probe: Online[Any], robot: Robot, facts: Any, stated: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        probe: Online[Any],
+        robot: Robot,
+        facts: Any,
+        stated: Mapping[str, float] | None = None,
+    ) -> None:
         assert robot.motion_calibration is not None
         self._stated = dict(stated or {})
         self.probe, self._robot, self._facts = probe, robot, facts
-        self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
+        self._per_current = {
+            n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()
+        }
         self.stall = StallCurrents(robot)
         self.joints = robot.motion_calibration.joints
-        self._measured = [name for name in self.joints if name not in self.stall.joints]  # whose effort counts
+        # whose effort counts
+        self._measured = [name for name in self.joints if name not in self.stall.joints]
         self.others = [name for name in robot.model.independent_joints if name not in self.joints]
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, tuple[float, float]] = {}
         self._running: StandingEstimator | None = None
-        here = {name: at for name, at in {**robot.held, **self._stated}.items() if name in self.others}
+        here = {
+            name: at for name, at in {**robot.held, **self._stated}.items() if name in self.others
+        }
         self._held = {**zero_pose(self._robot, self.others), **here}
         self.waits_for, self.samples = "", 0
         self.moved: set[str] = set()
@@ -79,8 +94,14 @@ class OnlineFeed:
     @property
     def about(self) -> str:
         """What a user should know of it, as a sentence without its end."""
-        stand = f"; {', '.join(self.others)} counts as standing where it first stood" if self.others else ""
-        takes = "measured effort of the joint states alone" if self._measured else "goals and positions"
+        stand = (
+            f"; {', '.join(self.others)} counts as standing where it first stood"
+            if self.others
+            else ""
+        )
+        takes = (
+            "measured effort of the joint states alone" if self._measured else "goals and positions"
+        )
         return f"the running estimate takes {takes}{stand}"
 
     @property
@@ -92,28 +113,42 @@ class OnlineFeed:
         return f"{', '.join(sorted(self.moved))} {elsewhere}: calibrate with it moving, or activate the node again"
 
     def add(
-        self, time_s: float, names: Sequence[str], position: Sequence[float], effort: Sequence[float], unit: str
+        self,
+        time_s: float,
+        names: Sequence[str],
+        position: Sequence[float],
+        effort: Sequence[float],
+        unit: str,
     ) -> OnlineEstimate | None:
         """One joint state, of some or all joints, and the estimate, where there is a new one.
 
         Positions are in rad or m; the unit of efforts is ``N.m``, ``A``, ``mA`` or ``raw``, and empty where nobody says it.
         """
         heard = {name: at for name, at in zip(names, position, strict=False) if math.isfinite(at)}
-        others = {name: at for name, at in heard.items() if name in self._held and name not in self._stated}
+        others = {
+            name: at
+            for name, at in heard.items()
+            if name in self._held and name not in self._stated
+        }
         if self._running is None:
             self._held |= others
-        self.moved |= {name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD}
+        self.moved |= {
+            name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD
+        }
         if self._measured:
             mine = {name: number for number, name in enumerate(names) if name in self._measured}
             self.waits_for = _why_not(mine, effort, unit) or self.waits_for
             if not unit:
                 return None
-        for name, at, said in zip_longest(names, position, effort[: len(names)], fillvalue=math.nan):
+        for name, at, said in zip_longest(
+            names, position, effort[: len(names)], fillvalue=math.nan
+        ):
             if name in self.stall.joints:
                 self._latest[name] = at, self.stall.current_A(name, time_s, at, said)
                 if math.isnan(self._latest[name][1]) and name in self.joints:
                     self.waits_for = (
-                        f"nobody says where {name} is sent: publish goals on joint_command, stamped as joint states are"
+                        f"nobody says where {name} is sent: publish goals on joint_command, "
+                        "stamped as joint states are"
                     )
             elif name in self._per_current:
                 self._latest[name] = at, current_A(said, unit, self._per_current[name])
@@ -138,17 +173,23 @@ def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str
     """Why the effort of a joint state says nothing, or an empty string; ``mine``: the place of each joint that matters."""
     if not unit:
         return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
-    without = [name for name, at in mine.items() if at >= len(effort) or not math.isfinite(effort[at])]
+    without = [
+        name for name, at in mine.items() if at >= len(effort) or not math.isfinite(effort[at])
+    ]
     if not without:
         return ""
     none = f"the joint states carry no measured effort of {', '.join(without)}, and what is commanded does not count"
     return f"{none}: have the driver publish what it measures"
 
 
-def online_entries(feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float) -> Mapping[str, Any]:
+def online_entries(
+    feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float
+) -> Mapping[str, Any]:
     """Keys and values of a diagnostics message; ``behind_s``: how long ago the newest sample of the estimate came."""
     name, unit = feed.probe.answer
-    at_rest_s = 0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s
+    at_rest_s = (
+        0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s
+    )
     return {
         "probe": feed.probe.name,
         "running": True,
@@ -168,5 +209,11 @@ def online_entries(feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float) 
 
 def online_words(estimate: OnlineEstimate) -> str:
     """The same as a sentence."""
-    words = shown("kg", estimate.mass_kg, Z95 * estimate.std_kg, spec=spec_for("kg", estimate.std_kg), between=" +- ")
+    words = shown(
+        "kg",
+        estimate.mass_kg,
+        Z95 * estimate.std_kg,
+        spec=spec_for("kg", estimate.std_kg),
+        between=" +- ",
+    )
     return f"running: {f'changed just now: {words}' if estimate.changed else words}"

@@ -22,7 +22,8 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.probes.base import Carried
 from proprio_ros.robot import Robot
 
-RIGID = 1e-9  # by how much a transform between two links that are one body may differ between two poses [m, 1]
+# by how much a transform between two links that are one body may differ between two poses [m, 1]
+RIGID = 1e-9
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,9 @@ def load_at(robot: Robot, carried: Carried, link: str) -> Carried:
         raise ConfigurationError(f"hand_on_link: {moves}; state a link that does not")
     turn = transform[:3, :3]
     centre = turn @ np.asarray(carried.com_m, float) + transform[:3, 3]
-    return replace(carried, com_m=centre.tolist(), inertia_kg_m2=turn @ carried.inertia_kg_m2 @ turn.T)
+    return replace(
+        carried, com_m=centre.tolist(), inertia_kg_m2=turn @ carried.inertia_kg_m2 @ turn.T
+    )
 
 
 def together(load: Carried, tool: Sequence[float]) -> Carried:
@@ -66,7 +69,8 @@ def together(load: Carried, tool: Sequence[float]) -> Carried:
 
     Its inertia is not known where the tool has a mass: nobody states that of a tool.
     """
-    tool_kg, centre = tool[0], np.asarray(tool[1:], float)
+    tool_kg = tool[0]
+    centre = np.asarray(tool[1:], float)
     if tool_kg == 0.0:
         return load
     mass = load.mass_kg + tool_kg
@@ -83,10 +87,17 @@ def check_tool(controller: str, tool: Sequence[float]) -> tuple[float, ...]:
         if CONTROLLERS[controller].with_tool:
             wanted = f"{controller} wants to know all that hangs at its flange"
             state = "state mass [kg] and centre of mass [m] of the empty gripper in the frame of the flange"
-            raise ConfigurationError(f"hand_on_tool: {wanted}: {state}, [0.0, 0.0, 0.0, 0.0] if there is none")
+            raise ConfigurationError(
+                f"hand_on_tool: {wanted}: {state}, [0.0, 0.0, 0.0, 0.0] if there is none"
+            )
         return (0.0, 0.0, 0.0, 0.0)
     values = tuple(float(value) for value in tool)
-    if len(values) != 4 or not all(map(math.isfinite, values)) or values[0] < 0.0 or max(map(abs, values[1:])) > 2.0:
+    if (
+        len(values) != 4
+        or not all(map(math.isfinite, values))
+        or values[0] < 0.0
+        or max(map(abs, values[1:])) > 2.0
+    ):
         state = "state four numbers, the mass [kg] and the centre of mass in the frame of the flange [m]"
         raise ConfigurationError(f"hand_on_tool={list(tool)}: {state}")
     return values
@@ -100,7 +111,8 @@ def _inertia(load: Carried) -> np.ndarray:
 
 def _fill_ur(request: Any, load: Carried) -> None:
     request.mass = float(load.mass_kg)
-    centre, inertia = request.center_of_gravity, _inertia(load)
+    centre = request.center_of_gravity
+    inertia = _inertia(load)
     centre.x, centre.y, centre.z = (float(value) for value in load.com_m)
     if hasattr(request, "ixx"):  # newer drivers
         for axes in ("xx", "yy", "zz", "xy", "xz", "yz"):

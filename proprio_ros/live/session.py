@@ -69,7 +69,8 @@ class Session:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._journal = (self.folder / JOURNAL).open("xb", buffering=0)
-            fcntl.flock(self._journal, fcntl.LOCK_EX)  # the kernel lets go of it when we are gone, killed or not
+            # the kernel lets go of it when we are gone, killed or not
+            fcntl.flock(self._journal, fcntl.LOCK_EX)
         except OSError as error:
             self.discard()
             raise unwritable(self.folder.parent, error) from error
@@ -80,7 +81,9 @@ class Session:
             self._messages.append(RawMessage(topic, msgtype, time_ns, data))
             if self._journal is not None:
                 names = [topic.encode(), msgtype.encode()]
-                record = _RECORD.pack(time_ns, *map(len, names), len(data)) + b"".join([*names, data])
+                record = _RECORD.pack(time_ns, *map(len, names), len(data)) + b"".join(
+                    [*names, data]
+                )
                 try:
                     complete = self._journal.write(record) == len(record)
                 except OSError:
@@ -103,7 +106,9 @@ class Session:
             messages = list(self._messages)
         if not messages:
             self.discard()
-            raise RecordingError("no joint states came in: is the driver running, and are the topics named right?")
+            raise RecordingError(
+                "no joint states came in: is the driver running, and are the topics named right?"
+            )
         problem = ""
         for parent in (self.folder.parent, *_elsewhere()):
             folder = parent / self.name
@@ -117,7 +122,10 @@ class Session:
                 continue
             self.discard()
             self.folder, self.bag = folder, folder / "bag"
-            return self.bag, f"the recording is in {folder}, because of this: {problem}" if problem else ""
+            return (
+                self.bag,
+                f"the recording is in {folder}, because of this: {problem}" if problem else "",
+            )
         cure = "free some room; it is kept in memory meanwhile"
         raise RecordingError(f"the recording can be written nowhere ({problem}): {cure}")
 
@@ -148,10 +156,12 @@ def read_journal(path: Path) -> list[RawMessage]:
     while at + _RECORD.size <= len(data):
         time_ns, topic, msgtype, size = _RECORD.unpack_from(data, at)
         at += _RECORD.size
-        names, end = at + topic + msgtype, at + topic + msgtype + size
+        names = at + topic + msgtype
+        end = at + topic + msgtype + size
         if end > len(data):
             break
-        called, of_type = data[at : at + topic].decode(), data[at + topic : names].decode()
+        called = data[at : at + topic].decode()
+        of_type = data[at + topic : names].decode()
         messages.append(RawMessage(called, of_type, time_ns, data[names:end]))
         at = end
     return messages
@@ -162,7 +172,8 @@ def recover(root: Path) -> tuple[list[Path], list[str]]:
 
     Returns: The bags, and a sentence about each that could not be written; it is tried again the next time.
     """
-    bags, problems = [], []
+    bags = []
+    problems = []
     for path in sorted(root.glob(f"*/{JOURNAL}")):
         bag = path.parent / "bag"
         try:
@@ -199,8 +210,14 @@ def prepare_identification(options: Options) -> None:
 
 def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
     """What concerns a probe; what is stated about another probe's object is left out."""
-    foreign = tuple(start for other in all_probes() if other.name != probe.name for start in other.keys)
-    return {key: value for key, value in settings.items() if key == "payload.frame" or not key.startswith(foreign)}
+    foreign = tuple(
+        start for other in all_probes() if other.name != probe.name for start in other.keys
+    )
+    return {
+        key: value
+        for key, value in settings.items()
+        if key == "payload.frame" or not key.startswith(foreign)
+    }
 
 
 def check_settings(options: Options) -> None:
@@ -212,7 +229,11 @@ def check_settings(options: Options) -> None:
     def take(settings: Settings) -> None:
         settings.take_prefix("solver.")
         # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
-        concerned = [probe for probe in all_probes() if any(key.startswith(probe.keys) for key in settings.left)]
+        concerned = [
+            probe
+            for probe in all_probes()
+            if any(key.startswith(probe.keys) for key in settings.left)
+        ]
         for probe in concerned:
             facts = probe.facts(settings)
             if isinstance(probe, Guards):
@@ -235,15 +256,20 @@ def live_request(options: Options) -> Request:
 
 def baseline_runs(request: Request) -> list[Run]:
     """The runs of the baseline, as the identification of the object will read them. Raises `RecordingError`: One cannot be read."""
-    return [run for path in paths_of(request.options.baseline) for run in bag_runs(Path(path), request)]
+    return [
+        run for path in paths_of(request.options.baseline) for run in bag_runs(Path(path), request)
+    ]
 
 
 def baseline_options(request: Request) -> Options:
     """How the hand without the object is identified: as what the probe's baseline says it is."""
-    probe, options = request.probe, request.options
+    probe = request.probe
+    options = request.options
     assert isinstance(probe, HasBaseline)
     left_out = (*probe.keys, "solver.")
-    settings = {key: value for key, value in options.settings.items() if not key.startswith(left_out)}
+    settings = {
+        key: value for key, value in options.settings.items() if not key.startswith(left_out)
+    }
     settings |= probe.baseline_settings(request.facts)
     return replace(options, probe=probe.baseline.probe, settings=settings, baseline=())
 
@@ -265,14 +291,18 @@ def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) 
         write_messages(bag, messages)
     except (OSError, RecordingError) as error:
         raise unwritable(folder.parent, error) from error
-    robot, options = request.robot, request.options
+    robot = request.robot
+    options = request.options
     command = options.command_topic
     try:
         recording = read_recording(
             bag,
             state_topic=options.state_topic,
-            command_topic=command if any(message.topic == command for message in messages) else None,
-            effort_unit=request.unit or "raw",  # at rest nothing says what it means, and nothing asks
+            command_topic=command
+            if any(message.topic == command for message in messages)
+            else None,
+            # at rest nothing says what it means, and nothing asks
+            effort_unit=request.unit or "raw",
             conventions=request.conventions,
             nominal_torque_constants=request.effort_per_current,
             joint_order=list(robot.drive_trains),
@@ -283,9 +313,12 @@ def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) 
     finally:
         shutil.rmtree(bag, ignore_errors=True)
     if not set(recording.joints.names) & set(robot.drive_trains):
-        recorded, known = ", ".join(recording.joints.names), ", ".join(robot.drive_trains)
+        recorded = ", ".join(recording.joints.names)
+        known = ", ".join(robot.drive_trains)
         cure = "name the robot with --robot, or their topic with --state-topic"
-        raise RecordingError(f"the joint states are of {recorded}, and {robot.name} has {known}: {cure}")
+        raise RecordingError(
+            f"the joint states are of {recorded}, and {robot.name} has {known}: {cure}"
+        )
     return recording.notes + about_motors
 
 
@@ -302,7 +335,9 @@ def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
     Raises `ConfigurationError`: It cannot be written.
     """
     content = {**estimate.as_json(), "command": command}
-    write_in_one_step(bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result")
+    write_in_one_step(
+        bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result"
+    )
 
 
 def replay_command(bag: Path, options: Options) -> str:
@@ -352,7 +387,10 @@ class LiveEstimate:
     def add_input(self, stamp_ns: int, names: Sequence[str], effort: Sequence[float]) -> None:
         """One applied effort [N m or N]."""
         drives = self._request.robot.drive_trains
-        row = {name: e / drives[name].nominal_effort_per_current for name, e in self._row(names, effort).items()}
+        row = {
+            name: e / drives[name].nominal_effort_per_current
+            for name, e in self._row(names, effort).items()
+        }
         with self._lock:
             if row and (not self._inputs or stamp_ns > self._inputs[-1][0]):
                 self._inputs.append((stamp_ns, row))
@@ -366,19 +404,24 @@ class LiveEstimate:
 
     def _row(self, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
         known = self._request.robot.drive_trains
-        row = {name: float(value) for name, value in zip(names, values, strict=False) if name in known}
+        row = {
+            name: float(value) for name, value in zip(names, values, strict=False) if name in known
+        }
         return {name: value for name, value in row.items() if math.isfinite(value)}
 
     def position(self) -> dict[str, float]:
         """Where every joint was last seen [rad or m]."""
         with self._lock:
-            return {name: position for _, row in self._states[-50:] for name, position in row.items()}
+            return {
+                name: position for _, row in self._states[-50:] for name, position in row.items()
+            }
 
     def runs(self) -> tuple[Run, ...]:
         """All runs so far, the one under way included; none where nothing can be cut out yet."""
         with self._lock:
             applied = bool(self._inputs)
-            states, inputs = list(self._states), list(self._inputs or self._commands)
+            states = list(self._states)
+            inputs = list(self._inputs or self._commands)
         if not inputs or not states:
             return ()
         drives = self.joints
@@ -393,21 +436,32 @@ class LiveEstimate:
             if driven <= row.keys() and stamp_ns > next(reversed(rows), -1):
                 rows[stamp_ns] = [latest[name] for name in names]
         try:
-            record = JointRecord(np.array(list(rows)), names, np.array(list(rows.values())).reshape(-1, len(names)))
+            record = JointRecord(
+                np.array(list(rows)), names, np.array(list(rows.values())).reshape(-1, len(names))
+            )
             topic = "/applied_effort" if applied else "/current_command"
-            source = InputRecord(np.array([time_ns for time_ns, _ in inputs]), drives, current, topic)
-            return cut_runs(Recording("live", record, source), held=standing(self._request, names), joints=drives)
+            source = InputRecord(
+                np.array([time_ns for time_ns, _ in inputs]), drives, current, topic
+            )
+            return cut_runs(
+                Recording("live", record, source),
+                held=standing(self._request, names),
+                joints=drives,
+            )
         except ProprioError:
-            return ()  # not enough yet; what is wrong for good is reported by the identification of the bag
+            # not enough yet; what is wrong for good is reported by the identification of the bag
+            return ()
 
     def estimate(self) -> Estimate | None:
         """The estimate of all runs so far; None before there is one, or when nothing new came."""
         with self._lock:
-            count, driven = len(self._states), bool(self._inputs or self._commands)
+            count = len(self._states)
+            driven = bool(self._inputs or self._commands)
         if count == self._weighed or not driven:
             return None
         self._weighed = count
-        runs, request = self.runs(), self._request
+        runs = self.runs()
+        request = self._request
         try:
             if not runs or not isinstance(request.probe, EstimatesLive):
                 return None

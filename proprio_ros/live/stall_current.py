@@ -11,9 +11,14 @@ import numpy as np
 from proprio_ros.robot import Robot
 from proprio_ros.robot.drives import Goal, PositionServo
 
-AT_ONCE_S = 1e-6  # for so long a firmware's goal is where it has come to; then it goes on to the one that was sent
-MOST_GOALS, SET_BACK_S = 1000, 1.0  # So many goals wait for joint states; a clock that jumps back by more was set.
-FAR_RAD, WORKS_S = 0.1, 0.5  # Who sends a joint so far in so long moves it; who sends it less holds it, or makes up for a load.
+# for so long a firmware's goal is where it has come to; then it goes on to the one that was sent
+AT_ONCE_S = 1e-6
+# So many goals wait for joint states; a clock that jumps back by more was set.
+MOST_GOALS = 1000
+SET_BACK_S = 1.0
+# Who sends a joint so far in so long moves it; who sends it less holds it, or makes up for a load.
+FAR_RAD = 0.1
+WORKS_S = 0.5
 
 
 class StallCurrents:
@@ -24,12 +29,16 @@ class StallCurrents:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self._drives = {name: drive for name, drive in robot.drive_trains.items() if drive.driven_by is not None}
+        self._drives = {
+            name: drive for name, drive in robot.drive_trains.items() if drive.driven_by is not None
+        }
         self.joints = frozenset(self._drives)
         self._delay_s, self._volt, self._moved_s = robot.delay.value, math.nan, -math.inf
         self._from: dict[str, tuple[float, float]] = {}
         self._sent: dict[str, deque[tuple[float, float]]] = {
-            name: deque(maxlen=MOST_GOALS) for name, drive in self._drives.items() if isinstance(drive.driven_by, PositionServo)
+            name: deque(maxlen=MOST_GOALS)
+            for name, drive in self._drives.items()
+            if isinstance(drive.driven_by, PositionServo)
         }
 
     def hear_voltage(self, volt: float) -> None:
@@ -56,14 +65,19 @@ class StallCurrents:
 
     def current_A(self, name: str, time_s: float, position: float, effort: float) -> float:
         """Of a joint, where it is [rad] and with the effort as published; NaN where nobody said its goal or its duty cycle."""
-        drive, sent, at_s = self._drives[name], self._sent.get(name), time_s - self._delay_s
-        law, goal = drive.driven_by, None
+        drive = self._drives[name]
+        sent = self._sent.get(name)
+        at_s = time_s - self._delay_s
+        law = drive.driven_by
+        goal = None
         assert law is not None
         if (not sent or at_s < sent[0][0]) if sent is not None else not math.isfinite(effort):
             return math.nan
         if sent:
             goal = Goal(*np.array(sent).T)
-        (duty,) = law.duty(np.array([time_s]), np.array([position]), np.array([effort]), goal, self._delay_s)
+        (duty,) = law.duty(
+            np.array([time_s]), np.array([position]), np.array([effort]), goal, self._delay_s
+        )
         if sent and goal is not None and isinstance(law, PositionServo):
             (reached,), newest = goal.at(np.array([at_s]), law.goal_speed_rad_s), sent[0][1]
             while sent and sent[0][0] <= at_s:

@@ -20,7 +20,8 @@ from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes.base import Probe
 from proprio_ros.robot import Robot
 
-OLD_S = 86400.0  # age of a baseline that is worth a warning: nobody remembers what was changed since
+# age of a baseline that is worth a warning: nobody remembers what was changed since
+OLD_S = 86400.0
 
 
 @dataclass
@@ -29,7 +30,8 @@ class Workspace:
 
     data: Path  # the folder
     robot: str  # its name or file
-    topics: Mapping[str, Any] = field(default_factory=dict)  # what a replay must be told to take the same ones
+    # what a replay must be told to take the same ones
+    topics: Mapping[str, Any] = field(default_factory=dict)
     calibration: Path | None = None  # that is used
 
     def options(self) -> Options:
@@ -37,11 +39,15 @@ class Workspace:
         robot = None if self.calibration else self.robot
         return Options(robot=robot, calibration=self.calibration, **self.topics)
 
-    def request(self, probe: Probe[Any], settings: Mapping[str, Any], baseline: Path | None) -> Request:
+    def request(
+        self, probe: Probe[Any], settings: Mapping[str, Any], baseline: Path | None
+    ) -> Request:
         """What a job is about: robot, and what is stated about the object, read once; raises as `request_of` does."""
         empty = () if baseline is None else (baseline,)
         stated = settings_for(probe, settings)
-        return live_request(replace(self.options(), probe=probe.name, settings=stated, baseline=empty))
+        return live_request(
+            replace(self.options(), probe=probe.name, settings=stated, baseline=empty)
+        )
 
     def configured(self, settings: Mapping[str, Any]) -> Robot:
         """The robot, as calibrated and with what the settings say of it; raises as `robot_of` does."""
@@ -82,7 +88,8 @@ class Workspace:
 
         Raises `ConfigurationError`: The link to it cannot be written.
         """
-        known, used = self._driven(path), self._driven(self.calibration)
+        known = self._driven(path)
+        used = self._driven(self.calibration)
         if known < used:
             lost = f"the new one does not know what a current does to {', '.join(sorted(used - known))}"
             cure = "name the new one in the parameter calibration to take it all the same"
@@ -94,7 +101,11 @@ class Workspace:
     def _driven(self, path: Path | None) -> set[str]:
         """Joints of which a calibration knows what a current does; none where it cannot be used any more."""
         try:
-            learnt = None if path is None else robot_of(Options(robot=self.robot, calibration=path)).calibration
+            learnt = (
+                None
+                if path is None
+                else robot_of(Options(robot=self.robot, calibration=path)).calibration
+            )
         except RobotError:
             return set()
         return set() if learnt is None else set(learnt.driven)
@@ -102,7 +113,9 @@ class Workspace:
     @property
     def used(self) -> str:
         """With which calibration, as part of an answer."""
-        return f"; calibration: {self.calibration}" if self.calibration else " (robot not calibrated)"
+        return (
+            f"; calibration: {self.calibration}" if self.calibration else " (robot not calibrated)"
+        )
 
     def newest_baseline(self, probe: Probe[Any]) -> Path:
         """A link to it."""

@@ -32,9 +32,12 @@ def _check_parameters(path: Path) -> None:
         content = YAML(typ="safe", pure=True).load(path)
     except (OSError, UnicodeDecodeError, YAMLError) as error:
         what = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
-        raise ConfigurationError(f"params_file {path}: not readable ({what}); nothing was started") from error
+        raise ConfigurationError(
+            f"params_file {path}: not readable ({what}); nothing was started"
+        ) from error
     if not isinstance(content, Mapping) or not all(
-        isinstance(section, Mapping) and "ros__parameters" in section for section in content.values()
+        isinstance(section, Mapping) and "ros__parameters" in section
+        for section in content.values()
     ):
         raise ConfigurationError(
             f"params_file {path}: states no node's parameters; write '/**/driver:' and below it 'ros__parameters:', as in "

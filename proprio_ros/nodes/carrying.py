@@ -53,7 +53,9 @@ class Carrying:
                 return False
         if data is not self._seen:
             self._seen, message = data, deserialize_message(data, JointState)
-            heard = zip(self._inputs.conventions.renamed(message.name), message.position, strict=False)
+            heard = zip(
+                self._inputs.conventions.renamed(message.name), message.position, strict=False
+            )
             self._pose |= {name: at for name, at in heard if math.isfinite(at)}
         return all(name in self._pose for name in self._carrier.joints)
 
@@ -61,30 +63,50 @@ class Carrying:
         load = self._results.held
         if load is None or not self._stands() or self._carrier is None:
             return
-        names, now_ns = list(self._carrier.joints), messages.first_stamp_ns(self._seen) or 0
+        names = list(self._carrier.joints)
+        now_ns = messages.first_stamp_ns(self._seen) or 0
         efforts, stds = self._carrier.efforts(self._pose, load)
-        self._effort.publish(messages.joint_state(now_ns, names, [self._pose[name] for name in names], effort=efforts.tolist()))
+        self._effort.publish(
+            messages.joint_state(
+                now_ns, names, [self._pose[name] for name in names], effort=efforts.tolist()
+            )
+        )
         self._std.publish(messages.joint_state(now_ns, names, effort=stds.tolist()))
         self._count += 1
         if self._count % EVERY == 1:
             self._say(load, [self._pose], "here")
 
     def _on_goal(self, message: JointState) -> None:
-        goal, load = dict(zip(message.name, message.position, strict=False)), self._results.held
+        goal = dict(zip(message.name, message.position, strict=False))
+        load = self._results.held
         carrier = self._carrier
         wrong = [] if carrier is None else [name for name in goal if name not in carrier.joints]
         if load is None or carrier is None or not self._stands():
-            reason = "what the hand holds is not known; weigh it" if self._stands() else "no joint states of the arm are coming"
+            reason = (
+                "what the hand holds is not known; weigh it"
+                if self._stands()
+                else "no joint states of the arm are coming"
+            )
         elif wrong or not goal or not all(map(math.isfinite, goal.values())):
             reason = f"the goal must name joints of {', '.join(carrier.joints)}, each with a position in rad"
         else:
             return self._say(load, way(self._pose, goal), "to the goal")
-        self._capability.publish(messages.status("warning", "capability", reason, {"where": "to the goal", "can_carry": "unknown"}))
+        self._capability.publish(
+            messages.status(
+                "warning", "capability", reason, {"where": "to the goal", "can_carry": "unknown"}
+            )
+        )
 
     def _say(self, load: Load, poses: list[dict[str, float]], where: str) -> None:
         assert self._carrier is not None
         found = self._carrier.capability(poses, load)
         left = f"{found.joint} has {100.0 * found.margin:.0f} % left"
-        words = f"{'can' if found.can else 'cannot'} carry {1e3 * load.mass_kg:.0f} g {where}: {left}"
+        words = (
+            f"{'can' if found.can else 'cannot'} carry {1e3 * load.mass_kg:.0f} g {where}: {left}"
+        )
         level = "ok" if found.can else "warning"
-        self._capability.publish(messages.status(level, "capability", words, {"where": where, **capability_entries(found, load)}))
+        self._capability.publish(
+            messages.status(
+                level, "capability", words, {"where": where, **capability_entries(found, load)}
+            )
+        )

@@ -89,7 +89,9 @@ def demo(
         signal.signal(number, _interrupt)
     with Graph(folder / "logs") as graph:
         weighs = _start(graph, example, {"robot": robot, "seed": seed}, truth, folder, full)
-        tell(f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}")
+        tell(
+            f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}"
+        )
         with contextlib.closing(_Client(graph, tell)) as client:
             _obey_interrupt()
             client.wait_until_ready()
@@ -101,12 +103,17 @@ def demo(
     value = float(final[name]) if name in final else None
     reports = sorted(folder.glob(f"*_{probe.name}/report.html"))
     report = reports[-1] if accepted and reports else None
-    return DemoResult(accepted, sentence, value, final.get(f"{name}.ci95", ""), truth, report, elapsed)
+    return DemoResult(
+        accepted, sentence, value, final.get(f"{name}.ci95", ""), truth, report, elapsed
+    )
 
 
-def _start(graph: Graph, example: Example, robot: dict[str, Any], truth: float, folder: Path, full: bool) -> bool:
+def _start(
+    graph: Graph, example: Example, robot: dict[str, Any], truth: float, folder: Path, full: bool
+) -> bool:
     """Start the nodes; whether the robot is calibrated with a weight, too."""
-    name, link = robot["robot"], folder / "bus"
+    name = robot["robot"]
+    link = folder / "bus"
     weighs = full or example.reference
     graph.start("virtual", {**robot, "link": link, "object": example.held.format(truth=truth)})
     graph.start("driver", {"robot": name, "port": link})
@@ -117,7 +124,8 @@ def _start(graph: Graph, example: Example, robot: dict[str, Any], truth: float, 
     if not full:
         own |= {"reference_sequence": "reference_elbow", **example.sequences}
     if weighs:
-        own |= {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
+        # the virtual robot's helper is quick
+        own |= {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}
     graph.start("identifier", own)
     return weighs
 
@@ -145,8 +153,12 @@ class _Client:
         self._node = Node("proprio_demo")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._node.create_subscription(DiagnosticStatus, "/identifier/status", self._on_status, LATCHED)
-        self._node.create_subscription(DiagnosticArray, "/identifier/estimate", self._on_estimate, LATCHED)
+        self._node.create_subscription(
+            DiagnosticStatus, "/identifier/status", self._on_status, LATCHED
+        )
+        self._node.create_subscription(
+            DiagnosticArray, "/identifier/estimate", self._on_estimate, LATCHED
+        )
 
     def close(self) -> None:
         self._executor.shutdown(timeout_sec=1.0)
@@ -184,7 +196,9 @@ class _Client:
     def wait_until_ready(self) -> None:
         """Wait until a calibration would be accepted: services there, joint states coming."""
         states = threading.Event()
-        subscription = self._node.create_subscription(JointState, "/joint_states", lambda _: states.set(), 1)
+        subscription = self._node.create_subscription(
+            JointState, "/joint_states", lambda _: states.set(), 1
+        )
         names = ("/identifier/calibrate_robot", "/excitation/run")
         services = {name: self._node.create_client(Trigger, name) for name in names}
 
@@ -213,10 +227,13 @@ class _Client:
     def identify(self, probe: Probe[Any], example: Example, weighs: bool) -> tuple[bool, str]:
         """Robot, baseline and object, one after the other; the last service's answer."""
         weight = f", then with a weight of {1e3 * REFERENCE_KG:.0f} g" if weighs else ""
-        self._tell(f"the robot {'weighs' if weighs else 'learns'} itself: with nothing in its hand{weight}")
+        self._tell(
+            f"the robot {'weighs' if weighs else 'learns'} itself: with nothing in its hand{weight}"
+        )
         asked = time.monotonic()
         accepted, sentence = self.call("/identifier/calibrate_robot")
-        while sentence.startswith("not ready") and time.monotonic() - asked < NOT_READY_S:  # a slow computer
+        # a slow computer
+        while sentence.startswith("not ready") and time.monotonic() - asked < NOT_READY_S:
             accepted, sentence = self.call("/identifier/calibrate_robot")
         self._tell(sentence)
         if accepted and isinstance(probe, HasBaseline):

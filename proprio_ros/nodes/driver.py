@@ -27,7 +27,8 @@ from proprio_ros.recordings.topics import TEMPERATURES
 _D = DriverSettings()
 ENDS = ("hold", "zero")
 LATE_S = 0.005  # a cycle that begins later than this is reported in the diagnostics
-CLOCK_JUMP_S = 0.05  # the system's clock has been set when it moved by more than this within a second
+# the system's clock has been set when it moved by more than this within a second
+CLOCK_JUMP_S = 0.05
 
 
 class DriverNode(ManagedNode):
@@ -80,13 +81,21 @@ class DriverNode(ManagedNode):
         self._order = tuple(values["joints"]) or tuple(servo.joint for servo in servos)
         unknown = [name for name in self._order if name not in robot.motors]
         if unknown:
-            words = f"{robot.name} has no motor at {unknown[0]!r}; it has: {', '.join(robot.motors)}"
+            words = (
+                f"{robot.name} has no motor at {unknown[0]!r}; it has: {', '.join(robot.motors)}"
+            )
             raise ConfigurationError(f"parameter joints: {words}")
-        port, baud_rate, timeout_s = values["port"], values["baud_rate"], values["reply_timeout"]
+        port = values["port"]
+        baud_rate = values["baud_rate"]
+        timeout_s = values["reply_timeout"]
         bus = DynamixelBus(port, servos, baud_rate, timeout_s, values["fast_sync_read"])
-        settings = DriverSettings(**fields_stated(DriverSettings, values), reconnect_s=values["reconnect_period"])
+        settings = DriverSettings(
+            **fields_stated(DriverSettings, values), reconnect_s=values["reconnect_period"]
+        )
         self._driver = ArmDriver(robot, bus, settings, self.say)
-        self._effort_per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
+        self._effort_per_current = {
+            n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()
+        }
         # /diagnostics is one topic for all arms
         self._diagnosed = f"{self.get_namespace()}/driver".lstrip("/")
         self._hardware_id = f"{robot.name} on {values['port']}"
@@ -103,7 +112,9 @@ class DriverNode(ManagedNode):
         self._senders = {"current_command": Senders(), "position_command": Senders()}
         self._system, self._set = StampClock(), (0.0, 0)
         self.create_subscription(Float64MultiArray, "current_command", self._on_current, FROM_MANY)
-        self.create_subscription(Float64MultiArray, "position_command", self._on_position, FROM_MANY)
+        self.create_subscription(
+            Float64MultiArray, "position_command", self._on_position, FROM_MANY
+        )
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(SetBool, "~/torque", self._on_torque)
         self.every(1.0, self._each_second)
@@ -126,7 +137,8 @@ class DriverNode(ManagedNode):
         self._end(hold=True)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._end(hold=True)  # anyone on the network can ask for it; `on_shutdown` is for the end of the process
+        # anyone on the network can ask for it; `on_shutdown` is for the end of the process
+        self._end(hold=True)
         return super().on_shutdown(state)
 
     def finish(self) -> None:
@@ -156,7 +168,9 @@ class DriverNode(ManagedNode):
                 elif driver.state is BusState.DISCONNECTED:
                     self._ended.wait(0.02)
         except Exception as error:  # a defect must not leave a motor pushing
-            self.say("error", f"the servo loop failed ({type(error).__name__}: {error}); current zero")
+            self.say(
+                "error", f"the servo loop failed ({type(error).__name__}: {error}); current zero"
+            )
             raise
         finally:
             driver.close(hold=self._hold_at_end)
@@ -168,7 +182,8 @@ class DriverNode(ManagedNode):
         names = driver.joints
         measured = [sample.current_A[name] * self._effort_per_current[name] for name in names]
         applied = [sample.commanded_A[name] * self._effort_per_current[name] for name in names]
-        position, velocity = [sample.position[n] for n in names], [sample.velocity[n] for n in names]
+        position = [sample.position[n] for n in names]
+        velocity = [sample.velocity[n] for n in names]
         # what drives the joints from this instant on goes first: a listener then has it when the state comes
         limp = driver.limp
         if limp != self._told_limp:
@@ -186,19 +201,32 @@ class DriverNode(ManagedNode):
 
     def _on_position(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
         if reason := self._obey(message, info, "position_command", ArmDriver.command_positions):
-            self.get_logger().error(f"position_command refused: {reason}", throttle_duration_sec=1.0)
+            self.get_logger().error(
+                f"position_command refused: {reason}", throttle_duration_sec=1.0
+            )
 
-    def _obey(self, message: Float64MultiArray, info: dict[str, Any], topic: str, command: Callable[..., str]) -> str:
+    def _obey(
+        self,
+        message: Float64MultiArray,
+        info: dict[str, Any],
+        topic: str,
+        command: Callable[..., str],
+    ) -> str:
         """Pass a command on; returns why it was refused, or an empty string."""
         looks = (len(message.data), *(dim.label for dim in message.layout.dim))
         sent_ns = info.get("source_timestamp") or None
         senders = self._senders[topic]
         sender = senders.of(info.get("publication_sequence_number"), looks, sent_ns)
-        if self._driver is None or not self.active or sender == OUTDATED:  # a newer one has been obeyed
+        # a newer one has been obeyed
+        if self._driver is None or not self.active or sender == OUTDATED:
             return ""
         now_ns = self.get_clock().now().nanoseconds
         waited_ns = round(1e9 * self.waited_s())
-        late_s = senders.late_s(sender, now_ns - sent_ns, self._was_set_ns(now_ns), waited_ns) if sent_ns else 0.0
+        late_s = (
+            senders.late_s(sender, now_ns - sent_ns, self._was_set_ns(now_ns), waited_ns)
+            if sent_ns
+            else 0.0
+        )
         values = messages.by_joint(message, self._order)
         return values if isinstance(values, str) else command(self._driver, values, sender, late_s)
 
@@ -217,15 +245,23 @@ class DriverNode(ManagedNode):
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._driver is not None and self._thread is not None:  # active or not: the arm is held
             self._driver.stop()
-            response.success, response.message = True, self._named("current zero; ~/torque true holds the arm again")
+            response.success, response.message = (
+                True,
+                self._named("current zero; ~/torque true holds the arm again"),
+            )
         else:
-            response.success, response.message = True, "the driver does not hold the bus, and drives nothing"
+            response.success, response.message = (
+                True,
+                "the driver does not hold the bus, and drives nothing",
+            )
         return response
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         driver = self._driver
         if driver is None or not self.active or driver.state is BusState.DISCONNECTED:
-            reason = driver.reason if driver is not None and self.active else "the driver is not active"
+            reason = (
+                driver.reason if driver is not None and self.active else "the driver is not active"
+            )
             response.success, response.message = False, f"not possible: {reason}"
             return response
         driver.set_torque(request.data)
@@ -243,7 +279,10 @@ class DriverNode(ManagedNode):
         if self.active and "driven" not in driver.modes.values():
             moved_s = self._stamps.look(self.get_clock().now().nanoseconds, clock.now())
             if abs(moved_s) > CLOCK_JUMP_S:
-                self.say("warning", f"the system's clock was set by {moved_s:+.3f} s; stamps follow it from here on")
+                self.say(
+                    "warning",
+                    f"the system's clock was set by {moved_s:+.3f} s; stamps follow it from here on",
+                )
         self._tell(driver)
 
     def _named(self, words: str) -> str:
@@ -263,17 +302,25 @@ class DriverNode(ManagedNode):
             self._told_motors = motors
             values = {joint: motor.as_text() for joint, motor in motors.items()}
             name = f"{self._diagnosed}: motors"
-            self._motors.publish(messages.status("ok", name, "whose arm this is", values, self._hardware_id))
-        self._diagnostics.publish(messages.diagnostics(self.get_clock().now().nanoseconds, statuses))
+            self._motors.publish(
+                messages.status("ok", name, "whose arm this is", values, self._hardware_id)
+            )
+        self._diagnostics.publish(
+            messages.diagnostics(self.get_clock().now().nanoseconds, statuses)
+        )
         if driver.health:
-            self._temperatures.publish(messages.labelled({n: h.temperature_C for n, h in driver.health.items()}))
+            self._temperatures.publish(
+                messages.labelled({n: h.temperature_C for n, h in driver.health.items()})
+            )
 
     def _statuses(self, driver: ArmDriver) -> list[DiagnosticStatus]:
         late = list(self._pacer.lateness_s)
         statistics = driver.statistics
         running = driver.state is BusState.RUNNING and self.active and not driver.slipped
         state = self._state_of(driver)
-        reason = driver.reason if state != "inactive" else "the node is not active; activate it to go on"
+        reason = (
+            driver.reason if state != "inactive" else "the node is not active; activate it to go on"
+        )
         values = {
             "state": state,
             "rate [Hz]": self.values["rate"],
@@ -285,17 +332,29 @@ class DriverNode(ManagedNode):
             f"cycles later than {1e3 * LATE_S:.0f} ms": sum(value > LATE_S for value in late),
             "latest [ms]": 1e3 * max(late, default=0.0),
         }
-        level = "ok" if running else "warning" if driver.state is not BusState.DISCONNECTED else "error"
-        told: list[tuple[str, str, str, dict[str, Any]]] = [(level, "servo bus", self._named(reason), values)]
+        level = (
+            "ok" if running else "warning" if driver.state is not BusState.DISCONNECTED else "error"
+        )
+        told: list[tuple[str, str, str, dict[str, Any]]] = [
+            (level, "servo bus", self._named(reason), values)
+        ]
         modes = driver.modes
         for name, health in list(driver.health.items()):
             hot = health.temperature_C >= self.values["max_temperature"]
             words = "; ".join(health.faults) or ("too hot to be driven" if hot else modes[name])
             level = "error" if health.faults else "warning" if hot else "ok"
-            values = {"mode": modes[name], "temperature [C]": health.temperature_C, "voltage [V]": health.voltage_V}
+            values = {
+                "mode": modes[name],
+                "temperature [C]": health.temperature_C,
+                "voltage [V]": health.voltage_V,
+            }
             told.append((level, name, words, values))
-        named, where = self._diagnosed, self._hardware_id
-        return [messages.status(level, f"{named}: {of}", words, about, where) for level, of, words, about in told]
+        named = self._diagnosed
+        where = self._hardware_id
+        return [
+            messages.status(level, f"{named}: {of}", words, about, where)
+            for level, of, words, about in told
+        ]
 
 
 def main() -> int:

@@ -28,20 +28,32 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, controller_of
 from proprio_ros.nodes.parameters import INPUT_TOPICS, ROBOT, Parameter, fields_stated, value_of
-from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, LongService, ManagedNode, run_node
+from proprio_ros.nodes.runtime import (
+    COMMANDS,
+    IDLE_PAUSE_S,
+    LATCHED,
+    STREAM,
+    LongService,
+    ManagedNode,
+    run_node,
+)
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.recordings.description import robot_named
 
 _G, _H = Guards(), HoldGains()
-STATUS_PERIOD_S, REST_PERIOD_S = 0.1, 1.0  # at rest, too: who missed the last word of a sequence waits for the next
+# at rest, too: who missed the last word of a sequence waits for the next
+STATUS_PERIOD_S = 0.1
+REST_PERIOD_S = 1.0
 LEASE_S = 1.5
 """Whoever says on ~/lease that it wants the sequence says so ten times a second; without a word for so long it is gone."""
 STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
 """Of several publishers on one topic none takes another's place, and 500 a second wait while the node rests."""
-UNPUSHED_S = 0.1  # from a current command to the driver's word that it flows: two cycles, and a late one
+# from a current command to the driver's word that it flows: two cycles, and a late one
+UNPUSHED_S = 0.1
 DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
-STREAMS = 6  # that a node at rest hears one after the other: timer, joint states, what is applied, torque, driver, lease
+# that a node at rest hears one after the other: timer, joint states, what is applied, torque, driver, lease
+STREAMS = 6
 HOLD_PAUSE_S = 0.002
 """Between two wake-ups while efforts hold the arm: at 500 joint states a second each would have its own, and take a core."""
 INTERFACES = ("driver", *INPUT_TOPICS)
@@ -113,7 +125,9 @@ class ExcitationNode(ManagedNode):
         interface = self.values["command_interface"]
         ours = interface == "driver"
         if ours and self.values["controller_manager"]:
-            raise ConfigurationError("controller_manager is for command_interface:=effort or position: leave it out")
+            raise ConfigurationError(
+                "controller_manager is for command_interface:=effort or position: leave it out"
+            )
         guards = Guards(**fields_stated(Guards, self.values))
         if interface == "effort":
             guards = replace(guards, patience_s=BLIND_PATIENCE * guards.stale_after_s)
@@ -125,11 +139,19 @@ class ExcitationNode(ManagedNode):
         self._output: Output
         if ours:
             currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
-            self._output = DriverOutput(currents, self.create_publisher(Float64MultiArray, "position_command", COMMANDS))
+            self._output = DriverOutput(
+                currents, self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
+            )
         else:
             self._output = self._controller_output(interface)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not (ours and self._machine.busy))
+        self.listen(
+            JointState,
+            "joint_states",
+            self._on_joint_state,
+            STATES,
+            together=lambda: not (ours and self._machine.busy),
+        )
         if ours:  # else this node says itself what it commands
             self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
@@ -172,7 +194,9 @@ class ExcitationNode(ManagedNode):
         with suppress(ProprioError):  # an arm that is held waits for nothing that takes long
             load_sequence(DEFAULT_PROBE, self._robot)
         switching = switching_of(self, commands.topic_name)
-        speaker = LastWords(commands.topic_name, None if switching is None else switching.controllers)
+        speaker = LastWords(
+            commands.topic_name, None if switching is None else switching.controllers
+        )
         output = ControllerOutput(self, controller, commands, applied, speaker)
         if switching is not None:
             self._switched = SwitchedRuns(self, switching, speaker, output)
@@ -195,7 +219,9 @@ class ExcitationNode(ManagedNode):
             self._tick(now)
         if self.active and any(name in self._machine.joints for name in message.name):
             if lost := self._output.hear(message, now, whole=sample is not None):
-                remedy = "check sign and unit of the efforts, what it carries, and who else moves it"
+                remedy = (
+                    "check sign and unit of the efforts, what it carries, and who else moves it"
+                )
                 if "paused" in lost:
                     remedy = "keep this computer free, or run this node beside controller_manager with real-time priority"
                 self.say("error", f"the arm is let go: {lost}; {remedy}")
@@ -226,7 +252,10 @@ class ExcitationNode(ManagedNode):
 
     def _on_driver(self, message: DiagnosticStatus) -> None:
         """An arm that was let go of falls: what it does then is no fault of the probe, and nobody should look for one there."""
-        self._driver_state, self._driver_words = messages.values_of(message).get("state", ""), message.message
+        self._driver_state, self._driver_words = (
+            messages.values_of(message).get("state", ""),
+            message.message,
+        )
         self._driver_at_s = clock.now()
         if self._machine.busy and self._limp:
             self._abort(f"the driver was {self._limp}", aloud=True)
@@ -236,7 +265,11 @@ class ExcitationNode(ManagedNode):
     def _limp(self) -> str:
         """State and words of a driver that takes no commands; empty where it does, or where it does not say."""
         known = clock.now() - self._driver_at_s < DRIVER_SILENT_S
-        return f"{self._driver_state}: {self._driver_words}" if known and self._driver_state in LIMP else ""
+        return (
+            f"{self._driver_state}: {self._driver_words}"
+            if known and self._driver_state in LIMP
+            else ""
+        )
 
     def _on_timer(self) -> None:
         """Joint states drive the machine; this only notices when they stop coming, or whoever asked for the sequence is gone."""
@@ -247,7 +280,10 @@ class ExcitationNode(ManagedNode):
             if self._machine.busy:
                 words = "whoever asked for the sequence has fallen silent: is the identifier node alive?"
                 self._abort(words, aloud=True)
-        if self._sample is None or abs(now - self._sample.time_s) > 0.5 * self.values["stale_after"]:
+        if (
+            self._sample is None
+            or abs(now - self._sample.time_s) > 0.5 * self.values["stale_after"]
+        ):
             self._tick(now)
         if self.active and not self._fresh:
             self._output.unheard()
@@ -346,16 +382,24 @@ class ExcitationNode(ManagedNode):
             response.message = "aborted; the arm is held"
         return response
 
-    def _on_release(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_release(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         if self._machine.busy:
             self._abort("by ~/release")
-        held = self._switched if self._switched is not None and self._switched.engaged else self._output
+        held = (
+            self._switched
+            if self._switched is not None and self._switched.engaged
+            else self._output
+        )
         response.success, response.message = True, held.release()
         return response
 
     def _tell_when_due(self) -> None:
         """By the clock on the wall: who listens must hear that we are alive, though a simulation may pause."""
-        due = clock.now() - self._published_at_s >= (STATUS_PERIOD_S if self._machine.busy else REST_PERIOD_S)
+        due = clock.now() - self._published_at_s >= (
+            STATUS_PERIOD_S if self._machine.busy else REST_PERIOD_S
+        )
         if self.active and (due or self._state() != self._published):
             self._tell()
 
@@ -370,10 +414,18 @@ class ExcitationNode(ManagedNode):
     def _state(self) -> tuple[Any, ...]:
         """What is published as soon as it changes."""
         machine = self._machine
-        return machine.phase, machine.run_number, machine.attempt, self._count, self._fresh, self._limp
+        return (
+            machine.phase,
+            machine.run_number,
+            machine.attempt,
+            self._count,
+            self._fresh,
+            self._limp,
+        )
 
     def _tell(self) -> None:
-        machine, sequence = self._machine, self._machine.sequence
+        machine = self._machine
+        sequence = self._machine.sequence
         self._published, self._published_at_s = self._state(), clock.now()
         values = {
             "sequence": self._count,

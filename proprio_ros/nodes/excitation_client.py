@@ -21,7 +21,8 @@ READY_S, SEEN_S = 4.0, 12.0
 computer the first words are lost."""
 SILENT_S = 3.0
 """The excitation node publishes its state ten times a second while it is busy; without a word for so long it is gone."""
-LEASE_PERIOD_S = 0.1  # the excitation node ends a sequence when whoever asked for it has been silent for 1.5 s
+# the excitation node ends a sequence when whoever asked for it has been silent for 1.5 s
+LEASE_PERIOD_S = 0.1
 CALL_S = 5.0
 ABORT_S = 2.0
 
@@ -34,7 +35,9 @@ class Excitation:
         closing: Whether the asking node is ending itself: nobody is left to hear an answer.
     """
 
-    def __init__(self, node: ManagedNode, on_progress: Callable[[str, dict[str, str]], None]) -> None:
+    def __init__(
+        self, node: ManagedNode, on_progress: Callable[[str, dict[str, str]], None]
+    ) -> None:
         self._on_progress = on_progress
         self.name = str(node.values["excitation_node"])
         self.values: dict[str, str] = {}
@@ -76,9 +79,13 @@ class Excitation:
         Raises `JobError`: It was refused, aborted, cancelled, or the node fell silent.
         """
         named = RosParameter("probe", RosParameter.Type.STRING, sequence).to_parameter_msg()
-        results = self._call(self.set_probe, SetParameters.Request(parameters=[named]), tries=2).results
+        results = self._call(
+            self.set_probe, SetParameters.Request(parameters=[named]), tries=2
+        ).results
         if not results or not results[0].successful:
-            raise JobError(f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}")
+            raise JobError(
+                f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}"
+            )
         begun_s = asked_s = clock.now()
         answer = self._call(self.run, Trigger.Request())
         while not answer.success and clock.now() - begun_s < READY_S:
@@ -101,17 +108,22 @@ class Excitation:
                     self._stop(number)
                     raise JobError("cancelled")
                 values = self.values
-                if values.get("sequence") == number:  # one that was started again knows nothing of it, and says so at rest
+                # one that was started again knows nothing of it, and says so at rest
+                if values.get("sequence") == number:
                     heard_s = max(self._heard_s, heard_s)
                     if values.get("busy") == "false":
                         break
                 if clock.now() - heard_s > SILENT_S:
-                    raise JobError("the excitation node has fallen silent: the driver holds the arm; restart the node")
+                    raise JobError(
+                        "the excitation node has fallen silent: the driver holds the arm; restart the node"
+                    )
         finally:
             self._asking = False
             self._lease.publish(Bool(data=False))
         if values.get("phase") == "aborted":
-            raise JobError(f"the probe was aborted: {values.get('reason')}", values.get("aborted_by", ""))
+            raise JobError(
+                f"the probe was aborted: {values.get('reason')}", values.get("aborted_by", "")
+            )
 
     def _stop(self, number: str) -> None:
         """Abort a sequence and see it end."""

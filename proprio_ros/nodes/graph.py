@@ -60,19 +60,29 @@ class Graph:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def start(self, node: str, parameters: Mapping[str, Any], namespace: str = "") -> subprocess.Popen[bytes]:
+    def start(
+        self, node: str, parameters: Mapping[str, Any], namespace: str = ""
+    ) -> subprocess.Popen[bytes]:
         """Start a node, such as `driver`, in a process and a session of its own, so that Ctrl-C reaches only us."""
         words = [sys.executable, "-m", f"proprio_ros.nodes.{node}", "--ros-args"]
         for name, value in parameters.items():
             # words in a list need quotes to be one each
-            quoted = isinstance(value, (list, tuple)) and all(isinstance(entry, str) for entry in value)
+            quoted = isinstance(value, (list, tuple)) and all(
+                isinstance(entry, str) for entry in value
+            )
             words += ["-p", f"{name}:={json.dumps(list(value)) if quoted else text_of(value)}"]
         if namespace:
             words += ["-r", f"__ns:=/{namespace}"]
         with (self.logs / f"{node}.log").open("ab") as log:
-            streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": subprocess.STDOUT}
+            streams: dict[str, Any] = {
+                "stdin": subprocess.DEVNULL,
+                "stdout": log,
+                "stderr": subprocess.STDOUT,
+            }
             alone: dict[str, Any] = {"start_new_session": True, "preexec_fn": _end_with_parent}
-            process = self.processes[node] = subprocess.Popen(words, env=self._environment, **streams, **alone)
+            process = self.processes[node] = subprocess.Popen(
+                words, env=self._environment, **streams, **alone
+            )
         return process
 
     def log(self, node: str) -> str:
@@ -95,7 +105,9 @@ class Graph:
 
         SIGTERM ends even one that is still starting without a traceback.
         """
-        for names in [(node,)] if node else [("identifier", "excitation"), ("driver",), ("virtual",)]:
+        for names in (
+            [(node,)] if node else [("identifier", "excitation"), ("driver",), ("virtual",)]
+        ):
             self._end([name for name in names if name in self.processes], number)
 
     def _end(self, nodes: list[str], number: int) -> None:

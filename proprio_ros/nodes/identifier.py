@@ -24,7 +24,13 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.job import REFRESH, WEIGH, Job, JobError
 from proprio_ros.live.job import ROBOT as ROBOT_JOB
-from proprio_ros.live.session import Session, as_parameters, check_settings, prepare_identification, recover
+from proprio_ros.live.session import (
+    Session,
+    as_parameters,
+    check_settings,
+    prepare_identification,
+    recover,
+)
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.carrying import Carrying
 from proprio_ros.nodes.excitation_client import CALL_S, Excitation
@@ -34,7 +40,14 @@ from proprio_ros.nodes.numeric import ACTION, WeighAction
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.payload_export import HandingOn
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import IDLE_PAUSE_S, LATCHED, Answer, LongService, ManagedNode, run_node
+from proprio_ros.nodes.runtime import (
+    IDLE_PAUSE_S,
+    LATCHED,
+    Answer,
+    LongService,
+    ManagedNode,
+    run_node,
+)
 from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Guards, HasBaseline, Probe
@@ -55,15 +68,27 @@ def services() -> dict[str, str]:
 
 def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
     """What can be said to the node about a probe."""
-    called, baseline = f"calibrate_{probe.name}", f"record_{probe.name}_baseline"
+    called = f"calibrate_{probe.name}"
+    baseline = f"record_{probe.name}_baseline"
     if isinstance(probe, HasBaseline):
         called += f" and {baseline}"
-    parameters = [Parameter(f"{probe.name}_sequence", probe.default_sequence, f"Probe sequence of {called}.", dynamic=True)]
+    parameters = [
+        Parameter(
+            f"{probe.name}_sequence",
+            probe.default_sequence,
+            f"Probe sequence of {called}.",
+            dynamic=True,
+        )
+    ]
     if isinstance(probe, HasBaseline):
-        words = f"Bag of the {probe.baseline.noun}; empty: what {baseline} kept last; none: without."
+        words = (
+            f"Bag of the {probe.baseline.noun}; empty: what {baseline} kept last; none: without."
+        )
         parameters.append(Parameter(f"{probe.name}_baseline", "", words, dynamic=True))
     limits = probe.limits if isinstance(probe, Guards) else ()
-    stated = ((each.name, each.default, each.description, each.lowest, each.highest) for each in limits)
+    stated = (
+        (each.name, each.default, each.description, each.lowest, each.highest) for each in limits
+    )
     return parameters + [Parameter(*limit, dynamic=True) for limit in stated]
 
 
@@ -120,7 +145,9 @@ class IdentifierNode(ManagedNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identifier", **kwargs)
-        self._sequences = {each.name: each.default for each in self.parameters if each.name.endswith("_sequence")}
+        self._sequences = {
+            each.name: each.default for each in self.parameters if each.name.endswith("_sequence")
+        }
         self._job: Job | None = None
         self._job_lock = clock.lock()
         self._unsaved: list[Session] = []
@@ -137,21 +164,33 @@ class IdentifierNode(ManagedNode):
         data = Path(self.values["data_directory"]).expanduser() / self.get_namespace().strip("/")
         recovered, problems = recover(data)
         for bag in recovered:
-            self.say("warning", f"a recording that was cut off when this node was killed is kept: {bag}")
+            self.say(
+                "warning", f"a recording that was cut off when this node was killed is kept: {bag}"
+            )
         for problem in problems:
             self.say("error", problem)
         self._inputs = Inputs(self, self._busy)
-        self._workspace = workspace = Workspace(data, self.values["robot"], self._inputs.stated_topics())
+        self._workspace = workspace = Workspace(
+            data, self.values["robot"], self._inputs.stated_topics()
+        )
         self._results = results = Results(self, workspace)
-        carrying, silent = Carrying(self, self._inputs, results), lambda: self._busy() or bool(self._missing())
+        carrying = Carrying(self, self._inputs, results)
+
+        def silent() -> bool:
+            return self._busy() or bool(self._missing())
+
         self._weighing = Weighing(self, workspace, self._inputs, results, carrying, silent)
         self._excitation = Excitation(self, self._on_progress)
-        self._jobs = Jobs(self, workspace, self._inputs, self._excitation, results, self._weighing, self._unsaved)
+        self._jobs = Jobs(
+            self, workspace, self._inputs, self._excitation, results, self._weighing, self._unsaved
+        )
         self._prepared, self._described = False, None
         if is_topic(self.values["robot"]):
             topic = topic_of(self.values["robot"])
             self._described = described = LiveDescription(self.resolve_topic_name(topic), data)
-            self.create_subscription(String, topic, partial(self._on_description, described), LATCHED)
+            self.create_subscription(
+                String, topic, partial(self._on_description, described), LATCHED
+            )
             results.tell_and_log("starting", described.problem)
         else:
             self._prepare()
@@ -168,7 +207,8 @@ class IdentifierNode(ManagedNode):
 
     def _prepare(self) -> None:
         """All that needs the robot."""
-        workspace, stated = self._workspace, parse_settings(value_of(self, "settings"))
+        workspace = self._workspace
+        stated = parse_settings(value_of(self, "settings"))
         if warning := workspace.find_calibration(self.values["calibration"]):
             self.say("warning", warning)
         for name, default in self._sequences.items():
@@ -182,7 +222,10 @@ class IdentifierNode(ManagedNode):
             check_settings(replace(workspace.options(), settings=settings))
         self._inputs.open(self._weighing.prepare().drive_trains)
         self._prepared = True
-        self.say("info", f"ready after {clock.now() - started:.1f} s; calibration: {workspace.calibration or 'none'}")
+        self.say(
+            "info",
+            f"ready after {clock.now() - started:.1f} s; calibration: {workspace.calibration or 'none'}",
+        )
 
     def _on_description(self, described: LiveDescription, message: String) -> None:
         """The robot, where its description is a topic; the first that can be used counts."""
@@ -202,7 +245,8 @@ class IdentifierNode(ManagedNode):
             self._results.withdraw()
         if said:
             self.say(severity, said)
-            job, level = self._job, "ok" if severity == "info" else "warning"
+            job = self._job
+            level = "ok" if severity == "info" else "warning"
             doing = job.kind if job is not None else "idle" if self._prepared else "starting"
             self._results.tell(doing, said, level=level)
 
@@ -218,7 +262,8 @@ class IdentifierNode(ManagedNode):
     def _start(self) -> None:
         """Be there for others."""
         self.hear_in_real_time()
-        missing, running = self._missing(), self._weighing.begin()
+        missing = self._missing()
+        running = self._weighing.begin()
         if running:
             self.say("info", running)
         ready = "ready" + f"; {running}" * bool(running)
@@ -269,7 +314,11 @@ class IdentifierNode(ManagedNode):
         if missing := self._missing():
             return f"not ready: {missing}"
         job = self._job
-        return "" if job is None else f"busy: {job.service} is under way; wait for it, or call ~/cancel"
+        return (
+            ""
+            if job is None
+            else f"busy: {job.service} is under way; wait for it, or call ~/cancel"
+        )
 
     def _check_job(self, job: Job) -> None:
         """Whether a job could be begun now.
@@ -317,7 +366,9 @@ class IdentifierNode(ManagedNode):
             level = "ok" if job.success else "warning"
         except ProprioError as error:
             job.message = str(error)
-        except Exception as error:  # a defect must be reported, and must not leave the services busy for ever
+        except (
+            Exception
+        ) as error:  # a defect must be reported, and must not leave the services busy for ever
             job.message = f"a defect in the identification ({type(error).__name__}: {error}); the recording is kept"
             self.get_logger().error(job.message)
         finally:

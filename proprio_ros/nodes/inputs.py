@@ -21,14 +21,21 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
 from proprio_ros.pipeline.request import usable_driver
 from proprio_ros.recordings.messages import RawMessage
-from proprio_ros.recordings.topics import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, OUR_DRIVER, TEMPERATURES
+from proprio_ros.recordings.topics import (
+    BATTERY_STATE,
+    JOINT_COMMAND,
+    JOINT_STATE,
+    OUR_DRIVER,
+    TEMPERATURES,
+)
 from proprio_ros.robot import DriveTrain
 
 STALE_S = 0.5
 SILENT_S = 3.0  # whoever says something ten times a second and has not for so long is gone
 TAIL_S = 0.3  # joint states after the last run that belong to the recording
 BEHIND_S = 0.2
-WORKING = ("joint_states", "joint_command", "battery_state")  # roles of what says what an arm at work holds
+# roles of what says what an arm at work holds
+WORKING = ("joint_states", "joint_command", "battery_state")
 LATEST_S = 30.0
 """On a busy computer joint states may lie in the queue for so long, while a word of the excitation node comes past them."""
 
@@ -64,22 +71,33 @@ class Inputs:
         self._motors = self._temperatures = b""
         self._state_at_s = self._effort_at_s = -1e9
         self.stamp_ns = 0
-        self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
+        # from a joint state's stamp, of whatever clock, to here
+        self._lag_ns = self._least_lag_ns = sys.maxsize
         self._noted_ns = (0, 0)  # when that was, by the node's clock and by one that nobody sets
         try:
             driver = usable_driver(node.values["driver"] or None)
         except ConfigurationError as error:
             raise ConfigurationError(as_parameters(str(error))) from error
         self.conventions = OUR_DRIVER if driver is None else driver.conventions
-        self._unit: str = node.values["effort_unit"] or ("" if driver is None else driver.effort_unit or "")
+        self._unit: str = node.values["effort_unit"] or (
+            "" if driver is None else driver.effort_unit or ""
+        )
         if self.conventions.radians != 1.0:
-            raise ConfigurationError(f"driver {self.conventions.driver}: live, positions must come in rad")
+            raise ConfigurationError(
+                f"driver {self.conventions.driver}: live, positions must come in rad"
+            )
 
     def stated_topics(self) -> dict[str, Any]:
         """What a replay must be told to take the same topics; nothing where they have their usual names."""
         values = self._node.values
-        topics: dict[str, Any] = {"effort_unit": values["effort_unit"] or None, "driver": values["driver"] or None}
-        for option, usual in (("state_topic", self.conventions.states), ("command_topic", "applied_effort")):
+        topics: dict[str, Any] = {
+            "effort_unit": values["effort_unit"] or None,
+            "driver": values["driver"] or None,
+        }
+        for option, usual in (
+            ("state_topic", self.conventions.states),
+            ("command_topic", "applied_effort"),
+        ):
             full = self._node.resolve_topic_name(values[option] or usual)
             topics[option] = full if values[option] or not full.endswith(f"/{usual}") else None
         return topics
@@ -94,29 +112,48 @@ class Inputs:
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
             listener = self.listener(node.resolve_topic_name(topic), role, kind)
-            skip, together = partial(self.may_skip, role), partial(self._takes_all, role)
-            node.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=together)
+            skip = partial(self.may_skip, role)
+            together = partial(self._takes_all, role)
+            node.listen(
+                kind, topic, listener, STREAM, raw=True, only_newest=skip, together=together
+            )
         driven_by = [drive.driven_by for drive in drives.values() if drive.driven_by is not None]
         if driven_by:
             full = node.resolve_topic_name(BATTERY_STATE)
             listener = self.listener(full, "battery_state", BatteryState)
             node.listen(BatteryState, BATTERY_STATE, listener, STREAM, raw=True)
-        self.by_goals = node.resolve_topic_name(JOINT_COMMAND) if any(each.follows_goal for each in driven_by) else ""
+        self.by_goals = (
+            node.resolve_topic_name(JOINT_COMMAND)
+            if any(each.follows_goal for each in driven_by)
+            else ""
+        )
         if self.by_goals:
             listener = self.listener(self.by_goals, "joint_command", JointState)
-            node.listen(JointState, JOINT_COMMAND, listener, STREAM, raw=True, together=lambda: True)
+            node.listen(
+                JointState, JOINT_COMMAND, listener, STREAM, raw=True, together=lambda: True
+            )
         self._motors_topic = node.resolve_topic_name("motors")
         node.create_subscription(DiagnosticStatus, "motors", self.on_motors, LATCHED, raw=True)
         self._temperatures_topic = node.resolve_topic_name(TEMPERATURES)
-        node.create_subscription(Float64MultiArray, TEMPERATURES, self.on_temperatures, LATCHED, raw=True)
+        node.create_subscription(
+            Float64MultiArray, TEMPERATURES, self.on_temperatures, LATCHED, raw=True
+        )
         # latched, but only what changes while a recording is under way belongs to it
         torque = partial(self._on_torque_enabled, node.resolve_topic_name("torque_enabled"))
         node.create_subscription(Bool, "torque_enabled", torque, LATCHED, raw=True)
         # what another driver is told is only recorded: it may be in another unit and order than the estimate of a run takes
-        for each in () if not node.values["driver"] or node.values["command_topic"] else self.conventions.inputs:
-            if (full := node.resolve_topic_name(each.topic)) not in (s.topic_name for s in node.subscriptions):
+        for each in (
+            ()
+            if not node.values["driver"] or node.values["command_topic"]
+            else self.conventions.inputs
+        ):
+            if (full := node.resolve_topic_name(each.topic)) not in (
+                s.topic_name for s in node.subscriptions
+            ):
                 of = JointState if each.msgtype == JOINT_STATE else Float64MultiArray
-                node.listen(of, each.topic, self.listener(full, "applied_current", of), STREAM, raw=True)
+                node.listen(
+                    of, each.topic, self.listener(full, "applied_current", of), STREAM, raw=True
+                )
         self._command_topic = self.stated_topics()["command_topic"]
         if self._command_topic:
             node.every(0.5, self._listen_to_command)
@@ -132,7 +169,8 @@ class Inputs:
 
     def _listen_to_command(self) -> None:
         """The topic that the user named; its type shows when somebody publishes it."""
-        name, node = self._command_topic, self._node
+        name = self._command_topic
+        node = self._node
         if any(subscription.topic_name == name for subscription in node.subscriptions):
             return
         for role, kind in (("applied_effort", JointState), ("current_command", Float64MultiArray)):
@@ -148,11 +186,15 @@ class Inputs:
             if role == "joint_states":
                 self._state_at_s = clock.now()
                 self.newest_state = data
-                if any(name in data for name in self._joints):  # others on the topic may have another clock
+                # others on the topic may have another clock
+                if any(name in data for name in self._joints):
                     self._note_lag(now_ns, messages.first_stamp_ns(data) or now_ns)
             elif role == "applied_effort":
                 self._effort_at_s = clock.now()
-            session, heard, kept, arrived = self.session, self.heard, self.kept, self.arrived
+            session = self.session
+            heard = self.heard
+            kept = self.kept
+            arrived = self.arrived
             raw = RawMessage(full_name, msgtype, now_ns, bytes(data))
             if kept is not None and role in WORKING:
                 kept.append(raw)
@@ -194,7 +236,9 @@ class Inputs:
         self._temperatures, session = bytes(data), self.session
         if session is not None:
             now_ns = self._node.get_clock().now().nanoseconds
-            session.add(self._temperatures_topic, _type_of(Float64MultiArray), now_ns, self._temperatures)
+            session.add(
+                self._temperatures_topic, _type_of(Float64MultiArray), now_ns, self._temperatures
+            )
 
     def moment(self) -> Moment:
         """Now, as a recording will have it."""
@@ -243,12 +287,17 @@ class Inputs:
         if self._unit or not self.has_effort:
             return self._unit
         # an effort that the excitation node gives an effort controller of somebody else's says nothing of what that driver measures
-        return "N.m" if self._node.count_publishers(self._node.resolve_topic_name("applied_current")) else ""
+        return (
+            "N.m"
+            if self._node.count_publishers(self._node.resolve_topic_name("applied_current"))
+            else ""
+        )
 
     def missing(self) -> str:
         """Why a recording would not say what drove the joints, or an empty string."""
         node = self._node
-        effort, command = node.resolve_topic_name("applied_effort"), node.resolve_topic_name("current_command")
+        effort = node.resolve_topic_name("applied_effort")
+        command = node.resolve_topic_name("current_command")
         if self.by_goals:
             if node.count_publishers(self.by_goals):
                 return ""
@@ -260,9 +309,17 @@ class Inputs:
             return f"nothing comes on {effort}, although it has a publisher"
         named = self._command_topic
         if named is not None:
-            return "" if node.count_publishers(named) else f"nobody publishes the parameter command_topic, {named}"
+            return (
+                ""
+                if node.count_publishers(named)
+                else f"nobody publishes the parameter command_topic, {named}"
+            )
         # what the excitation node commands says it as well, where somebody obeys
-        others = [info for info in node.get_subscriptions_info_by_topic(command) if info.node_name != node.get_name()]
+        others = [
+            info
+            for info in node.get_subscriptions_info_by_topic(command)
+            if info.node_name != node.get_name()
+        ]
         if others or self._unit:
             return ""
         return (

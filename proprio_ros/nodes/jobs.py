@@ -45,7 +45,15 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bag
 from proprio_ros.pipeline.replay import aged_robot, replay, write_report
 from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes import all_probes, probe_named
-from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Prepares, Probe, Shown, chooser_of
+from proprio_ros.probes.base import (
+    EstimatesLive,
+    Guards,
+    HasBaseline,
+    Prepares,
+    Probe,
+    Shown,
+    chooser_of,
+)
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.records import Run
@@ -54,8 +62,10 @@ from proprio_ros.report.choices_page import Choice, write_choices
 
 CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
-REFRESH_S = 30.0  # all pushes of a refresh take so long at most; what they leave open a whole calibration has to learn
-HEARD_S = 1.0  # a run has ended when the excitation node says so; what was measured of it may still be on its way
+# all pushes of a refresh take so long at most; what they leave open a whole calibration has to learn
+REFRESH_S = 30.0
+# a run has ended when the excitation node says so; what was measured of it may still be on its way
+HEARD_S = 1.0
 AT_AN_END, AT_AN_END_TRIES = ("limit", "clearance"), 2
 """Where the arm ends when the object is heavier than was thought: it sags, or the current does not hold it. So often another push
 is chosen then."""
@@ -63,9 +73,13 @@ is chosen then."""
 
 def _choice(decision: Decision) -> Choice:
     """As its page shows it."""
-    words = [f"{push.words}: {decision.said_of(push)} in {push.time_s:.1f} s" for push in decision.others]
+    words = [
+        f"{push.words}: {decision.said_of(push)} in {push.time_s:.1f} s" for push in decision.others
+    ]
     chosen = decision.reason if decision.push is None else decision.push.words
-    return Choice(decision.value, decision.half, decision.promised, chosen, words, decision.decided_s)
+    return Choice(
+        decision.value, decision.half, decision.promised, chosen, words, decision.decided_s
+    )
 
 
 class Jobs:
@@ -107,7 +121,9 @@ class Jobs:
         deadline = max(clock.now() + READY_S, self._node.begun_s + SEEN_S)
         while True:
             missing = "no joint states are coming; start the driver and check its bus"
-            if self._inputs.has_states and not (missing := self._excitation.missing() or self._inputs.missing()):
+            if self._inputs.has_states and not (
+                missing := self._excitation.missing() or self._inputs.missing()
+            ):
                 return
             if clock.now() > deadline:
                 raise JobError(f"not ready: {missing}")
@@ -123,19 +139,29 @@ class Jobs:
         request = self._workspace.request(probe, stated, baseline)
         request = replace(request, robot=aged_robot(request.robot, self._inputs.moment()))
         self._results.link = request.robot.payload_frame
-        if baseline is None and isinstance(probe, HasBaseline) and probe.needs_baseline(request.facts):
-            raise JobError(f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}")
+        if (
+            baseline is None
+            and isinstance(probe, HasBaseline)
+            and probe.needs_baseline(request.facts)
+        ):
+            raise JobError(
+                f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}"
+            )
         sequence = job.sequence or self._value(f"{probe.name}_sequence")
         plan = job.plan(sequence, request.robot)
         if isinstance(probe, Guards):
             limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
             probe.check(request.robot, request.facts, plan, limits)
-        live = plan.until is not None or (isinstance(probe, EstimatesLive) and self._node.values["live_period"] > 0.0)
+        live = plan.until is not None or (
+            isinstance(probe, EstimatesLive) and self._node.values["live_period"] > 0.0
+        )
         self._inputs.live = LiveEstimate(request) if live else None
         if isinstance(probe, Prepares):
             self._results.tell(job.kind, f"preparing the simulation of {probe.prepares}")
         with progress.listening(partial(self._results.tell_and_log, job.kind)):
-            (probe.prepare if isinstance(probe, Prepares) else probe.compile)(request.robot, request.facts)
+            (probe.prepare if isinstance(probe, Prepares) else probe.compile)(
+                request.robot, request.facts
+            )
         if job.cancelled.is_set():
             raise JobError("cancelled")
         chooser = None
@@ -146,11 +172,14 @@ class Jobs:
             self._results.tell(job.kind, probe.hand)
         bag = self.record(job, job.kind, sequence, request, chooser)
         try:
-            estimate = self.identify(job, bag, request.options, partial(self._results.publish, request))
+            estimate = self.identify(
+                job, bag, request.options, partial(self._results.publish, request)
+            )
         except RecordingError as error:
             raise JobError(f"{job.reason or error}; recording: {bag}") from error
         if chooser is not None and plan.until is not None:
-            sought, target = chooser.sought, plan.until.half_interval
+            sought = chooser.sought
+            target = plan.until.half_interval
             choices = list(map(_choice, job.decisions))
             self._keep(lambda: write_choices(choices, sought, target, bag.parent / "choices.html"))
         said = f"; {job.reason}" * bool(job.reason) + self._workspace.used
@@ -164,7 +193,8 @@ class Jobs:
 
     def _record_baseline(self, job: Job, probe: HasBaseline[Any]) -> tuple[bool, str]:
         """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
-        baseline, used = probe.baseline, self._workspace.used
+        baseline = probe.baseline
+        used = self._workspace.used
         request = self._workspace.request(probe, parse_settings(self._value("settings")), None)
         self._inputs.live, self._results.link = None, request.robot.payload_frame
         self._results.tell(job.kind, baseline.hand)
@@ -176,10 +206,19 @@ class Jobs:
         options = baseline_options(request)
         estimate = self.identify(job, bag, options, partial(self._results.final, name=job.kind))
         if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
-            return False, f"not kept: {refusal_of(estimate)}{used}; {baseline.question} recording: {bag}"
+            return (
+                False,
+                f"not kept: {refusal_of(estimate)}{used}; {baseline.question} recording: {bag}",
+            )
         self._workspace.keep_baseline(probe, bag)
-        answer = interval_of(estimate) or f"a mass that is not determined ({'; '.join(estimate.reasons)})"
-        return True, f"{baseline.noun} {answer}, {estimate.runs} runs{used}; kept as the baseline: {bag}"
+        answer = (
+            interval_of(estimate)
+            or f"a mass that is not determined ({'; '.join(estimate.reasons)})"
+        )
+        return (
+            True,
+            f"{baseline.noun} {answer}, {estimate.runs} runs{used}; kept as the baseline: {bag}",
+        )
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         """The robot, with an empty hand and perhaps a weighed object."""
@@ -207,36 +246,56 @@ class Jobs:
         output = bag.parent / "calibration.yaml"
         options = replace(options, settings=parse_settings(self._value("reference_settings")))
         estimate = calibrate_from_bags(empty, references, options, output, tell, force=True)
-        on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
-        return self._calibrated(estimate, output, bag, (*empty, *references), f"robot calibrated on {on}")
+        on = (
+            f"{len(estimate.run_fits)} of {estimate.runs} runs"
+            if estimate.run_fits
+            else f"{estimate.runs} motions"
+        )
+        return self._calibrated(
+            estimate, output, bag, (*empty, *references), f"robot calibrated on {on}"
+        )
 
     def _refresh(self, job: Job) -> tuple[bool, str]:
         """The calibration in use, brought up to date by some chosen pushes with an empty hand."""
-        used, tell = self._workspace.calibration, partial(self._results.tell, job.kind)
+        used = self._workspace.calibration
+        tell = partial(self._results.tell, job.kind)
         if used is None:
-            raise JobError("there is no calibration to bring up to date: call ~/calibrate_robot first")
+            raise JobError(
+                "there is no calibration to bring up to date: call ~/calibrate_robot first"
+            )
         self._inputs.live, options = None, self._workspace.options()
         fresh = robot_of(options)
         learnt = fresh.calibration
         if learnt is None or not learnt.driven:
-            raise JobError(f"{used} was not made of driven runs: call ~/calibrate_robot with robot_sequence empty_hand")
+            raise JobError(
+                f"{used} was not made of driven runs: call ~/calibrate_robot with robot_sequence empty_hand"
+            )
         if learnt.made is None:
             words = "does not say when it was made, so nobody knows how old it is: call ~/calibrate_robot"
             raise JobError(f"{used} {words}")
         old = aged_robot(fresh, self._inputs.moment())
         if old is fresh:
-            return True, f"up to date: made less than ten minutes ago, or by another clock; calibration: {used}"
+            return (
+                True,
+                f"up to date: made less than ten minutes ago, or by another clock; calibration: {used}",
+            )
         tell("choosing the pushes that bring the calibration up to date")
         plan = load_sequence(self._value("robot_sequence"), fresh)
         runs, then, now = chosen_refresh(fresh, old, REFRESH_S, plan)
         worth = f"{shown('kg', then, spec='.2f')} when it was made, {shown('kg', now, spec='.2f')} by now"
         if not runs:
-            return True, f"up to date: a weighing of 30 g would be as sure as +-{worth}; calibration: {used}"
+            return (
+                True,
+                f"up to date: a weighing of 30 g would be as sure as +-{worth}; calibration: {used}",
+            )
         if job.cancelled.is_set():
             raise JobError("cancelled")
-        said = f"pushes with an empty hand: {len(runs)}; a weighing of 30 g was as sure as +-{worth}"
+        said = (
+            f"pushes with an empty hand: {len(runs)}; a weighing of 30 g was as sure as +-{worth}"
+        )
         self._results.tell_and_log(job.kind, said)
-        chosen = as_text(replace(plan, runs=tuple(runs), until=None, home={}))  # after them the arm stays where it is
+        # after them the arm stays where it is
+        chosen = as_text(replace(plan, runs=tuple(runs), until=None, home={}))
         bag = self.record(job, job.kind, chosen, Request(fresh, options))
         tell("identifying what has changed")
         output = bag.parent / "calibration.yaml"
@@ -248,21 +307,37 @@ class Jobs:
         return self._calibrated(estimate, output, bag, (bag,), said)
 
     def _calibrated(
-        self, estimate: CalibrationEstimate, output: Path, bag: Path, sources: Sequence[str | Path], said: str
+        self,
+        estimate: CalibrationEstimate,
+        output: Path,
+        bag: Path,
+        sources: Sequence[str | Path],
+        said: str,
     ) -> tuple[bool, str]:
         """A calibration is published, and takes the place of the one in use where it was accepted."""
         self._results.calibration(estimate, str(output))
         names = [str(path) for path in sources]
-        self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=names))
+        self._keep(
+            lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=names)
+        )
         if estimate.verdict is not Verdict.ACCEPTED:
-            return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
+            return (
+                False,
+                f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}",
+            )
         if not (stays := self._workspace.keep_calibration(output)):
             self._weighing.prepare()
             self._weighing.begin()
         return True, f"{said}; calibration: {output}" + f"; {stays}" * bool(stays)
 
     def _chosen(
-        self, job: Job, sequence: str, request: Request, empty: list[Any], references: dict[Any, float], mass_kg: float
+        self,
+        job: Job,
+        sequence: str,
+        request: Request,
+        empty: list[Any],
+        references: dict[Any, float],
+        mass_kg: float,
     ) -> str:
         """Pushes that a sequence with `until` wants beside its own: chosen by what was recorded so far; empty: none."""
         plan = load_sequence(sequence, request.robot)
@@ -275,10 +350,14 @@ class Jobs:
             return ""  # the whole calibration will say why
         known = request.robot.with_calibration(so_far.calibration)
         runs = chosen_known(known, mass_kg, plan.until.half_interval, plan.until.at_most_s, plan)
-        self._node.say("info", f"{len(runs)} further pushes with {mass_kg:g} kg in the hand were chosen")
+        self._node.say(
+            "info", f"{len(runs)} further pushes with {mass_kg:g} kg in the hand were chosen"
+        )
         return as_text(replace(plan, runs=tuple(runs), until=None)) if runs else ""
 
-    def identify(self, job: Job, bag: Path, options: Options, publish: Callable[[Estimate], None]) -> Estimate:
+    def identify(
+        self, job: Job, bag: Path, options: Options, publish: Callable[[Estimate], None]
+    ) -> Estimate:
         """The estimate from a bag: published, then written beside it with a report."""
         self._results.tell(job.kind, "identifying")
         estimate = replay([bag], options)
@@ -286,7 +365,11 @@ class Jobs:
         command = replay_command(bag, options)
         sources = [str(path) for path in (bag, *options.baseline)]
         self._keep(lambda: keep_result(bag, estimate, command))
-        self._keep(lambda: write_report(estimate, bag.parent / "report.html", command=command, sources=sources))
+        self._keep(
+            lambda: write_report(
+                estimate, bag.parent / "report.html", command=command, sources=sources
+            )
+        )
         return estimate
 
     def _keep(self, write: Callable[[], None]) -> None:
@@ -299,13 +382,16 @@ class Jobs:
 
     def _estimate_live(self, job: Job) -> None:
         """What has come so far, again and again while a joint is driven."""
-        inputs, live, period_s = self._inputs, self._inputs.live, self._node.values["live_period"]
+        inputs = self._inputs
+        live = self._inputs.live
+        period_s = self._node.values["live_period"]
         if live is None or period_s <= 0.0:
             return
         clock.come_after_others()
         published_samples = 0
         while inputs.session is not None and not job.cancelled.is_set():
-            if not inputs.driven or inputs.swings:  # what lets go of a joint and what catches it are no probes
+            # what lets go of a joint and what catches it are no probes
+            if not inputs.driven or inputs.swings:
                 clock.sleep(0.005)
                 continue
             estimate = live.estimate()
@@ -318,7 +404,9 @@ class Jobs:
                 self._results.publish_estimate("ok", estimate.probe, words, entries)
             clock.sleep(period_s)
 
-    def record(self, job: Job, kind: str, sequence: str, request: Request, chooser: Chooser | None = None) -> Path:
+    def record(
+        self, job: Job, kind: str, sequence: str, request: Request, chooser: Chooser | None = None
+    ) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
         inputs = self._inputs
         inputs.catch_up()
@@ -372,7 +460,9 @@ class Jobs:
 
         There is no estimate while a push is under way: with every run it would take longer, and deciding waits for it.
         """
-        live, began, tries = self._inputs.live, clock.now(), AT_AN_END_TRIES
+        live = self._inputs.live
+        began = clock.now()
+        tries = AT_AN_END_TRIES
         assert live is not None
         runs: Sequence[Run] = ()
         if chooser.first_runs:
@@ -384,7 +474,9 @@ class Jobs:
                 decision = chooser.next(runs, live.position(), clock.now() - began)
             entries = {f"choice.{key}": value for key, value in decision.as_entries().items()}
             self._results.tell(job.kind, decision.reason, entries)
-            self._node.say("info", f"{decision.reason} (decided in {1e3 * decision.decided_s:.0f} ms)")
+            self._node.say(
+                "info", f"{decision.reason} (decided in {1e3 * decision.decided_s:.0f} ms)"
+            )
             job.decisions.append(decision)
             self._results.choice(chooser.robot, decision, live.position())
             if decision.run is None:
@@ -395,13 +487,15 @@ class Jobs:
                 self._excitation.make(job, chosen)
             except JobError as error:
                 if error.aborted_by in AT_AN_END and tries > 0:
-                    tries, runs = tries - 1, self._heard_runs(live, len(runs))
+                    tries = tries - 1
+                    runs = self._heard_runs(live, len(runs))
                     chooser.leave_out(decision)
                     self._node.say("info", f"{error}; another push is chosen")
                     continue
                 if job.cancelled.is_set() or not runs:
                     raise
-                job.reason = f"no further push: {error}"  # what was recorded says something all the same
+                # what was recorded says something all the same
+                job.reason = f"no further push: {error}"
                 return
             runs = self._heard_runs(live, len(runs))
 
@@ -411,7 +505,9 @@ class Jobs:
         deadline = clock.now() + HEARD_S
         while silent := sorted(set(live.joints) - set(live.position())):
             if clock.now() > deadline:
-                raise JobError(f"no joint states of {', '.join(silent)} come in: without them no push can be chosen")
+                raise JobError(
+                    f"no joint states of {', '.join(silent)} come in: without them no push can be chosen"
+                )
             clock.sleep(0.005)
 
     def _heard_runs(self, live: LiveEstimate, before: int) -> Sequence[Run]:
@@ -428,7 +524,8 @@ class Jobs:
         """
         heard: list[RawMessage] = []
         self._inputs.heard = heard
-        deadline, notes = clock.now() + LONGEST_CHECK_S, None
+        deadline = clock.now() + LONGEST_CHECK_S
+        notes = None
         try:
             while notes is None:
                 clock.sleep(CHECK_S)
@@ -443,7 +540,8 @@ class Jobs:
             self._node.say("info", note)
         if not self._inputs.has_effort and not self._inputs.by_goals:
             self._node.say(
-                "warning", "no applied_effort: the times at which a current began are those at which its command was heard"
+                "warning",
+                "no applied_effort: the times at which a current began are those at which its command was heard",
             )
 
     def save_again(self) -> None:
@@ -454,4 +552,6 @@ class Jobs:
                 self._unsaved.remove(session)
                 self._node.say("info", f"the recording of {session.name} is saved now: {bag}")
             except RecordingError as error:
-                self._node.get_logger().error(f"{session.name}: {error}", throttle_duration_sec=60.0)
+                self._node.get_logger().error(
+                    f"{session.name}: {error}", throttle_duration_sec=60.0
+                )

@@ -35,11 +35,13 @@ TOLD_PERIOD_S = 0.05
 SILENT_S = 0.25
 """A node that has told nothing for so long does not hold the arm any more. If it goes on later, its commands count again."""
 NODE = "excitation_last_words"
-LAST_WORDS_S, AGAIN = 0.3, 6
+LAST_WORDS_S = 0.3
+AGAIN = 6
 START_S = 60.0
 FOUND_S = 4.0  # who uses DDS announces itself every 3 s, should the first words be lost
 SWITCHED = "switched"
-HEARD, UNHEARD = b"+", b"-"
+HEARD = b"+"
+UNHEARD = b"-"
 SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for controller_manager
 
 
@@ -57,7 +59,9 @@ class LastWords:
         switched = [] if controllers is None else [json.dumps(asdict(controllers))]
         command = [sys.executable, "-m", "proprio_ros.nodes.last_words", topic, *switched]
         # a session of its own: Ctrl-C is for the node alone, which then ends in order
-        self._process = subprocess.Popen(command, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+        self._process = subprocess.Popen(
+            command, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+        )
         assert self._process.stdin is not None and self._process.stdout is not None
         ready, _, _ = select.select([self._process.stdout], [], [], START_S)
         said = self._process.stdout.readline() if ready else b""
@@ -114,7 +118,8 @@ class LastWords:
     def _write(self, line: str) -> None:
         assert self._process.stdin is not None
         line = f"{SWITCHED} {line}" if self.engaged else line
-        with contextlib.suppress(OSError):  # it has ended, which `alive` says, or a full pipe keeps it busy enough
+        # it has ended, which `alive` says, or a full pipe keeps it busy enough
+        with contextlib.suppress(OSError):
             os.write(self._process.stdin.fileno(), f"{line}\n".encode())
 
 
@@ -127,7 +132,8 @@ def main(topic: str, switched: str = "") -> int:
     publisher = node.create_publisher(Float64MultiArray, topic, COMMANDS)
     client: Any = None
     if switched:
-        controllers, kind = Controllers(**json.loads(switched)), switch_kind()
+        controllers = Controllers(**json.loads(switched))
+        kind = switch_kind()
         client = node.create_client(kind, controllers.service)
     named = node.get_publishers_info_by_topic(topic)
     own = [bytes(info.endpoint_gid).hex() for info in named if info.node_name == node.get_name()]
@@ -135,7 +141,9 @@ def main(topic: str, switched: str = "") -> int:
     sys.stdout.flush()
     run_in_real_time()
     last: list[float] = []
-    engaged, heard, rest = False, False, b""
+    engaged = False
+    heard = False
+    rest = b""
     while True:
         if (publisher.get_subscription_count() > 0) != heard:
             heard = not heard

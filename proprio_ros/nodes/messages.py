@@ -17,9 +17,14 @@ from visualization_msgs.msg import Marker, MarkerArray
 from proprio_ros.probes.base import Carried, Shapes
 from proprio_ros.quantity import Z95, shown, spec_for
 
-LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
+LEVELS = {
+    "ok": DiagnosticStatus.OK,
+    "warning": DiagnosticStatus.WARN,
+    "error": DiagnosticStatus.ERROR,
+}
 KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
-BLUE, AMBER = (0.1, 0.5, 0.9), (1.0, 0.65, 0.0)
+BLUE = (0.1, 0.5, 0.9)
+AMBER = (1.0, 0.65, 0.0)
 UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan))
 """What is published where a load was published before that stands no longer."""
 Floats = Sequence[float]
@@ -43,25 +48,38 @@ def first_stamp_ns(data: bytes) -> int:
 
 
 def joint_state(
-    stamp_ns: int, names: Sequence[str], position: Floats = (), velocity: Floats = (), effort: Floats = ()
+    stamp_ns: int,
+    names: Sequence[str],
+    position: Floats = (),
+    velocity: Floats = (),
+    effort: Floats = (),
 ) -> JointState:
     """Quantities that are not known stay empty."""
     message = JointState(name=list(names))
     message.header.stamp = time_message(stamp_ns)
-    message.position, message.velocity, message.effort = (list(map(float, q)) for q in (position, velocity, effort))
+    message.position, message.velocity, message.effort = (
+        list(map(float, q)) for q in (position, velocity, effort)
+    )
     return message
 
 
 def labelled(values: Mapping[str, float]) -> Float64MultiArray:
     """Numbers by joint; `layout.dim` names the joints, joined by commas."""
     size = len(values)
-    layout = MultiArrayLayout(dim=[MultiArrayDimension(label=",".join(values), size=size, stride=size)])
+    layout = MultiArrayLayout(
+        dim=[MultiArrayDimension(label=",".join(values), size=size, stride=size)]
+    )
     return Float64MultiArray(layout=layout, data=list(map(float, values.values())))
 
 
 def by_joint(message: Float64MultiArray, order: Sequence[str]) -> dict[str, float] | str:
     """Numbers by joint: as labelled, else in the given order; a sentence where neither fits. Without numbers nothing is driven."""
-    labels = [label.strip() for dim in message.layout.dim for label in dim.label.split(",") if label.strip()]
+    labels = [
+        label.strip()
+        for dim in message.layout.dim
+        for label in dim.label.split(",")
+        if label.strip()
+    ]
     names = labels or list(order)
     if not message.data:
         return {}
@@ -89,7 +107,9 @@ def text_of(value: Any) -> str:
     return str(value)
 
 
-def status(level: str, name: str, message: str, values: Mapping[str, Any], hardware_id: str = "") -> DiagnosticStatus:
+def status(
+    level: str, name: str, message: str, values: Mapping[str, Any], hardware_id: str = ""
+) -> DiagnosticStatus:
     """A diagnostic status; level is ``ok``, ``warning`` or ``error``."""
     return DiagnosticStatus(
         level=LEVELS[level],
@@ -144,7 +164,9 @@ def _marker(
 
     marker = Marker(ns=header[0], id=number_, type=kind, action=Marker.ADD)
     marker.header.stamp, marker.header.frame_id = time_message(header[1]), header[2]
-    position, turn, scale = marker.pose.position, marker.pose.orientation, marker.scale
+    position = marker.pose.position
+    turn = marker.pose.orientation
+    scale = marker.scale
     position.x, position.y, position.z = map(float, place_m)
     turned = Rotation.from_matrix(np.eye(3) if rotation is None else rotation)
     turn.x, turn.y, turn.z, turn.w = turned.as_quat(canonical=True).tolist()
@@ -153,27 +175,57 @@ def _marker(
     return marker
 
 
-def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str, accepted: bool = True) -> MarkerArray:
+def markers(
+    stamp_ns: int,
+    frame: str,
+    shapes: Shapes,
+    value: float,
+    std: float,
+    unit: str,
+    accepted: bool = True,
+) -> MarkerArray:
     """Bodies at one place with the value in words above, in amber where its interval is too wide; what was shown before goes."""
-    header, colour, spec = ("proprio", stamp_ns, frame), BLUE if accepted else AMBER, spec_for(unit, std)
+    header = ("proprio", stamp_ns, frame)
+    colour = BLUE if accepted else AMBER
+    spec = spec_for(unit, std)
     made = [
-        _marker(header, n, KINDS[body.kind], body.size_m, (*colour, body.opacity), shapes.place_m, body.rotation)
+        _marker(
+            header,
+            n,
+            KINDS[body.kind],
+            body.size_m,
+            (*colour, body.opacity),
+            shapes.place_m,
+            body.rotation,
+        )
         for n, body in enumerate(shapes.bodies)
     ]
     x, y, z = shapes.place_m
-    words = _marker(header, len(made), Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.03), (*colour, 1.0), (x, y, z + 0.06))
+    words = _marker(
+        header,
+        len(made),
+        Marker.TEXT_VIEW_FACING,
+        (0.0, 0.0, 0.03),
+        (*colour, 1.0),
+        (x, y, z + 0.06),
+    )
     words.text = shown(unit, value, Z95 * std, spec=spec, between=" +- ")
     if not accepted:
-        words.text = shown(unit, max(value - Z95 * std, 0.0), value + Z95 * std, spec=spec, between=" to ")
+        words.text = shown(
+            unit, max(value - Z95 * std, 0.0), value + Z95 * std, spec=spec, between=" to "
+        )
     return MarkerArray(markers=[*no_markers().markers, *made, words])
 
 
-def planned(stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: np.ndarray | None) -> MarkerArray:
+def planned(
+    stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: np.ndarray | None
+) -> MarkerArray:
     """What is known so far, in words above the hand, and the way of the hand in the push that comes next; what was shown goes.
 
     All in the root link's frame: the hand's place, shape (3,), and its path, shape (N, 3); None: no push comes.
     """
-    header, colour = ("next push", stamp_ns, frame), (*AMBER, 1.0)
+    header = ("next push", stamp_ns, frame)
+    colour = (*AMBER, 1.0)
     x, y, z = map(float, place_m)
     above = _marker(header, 0, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.025), colour, (x, y, z + 0.12))
     above.text = words

@@ -116,7 +116,9 @@ class WeighAction:
     `ProprioError`, with the reason, where there can be no such job now.
     """
 
-    def __init__(self, node: ManagedNode, begin: Callable[[Job, Answer], None], check: Callable[[Job], None]) -> None:
+    def __init__(
+        self, node: ManagedNode, begin: Callable[[Job, Answer], None], check: Callable[[Job], None]
+    ) -> None:
         self._node, self._begin, self._check = node, begin, check
         self._goal: Any = None
         self._job: Job | None = None
@@ -158,14 +160,18 @@ class WeighAction:
     def _asked(self, request: Any) -> tuple[Probe[Any], Job]:
         """What a goal asks for. Raises `ConfigurationError`: There is no such weighing."""
         target = request.target or probe_at_work().name
-        weighing = {each.name: each for each in all_probes() if each.answer[1] == "kg"} | {WEIGH: probe_at_work()}
+        weighing = {each.name: each for each in all_probes() if each.answer[1] == "kg"} | {
+            WEIGH: probe_at_work()
+        }
         if (probe := weighing.get(target)) is None:
             raise ConfigurationError(f"target {target!r}: give one of {', '.join(weighing)}")
         job = Job(target, ACTION, settings=tuple(request.settings), sequence=request.sequence)
         if request.half_interval != 0.0:
             job.until = Until(request.half_interval, "kg", request.at_most_s or Until.at_most_s)
         if target == WEIGH and (job.sequence or job.until):
-            raise ConfigurationError(f"target {WEIGH!r} makes no sequence: leave it empty, and half_interval at 0")
+            raise ConfigurationError(
+                f"target {WEIGH!r} makes no sequence: leave it empty, and half_interval at 0"
+            )
         return probe, job
 
     def _on_accepted(self, goal: Any) -> None:

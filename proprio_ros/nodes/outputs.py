@@ -25,8 +25,10 @@ from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.robot import Robot
 
 RECORD_PERIOD_S = 0.01  # what is commanded is recorded when it changes, and so often
-ON_THE_WAY_NS = 500_000  # a command that is sent later before an update than this is taken by the next
-LET_GO_S = 0.3  # for so long zeros are said when joints are lost; then whoever takes over is not disturbed
+# a command that is sent later before an update than this is taken by the next
+ON_THE_WAY_NS = 500_000
+# for so long zeros are said when joints are lost; then whoever takes over is not disturbed
+LET_GO_S = 0.3
 
 
 def controller_of(node: ManagedNode, robot: Robot, topic: str) -> EffortController | GoalController:
@@ -35,11 +37,18 @@ def controller_of(node: ManagedNode, robot: Robot, topic: str) -> EffortControll
     Raises `ConfigurationError`: They do not fit the robot.
     """
     values = node.values
-    joints, jump_rad = values["controller_joints"], values["max_jump"]
-    switches = "" if values["controller_manager"] else "this node switches no controllers: activate that one first, and "
+    joints = values["controller_joints"]
+    jump_rad = values["max_jump"]
+    switches = (
+        ""
+        if values["controller_manager"]
+        else "this node switches no controllers: activate that one first, and "
+    )
     controller: EffortController | GoalController
     if values["command_interface"] == "effort":
-        gains = HoldGains(values["hold_frequency"], jump_rad=jump_rad, max_velocity_rad_s=values["max_velocity"])
+        gains = HoldGains(
+            values["hold_frequency"], jump_rad=jump_rad, max_velocity_rad_s=values["max_velocity"]
+        )
         controller = EffortController(robot, joints, values["effort_unit"], gains)
         said = f"efforts go to {topic}; this node alone holds the arm then; {switches}keep a hand near the emergency stop"
     else:
@@ -132,7 +141,12 @@ class ControllerOutput(Output):
     controller: EffortController | GoalController
 
     def __init__(
-        self, node: ManagedNode, controller: EffortController | GoalController, commands: Any, applied: Any, speaker: LastWords
+        self,
+        node: ManagedNode,
+        controller: EffortController | GoalController,
+        commands: Any,
+        applied: Any,
+        speaker: LastWords,
     ) -> None:
         self._node, self.controller = node, controller
         self._let_go_at_end = controller.can_let_go and node.values["on_end"] == "zero"
@@ -142,19 +156,29 @@ class ControllerOutput(Output):
         self._heard = self._blind = False
         self._said_ns = clock.now_ns()
         self._recorded: dict[str, float] = {}
-        self._untaken: dict[int, dict[str, float]] = {}  # by when it was sent, on the clock of the joint states
+        # by when it was sent, on the clock of the joint states
+        self._untaken: dict[int, dict[str, float]] = {}
         self._recorded_at_s = self._lost_at_s = -1e9
 
     def check(self, sequence: ExcitationSequence) -> None:
         if self._node.count_subscribers(self._topic) == 0:
-            raise ExcitationError(f"nobody listens to {self._topic}: load and activate the controller")
+            raise ExcitationError(
+                f"nobody listens to {self._topic}: load and activate the controller"
+            )
         publishers = self._node.get_publishers_info_by_topic(self._topic)
-        if sum(not self._last_words.is_publisher(info) for info in publishers) > 1:  # beside this node's own
-            raise ExcitationError(f"somebody else publishes on {self._topic}, too: end it first, for the last command counts")
+        # beside this node's own
+        if sum(not self._last_words.is_publisher(info) for info in publishers) > 1:
+            raise ExcitationError(
+                f"somebody else publishes on {self._topic}, too: end it first, for the last command counts"
+            )
         if not self._last_words.alive:
-            raise ExcitationError("the process that holds the arm if this one is killed has ended: start this node again")
+            raise ExcitationError(
+                "the process that holds the arm if this one is killed has ended: start this node again"
+            )
         if not self._last_words.heard:
-            raise ExcitationError(f"the process that holds a killed node's arm has not found {self._topic} yet: ask again")
+            raise ExcitationError(
+                f"the process that holds a killed node's arm has not found {self._topic} yet: ask again"
+            )
         self.controller.check(sequence)
 
     def begin(self) -> None:
@@ -171,8 +195,11 @@ class ControllerOutput(Output):
         stamp_ns = messages.time_ns(message.header.stamp)
         self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, clock.now_ns())
         stamp_ns = stamp_ns or self._clock.at(clock.now_ns())
-        controller, lost = self.controller, self.controller.lost
-        controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
+        controller = self.controller
+        lost = self.controller.lost
+        controller.observe(
+            1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s
+        )
         if self._blind:  # it is not where it was, and would be thrown back
             controller.take_here()
         self._heard, self._blind = True, False
@@ -225,10 +252,13 @@ class ControllerOutput(Output):
         self._last_words.close()
 
     def _say(self, commands: list[float]) -> None:
-        self._said_ns = clock.now_ns()  # before it is sent: a pause after it would have it sent late
+        # before it is sent: a pause after it would have it sent late
+        self._said_ns = clock.now_ns()
         self._commands.publish(Float64MultiArray(data=array("d", commands)))
         if self._last_words.due:
-            self._last_words.tell([0.0] * len(commands) if self._let_go_at_end else self.controller.last_words())
+            self._last_words.tell(
+                [0.0] * len(commands) if self._let_go_at_end else self.controller.last_words()
+            )
 
     def _let_go(self) -> None:
         self._say(self.controller.release())
@@ -236,7 +266,8 @@ class ControllerOutput(Output):
 
     def _record(self) -> None:
         """Remember what drives the joints, for whoever records, when it changes and now and then."""
-        record, now_s = self.controller.record, clock.now()
+        record = self.controller.record
+        now_s = clock.now()
         if not self._heard or not record:
             return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
@@ -249,9 +280,15 @@ class ControllerOutput(Output):
 
         Without one, what was sent is stamped as it was.
         """
-        taken = [sent_ns for sent_ns in self._untaken if stamp_ns is None or sent_ns + ON_THE_WAY_NS <= stamp_ns]
+        taken = [
+            sent_ns
+            for sent_ns in self._untaken
+            if stamp_ns is None or sent_ns + ON_THE_WAY_NS <= stamp_ns
+        ]
         records = {sent_ns: self._untaken.pop(sent_ns) for sent_ns in taken}
         for sent_ns in taken if stamp_ns is None else taken[-1:]:
             values = {self.controller.recorded_as: list(records[sent_ns].values())}
-            when_ns = (sent_ns if stamp_ns is None else stamp_ns) + round(1e9 * self.controller.late_s)
+            when_ns = (sent_ns if stamp_ns is None else stamp_ns) + round(
+                1e9 * self.controller.late_s
+            )
             self._applied.publish(messages.joint_state(when_ns, list(records[sent_ns]), **values))

@@ -31,17 +31,24 @@ class Parameter:
     def check(self, value: Any) -> None:
         """Raises: ConfigurationError: The value is none of the choices."""
         if self.choices and value not in (self.default, *self.choices):
-            raise ConfigurationError(f"parameter {self.name}={value!r}: choose one of {', '.join(self.choices)}")
+            raise ConfigurationError(
+                f"parameter {self.name}={value!r}: choose one of {', '.join(self.choices)}"
+            )
 
     def descriptor(self) -> ParameterDescriptor:
         kind = {"read_only": not self.dynamic, "dynamic_typing": self.loose}
         message = ParameterDescriptor(name=self.name, description=self.description, **kind)
         if self.lowest is not None and self.highest is not None:
             if isinstance(self.default, float):
-                low, high = float(self.lowest), float(self.highest)
-                message.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
+                low = float(self.lowest)
+                high = float(self.highest)
+                message.floating_point_range = [
+                    FloatingPointRange(from_value=low, to_value=high, step=0.0)
+                ]
             else:
-                message.integer_range = [IntegerRange(from_value=int(self.lowest), to_value=int(self.highest), step=1)]
+                message.integer_range = [
+                    IntegerRange(from_value=int(self.lowest), to_value=int(self.highest), step=1)
+                ]
         return message
 
 
@@ -52,7 +59,9 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
         default = [""] if parameter.default == [] else parameter.default
         node.declare_parameter(parameter.name, default, parameter.descriptor())
     values = {parameter.name: value_of(node, parameter.name) for parameter in parameters}
-    return values | {parameter.name: str(values[parameter.name]) for parameter in parameters if parameter.loose}
+    return values | {
+        parameter.name: str(values[parameter.name]) for parameter in parameters if parameter.loose
+    }
 
 
 def value_of(node: Node, name: str) -> Any:
@@ -74,8 +83,13 @@ def fields_stated(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-INPUT_TOPICS = {"effort": "/forward_effort_controller/commands", "position": "/position_controller/commands"}
+INPUT_TOPICS = {
+    "effort": "/forward_effort_controller/commands",
+    "position": "/position_controller/commands",
+}
 """Where controllers of others usually listen."""
-ROBOT = Parameter("robot", "open_manipulator_x", "Robot of config/robots, or the path of a robot file.")
+ROBOT = Parameter(
+    "robot", "open_manipulator_x", "Robot of config/robots, or the path of a robot file."
+)
 _ABOUT_AUTOSTART = "Configure and activate at once; false leaves that to a lifecycle manager or `ros2 lifecycle set`."
 AUTOSTART = Parameter("autostart", True, _ABOUT_AUTOSTART)

@@ -23,7 +23,9 @@ def stated_tool(text: str) -> list[float]:
     try:
         return [float(word) for word in text.replace(",", " ").strip(" []").split()]
     except ValueError as error:
-        raise ConfigurationError(f"hand_on_tool={text!r}: state numbers: 0.9, 0.0, 0.0, 0.06") from error
+        raise ConfigurationError(
+            f"hand_on_tool={text!r}: state numbers: 0.9, 0.0, 0.0, 0.06"
+        ) from error
 
 
 class HandingOn:
@@ -38,7 +40,9 @@ class HandingOn:
         if name == "none":
             return
         if name not in CONTROLLERS:
-            raise ConfigurationError(f"hand_on={name!r}: choose one of none, {', '.join(CONTROLLERS)}")
+            raise ConfigurationError(
+                f"hand_on={name!r}: choose one of none, {', '.join(CONTROLLERS)}"
+            )
         self._controller = controller = CONTROLLERS[name]
         self._tool = check_tool(name, stated_tool(node.values["hand_on_tool"]))
         try:
@@ -49,7 +53,9 @@ class HandingOn:
                 f"ros-jazzy-{controller.package.replace('_', '-')}, or source the workspace of the arm's driver"
             ) from error
         self._kind = getattr(kinds, controller.kind)
-        self._client = node.create_client(self._kind, node.values["hand_on_service"] or controller.service)
+        self._client = node.create_client(
+            self._kind, node.values["hand_on_service"] or controller.service
+        )
 
     def _link(self, links: set[str]) -> str:
         """Whose frame is the controller's."""
@@ -72,10 +78,14 @@ class HandingOn:
     def _hand_on(self, answer: Answer) -> None:
         if self._name == "none":
             names = ", ".join(CONTROLLERS)
-            raise ConfigurationError(f"the parameter hand_on names no controller; choose one of {names}")
+            raise ConfigurationError(
+                f"the parameter hand_on names no controller; choose one of {names}"
+            )
         standing = self._results.load
         if standing is None:
-            raise ConfigurationError("no accepted answer stands; weigh the object first (calibrate_payload)")
+            raise ConfigurationError(
+                "no accepted answer stands; weigh the object first (calibrate_payload)"
+            )
         link = self._link({each.name for each in standing.robot.model.links})
         load = together(load_at(standing.robot, standing.carried, link), self._tool)
         service = self._client.srv_name
@@ -99,6 +109,8 @@ class HandingOn:
             if there:
                 self._node.call(self._client, request, ANSWER_S, answered)
             else:
-                answer(False, f"nothing was handed on: {service} is not there; start the arm's driver")
+                answer(
+                    False, f"nothing was handed on: {service} is not there; start the arm's driver"
+                )
 
         self._node.when_there(self._client, found)

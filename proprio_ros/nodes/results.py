@@ -63,7 +63,8 @@ class Results:
         self._held = node.create_publisher(Bool, "~/holding", LATCHED)
         self.load: StandingLoad | None = None
         self.held: Load | None = None
-        self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
+        # what was published of the hand, and what withdraws it
+        self._standing: dict[str, Callable[[], None]] = {}
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = node.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
         self._load = node.create_publisher(InertiaStamped, "~/payload", LATCHED)
@@ -81,7 +82,9 @@ class Results:
     def _now_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
 
-    def tell(self, doing: str, message: str, entries: Mapping[str, Any] | None = None, level: str = "ok") -> None:
+    def tell(
+        self, doing: str, message: str, entries: Mapping[str, Any] | None = None, level: str = "ok"
+    ) -> None:
         """The status."""
         values = {"doing": doing, "calibration": self._calibration, **(entries or {})}
         self._status.publish(messages.status(level, "identifier", message, values))
@@ -94,27 +97,46 @@ class Results:
 
     def choice(self, robot: Robot, decision: Decision, pose: Mapping[str, float]) -> None:
         """What is known after a push of a robot that stands at a pose [rad or m], and the way of the hand in the next."""
-        push, here = decision.push, {**zero_pose(robot), **pose}
+        push = decision.push
+        here = {**zero_pose(robot), **pose}
         path = None
-        if push is not None and robot.model.joint(push.joint).kind != "prismatic":  # fingers that slide move no hand
+        # fingers that slide move no hand
+        if push is not None and robot.model.joint(push.joint).kind != "prismatic":
             path = hand_path(robot, push.joint, push.start, push.travel)
-        place = robot.model.frame_transform(robot.payload_frame, here)[:3, 3] if path is None else path[0]
+        place = (
+            robot.model.frame_transform(robot.payload_frame, here)[:3, 3]
+            if path is None
+            else path[0]
+        )
         frame = self._node.values["frame_prefix"] + robot.model.root
-        self._planned.publish(messages.planned(self._now_ns(), frame, place, words_of(decision), path))
+        self._planned.publish(
+            messages.planned(self._now_ns(), frame, place, words_of(decision), path)
+        )
         self._standing["choice"] = partial(self._planned.publish, messages.no_markers())
 
-    def publish_estimate(self, level: str, name: str, message: str, entries: Mapping[str, Any]) -> None:
+    def publish_estimate(
+        self, level: str, name: str, message: str, entries: Mapping[str, Any]
+    ) -> None:
         """Keys and values as they are, and the calibration used."""
         values = {**entries, "calibration": entries.get("calibration", self._calibration)}
-        self._estimate.publish(messages.diagnostics(self._now_ns(), [messages.status(level, name, message, values)]))
+        self._estimate.publish(
+            messages.diagnostics(self._now_ns(), [messages.status(level, name, message, values)])
+        )
         if withdraw := self._stamped.publish(self.link, values):
             self._standing["stamped"] = withdraw
         self.hear(message, values)
 
     def failure(self, job: Job) -> None:
         """That there is no estimate, and why, in the place of the last."""
-        entries: dict[str, Any] = {"probe": job.kind, "final": True, "verdict": "failed", "reason.1": job.message}
-        answers = {probe.name: probe.answer for probe in all_probes()} | {WEIGH: probe_at_work().answer}
+        entries: dict[str, Any] = {
+            "probe": job.kind,
+            "final": True,
+            "verdict": "failed",
+            "reason.1": job.message,
+        }
+        answers = {probe.name: probe.answer for probe in all_probes()} | {
+            WEIGH: probe_at_work().answer
+        }
         if job.kind in answers:
             entries[answers[job.kind][0]] = "not determined"
         self.entries = entries
@@ -123,8 +145,14 @@ class Results:
     def final(self, estimate: Estimate, name: str, carried: Carried | None = None) -> None:
         """An estimate without what it says of the hand; with a load that will be published, where its inertia comes from."""
         entries = {**as_diagnostics(estimate), "final": True, "calibration": self._calibration}
-        value, told = estimate.values[0], estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
-        if told and name == probe_at_work().name and isinstance(value.value, float) and isinstance(value.std, float):
+        value = estimate.values[0]
+        told = estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
+        if (
+            told
+            and name == probe_at_work().name
+            and isinstance(value.value, float)
+            and isinstance(value.std, float)
+        ):
             entries |= self._hear(value.value, value.std)
         self._conclude(estimate, name, entries | _about_load(carried))
 
@@ -134,26 +162,39 @@ class Results:
         entries = calibration_as_diagnostics(estimate)
         self._conclude(estimate, "robot", {**entries, "final": True, "calibration": used})
 
-    def _conclude(self, estimate: Estimate | CalibrationEstimate, name: str, entries: dict[str, Any]) -> None:
-        entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
+    def _conclude(
+        self, estimate: Estimate | CalibrationEstimate, name: str, entries: dict[str, Any]
+    ) -> None:
+        entries |= {
+            f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)
+        }
         words = "; ".join(estimate.reasons) or estimate.verdict.value
         self.concluded, self.entries = True, entries
-        self.publish_estimate("ok" if estimate.verdict is Verdict.ACCEPTED else "warning", name, words, entries)
+        self.publish_estimate(
+            "ok" if estimate.verdict is Verdict.ACCEPTED else "warning", name, words, entries
+        )
 
     def publish(self, request: Request, estimate: Estimate) -> None:
         """The answer, and where it is accepted its numbers and the load it stands for; how it looks, in amber if it is too wide."""
-        probe, robot, facts = request.probe, request.robot, request.facts
+        probe = request.probe
+        robot = request.robot
+        facts = request.facts
         self.link = robot.payload_frame
         accepted = estimate.verdict is Verdict.ACCEPTED
-        carried = probe.carried(facts, estimate) if accepted and isinstance(probe, Carries) else None
+        carried = (
+            probe.carried(facts, estimate) if accepted and isinstance(probe, Carries) else None
+        )
         self.final(estimate, estimate.probe, carried)
         value = estimate.values[0]
         if estimate.verdict not in (Verdict.ACCEPTED, Verdict.TOO_WIDE):
             return
         if not isinstance(value.value, float) or not isinstance(value.std, float):
             return
-        now_ns, frame = self._now_ns(), self._node.values["frame_prefix"] + robot.payload_frame
-        values = {entry.name: entry.value for entry in estimate.values if isinstance(entry.value, float)}
+        now_ns = self._now_ns()
+        frame = self._node.values["frame_prefix"] + robot.payload_frame
+        values = {
+            entry.name: entry.value for entry in estimate.values if isinstance(entry.value, float)
+        }
         if accepted:
             self._publish_numbers(probe, values)
         if carried is not None:
@@ -162,12 +203,19 @@ class Results:
             self.held = Load(carried.mass_kg, value.std, carried.com_m)
         shapes = probe.shapes(robot, facts, estimate) if isinstance(probe, Shown) else None
         if shapes is not None:
-            self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
+            self._markers.publish(
+                messages.markers(
+                    now_ns, frame, shapes, value.value, value.std, value.unit, accepted
+                )
+            )
             self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
 
-    def running(self, feed: OnlineFeed, estimate: OnlineEstimate, link: str, behind_s: float) -> None:
+    def running(
+        self, feed: OnlineFeed, estimate: OnlineEstimate, link: str, behind_s: float
+    ) -> None:
         """What the hand holds now in its link, and how long ago the newest sample came [s]."""
-        probe, words = feed.probe, "; ".join(filter(None, (online_words(estimate), feed.warning)))
+        probe = feed.probe
+        words = "; ".join(filter(None, (online_words(estimate), feed.warning)))
         level = "warning" if feed.warning else "ok"
         self.link, held = link, max(estimate.mass_kg, 0.0)
         load = feed.load(held) if estimate.known else None

@@ -30,14 +30,19 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.nodes.parameters import AUTOSTART, Parameter, declare
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(
+    depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
+)
 """The last message reaches those who come later, too."""
 STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Joint states that are being recorded: none may be lost while a thread is busy."""
-COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)  # only the newest command counts
+# only the newest command counts
+COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 CALLS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """Of services: the default keeps ten requests, and whoever calls beside ten others is never answered."""
-NOT_GRANTED = "no real-time priority: beside other work messages come late (allow rtprio in limits.conf)"
+NOT_GRANTED = (
+    "no real-time priority: beside other work messages come late (allow rtprio in limits.conf)"
+)
 CALLED_S, CALLED_PAUSE_S = 0.1, 0.005
 """For so long after a call a node at rest pauses less: where many call at once, each would wait for its pauses. Without any, a
 caller that keeps ten answers, as rclpy's do, would lose some."""
@@ -62,7 +67,9 @@ def waiting(subscription: Any, data: Any) -> Iterator[Any]:
     """All that came on a subscription, beside what its callback was given, without a wake-up for each message."""
     yield data
     with subscription.handle:
-        while (more := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+        while (
+            more := subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        ) is not None:
             yield more[0]
 
 
@@ -89,7 +96,13 @@ class ManagedNode(LifecycleNode):
             if service.srv_name.endswith("/change_state"):
                 service.callback = partial(self._change_state, service.callback)
         self.every(NAMESAKE_S, self._look_for_namesake)
-        self._own = [*self.publishers, *self.subscriptions, *self.services, *self.clients, *self.timers]
+        self._own = [
+            *self.publishers,
+            *self.subscriptions,
+            *self.services,
+            *self.clients,
+            *self.timers,
+        ]
 
     def hear_in_real_time(self) -> None:
         """From now on what others say does not wait for other programs, nor for what this one computes in threads made later."""
@@ -145,9 +158,14 @@ class ManagedNode(LifecycleNode):
         if self._alone and self.get_node_names_and_namespaces().count(mine) > 1:
             self._alone = False
             advice = "end one of them, or start it with --ros-args -r __node:=NAME, or -r __ns:=/NAME for another arm"
-            self.say("warning", f"another node is called {self.get_fully_qualified_name()}: calls reach either of them; {advice}")
+            self.say(
+                "warning",
+                f"another node is called {self.get_fully_qualified_name()}: calls reach either of them; {advice}",
+            )
 
-    def create_service(self, kind: Any, name: str, callback: Any, *, qos_profile: QoSProfile = CALLS, **more: Any) -> Any:
+    def create_service(
+        self, kind: Any, name: str, callback: Any, *, qos_profile: QoSProfile = CALLS, **more: Any
+    ) -> Any:
         """As rclpy's, for more callers at once."""
 
         def serve(request: Any, response: Any) -> Any:
@@ -192,19 +210,32 @@ class ManagedNode(LifecycleNode):
                 return  # every further publisher of the kind says so again
             # muted, not destroyed: the executor may have it in hand just now
             subscriptions[0].callback = lambda _message: None
-            self.say("warning", f"{subscriptions[0].topic_name} is published best effort: messages may be lost")
+            self.say(
+                "warning",
+                f"{subscriptions[0].topic_name} is published best effort: messages may be lost",
+            )
             relaxed = QoSProfile(depth=quality.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
             subscriptions.append(self.create_subscription(kind, topic, hear, relaxed, raw=raw))
 
         events = SubscriptionEventCallbacks(incompatible_qos=relax)
-        subscriptions = [self.create_subscription(kind, topic, hear, quality, event_callbacks=events, raw=raw)]
+        subscriptions = [
+            self.create_subscription(kind, topic, hear, quality, event_callbacks=events, raw=raw)
+        ]
 
-    def call(self, client: Any, request: Any, patience_s: float, then: Callable[[Any, str], None], name: str = "") -> None:
+    def call(
+        self,
+        client: Any,
+        request: Any,
+        patience_s: float,
+        then: Callable[[Any, str], None],
+        name: str = "",
+    ) -> None:
         """Call a service without waiting for it; ``name`` is its own in words, where the client's is not meant.
 
         ``then`` is called later, once, with the response and an empty string, or with None and what went wrong.
         """
-        future, named = client.call_async(request), name or client.srv_name
+        future = client.call_async(request)
+        named = name or client.srv_name
 
         def end(response: Any, why: str) -> None:
             if not timer.is_canceled():
@@ -220,7 +251,9 @@ class ManagedNode(LifecycleNode):
             client.remove_pending_request(future)
             end(None, f"{named} does not answer within {patience_s:g} s")
 
-        timer = self.create_timer(patience_s, too_late, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        timer = self.create_timer(
+            patience_s, too_late, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         future.add_done_callback(responded)
 
     def when_there(self, client: Any, then: Callable[[bool], None]) -> None:
@@ -245,7 +278,10 @@ class ManagedNode(LifecycleNode):
             return change(request, response)
         except Exception as error:
             asked = request.transition.label or request.transition.id
-            self.say("warning", f"lifecycle transition {asked} is refused: {' '.join(str(error).split())}")
+            self.say(
+                "warning",
+                f"lifecycle transition {asked} is refused: {' '.join(str(error).split())}",
+            )
             response.success = False
             return response
 
@@ -296,7 +332,9 @@ class ManagedNode(LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = False
         result = self._transition("deactivate", self.deactivate)
-        return result if result != TransitionCallbackReturn.SUCCESS else super().on_deactivate(state)
+        return (
+            result if result != TransitionCallbackReturn.SUCCESS else super().on_deactivate(state)
+        )
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = self._transition("clean up", self.cleanup)
@@ -314,7 +352,8 @@ class ManagedNode(LifecycleNode):
             self._transition("deactivate", self.deactivate)
 
 
-Answer = Callable[[bool, str], None]  # what answers a service call, once, from any thread: success and a sentence
+# what answers a service call, once, from any thread: success and a sentence
+Answer = Callable[[bool, str], None]
 
 
 class LongService:
@@ -362,13 +401,19 @@ def _leave_shared_memory() -> None:
     still for up to 0.7 s in `publish`, with Python's own lock, because an ordinary one was not run while it held them (Fast DDS
     2.14, three busy programs on two cores). Those that keep shared memory still hear us. What the user has set counts.
     """
-    if "FASTRTPS_DEFAULT_PROFILES_FILE" in os.environ or "FASTDDS_DEFAULT_PROFILES_FILE" in os.environ:
+    if (
+        "FASTRTPS_DEFAULT_PROFILES_FILE" in os.environ
+        or "FASTDDS_DEFAULT_PROFILES_FILE" in os.environ
+    ):
         return
     localhost = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
     if localhost and "ROS_STATIC_PEERS" in os.environ:
         return  # the peers count with this range only
-    if localhost or os.environ.get("ROS_LOCALHOST_ONLY") == "1":  # here rmw_fastrtps insists on shared memory
-        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(share_directory() / "config/dds/localhost_udp.xml")
+    # here rmw_fastrtps insists on shared memory
+    if localhost or os.environ.get("ROS_LOCALHOST_ONLY") == "1":
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
+            share_directory() / "config/dds/localhost_udp.xml"
+        )
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
         os.environ.pop("ROS_LOCALHOST_ONLY", None)
     else:
@@ -402,13 +447,17 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
 def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
     """A node's life: made, configured, activated, spun, and ended in order; returns 0, or 2 when it could not be configured."""
     node: ManagedNode | None = None
-    spinner, code, done = SingleThreadedExecutor(), 0, TransitionCallbackReturn.SUCCESS
+    spinner = SingleThreadedExecutor()
+    code = 0
+    done = TransitionCallbackReturn.SUCCESS
     try:
         before = clock.threads()
         node = make()
         node.hearing = clock.threads() - before | {threading.get_native_id()}
         spinner.add_node(node)
-        if node.values["autostart"] and (node.trigger_configure() != done or node.trigger_activate() != done):
+        if node.values["autostart"] and (
+            node.trigger_configure() != done or node.trigger_activate() != done
+        ):
             code = 2
             ended.set()
         while not ended.is_set():
@@ -437,13 +486,19 @@ def _turn(node: ManagedNode, spinner: SingleThreadedExecutor) -> None:
         raise
     except Exception as error:
         said = " ".join(f"{type(error).__name__}: {error}".split())
-        node.get_logger().error(f"a defect in a callback ({said[:200]}); the node goes on", throttle_duration_sec=1.0)
+        node.get_logger().error(
+            f"a defect in a callback ({said[:200]}); the node goes on", throttle_duration_sec=1.0
+        )
 
 
 def _warn_about_mixed_installations() -> None:
     """Wheels of ROS beside an installed ROS load each other's libraries."""
     here = getattr(rclpy, "__file__", "") or ""
-    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p.startswith("/opt/ros")]
+    prefixes = [
+        p
+        for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if p.startswith("/opt/ros")
+    ]
     if prefixes and here.startswith(sys.prefix) and not here.startswith("/opt/ros"):
         words = "rclpy comes from %s although %s is sourced: use one of the two, not both (README)"
         logging.getLogger("proprio_ros").warning(words, sys.prefix, prefixes[0])

@@ -43,8 +43,11 @@ class Controllers:
     def request(self, kind: Any, engage: bool) -> Any:
         """Whether to take over, or to hand back; ``kind`` is the service's class."""
         request = kind.Request()
-        ours, others = [self.ours], list(self.others)
-        request.activate_controllers, request.deactivate_controllers = (ours, others) if engage else (others, ours)
+        ours = [self.ours]
+        others = list(self.others)
+        request.activate_controllers, request.deactivate_controllers = (
+            (ours, others) if engage else (others, ours)
+        )
         request.strictness = STRICT
         request.timeout.sec = SWITCH_S
         return request
@@ -83,10 +86,14 @@ class Switching:
         def found(there: bool) -> None:
             if not there:
                 self.pending = False
-                return then(f"{self.controllers.service} is not there: is controller_manager running?")
+                return then(
+                    f"{self.controllers.service} is not there: is controller_manager running?"
+                )
             self.engaged = True  # from now on ours may be active, whatever the answer
             request = self.controllers.request(self._kind, engage)
-            return self._node.call(self._client, request, ANSWER_S, answered, self.controllers.service)
+            return self._node.call(
+                self._client, request, ANSWER_S, answered, self.controllers.service
+            )
 
         def answered(response: Any, why: str) -> None:
             self.pending = False
@@ -111,11 +118,14 @@ def switching_of(node: ManagedNode, topic: str) -> Switching | None:
     if not ours:
         words = f"activate_controller is empty, and {topic} names no controller"
         raise ConfigurationError(f"{words}: state which one takes the commands")
-    manager, others = values["controller_manager"].rstrip("/"), tuple(values["deactivate_controllers"])
+    manager = values["controller_manager"].rstrip("/")
+    others = tuple(values["deactivate_controllers"])
     try:
         return Switching(node, Controllers(manager, ours, others))
     except ImportError as error:
-        lacks = f"controllers are not switched, for the messages of {PACKAGE} are not there ({error})"
+        lacks = (
+            f"controllers are not switched, for the messages of {PACKAGE} are not there ({error})"
+        )
         install = f"activate {ours} yourself before a sequence, or install ros-jazzy-{PACKAGE.replace('_', '-')}"
         node.say("warning", f"{lacks}: {install}")
         return None
@@ -124,7 +134,9 @@ def switching_of(node: ManagedNode, topic: str) -> Switching | None:
 class SwitchedRuns:
     """A node's sequences between two switches; the output holds the arm, and the speaker speaks for a node that is gone."""
 
-    def __init__(self, node: ExcitationNode, switching: Switching, speaker: LastWords, output: Output) -> None:
+    def __init__(
+        self, node: ExcitationNode, switching: Switching, speaker: LastWords, output: Output
+    ) -> None:
         self._node, self._switching, self._speaker, self._output = node, switching, speaker, output
         self._waiting: list[Answer] = []  # for the end of a switch
         others = switching.controllers.others
@@ -166,7 +178,9 @@ class SwitchedRuns:
 
     def _back(self, why: str) -> None:
         if why:
-            self._node.say("error", f"not switched back: {why}; the arm is held, and ~/release tries again")
+            self._node.say(
+                "error", f"not switched back: {why}; the arm is held, and ~/release tries again"
+            )
         else:
             self._node.say("info", f"the arm is handed back to {self._others}")
             self._handed_back()

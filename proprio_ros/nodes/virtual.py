@@ -87,7 +87,9 @@ class VirtualNode(ManagedNode):
             try:
                 truth = Truth.from_json(Path(self.values["truth"]).read_text(encoding="utf-8"))
             except OSError as error:
-                raise ConfigurationError(f"truth {self.values['truth']}: cannot be read ({error.strerror})") from error
+                raise ConfigurationError(
+                    f"truth {self.values['truth']}: cannot be read ({error.strerror})"
+                ) from error
         elif self.values["seed"] < 0:
             truth = Truth.nominal(robot)
         else:
@@ -104,13 +106,19 @@ class VirtualNode(ManagedNode):
                 self._commands = self.create_subscription(
                     Float64MultiArray, topic, lambda _: None, FROM_MANY, callback_group=_Polled()
                 )
-        self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
-        self.create_subscription(DiagnosticStatus, "identifier/status", self._on_identifier, LATCHED)
+        self.create_subscription(
+            DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED
+        )
+        self.create_subscription(
+            DiagnosticStatus, "identifier/status", self._on_identifier, LATCHED
+        )
 
     def activate(self) -> None:
         seed = max(self.values["seed"], 0)
         if self.values["interface"] == "bus":
-            self._robot = VirtualRobot(self._model, self._truth, link=Path(self.values["link"]), seed=seed)
+            self._robot = VirtualRobot(
+                self._model, self._truth, link=Path(self.values["link"]), seed=seed
+            )
             where = self.values["link"]
         else:
             joints = self.values["controller_joints"]
@@ -118,10 +126,14 @@ class VirtualNode(ManagedNode):
                 self._robot = PositionDriver(self._model, self._truth, joints=joints, seed=seed)
             else:
                 unit = self.values["effort_unit"]
-                self._robot = EffortDriver(self._model, self._truth, joints=joints, unit=unit, seed=seed)
+                self._robot = EffortDriver(
+                    self._model, self._truth, joints=joints, unit=unit, seed=seed
+                )
             where = f"{self._commands.topic_name} for {', '.join(self._robot.joints)}"
             # a thread: an executor's wake-ups at every period and command would take a core
-            self._thread = clock.thread(target=self._broadcast, args=(self._robot,), name="joint states")
+            self._thread = clock.thread(
+                target=self._broadcast, args=(self._robot,), name="joint states"
+            )
             self._thread.start()
         self._fill_hand()
         self.say("info", f"a virtual {self.values['robot']} at {where}")
@@ -156,8 +168,11 @@ class VirtualNode(ManagedNode):
         """What is really going on: true positions [rad or m], and as effort the current in each motor [A]."""
         if self._robot is not None and self.active:
             position, current = self._robot.truth()
-            now, true = self.get_clock().now().nanoseconds, [position[name] for name in current]
-            self._motors.publish(messages.joint_state(now, list(current), true, effort=list(current.values())))
+            now = self.get_clock().now().nanoseconds
+            true = [position[name] for name in current]
+            self._motors.publish(
+                messages.joint_state(now, list(current), true, effort=list(current.values()))
+            )
 
     def _broadcast(self, driver: EffortDriver) -> None:
         """As a controller manager: read, take what was commanded since, write, again and again while the node is active."""
@@ -166,16 +181,21 @@ class VirtualNode(ManagedNode):
         warned = False
         while self._robot is driver:
             pacer.wait()
-            now_s, stamp_ns = clock.now(), self.get_clock().now().nanoseconds
+            now_s = clock.now()
+            stamp_ns = self.get_clock().now().nanoseconds
             driver.advance(now_s)
             with self._commands.handle:
-                while (told := self._commands.handle.take_message(Float64MultiArray, False)) is not None:
+                while (
+                    told := self._commands.handle.take_message(Float64MultiArray, False)
+                ) is not None:
                     if not driver.command(now_s, told[0].data) and not warned:
                         warned = True
                         self.say("warning", f"a command of {len(told[0].data)} numbers was ignored")
             message.header.stamp = messages.time_message(stamp_ns)
             # arrays are taken as they are; lists are looked through, number by number
-            message.position, message.velocity, message.effort = (array("d", each) for each in driver.states())
+            message.position, message.velocity, message.effort = (
+                array("d", each) for each in driver.states()
+            )
             self._states.publish(message)
 
     def _fill_hand(self) -> None:
@@ -186,7 +206,9 @@ class VirtualNode(ManagedNode):
             thing = thing.emptied
         self._robot.hold(thing)
         held = "nothing" if thing is None else str(thing)
-        self._status.publish(messages.status("ok", "virtual robot", f"the hand holds {held}", {"hand": self._hand}))
+        self._status.publish(
+            messages.status("ok", "virtual robot", f"the hand holds {held}", {"hand": self._hand})
+        )
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         try:

@@ -57,7 +57,12 @@ class Weighing:
         carrying: Carrying,
         silent: Callable[[], bool],
     ) -> None:
-        self._node, self._workspace, self._inputs, self._carrying = node, workspace, inputs, carrying
+        self._node, self._workspace, self._inputs, self._carrying = (
+            node,
+            workspace,
+            inputs,
+            carrying,
+        )
         self._results, self._silent = results, silent
         self._make_feed: Callable[[], OnlineFeed] | None = None
 
@@ -67,7 +72,8 @@ class Weighing:
         Raises `ConfigurationError`, `RobotError`: What is stated does not fit, or the calibration is of another arm.
         """
         self._inputs.kept = self._make_feed = None
-        asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))
+        asked = bool(self._node.values["running"])
+        stated = parse_settings(value_of(self._node, "settings"))
         self._robot: Robot = self._workspace.configured(stated)
         self._carrying.use(self._robot)
         off = "" if self._robot.motion_calibration is not None else NO_MOTIONS
@@ -78,7 +84,9 @@ class Weighing:
         elif asked:
             probe = probe_at_work()
             request = self._workspace.request(probe, stated, None)
-            self._make_feed = partial(OnlineFeed, probe, request.robot, request.facts, request.locked)
+            self._make_feed = partial(
+                OnlineFeed, probe, request.robot, request.facts, request.locked
+            )
             self._make_feed()  # so that a calibration of another arm is refused now
             self._link = request.robot.payload_frame
         return self._robot
@@ -95,14 +103,25 @@ class Weighing:
             words = "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
             raise JobError(f"not weighed: {words}")
         if not self._inputs.has_states:
-            raise JobError("not weighed: no joint states are coming; start the driver and check its bus")
+            raise JobError(
+                "not weighed: no joint states are coming; start the driver and check its bus"
+            )
         kept = list(self._inputs.kept)
         renamed = self._inputs.conventions.renamed
-        of_states = [raw for raw in kept if raw.msgtype == JOINT_STATE and raw.topic != self._inputs.by_goals]
+        of_states = [
+            raw for raw in kept if raw.msgtype == JOINT_STATE and raw.topic != self._inputs.by_goals
+        ]
         states = (deserialize_message(raw.data, JointState) for raw in of_states)
-        if not any_moved(((renamed(state.name), state.position) for state in states), self._robot.drive_trains):
-            raise JobError(f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works")
-        stated = {**parse_settings(value_of(self._node, "settings")), **parse_settings(job.settings)}
+        if not any_moved(
+            ((renamed(state.name), state.position) for state in states), self._robot.drive_trains
+        ):
+            raise JobError(
+                f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works"
+            )
+        stated = {
+            **parse_settings(value_of(self._node, "settings")),
+            **parse_settings(job.settings),
+        }
         request = self._workspace.request(probe_at_work(), stated, None)
         options = replace(request.options, effort_unit=unit)
         session = Session(self._workspace.data, WEIGH)
@@ -139,15 +158,22 @@ class Weighing:
         clock.come_after_others()
         try:
             self._weigh_on(feed)
-        except Exception as error:  # a defect must be reported, and must not take the services along
+        except (
+            Exception
+        ) as error:  # a defect must be reported, and must not take the services along
             self._inputs.arrived = None
             words = f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
             self._node.say("error", words)
 
     def _weigh_on(self, feed: OnlineFeed) -> None:
         """Take what arrived, and publish what it says."""
-        arrived, renamed = self._inputs.arrived, self._inputs.conventions.renamed
-        published_s, fed_s, samples, said, changed = -math.inf, clock.now(), 0, "", False
+        arrived = self._inputs.arrived
+        renamed = self._inputs.conventions.renamed
+        published_s = -math.inf
+        fed_s = clock.now()
+        samples = 0
+        said = ""
+        changed = False
         with threadpool_limits(1, user_api="blas"):
             while arrived is not None and arrived is self._inputs.arrived:
                 said = self._say_whether_fed(feed, fed_s, said)
@@ -165,13 +191,20 @@ class Weighing:
                     feed.stall.hear_goals(time_s, renamed(message.name), message.position)
                     continue
                 unit = self._inputs.measured_unit()
-                estimate = feed.add(time_s, renamed(message.name), message.position, message.effort, unit)
+                estimate = feed.add(
+                    time_s, renamed(message.name), message.position, message.effort, unit
+                )
                 if feed.samples > samples:
-                    samples, fed_s = feed.samples, clock.now()
+                    samples = feed.samples
+                    fed_s = clock.now()
                 if estimate is None or self._silent():
                     continue
-                if clock.now() - published_s >= 0.8 * RUNNING_PERIOD_S or estimate.changed is not changed:
-                    published_s, changed = clock.now(), estimate.changed
+                if (
+                    clock.now() - published_s >= 0.8 * RUNNING_PERIOD_S
+                    or estimate.changed is not changed
+                ):
+                    published_s = clock.now()
+                    changed = estimate.changed
                     behind_s = 1e-9 * (self._node.get_clock().now().nanoseconds - now_ns)
                     self._results.running(feed, estimate, self._link, behind_s)
 

@@ -32,11 +32,19 @@ OBJECTS: Mapping[str, tuple[float, str, float]] = {
     "light cube": (0.010, "cube", 0.030),
 }
 """Mass [kg], shape and size [m]; of the cubes, which the paper does not size, the edge is ours."""
-STARTS_KG = (1e-6, 0.000477, 0.001, 0.005, 0.095, 0.191, 4.772)  # first guesses from nothing to the paper's greatest
-CUBES: Mapping[str, tuple[float, float]] = {"light cube": (1694.6, 0.130), "heavy cube": (12824.6, 0.258)}
+# first guesses from nothing to the paper's greatest
+STARTS_KG = (1e-6, 0.000477, 0.001, 0.005, 0.095, 0.191, 4.772)
+CUBES: Mapping[str, tuple[float, float]] = {
+    "light cube": (1694.6, 0.130),
+    "heavy cube": (12824.6, 0.258),
+}
 """Young's modulus [Pa] and Poisson's ratio of the Lame parameters that the paper found."""
-EDGE_M, GAP_M, BLOCK_DAMPING = 0.03, 0.0005, 0.5
-LIFT, LOWER = 0, 1  # runs of the sequence ``payload_elbow``
+EDGE_M = 0.03
+GAP_M = 0.0005
+BLOCK_DAMPING = 0.5
+# runs of the sequence ``payload_elbow``
+LIFT = 0
+LOWER = 1
 
 
 def payload(name: str) -> tuple[Payload, PayloadFacts]:
@@ -61,13 +69,16 @@ def calibrated_robot(seed: int, sequence: str) -> Robot:
 def one_lift(robot: Robot, run: Run, facts: PayloadFacts) -> Problem:
     """A mass from one run of a robot whose numbers are taken as exact, with where and how fast the joint began."""
     prepared = prepare_run(robot, run, None, facts)
-    return Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
+    return Problem(
+        robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05)
+    )
 
 
 def box() -> tuple[Container, ContainerFacts, ContainerFacts]:
     """The box with its sphere, and what is stated of it: its shell was weighed, or is learnt from runs with the empty box."""
     held = Container()
-    inner, centre = np.array(held.inner_size_m), np.array(held.centre_m)
+    inner = np.array(held.inner_size_m)
+    centre = np.array(held.centre_m)
     facts = ContainerFacts(Enclosure("box", inner, held.sphere_radius_m), centre)
     return held, replace(facts, mass=held.mass_kg, mass_std=0.0002), facts
 
@@ -78,7 +89,9 @@ def soft_cube(name: str) -> SoftBlock:
     return SoftBlock(modulus, (EDGE_M,) * 3, BLOCK_DAMPING, GAP_M, ratio)
 
 
-def squeezed(robot: Robot, run: Run, moduli: Sequence[float], ratio: float) -> tuple[SqueezeProblem, np.ndarray]:
+def squeezed(
+    robot: Robot, run: Run, moduli: Sequence[float], ratio: float
+) -> tuple[SqueezeProblem, np.ndarray]:
     """One squeeze of a cube as simulated with some moduli [Pa], nothing else unknown; and positions, shape (S, T)."""
     facts = BlockFacts(np.full(3, EDGE_M))
     prepared = prepare_run(robot, run, KnownLoad(), past_fast=True)

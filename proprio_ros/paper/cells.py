@@ -11,7 +11,8 @@ import numpy as np
 from proprio_ros.paper.cases import Rows
 from proprio_ros.report.html import table
 
-COLORS = ("agreeing", "answer", "current", "measured", "apart")  # of series in one plot, classes of the style sheet
+# of series in one plot, classes of the style sheet
+COLORS = ("agreeing", "answer", "current", "measured", "apart")
 STATES = ((False, "as stated"), (True, "calibrated"))
 
 
@@ -21,7 +22,13 @@ def identified(rows: Sequence[Rows], scale: float, digits: int = 1) -> list[str]
     return [value, rms(rows, scale, digits), half(rows, scale, digits), holds(rows), verdicts(rows)]
 
 
-def linked(name: str, header: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int], labels: int = 1) -> str:
+def linked(
+    name: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    numbers: Sequence[int],
+    labels: int = 1,
+) -> str:
     """A table whose rows can be linked to: by its name and what stands in the first ``labels`` cells."""
     ids = [slug(name, *row[:labels]) for row in rows]
     return table(header, rows, numbers, ids, labels)

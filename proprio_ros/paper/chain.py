@@ -41,7 +41,13 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.paper.chain_kernels import INERTIAL, JOINT_PARAMETERS, MAT33, ChainData, forward_kernel
+from proprio_ros.paper.chain_kernels import (
+    INERTIAL,
+    JOINT_PARAMETERS,
+    MAT33,
+    ChainData,
+    forward_kernel,
+)
 from proprio_ros.robot import ReducedModel, inertia_about_origin, rotation_about
 from proprio_ros.sim.joint import INTEGRATORS
 from proprio_ros.sim.joint_kernels import VEC3
@@ -64,12 +70,16 @@ def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
     rows, columns = _TRIANGLE
     second = pseudo[..., :3, :3]
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
-    return np.concatenate([pseudo[..., 3, 3:], pseudo[..., :3, 3], inertia[..., rows, columns]], axis=-1)
+    return np.concatenate(
+        [pseudo[..., 3, 3:], pseudo[..., :3, 3], inertia[..., rows, columns]], axis=-1
+    )
 
 
 def doubles(values: ArrayLike, dtype: Any, **kwargs: Any) -> wp.array:
     """An array on the CPU."""
-    return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu", **kwargs)
+    return wp.array(
+        np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu", **kwargs
+    )
 
 
 def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayLike) -> Any:
@@ -78,19 +88,31 @@ def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: Arra
     turn = np.zeros((n, 3, 3, 3))
     shift = np.zeros((n, 2, 3))
     for i, kind in enumerate(model.kinds):
-        placed, axis = model.placement[i, :3, :3], model.axes[i]
+        placed = model.placement[i, :3, :3]
+        axis = model.axes[i]
         shift[i, 0] = model.placement[i, :3, 3]
         if kind == "revolute":
             along = np.outer(axis, axis)
-            turn[i] = placed @ along, placed @ (rotation_about(axis, 0.5 * np.pi) - along), placed @ (np.eye(3) - along)
+            turn[i] = (
+                placed @ along,
+                placed @ (rotation_about(axis, 0.5 * np.pi) - along),
+                placed @ (np.eye(3) - along),
+            )
         else:
             turn[i, 0] = placed
             shift[i, 1] = placed @ axis
     fixed = ChainData()
-    fixed.turn, fixed.shift, fixed.axis = doubles(turn, MAT33), doubles(shift, VEC3), doubles(model.axes, VEC3)
+    fixed.turn, fixed.shift, fixed.axis = (
+        doubles(turn, MAT33),
+        doubles(shift, VEC3),
+        doubles(model.axes, VEC3),
+    )
     fixed.revolute = doubles([kind == "revolute" for kind in model.kinds], FLOAT)
     fixed.gravity = VEC3(*model.gravity)
-    fixed.friction_velocity, fixed.supply = doubles(friction_velocity, FLOAT), doubles(supply, FLOAT)
+    fixed.friction_velocity, fixed.supply = (
+        doubles(friction_velocity, FLOAT),
+        doubles(supply, FLOAT),
+    )
     return fixed
 
 
@@ -135,39 +157,68 @@ class ChainSimulator:
         step_s: float = 1.0 / 240.0,
         fine_step_s: float | None = None,
     ) -> None:
-        joints, n = model.joint_names, len(model.joint_names)
+        joints = model.joint_names
+        n = len(model.joint_names)
         samples, switches, current = (
-            np.asarray(values, dtype=np.float64) for values in (sample_times_s, input_times_s, input_current_A)
+            np.asarray(values, dtype=np.float64)
+            for values in (sample_times_s, input_times_s, input_current_A)
         )
         smoothing = np.asarray(friction_velocity, dtype=np.float64)
         limits = np.zeros((n, 3)) if supply is None else np.asarray(supply, dtype=np.float64)
         fine = step_s if fine_step_s is None else min(fine_step_s, step_s)
         if integrator not in INTEGRATORS:
-            raise SimulationError(f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}")
+            raise SimulationError(
+                f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}"
+            )
         if samples.ndim != 1 or len(samples) == 0 or np.any(np.diff(samples) < 0.0):
             raise SimulationError("sample_times_s must be one or more increasing instants in s")
-        if switches.ndim != 1 or len(switches) == 0 or switches[0] != 0.0 or np.any(np.diff(switches) <= 0.0):
-            raise SimulationError("input_times_s must be increasing instants in s, the first of them 0")
+        if (
+            switches.ndim != 1
+            or len(switches) == 0
+            or switches[0] != 0.0
+            or np.any(np.diff(switches) <= 0.0)
+        ):
+            raise SimulationError(
+                "input_times_s must be increasing instants in s, the first of them 0"
+            )
         if current.shape != (len(switches), n):
             raise SimulationError(
                 f"input_current_A has shape {current.shape}: give a row for each of the {len(switches)} instants of "
                 f"input_times_s and a column for each joint ({', '.join(joints)})"
             )
-        if limits.shape != (n, 3) or np.any(limits < 0.0) or np.any((limits[:, 0] > 0.0) & (limits[:, 2] == 0.0)):
-            raise SimulationError("supply must be (voltage, back-EMF constant, resistance) of each joint, not negative")
+        if (
+            limits.shape != (n, 3)
+            or np.any(limits < 0.0)
+            or np.any((limits[:, 0] > 0.0) & (limits[:, 2] == 0.0))
+        ):
+            raise SimulationError(
+                "supply must be (voltage, back-EMF constant, resistance) of each joint, not negative"
+            )
         if smoothing.shape not in ((), (n,)) or not np.all(smoothing > 0.0):
-            raise SimulationError("friction_velocity must be one positive number, or one for each joint")
+            raise SimulationError(
+                "friction_velocity must be one positive number, or one for each joint"
+            )
         if not fine > 0.0:
-            raise SimulationError(f"the integration step is {fine} s: step_s and fine_step_s must be positive")
+            raise SimulationError(
+                f"the integration step is {fine} s: step_s and fine_step_s must be positive"
+            )
         self.model = model
         self.integrator = integrator
         names = [f"{group}[{joint}]" for group in JOINT_PARAMETERS for joint in joints]
         names += [f"pi[{joint}][{k}]" for joint in joints for k in range(INERTIAL)]
         names += ["delay", *(f"{group}[{joint}]" for group in ("q0", "v0") for joint in joints)]
         self.parameter_names = tuple(names)
-        sizes = dict.fromkeys(JOINT_PARAMETERS, n) | {"pi": INERTIAL * n, "delay": 1, "q0": n, "v0": n}
+        sizes = dict.fromkeys(JOINT_PARAMETERS, n) | {
+            "pi": INERTIAL * n,
+            "delay": 1,
+            "q0": n,
+            "v0": n,
+        }
         stops = np.cumsum(list(sizes.values())).tolist()
-        self.columns = {group: slice(stop - sizes[group], stop) for group, stop in zip(sizes, stops, strict=True)}
+        self.columns = {
+            group: slice(stop - sizes[group], stop)
+            for group, stop in zip(sizes, stops, strict=True)
+        }
         self._n = n
         self._parents = tuple(model.parents.tolist())
         self._vec = wp.types.vector(length=n, dtype=FLOAT)
@@ -186,13 +237,18 @@ class ChainSimulator:
 
         Raises `SimulationError`: Parameters or directions have the wrong shape.
         """
-        p, directions = np.ascontiguousarray(p, dtype=np.float64), np.asarray(dp, dtype=np.float64)
+        p = np.ascontiguousarray(p, dtype=np.float64)
+        directions = np.asarray(dp, dtype=np.float64)
         columns = len(self.parameter_names)
         if p.ndim != 2 or p.shape[1] != columns:
             raise SimulationError(f"parameters have shape {p.shape}: give (worlds, {columns})")
         if directions.ndim != 3 or directions.shape[:2] != p.shape or directions.shape[2] == 0:
-            raise SimulationError(f"directions have shape {directions.shape}: give ({p.shape[0]}, {columns}, D)")
-        worlds, samples, per_world = len(p), len(self._samples), directions.shape[2]
+            raise SimulationError(
+                f"directions have shape {directions.shape}: give ({p.shape[0]}, {columns}, D)"
+            )
+        worlds = len(p)
+        samples = len(self._samples)
+        per_world = directions.shape[2]
         rows = (worlds, worlds, worlds * per_world)
         outputs = [wp.empty((count, samples), dtype=self._vec, device="cpu") for count in rows]
         block = next((size for size in _BLOCKS if size >= per_world), _BLOCKS[-1])
@@ -211,7 +267,12 @@ class ChainSimulator:
 
 
 def attach_payload_joint(
-    model: ReducedModel, frame: str, kind: str, axes: ArrayLike, pseudo_inertia: ArrayLike, name: str = "payload"
+    model: ReducedModel,
+    frame: str,
+    kind: str,
+    axes: ArrayLike,
+    pseudo_inertia: ArrayLike,
+    name: str = "payload",
 ) -> ReducedModel:
     """Hang a payload on a joint of its own, so that it moves in the hand: what slides, sloshes or dangles.
 
@@ -229,33 +290,47 @@ def attach_payload_joint(
             that has no inertia about them.
     """
     if frame not in model.frames:
-        raise SimulationError(f"there is no frame {frame!r} to hold a payload: choose from {', '.join(model.frames)}")
+        raise SimulationError(
+            f"there is no frame {frame!r} to hold a payload: choose from {', '.join(model.frames)}"
+        )
     if kind not in PAYLOAD_JOINTS:
-        raise SimulationError(f"unknown payload joint {kind!r}: choose one of {', '.join(PAYLOAD_JOINTS)}")
+        raise SimulationError(
+            f"unknown payload joint {kind!r}: choose one of {', '.join(PAYLOAD_JOINTS)}"
+        )
     wanted = (3,) if kind == "prismatic" else (2, 3)
-    directions, pseudo = np.asarray(axes, dtype=np.float64), np.asarray(pseudo_inertia, dtype=np.float64)
+    directions = np.asarray(axes, dtype=np.float64)
+    pseudo = np.asarray(pseudo_inertia, dtype=np.float64)
     if directions.shape != wanted or not np.all(np.linalg.norm(directions, axis=-1) > 0.0):
-        raise SimulationError(f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}")
+        raise SimulationError(
+            f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}"
+        )
     directions = (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).reshape(-1, 3)
     if pseudo.shape != (4, 4) or not np.all(np.isfinite(pseudo)):
         raise SimulationError("the payload's pseudo-inertia must be a finite 4 x 4 matrix")
     if kind == "prismatic":
         smallest = pseudo[3, 3]
-        names, kinds, bodies = [f"{name}_slide"], ["prismatic"], [pseudo]
+        names = [f"{name}_slide"]
+        kinds = ["prismatic"]
+        bodies = [pseudo]
     else:
         # singular as well when the hinges are parallel
         smallest = np.linalg.eigvalsh(directions @ inertia_about_origin(pseudo) @ directions.T)[0]
-        names, kinds, bodies = [f"{name}_swing_1", f"{name}_swing_2"], ["revolute"] * 2, [np.zeros((4, 4)), pseudo]
+        names = [f"{name}_swing_1", f"{name}_swing_2"]
+        kinds = ["revolute"] * 2
+        bodies = [np.zeros((4, 4)), pseudo]
     if not smallest > 1e-12 * max(float(np.trace(pseudo)), 1e-12):
         raise SimulationError(
             f"the payload has no inertia against its {kind} joint: give it a mass, away from hinges that are not parallel"
         )
     taken = [new for new in (name, *names) if new in (*model.frames, *model.joint_names)]
     if taken:
-        raise SimulationError(f"{taken[0]!r} is already a joint or frame of the model: choose another name")
+        raise SimulationError(
+            f"{taken[0]!r} is already a joint or frame of the model: choose another name"
+        )
     parent, placement = model.frames[frame]
     # the first new joint sits in the hand, a second one on the first
-    first, added = len(model.joint_names), len(names)
+    first = len(model.joint_names)
+    added = len(names)
     return replace(
         model,
         joint_names=(*model.joint_names, *names),

@@ -15,7 +15,14 @@ from proprio_ros.sim.joint_kernels import BACK_EMF, RESISTANCE, VEC3, VOLTAGE, l
 from proprio_ros.sim.rollout import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT
 
-JOINT_PARAMETERS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stiffness")
+JOINT_PARAMETERS = (
+    "torque_constant",
+    "coulomb",
+    "viscous",
+    "load_friction",
+    "armature",
+    "stiffness",
+)
 """Of each joint, SI: N m/A, N m, N m s/rad, 1, kg m^2, N m/rad (N/A, N, N s/m, 1, kg, N/m for a slide)."""
 
 TORQUE_CONSTANT, COULOMB, VISCOUS, LOAD_FRICTION, ARMATURE, STIFFNESS = range(len(JOINT_PARAMETERS))
@@ -59,7 +66,20 @@ def _origin(pose: VEC12):
 
 @wp.func
 def _pose(r: MAT33, o: VEC3):
-    return VEC12(r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2], o[0], o[1], o[2])
+    return VEC12(
+        r[0, 0],
+        r[0, 1],
+        r[0, 2],
+        r[1, 0],
+        r[1, 1],
+        r[1, 2],
+        r[2, 0],
+        r[2, 1],
+        r[2, 2],
+        o[0],
+        o[1],
+        o[2],
+    )
 
 
 @wp.func
@@ -118,7 +138,9 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
     def poses(fixed: ChainData, q: vec):
         result = rows12()
         for i in range(n):
-            turn = fixed.turn[i, 0] + wp.sin(q[i]) * fixed.turn[i, 1] + wp.cos(q[i]) * fixed.turn[i, 2]
+            turn = (
+                fixed.turn[i, 0] + wp.sin(q[i]) * fixed.turn[i, 1] + wp.cos(q[i]) * fixed.turn[i, 2]
+            )
             shift = fixed.shift[i, 0] + q[i] * fixed.shift[i, 1]
             if wp.static(parents[i] < 0):
                 result[i] = _pose(turn, shift)
@@ -208,7 +230,9 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
                 acc[i] = own + VEC6(FLOAT(0.0), FLOAT(0.0), FLOAT(0.0), -g[0], -g[1], -g[2])
             else:
                 acc[i] = own + acc[wp.static(parents[i])]
-            force[i] = _momentum(inertia[i], acc[i]) + wp.spatial_cross_dual(vel[i], _momentum(inertia[i], vel[i]))
+            force[i] = _momentum(inertia[i], acc[i]) + wp.spatial_cross_dual(
+                vel[i], _momentum(inertia[i], vel[i])
+            )
         subtree = rows6()
         result = vec()
         for k in range(n):
@@ -262,9 +286,13 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         result = vec()
         for i in range(n):
             supply = fixed.supply
-            current, _slope = limited_current(command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE])
+            current, _slope = limited_current(
+                command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE]
+            )
             motor = p[w, TORQUE_CONSTANT * n + i] * current
-            dry = (p[w, COULOMB * n + i] + p[w, LOAD_FRICTION * n + i] * wp.abs(motor)) * wp.tanh(v[i] / fixed.friction_velocity[i])
+            dry = (p[w, COULOMB * n + i] + p[w, LOAD_FRICTION * n + i] * wp.abs(motor)) * wp.tanh(
+                v[i] / fixed.friction_velocity[i]
+            )
             result[i] = motor - dry - p[w, VISCOUS * n + i] * v[i] - p[w, STIFFNESS * n + i] * q[i]
         return result
 
@@ -322,18 +350,26 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         for k in range(n):
             i = wp.static(n - 1 - k)
             if wp.static(parents[n - 1 - k] >= 0):
-                force[wp.static(parents[n - 1 - k])] = force[wp.static(parents[n - 1 - k])] + force[i]
+                force[wp.static(parents[n - 1 - k])] = (
+                    force[wp.static(parents[n - 1 - k])] + force[i]
+                )
             supply = fixed.supply
-            current, slope = limited_current(command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE])
+            current, slope = limited_current(
+                command[i], v[i], supply[i, VOLTAGE], supply[i, BACK_EMF], supply[i, RESISTANCE]
+            )
             motor = p[w, TORQUE_CONSTANT * n + i] * current
             side[i] = wp.tanh(v[i] / fixed.friction_velocity[i])
             load[i] = wp.abs(motor)
             # d motor / d(.) enters the friction through |motor| as well
             gain = FLOAT(1.0) - p[w, LOAD_FRICTION * n + i] * wp.sign(motor) * side[i]
-            steep = (p[w, COULOMB * n + i] + p[w, LOAD_FRICTION * n + i] * load[i]) / fixed.friction_velocity[i]
+            steep = (
+                p[w, COULOMB * n + i] + p[w, LOAD_FRICTION * n + i] * load[i]
+            ) / fixed.friction_velocity[i]
             by_constant[i] = gain * current
             by_v[i] = (
-                gain * p[w, TORQUE_CONSTANT * n + i] * slope - steep * (FLOAT(1.0) - side[i] * side[i]) - p[w, VISCOUS * n + i]
+                gain * p[w, TORQUE_CONSTANT * n + i] * slope
+                - steep * (FLOAT(1.0) - side[i] * side[i])
+                - p[w, VISCOUS * n + i]
             )
 
         da = block()
@@ -347,9 +383,16 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
                 if wp.static(parents[i] >= 0):
                     own_vel[i] = own_vel[i] + own_vel[wp.static(parents[i])]
                     own_acc[i] = own_acc[wp.static(parents[i])]
-                own_acc[i] = own_acc[i] + dq[d, i] * lift[i] + dv[d, i] * turn[i] + v[i] * wp.spatial_cross(own_vel[i], s[i])
+                own_acc[i] = (
+                    own_acc[i]
+                    + dq[d, i] * lift[i]
+                    + dv[d, i] * turn[i]
+                    + v[i] * wp.spatial_cross(own_vel[i], s[i])
+                )
                 own_momentum = _momentum(inertia[i], own_vel[i])
-                own_force[i] = _momentum(inertia[i], own_acc[i]) + wp.spatial_cross_dual(own_vel[i], momentum[i])
+                own_force[i] = _momentum(inertia[i], own_acc[i]) + wp.spatial_cross_dual(
+                    own_vel[i], momentum[i]
+                )
                 if heavier(dp, r, i):
                     d_inertia = at_base(dp, r, i, x[i])
                     own_momentum = own_momentum + _momentum(d_inertia, vel[i])
@@ -360,7 +403,11 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
                 i = wp.static(n - 1 - k)
                 if wp.static(parents[n - 1 - k] >= 0):
                     b = wp.static(parents[n - 1 - k])
-                    own_force[b] = own_force[b] + own_force[i] + dq[d, i] * wp.spatial_cross_dual(s[i], force[i])
+                    own_force[b] = (
+                        own_force[b]
+                        + own_force[i]
+                        + dq[d, i] * wp.spatial_cross_dual(s[i], force[i])
+                    )
                 rest[i] = (
                     by_constant[i] * dp[r, TORQUE_CONSTANT * n + i]
                     + by_v[i] * dv[d, i]
@@ -387,7 +434,9 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
 
     bodies = {"poses": poses, "screws": screws, "inertias": inertias, "velocities": velocities}
     terms = {"mass_matrix": mass_matrix, "inverse_dynamics": inverse_dynamics}
-    return SimpleNamespace(**bodies, **terms, solved=solved, linearised=linearised, sticking=sticking)
+    return SimpleNamespace(
+        **bodies, **terms, solved=solved, linearised=linearised, sticking=sticking
+    )
 
 
 def _way_to_base(parents: tuple[int, ...], joint: int) -> tuple[int, ...]:
@@ -405,7 +454,9 @@ def module_of(parents: tuple[int, ...], purpose: str) -> Any:
     What unrolled loops select statically from ``parents`` is no part of Warp's hash of the source, so two trees in one module
     would silently share the first one's binary, also across processes through the kernel cache. The name keeps them apart.
     """
-    return wp.get_module("proprio_ros.paper.chain." + "_".join(str(parent + 1) for parent in parents) + "." + purpose)
+    return wp.get_module(
+        "proprio_ros.paper.chain." + "_".join(str(parent + 1) for parent in parents) + "." + purpose
+    )
 
 
 @cache
@@ -420,7 +471,9 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
     linearised, sticking = tree.linearised, tree.sticking
     rk4 = integrator == "rk4"
 
-    @wp.kernel(module=module_of(parents, f"forward_{integrator}_{directions}"), enable_backward=False)
+    @wp.kernel(
+        module=module_of(parents, f"forward_{integrator}_{directions}"), enable_backward=False
+    )
     def kernel(
         # Run data:
         fixed: ChainData,
@@ -486,7 +539,9 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
                     command = input_current[segment]
                     last = wp.bool(False)
                     while not last:
-                        a1, da1 = linearised(fixed, p_in, w, dp_in, row, count, q, v, dq, dv, command)
+                        a1, da1 = linearised(
+                            fixed, p_in, w, dp_in, row, count, q, v, dq, dv, command
+                        )
                         h = coarse
                         if fine < coarse:
                             if sticking(fixed, p_in, w, v, a1, coarse):
@@ -502,21 +557,35 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
                             v2 = v + half * h * a1
                             dq2 = dq + half * (h * dv + wp.outer(dh, v))
                             dv2 = dv + half * (h * da1 + wp.outer(dh, a1))
-                            a2, da2 = linearised(fixed, p_in, w, dp_in, row, count, q2, v2, dq2, dv2, command)
+                            a2, da2 = linearised(
+                                fixed, p_in, w, dp_in, row, count, q2, v2, dq2, dv2, command
+                            )
                             q3 = q + half * h * v2
                             v3 = v + half * h * a2
                             dq3 = dq + half * (h * dv2 + wp.outer(dh, v2))
                             dv3 = dv + half * (h * da2 + wp.outer(dh, a2))
-                            a3, da3 = linearised(fixed, p_in, w, dp_in, row, count, q3, v3, dq3, dv3, command)
+                            a3, da3 = linearised(
+                                fixed, p_in, w, dp_in, row, count, q3, v3, dq3, dv3, command
+                            )
                             q4 = q + h * v3
                             v4 = v + h * a3
                             dq4 = dq + h * dv3 + wp.outer(dh, v3)
                             dv4 = dv + h * da3 + wp.outer(dh, a3)
-                            a4, da4 = linearised(fixed, p_in, w, dp_in, row, count, q4, v4, dq4, dv4, command)
+                            a4, da4 = linearised(
+                                fixed, p_in, w, dp_in, row, count, q4, v4, dq4, dv4, command
+                            )
                             mean_v = sixth * (v + two * v2 + two * v3 + v4)
                             mean_a = sixth * (a1 + two * a2 + two * a3 + a4)
-                            dq = dq + sixth * h * (dv + two * dv2 + two * dv3 + dv4) + wp.outer(dh, mean_v)
-                            dv = dv + sixth * h * (da1 + two * da2 + two * da3 + da4) + wp.outer(dh, mean_a)
+                            dq = (
+                                dq
+                                + sixth * h * (dv + two * dv2 + two * dv3 + dv4)
+                                + wp.outer(dh, mean_v)
+                            )
+                            dv = (
+                                dv
+                                + sixth * h * (da1 + two * da2 + two * da3 + da4)
+                                + wp.outer(dh, mean_a)
+                            )
                             q = q + h * mean_v
                             v = v + h * mean_a
                         else:

@@ -21,7 +21,18 @@ from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper import cases
-from proprio_ros.paper.cases import CUBES, EDGE_M, GAP_M, LIFT, OBJECTS, STARTS_KG, Rows, box, calibrated_robot, payload
+from proprio_ros.paper.cases import (
+    CUBES,
+    EDGE_M,
+    GAP_M,
+    LIFT,
+    OBJECTS,
+    STARTS_KG,
+    Rows,
+    box,
+    calibrated_robot,
+    payload,
+)
 from proprio_ros.paper.hand import CAMERA_STD_M, HungPayload, known_robot, play
 from proprio_ros.paper.hung import Hung, identify_hung
 from proprio_ros.paper.searches import landscapes, optimisers
@@ -45,7 +56,8 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 def objects(seed: int) -> Rows:
     """Table I: four objects, one lift each; ours also from lift and lowering."""
     known = cases.robots(seed, "empty_hand_elbow")
-    rows, trace = [], {}
+    rows = []
+    trace = {}
     for name in OBJECTS:
         held, facts = payload(name)
         runs = play("payload_elbow", seed, held).runs
@@ -58,7 +70,9 @@ def objects(seed: int) -> Rows:
                 answer = ours(identify, "payload_mass")
                 rows.append(answer.row(way="ours", runs=len(used), **labels))
                 if name == "heavy ball" and len(used) == 1 and answer.value and theirs.value:
-                    kept = _lift_trace(robot, runs[LIFT], facts, {"wrong": 0.005, "paper": theirs.value})
+                    kept = _lift_trace(
+                        robot, runs[LIFT], facts, {"wrong": 0.005, "paper": theirs.value}
+                    )
                     # with the friction, torque constant .. that it found together with its mass
                     kept["masses_kg"]["ours"] = answer.value
                     (fit,) = identify().run_fits
@@ -99,8 +113,13 @@ def starts(seed: int) -> Rows:
     return {"rows": rows}
 
 
-def _from(way: str, ends: Iterable[tuple[float, float]], calibrated: bool, truth: float) -> list[Rows]:
-    return [{"way": way, "calibrated": calibrated, "start": start, "value": end, "truth": truth} for start, end in ends]
+def _from(
+    way: str, ends: Iterable[tuple[float, float]], calibrated: bool, truth: float
+) -> list[Rows]:
+    return [
+        {"way": way, "calibrated": calibrated, "start": start, "value": end, "truth": truth}
+        for start, end in ends
+    ]
 
 
 def published(folder: Path) -> Rows:
@@ -109,7 +128,11 @@ def published(folder: Path) -> Rows:
     Raises `ProprioError`: It is no such recording.
     """
     theirs = replay([folder], Options(profile="paper"))
-    ways = [(path.start, path.scheduled, path.end) for path in theirs.solver.paths] if theirs.solver is not None else []
+    ways = (
+        [(path.start, path.scheduled, path.end) for path in theirs.solver.paths]
+        if theirs.solver is not None
+        else []
+    )
     estimate = replay([folder], Options())
     return {"paths": ways, "ours": answered(estimate, "payload_mass").__dict__}
 
@@ -142,12 +165,17 @@ def tracking(seed: int) -> Rows:
     tracks = [SphereTrack(*played.sphere.of_run(run), CAMERA_STD_M) for run in played.runs]
     rows = []
     for signals in ("joint", "camera", "both"):
-        estimate = find_sphere(robot, played.runs, facts, ContainerOptions(signals=signals), baseline, tracks)
+        estimate = find_sphere(
+            robot, played.runs, facts, ContainerOptions(signals=signals), baseline, tracks
+        )
         rows.append(answered(estimate, "sphere_mass").row(way=signals, truth=held.sphere_mass_kg))
     return {"rows": rows}
 
 
-HUNG_KG, HUNG_SIZE_M, PENDULUM_M = 0.050, 0.045, 0.06  # a ball on a slide, or below two hinges
+# a ball on a slide, or below two hinges
+HUNG_KG = 0.050
+HUNG_SIZE_M = 0.045
+PENDULUM_M = 0.06
 
 
 def extensions(seed: int) -> Rows:
@@ -160,20 +188,33 @@ def _hung(seed: int) -> list[Rows]:
     robot = calibrated_robot(seed, "empty_hand_elbow")
     shape = PayloadShape.of("sphere", HUNG_SIZE_M)
     rng = np.random.default_rng((seed, 15))
-    frequency, decay, stated = rng.uniform(14.0, 26.0), rng.uniform(1.5, 4.0), 1.0 + 0.1 * rng.standard_normal()
+    frequency = rng.uniform(14.0, 26.0)
+    decay = rng.uniform(1.5, 4.0)
+    stated = 1.0 + 0.1 * rng.standard_normal()
     across = HUNG_KG * HUNG_SIZE_M**2 / 10.0
     below = (0.0, 0.0, -PENDULUM_M)
     ball: Any = {"mass_kg": HUNG_KG, "inertia_kg_m2": (across, across, across, 0.0, 0.0, 0.0)}
     damping = 2.0 * HUNG_KG * decay
     stiffness = HUNG_KG * frequency**2
-    slid = HungPayload(**ball, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=stiffness, damping=damping)
+    slid = HungPayload(
+        **ball, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=stiffness, damping=damping
+    )
     swung = HungPayload(**ball, com_m=below, damping=2.0 * HUNG_KG * PENDULUM_M**2 * decay)
     spring = Hung("prismatic", np.array(slid.axes[0]), np.zeros(3), shape.second_moment_per_mass)
     known = replace(spring, frequency=(stated * frequency, 0.1 * stated * frequency))
-    pendulum = Hung("universal", np.array(swung.axes), np.array(below), shape.second_moment_per_mass)
+    pendulum = Hung(
+        "universal", np.array(swung.axes), np.array(below), shape.second_moment_per_mass
+    )
     rows = []
     for part, held, ways in (
-        ("slide", slid, (("on its slide, spring known to 10 %", known), ("on its slide, spring unknown", spring))),
+        (
+            "slide",
+            slid,
+            (
+                ("on its slide, spring known to 10 %", known),
+                ("on its slide, spring unknown", spring),
+            ),
+        ),
         ("universal joint", swung, (("on its universal joint", pendulum),)),
     ):
         runs = play("payload_elbow", seed, held).runs
@@ -205,7 +246,8 @@ def _anywhere(seed: int) -> list[Rows]:
 
 def cubes(seed: int) -> Rows:
     """V-C: Young's modulus and Poisson's ratio of two cubes from three squeezes; the paper's way from the last of them."""
-    rows, trace = [], {}
+    rows = []
+    trace = {}
     facts = BlockFacts(np.full(3, EDGE_M))
     known = cases.robots(seed, "empty_hand_gripper")
     for name, (modulus, ratio) in CUBES.items():
@@ -258,14 +300,19 @@ def effects(seed: int) -> Rows:
 
     def found(changed: Robot, integrator: str = "rk4", step_s: float = 1.0 / 240.0) -> float:
         options = SearchOptions(integrator=integrator, step_s=step_s)
-        fit = solve_load(changed, [prepare_run(changed, run, None, facts)], facts, options, Role.FROZEN)
+        fit = solve_load(
+            changed, [prepare_run(changed, run, None, facts)], facts, options, Role.FROZEN
+        )
         return float(fit.values[fit.problem.index["payload_mass"]])
 
     rows = []
     for effect, amounts in EFFECTS.items():
         for amount in amounts:
             key, value = {
-                "torque": ("torque_constant_N_m_per_A", drive.torque_constant.value * (1.0 + amount)),
+                "torque": (
+                    "torque_constant_N_m_per_A",
+                    drive.torque_constant.value * (1.0 + amount),
+                ),
                 "armature": ("armature_kg_m2", drive.armature.value * (1.0 + amount)),
                 # the real joint rubs by so much more than the model says
                 "friction": ("coulomb_N_m", drive.coulomb.value - amount),
@@ -289,7 +336,9 @@ class Experiment:
 
 
 _MANY = (objects, starts, sphere, cubes, optimisers, landscapes, tracking, extensions, effects)
-EXPERIMENTS = {run.__name__: Experiment(run) for run in _MANY} | {"speed": Experiment(speed, seeds=3, alone=True)}
+EXPERIMENTS = {run.__name__: Experiment(run) for run in _MANY} | {
+    "speed": Experiment(speed, seeds=3, alone=True)
+}
 
 
 def experiment(name: str) -> Experiment:

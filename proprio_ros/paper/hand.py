@@ -27,12 +27,19 @@ from proprio_ros.virtual.objects import HandObject, Payload, Vector
 from proprio_ros.virtual.robot import PARKED
 from proprio_ros.virtual.truth import Truth
 
-PERIOD_S, RATE_HZ = 0.001, 40.0
+PERIOD_S = 0.001
+RATE_HZ = 40.0
 COUNT_RAD, COUNT_A, COUNT_RAD_S = 2.0 * np.pi / 4096, 0.00269, 0.02398
 """XM430-W350: of the encoder, the current and the velocity."""
-SUPPLY_V, BACK_EMF_V_S, RESISTANCE_OHM = 12.0, 2.49, 5.22
-HOLD_A_PER_RAD, HOLD_A_S_PER_RAD = 22.5, 0.84  # what a servo holds its joint with
-CAMERA_STD_M, CAMERA_HZ = 0.002, 30.0  # of a camera that sees the sphere, for the experiment that wants one
+SUPPLY_V = 12.0
+BACK_EMF_V_S = 2.49
+RESISTANCE_OHM = 5.22
+# what a servo holds its joint with
+HOLD_A_PER_RAD = 22.5
+HOLD_A_S_PER_RAD = 0.84
+# of a camera that sees the sphere, for the experiment that wants one
+CAMERA_STD_M = 0.002
+CAMERA_HZ = 30.0
 
 
 @lru_cache(maxsize=1)
@@ -45,7 +52,8 @@ def stated_robot() -> Robot:
 class HungPayload(Payload):
     """A payload that moves in the hand: on one slide, or on hinges that all pass through the origin of the payload frame."""
 
-    axes: tuple[Vector, ...] = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # in the payload frame, each carried by those before
+    # in the payload frame, each carried by those before
+    axes: tuple[Vector, ...] = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
     slides: bool = False  # its one joint is a slide instead of a hinge
     stiffness: float = 0.0  # of a spring about each joint's zero [N m/rad, or N/m]
     damping: float = 0.0  # of each joint [N m s/rad, or N s/m]
@@ -66,7 +74,9 @@ class Played(NamedTuple):
     sphere: PointTrack | None
 
 
-def play(name: str, seed: int, held: HandObject | None, exact: bool = False, anywhere: bool = False) -> Played:
+def play(
+    name: str, seed: int, held: HandObject | None, exact: bool = False, anywhere: bool = False
+) -> Played:
     """Let the robot of a seed play a sequence of ``config/probes``; SimulationError where a run of it was not made.
 
     With ``exact`` all is known of the robot (``known_robot``), and only its noise is drawn; ``anywhere`` lets a sphere
@@ -75,7 +85,11 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
     robot = stated_robot()
     joints = tuple(robot.drive_trains)
     scale = np.array([robot.drive_trains[joint].transmission for joint in joints])
-    truth = Truth.nominal(known_robot()) if exact else Truth.draw(robot, seed, links=True, stribeck=True)
+    truth = (
+        Truth.nominal(known_robot())
+        if exact
+        else Truth.draw(robot, seed, links=True, stribeck=True)
+    )
     arm = VirtualArm(robot, truth, position=PARKED, seed=seed, control_period_s=PERIOD_S)
     arm.hold(held)
     at_start = dict(zip(joints, (arm.shaft_rad() * scale).tolist(), strict=True))
@@ -88,7 +102,9 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
     def sample() -> JointSample:
         position = scale * COUNT_RAD * np.rint(arm.encoder_rad() / COUNT_RAD)
         velocity = scale * COUNT_RAD_S * np.rint(arm.velocity_rad_s() / COUNT_RAD_S)
-        by_joint = (dict(zip(joints, values.tolist(), strict=True)) for values in (position, velocity))
+        by_joint = (
+            dict(zip(joints, values.tolist(), strict=True)) for values in (position, velocity)
+        )
         return JointSample(time_s, *by_joint)
 
     now = sample()
@@ -98,7 +114,12 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
     while machine.busy:
         before = machine.phase
         command = machine.tick(time_s, now)
-        if anywhere and machine.phase is Phase.PROBE and before is not Phase.PROBE and isinstance(held, Container):
+        if (
+            anywhere
+            and machine.phase is Phase.PROBE
+            and before is not Phase.PROBE
+            and isinstance(held, Container)
+        ):
             held.put_sphere(arm, _on_the_floor(robot, arm.position(), held, places_of_sphere))
         counted = [_counted(command.current_A.get(joint, 0.0)) for joint in joints]
         rows.append((round(1e9 * now.time_s), [now.position[joint] for joint in joints], counted))
@@ -112,10 +133,14 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
         time_s += 1.0 / RATE_HZ
         now = sample()
     if machine.phase is not Phase.DONE:
-        raise SimulationError(f"{name} of robot {seed} was not played to its end: {machine.message}")
+        raise SimulationError(
+            f"{name} of robot {seed} was not played to its end: {machine.message}"
+        )
     times, places, currents = map(np.array, zip(*rows, strict=True))
     inputs = InputRecord(times, joints, currents, "/applied_effort")
-    runs = cut_runs(Recording(name, JointRecord(times, joints, places), inputs), joints=list(joints))
+    runs = cut_runs(
+        Recording(name, JointRecord(times, joints, places), inputs), joints=list(joints)
+    )
     if not seen:
         return Played(runs, None)
     blur = CAMERA_STD_M * np.random.default_rng((seed, 7)).standard_normal((len(seen), 3))
@@ -123,7 +148,9 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
     return Played(runs, PointTrack(instants, true + blur))
 
 
-def _on_the_floor(robot: Robot, position: dict[str, float], held: Container, rng: np.random.Generator) -> np.ndarray:
+def _on_the_floor(
+    robot: Robot, position: dict[str, float], held: Container, rng: np.random.Generator
+) -> np.ndarray:
     """A place of the sphere on the wall that is lowest, from the container's centre [m], shape (3,)."""
     down = robot.model.frame_transform(robot.payload_frame, position)[:3, :3].T @ robot.gravity
     room = 0.5 * np.array(held.inner_size_m) - held.sphere_radius_m
@@ -154,7 +181,8 @@ def _counted(current_A: float) -> float:
 
 def _drive(arm: VirtualArm, command: Command, joints: tuple[str, ...], scale: np.ndarray) -> None:
     """One control period: the driven joint's current, and the servos of the others."""
-    angles, speeds = arm.encoder_rad(), arm.velocity_rad_s()
+    angles = arm.encoder_rad()
+    speeds = arm.velocity_rad_s()
     current = np.empty(len(joints))
     for row, joint in enumerate(joints):
         if joint in command.current_A:
@@ -162,7 +190,9 @@ def _drive(arm: VirtualArm, command: Command, joints: tuple[str, ...], scale: np
         else:
             off = command.position[joint] / scale[row] - angles[row]
             current[row] = HOLD_A_PER_RAD * off - HOLD_A_S_PER_RAD * speeds[row]
-    least, most = ((volts - BACK_EMF_V_S * speeds) / RESISTANCE_OHM for volts in (-SUPPLY_V, SUPPLY_V))
+    least, most = (
+        (volts - BACK_EMF_V_S * speeds) / RESISTANCE_OHM for volts in (-SUPPLY_V, SUPPLY_V)
+    )
     arm.step(np.clip(current, np.maximum(least, -1.0), np.minimum(most, 1.0)))
 
 

@@ -34,7 +34,8 @@ from proprio_ros.sim.joint_kernels import PARAMETERS
 from proprio_ros.sim.payload import joint_coefficients
 
 STARTS_KG = (0.005, 0.016, 0.05, 0.16, 0.5)
-DECAY = (2.5, 2.0)  # how fast the payload's own motion dies out [1/s]: expected, and standard deviation
+# how fast the payload's own motion dies out [1/s]: expected, and standard deviation
+DECAY = (2.5, 2.0)
 AWAY = (-1.0, 0.0, 1.0)
 """Frequencies of a slide that a search starts from, in standard deviations from what is expected."""
 START_STD = {"prismatic": (0.004, 0.1), "universal": (0.1, 1.0)}
@@ -46,8 +47,16 @@ add_kinds(
     {
         "payload_frequency": Kind("rad/s", "frequency of the payload on its joint"),
         "payload_decay": Kind("1/s", "decay of the payload's own motion"),
-        **{f"payload_start_{n}": Kind("m, rad", f"start of the payload on its joint {n}", "run") for n in (1, 2)},
-        **{f"payload_speed_{n}": Kind("m/s, rad/s", f"speed of the payload on its joint {n}", "run") for n in (1, 2)},
+        **{
+            f"payload_start_{n}": Kind("m, rad", f"start of the payload on its joint {n}", "run")
+            for n in (1, 2)
+        },
+        **{
+            f"payload_speed_{n}": Kind(
+                "m/s, rad/s", f"speed of the payload on its joint {n}", "run"
+            )
+            for n in (1, 2)
+        },
     }
 )
 
@@ -60,7 +69,8 @@ class Hung:
     axes: np.ndarray  # of its joint in the payload frame, shape (3,) or (2, 3)
     com: np.ndarray  # centre of mass with the joint at zero, in the payload frame [m], shape (3,)
     second_moment_per_mass: np.ndarray  # see ``PayloadShape``, shape (3, 3)
-    frequency: tuple[float, float] = (20.0, 8.0)  # of a slide [rad/s]: expected, and standard deviation
+    # of a slide [rad/s]: expected, and standard deviation
+    frequency: tuple[float, float] = (20.0, 8.0)
 
     @property
     def joints(self) -> int:
@@ -83,7 +93,9 @@ class Hung:
             return np.array([float(self.axes @ gravity) / frequency**2])
 
         def height(angles: np.ndarray) -> float:
-            turned = rotation_about(self.axes[0], angles[0]) @ rotation_about(self.axes[1], angles[1])
+            turned = rotation_about(self.axes[0], angles[0]) @ rotation_about(
+                self.axes[1], angles[1]
+            )
             return -float(gravity @ turned @ self.com)
 
         return minimize(height, np.zeros(2)).x
@@ -98,7 +110,9 @@ class HungSimulator:
 
     windows = JointSimulator.windows
 
-    def __init__(self, models: Sequence[ReducedModel], runs: Sequence[JointRun], hung: Hung, frame: str) -> None:
+    def __init__(
+        self, models: Sequence[ReducedModel], runs: Sequence[JointRun], hung: Hung, frame: str
+    ) -> None:
         self.runs = tuple(runs)
         self.sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
         starts = [f"{what}_{n + 1}" for what in ("start", "speed") for n in range(hung.joints)]
@@ -120,7 +134,15 @@ class HungSimulator:
         at = {name: row for row, name in enumerate(self.parameters)}
         first = {group: columns.start for group, columns in chain.columns.items()}
         by = np.zeros((len(chain.parameter_names), len(self.parameters)))
-        for group in ("torque_constant", "coulomb", "viscous", "load_friction", "q0", "v0", "delay"):
+        for group in (
+            "torque_constant",
+            "coulomb",
+            "viscous",
+            "load_friction",
+            "q0",
+            "v0",
+            "delay",
+        ):
             by[first[group], at[group]] = 1.0
         # of the bodies before the payload's joint only what the driven joint feels matters: inertia, and a moment of gravity
         by[first["armature"], at["inertia"]] = 1.0
@@ -136,7 +158,12 @@ class HungSimulator:
         last = chain.columns["pi"].stop
         by[last - 10 : last, at["mass"]] = inertial_parameters(hung.pseudo_per_kg)
         for n in range(1, hung.joints + 1):
-            for group, name in (("stiffness", ""), ("viscous", "damping"), ("q0", f"start_{n}"), ("v0", f"speed_{n}")):
+            for group, name in (
+                ("stiffness", ""),
+                ("viscous", "damping"),
+                ("q0", f"start_{n}"),
+                ("v0", f"speed_{n}"),
+            ):
                 by[first[group] + n, at[name or group]] = 1.0
         return by
 
@@ -145,7 +172,9 @@ class HungSimulator:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As ``JointSimulator.jacobian``; all samples are computed whatever the ``counts``."""
         shape = (len(world_run), int(self.sample_counts.max()))
-        q, v, dq = np.zeros(shape), np.zeros(shape), np.zeros((*shape, dp.shape[2]))
+        q = np.zeros(shape)
+        v = np.zeros(shape)
+        dq = np.zeros((*shape, dp.shape[2]))
         for row, (chain, by) in enumerate(self._chains):
             mine = np.flatnonzero(world_run == row)
             if len(mine):
@@ -157,13 +186,17 @@ class HungSimulator:
 class HungProblem(Problem):
     """Whitened residuals of runs, prepared as with an empty hand, with a payload on a joint of its own."""
 
-    def __init__(self, robot: Robot, runs: Sequence[PreparedRun], hung: Hung, unknowns: Sequence[Unknown]) -> None:
+    def __init__(
+        self, robot: Robot, runs: Sequence[PreparedRun], hung: Hung, unknowns: Sequence[Unknown]
+    ) -> None:
         self.hung = hung
         self._prepared = tuple(runs)
         self._gravity = []  # as the hand feels it before each run [m/s^2], shape (3,)
         for run in runs:
             pose = {**run.run.held, run.run.joint: run.rest.value}
-            self._gravity.append(robot.model.frame_transform(robot.payload_frame, pose)[:3, :3].T @ robot.gravity)
+            self._gravity.append(
+                robot.model.frame_transform(robot.payload_frame, pose)[:3, :3].T @ robot.gravity
+            )
         super().__init__(robot, runs, KnownLoad().facts, unknowns)
         self._affine = False  # stiffness and damping are products of two unknowns
 
@@ -179,10 +212,13 @@ class HungProblem(Problem):
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
-        at, to = self.index, {name: column for column, name in enumerate(self.simulator.parameters)}
-        mass, decay = values[:, at["payload_mass"]], values[:, at["payload_decay"]]
+        at = self.index
+        to = {name: column for column, name in enumerate(self.simulator.parameters)}
+        mass = values[:, at["payload_mass"]]
+        decay = values[:, at["payload_decay"]]
         frequency = values[:, at["payload_frequency"]]
-        slides, inertia = self.hung.kind == "prismatic", self.hung.inertia_per_kg
+        slides = self.hung.kind == "prismatic"
+        inertia = self.hung.inertia_per_kg
         for row, gravity in enumerate(self._gravity):
             p[:, row, to["mass"]] = mass
             dp[:, row, to["mass"], at["payload_mass"]] = 1.0
@@ -195,12 +231,15 @@ class HungProblem(Problem):
                 dp[:, row, to["stiffness"], at["payload_frequency"]] = 2.0 * mass * frequency
             for n, resting in enumerate(self.hung.at_rest(gravity, 1.0), start=1):
                 for what in ("start", "speed"):
-                    column, own = to[f"{what}_{n}"], at[f"payload_{what}_{n}", row]
+                    column = to[f"{what}_{n}"]
+                    own = at[f"payload_{what}_{n}", row]
                     p[:, row, column] = values[:, own]
                     dp[:, row, column, own] = 1.0
                 p[:, row, to[f"start_{n}"]] += resting / frequency**2 if slides else resting
                 if slides:
-                    dp[:, row, to[f"start_{n}"], at["payload_frequency"]] = -2.0 * resting / frequency**3
+                    dp[:, row, to[f"start_{n}"], at["payload_frequency"]] = (
+                        -2.0 * resting / frequency**3
+                    )
         return p, dp
 
 
@@ -209,7 +248,13 @@ def hung_unknowns(robot: Robot, runs: Sequence[PreparedRun], hung: Hung) -> list
     slides = hung.kind == "prismatic"
     unknowns = [
         Unknown("payload_mass", 0.05, np.inf, 1e-4, 20.0, asinh_scale=0.005),
-        Unknown("payload_frequency", *hung.frequency, 5.0, 60.0, role=Role.FREE if slides else Role.FROZEN),
+        Unknown(
+            "payload_frequency",
+            *hung.frequency,
+            5.0,
+            60.0,
+            role=Role.FREE if slides else Role.FROZEN,
+        ),
         Unknown("payload_decay", *DECAY, 0.0, 50.0),
     ]
     start_std, speed_std = START_STD[hung.kind]
@@ -217,7 +262,9 @@ def hung_unknowns(robot: Robot, runs: Sequence[PreparedRun], hung: Hung) -> list
         unknowns.append(Unknown(f"payload_start_{n}", 0.0, start_std, scope=row))
         unknowns.append(Unknown(f"payload_speed_{n}", 0.0, speed_std, scope=row))
     return unknowns + [
-        replace(u, value=0.0 if u.kind == "stribeck" else u.value, role=Role.FROZEN) if u.kind in NOT_IN_A_CHAIN else u
+        replace(u, value=0.0 if u.kind == "stribeck" else u.value, role=Role.FROZEN)
+        if u.kind in NOT_IN_A_CHAIN
+        else u
         for u in robot_unknowns(robot, runs, Role.FREE)
     ]
 
@@ -237,10 +284,13 @@ def identify_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> Answer:
     starts[:, 0] = guesses[:, 0]
     if slides:
         starts[:, 1] += guesses[:, 1] * hung.frequency[1]
-    solution = solvers.levenberg_marquardt(problem, coordinates.internal(starts), problem.simulator.windows)
+    solution = solvers.levenberg_marquardt(
+        problem, coordinates.internal(starts), problem.simulator.windows
+    )
     fit = FitResult.of(problem, solution)
     covariance = Posterior(problem, fit.values, max(1.0, fit.reduced_chi2)).whole_covariance()
     at = problem.index["payload_mass"]
-    mass, reach = float(fit.values[at]), Z95 * float(np.sqrt(covariance[at, at]))
+    mass = float(fit.values[at])
+    reach = Z95 * float(np.sqrt(covariance[at, at]))
     verdict = "explained" if fit.explains else "not explained"
     return Answer(mass, mass - reach, mass + reach, time.process_time() - began, verdict)

@@ -14,17 +14,33 @@ import numpy as np
 
 from proprio_ros.paper import quoted
 from proprio_ros.paper.cases import CUBES, OBJECTS, STARTS_KG, Rows
-from proprio_ros.paper.cells import COLORS, STATES, flat, half, holds, identified, labels, linked, over, rms
+from proprio_ros.paper.cells import (
+    COLORS,
+    STATES,
+    flat,
+    half,
+    holds,
+    identified,
+    labels,
+    linked,
+    over,
+    rms,
+)
 from proprio_ros.paper.searches_page import effects, landscapes, optimisers
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed, provenance, table, write_document
 
-IN_GRAMS = ("identified (g)", "rms error (g)", "interval (g)", "holds", "verdict")  # columns of `identified` for a mass
+# columns of `identified` for a mass
+IN_GRAMS = ("identified (g)", "rms error (g)", "interval (g)", "holds", "verdict")
 TIME = Axis("time after the current came on (s)", "s")
 
 
 def write_paper_page(
-    found: Mapping[str, Sequence[Rows]], path: Path, command: str, seeds: int, recording: Rows | None = None
+    found: Mapping[str, Sequence[Rows]],
+    path: Path,
+    command: str,
+    seeds: int,
+    recording: Rows | None = None,
 ) -> None:
     """Write the page, with the command that makes it again; ConfigurationError where the file cannot be written.
 
@@ -34,7 +50,9 @@ def write_paper_page(
     write_document(path, "The paper, reproduced", parts, "--out")
 
 
-def paper_parts(found: Mapping[str, Sequence[Rows]], seeds: int, recording: Rows | None = None) -> list[str]:
+def paper_parts(
+    found: Mapping[str, Sequence[Rows]], seeds: int, recording: Rows | None = None
+) -> list[str]:
     """What the page says, as HTML; the documentation takes its tables and figures from here."""
     parts = _head(seeds, recording is not None)
     for name, section in SECTIONS.items():
@@ -60,7 +78,9 @@ def _cost(found: Mapping[str, Sequence[Rows]]) -> list[str]:
 
 
 def _head(seeds: int, recording: bool) -> list[str]:
-    one = "The paper's own public recording is not in this package: name its folder with --recording."
+    one = (
+        "The paper's own public recording is not in this package: name its folder with --recording."
+    )
     if recording:
         one = "One section is of the paper's own public recording."
     return [
@@ -82,7 +102,11 @@ def _head(seeds: int, recording: bool) -> list[str]:
 
 
 def _objects(found: Sequence[Rows]) -> list[str]:
-    ways = (("paper", 1, "the paper's, one lift"), ("ours", 1, "ours, one lift"), ("ours", 2, "ours, lift and lower"))
+    ways = (
+        ("paper", 1, "the paper's, one lift"),
+        ("ours", 1, "ours, one lift"),
+        ("ours", 2, "ours, lift and lower"),
+    )
     totals = [
         (words, state, rows)
         for calibrated, state in STATES
@@ -93,7 +117,9 @@ def _objects(found: Sequence[Rows]) -> list[str]:
     for name, (words, state, every) in product(OBJECTS, totals):
         rows = [row for row in every if row["object"] == name]
         seconds = over([row["seconds"] for row in rows], 1.0, 2)
-        lines.append([name, f"{1e3 * OBJECTS[name][0]:g}", words, state, *identified(rows, 1e3), seconds])
+        lines.append(
+            [name, f"{1e3 * OBJECTS[name][0]:g}", words, state, *identified(rows, 1e3), seconds]
+        )
     header = ["object", "true (g)", "way", "robot", *IN_GRAMS, "time (s)"]
     paper = [["errors of the four masses", quoted.MASS_ERRORS], ["its time", quoted.TIME]]
     paper.append(["identified, by object", quoted.MISSING])
@@ -106,17 +132,24 @@ def _objects(found: Sequence[Rows]) -> list[str]:
         table(["the paper says", ""], paper, ()),
         "<h3>With and without calibration, one run against lift and lower</h3>",
     ]
-    over_all, panels = [], []
+    over_all = []
+    panels = []
     for color, (words, state, rows) in zip((*COLORS, "simulated"), totals, strict=False):
         name = f"{words}, {state}"
         over_all.append([name, rms(rows, 1e3), half(rows, 1e3), holds(rows)])
-        dots = [(1e3 * row["truth"], 1e3 * (row["value"] - row["truth"])) for row in rows if row["value"] is not None]
+        dots = [
+            (1e3 * row["truth"], 1e3 * (row["value"] - row["truth"]))
+            for row in rows
+            if row["value"] is not None
+        ]
         if dots:
             true, off = np.array(dots).T
             series = Series(name, true, off, color, "dots", listed=False)
             panels.append(Panel(f"{name}: error (g)", "g", [series], 80.0, rules=[0.0]))
     drawn = chart(panels, Axis("true mass (g)", "g"), "Error of the mass by way")
-    parts.append(linked("all", ["way and robot", "rms error (g)", "interval (g)", "holds"], over_all, (1, 2)))
+    parts.append(
+        linked("all", ["way and robot", "rms error (g)", "interval (g)", "holds"], over_all, (1, 2))
+    )
     return [*parts, framed(drawn, "A dot is one robot and object."), *_figure_4(found)]
 
 
@@ -126,13 +159,22 @@ def _figure_4(found: Sequence[Rows]) -> list[str]:
         trace = next((rows["trace"][kind] for rows in found if kind in rows["trace"]), None)
         if trace is None:
             continue
-        times, masses = np.array(trace["times_s"]), trace["masses_kg"]
-        lines = (("wrong", "wrong", "apart"), ("paper", "paper's", "answer"), ("ours", "ours", "agreeing"))
+        times = np.array(trace["times_s"])
+        masses = trace["masses_kg"]
+        lines = (
+            ("wrong", "wrong", "apart"),
+            ("paper", "paper's", "answer"),
+            ("ours", "ours", "agreeing"),
+        )
         series = [
-            Series(f"{name} {1e3 * masses[key]:.1f} g", times, np.array(trace["simulated"][key]), color)
+            Series(
+                f"{name} {1e3 * masses[key]:.1f} g", times, np.array(trace["simulated"][key]), color
+            )
             for key, name, color in lines
         ]
-        series.append(Series("measured", times, np.array(trace["measured"]), "measured", "dots", listed=False))
+        series.append(
+            Series("measured", times, np.array(trace["measured"]), "measured", "dots", listed=False)
+        )
         caption = (
             f"The robot {words}; heavy ball, 50 g, the first seed; dots: measured. With a wrong mass and with the one of the "
             "paper's way simulated from rest and with the robot's numbers as they are; ours with what it found beside the mass."
@@ -146,7 +188,9 @@ def _starts(found: Sequence[Rows]) -> list[str]:
     lines = []
     ways = labels(found, "way")
     for start, (calibrated, state) in product(STARTS_KG, STATES):
-        rows = [row for row in flat(found, calibrated=calibrated) if abs(row["start"] - start) < 1e-9]
+        rows = [
+            row for row in flat(found, calibrated=calibrated) if abs(row["start"] - start) < 1e-9
+        ]
         if rows:
             cells = [over([row["value"] for row in rows if row["way"] == way], 1e3) for way in ways]
             lines.append(["0" if start < 1e-5 else f"{1e3 * start:g}", state, *cells])
@@ -166,7 +210,11 @@ def _starts(found: Sequence[Rows]) -> list[str]:
 
 def _published(recording: Rows) -> list[str]:
     lines = [
-        [f"{1e3 * start:g}", "-" if scheduled is None else f"{1e3 * scheduled:.1f}", f"{1e3 * end:.1f}"]
+        [
+            f"{1e3 * start:g}",
+            "-" if scheduled is None else f"{1e3 * scheduled:.1f}",
+            f"{1e3 * end:.1f}",
+        ]
         for start, scheduled, end in recording["paths"]
     ]
     ours = recording["ours"]
@@ -175,7 +223,12 @@ def _published(recording: Rows) -> list[str]:
         '<h2 id="recording">The paper\'s own recording</h2>',
         "<p>The heavy ball of 50 g, as the authors published it: positions of the elbow, with the setting of their example. The "
         "schedule of its 15 iterations, and one that reaches the least error of the last frame.</p>",
-        linked("recording", ["first guess (g)", "the schedule stops at (g)", "least error at (g)"], lines, (0, 1, 2)),
+        linked(
+            "recording",
+            ["first guess (g)", "the schedule stops at (g)", "least error at (g)"],
+            lines,
+            (0, 1, 2),
+        ),
         f'<p id="recording-ours">The paper: {quoted.STARTS_END}. Ours: {said}, <strong>{escape(ours["verdict"].replace("_", " "))}'
         "</strong>: "
         f"{escape(ours['why'])}. One recording, so no spread.</p>",
@@ -199,7 +252,11 @@ def _sphere(found: Sequence[Rows]) -> list[str]:
 
 
 def _tracking(found: Sequence[Rows]) -> list[str]:
-    words = {"joint": "the joint's encoder", "camera": "a camera that sees the sphere", "both": "both"}
+    words = {
+        "joint": "the joint's encoder",
+        "camera": "a camera that sees the sphere",
+        "both": "both",
+    }
     lines = [[name, *identified(flat(found, way=way), 1e3)] for way, name in words.items()]
     return [
         '<h2 id="tracking">V-F: with and without tracking the sphere</h2>',
@@ -210,7 +267,11 @@ def _tracking(found: Sequence[Rows]) -> list[str]:
 
 
 def _extensions(found: Sequence[Rows]) -> list[str]:
-    titles = {"slide": "ball on a slide", "universal joint": "ball on a universal joint", "sphere": "sphere in the box"}
+    titles = {
+        "slide": "ball on a slide",
+        "universal joint": "ball on a universal joint",
+        "sphere": "sphere in the box",
+    }
     lines = []
     for part, title in titles.items():
         for way in dict.fromkeys(row["way"] for row in flat(found, part=part)):
@@ -233,7 +294,11 @@ def _fails(found: Sequence[Rows]) -> str:
     said = []
     for part, what in (("slide", "slides"), ("universal joint", "swings")):
         rigid = flat(found, part=part, way="as if it were rigid")
-        wrong = [row for row in rigid if row["low"] is not None and not row["low"] <= row["truth"] <= row["high"]]
+        wrong = [
+            row
+            for row in rigid
+            if row["low"] is not None and not row["low"] <= row["truth"] <= row["high"]
+        ]
         passed = sum(row["verdict"] == "accepted" for row in wrong)
         refused = sum(row["verdict"] in ("rejected", "not_identifiable") for row in rigid)
         said.append(
@@ -250,14 +315,30 @@ def _fails(found: Sequence[Rows]) -> str:
 
 
 def _cubes(found: Sequence[Rows]) -> list[str]:
-    quantities = (("youngs_modulus", "Young's modulus (kPa)", 1e-3), ("poissons_ratio", "Poisson's ratio", 1.0))
+    quantities = (
+        ("youngs_modulus", "Young's modulus (kPa)", 1e-3),
+        ("poissons_ratio", "Poisson's ratio", 1.0),
+    )
     ways = {"paper": "the paper's", "ours": "ours"}
     lines = []
-    for name, (quantity, words, scale), (calibrated, state), way in product(CUBES, quantities, STATES, ways):
+    for name, (quantity, words, scale), (calibrated, state), way in product(
+        CUBES, quantities, STATES, ways
+    ):
         if rows := flat(found, object=name, quantity=quantity, calibrated=calibrated, way=way):
             truth = f"{scale * rows[0]['truth']:.3g}"
             lines.append([name, words, truth, ways[way], state, *identified(rows, scale, 2)])
-    header = ["cube", "of it", "true", "way", "robot", "identified", "rms error", "interval", "holds", "verdict"]
+    header = [
+        "cube",
+        "of it",
+        "true",
+        "way",
+        "robot",
+        "identified",
+        "rms error",
+        "interval",
+        "holds",
+        "verdict",
+    ]
     said = [[name, f"{mu:g}", f"{lam:g}"] for name, (mu, lam) in quoted.LAME.items()]
     return [
         '<h2 id="cubes">V-C: two soft cubes</h2>',
@@ -277,10 +358,19 @@ def _figure_5(found: Sequence[Rows]) -> list[str]:
         trace = next((rows["trace"][name] for rows in found if name in rows["trace"]), None)
         if trace is None:
             continue
-        times, moduli = np.array(trace["times_s"]), trace["moduli_Pa"]
+        times = np.array(trace["times_s"])
+        moduli = trace["moduli_Pa"]
         series = [
-            Series(f"{words} {1e-3 * moduli[key]:.1f} kPa", times, np.array(trace["simulated_mm"][key]), color)
-            for key, words, color in (("wrong", "wrong", "apart"), ("identified", "found", "agreeing"))
+            Series(
+                f"{words} {1e-3 * moduli[key]:.1f} kPa",
+                times,
+                np.array(trace["simulated_mm"][key]),
+                color,
+            )
+            for key, words, color in (
+                ("wrong", "wrong", "apart"),
+                ("identified", "found", "agreeing"),
+            )
         ]
         series.append(Series("measured", times, np.array(trace["measured_mm"]), "measured", "dots"))
         drawn = chart([Panel("finger (mm)", "mm", series, 170.0)], TIME, f"Squeeze of the {name}")
@@ -303,7 +393,12 @@ def _speed(found: Sequence[Rows]) -> list[str]:
         "only. None but ours states an interval. Newton: <code>SolverFeatherstone</code> with the paper's way's step, gradient "
         "through <code>wp.Tape</code>, L-BFGS-B; its steps and their adjoints are recorded once for a recording, then played "
         "again.</p>",
-        linked("speed", ["way", "time of a processor (ms)", "error (g)", "interval (g)"], lines, (1, 2, 3)),
+        linked(
+            "speed",
+            ["way", "time of a processor (ms)", "error (g)", "interval (g)"],
+            lines,
+            (1, 2, 3),
+        ),
         f"<p>The paper: {quoted.TIME}.</p>",
     ]
 

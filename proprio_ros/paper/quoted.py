@@ -12,7 +12,8 @@ TITLE = "Learning Object Properties Using Robot Proprioception via Differentiabl
 AUTHORS = "Peter Yichen Chen, Chao Liu, Pingchuan Ma, John Eastman, Daniela Rus, Dylan Randle, Yuri Ivanov, Wojciech Matusik"
 ADDRESS = "https://arxiv.org/abs/2410.03920"
 
-MASS_ERRORS = "2 to 6 g, 10 to 28 %"  # of table I over its four objects; which has which is not available here
+# of table I over its four objects; which has which is not available here
+MASS_ERRORS = "2 to 6 g, 10 to 28 %"
 TIME = "2.5 to 2.7 s (Apple M1 Max)"  # to identify the mass
 STARTS_END = "55 to 58 g"  # table II, heavy ball of 50 g
 SPHERE_ERROR = "6 g (50 %)"  # V-B, a sphere of 12 g

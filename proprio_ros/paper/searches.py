@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification import solvers
-from proprio_ros.paper.cases import CUBES, LIFT, Rows, box, calibrated_robot, one_lift, payload, soft_cube, squeezed
+from proprio_ros.paper.cases import (
+    CUBES,
+    LIFT,
+    Rows,
+    box,
+    calibrated_robot,
+    one_lift,
+    payload,
+    soft_cube,
+    squeezed,
+)
 from proprio_ros.paper.hand import play
 from proprio_ros.paper.ways import SphereLastFrame
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
@@ -49,15 +59,22 @@ def optimisers(seed: int) -> Rows:
 
     def parzen(watched: Any) -> None:
         natural = coordinates.natural
-        low, high = start[0] - 5.0 * natural, start[0] + 5.0 * natural
-        low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[:, 0]
+        low = start[0] - 5.0 * natural
+        high = start[0] + 5.0 * natural
+        low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[
+            :, 0
+        ]
         tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], rng)
 
     windows = problem.simulator.windows
     searches: dict[str, Callable[[Any], Any]] = {
-        "Levenberg-Marquardt (ours)": lambda watched: solvers.levenberg_marquardt(watched, start, windows),
+        "Levenberg-Marquardt (ours)": lambda watched: solvers.levenberg_marquardt(
+            watched, start, windows
+        ),
         "Adam": lambda watched: solvers.adam(watched, start, EVALUATIONS - 1),
-        "CMA-ES": lambda watched: solvers.cma(watched, start, generations=EVALUATIONS // 7, seed=seed + 1),
+        "CMA-ES": lambda watched: solvers.cma(
+            watched, start, generations=EVALUATIONS // 7, seed=seed + 1
+        ),
         "tree-structured Parzen": parzen,
     }
     # compiles, and loads the library, before anyone is timed
@@ -66,33 +83,46 @@ def optimisers(seed: int) -> Rows:
     for name, search in searches.items():
         watched = Watched()
         search(watched)
-        best = np.minimum.accumulate(np.where(np.isfinite(watched.cost), watched.cost, 1e12))[:EVALUATIONS]
-        rows.append({"search": name, "cost": best.tolist(), "seconds": watched.seconds[: len(best)]})
+        best = np.minimum.accumulate(np.where(np.isfinite(watched.cost), watched.cost, 1e12))[
+            :EVALUATIONS
+        ]
+        rows.append(
+            {"search": name, "cost": best.tolist(), "seconds": watched.seconds[: len(best)]}
+        )
     least = min(row["cost"][-1] for row in rows)
     return {"rows": [{**row, "cost": [cost / least for cost in row["cost"]]} for row in rows]}
 
 
 def tree_parzen(
-    cost: Callable[[np.ndarray], float], low: np.ndarray, high: np.ndarray, first: np.ndarray, rng: np.random.Generator
+    cost: Callable[[np.ndarray], float],
+    low: np.ndarray,
+    high: np.ndarray,
+    first: np.ndarray,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Tree-structured Parzen estimator (Bergstra et al. 2011) in a box, one coordinate at a time; the best point, shape (F,).
 
     The best quarter of the points (at most 25) makes one density, the others make the other; of 24 draws from the first the one
     with the greatest ratio of the two is tried next. Ten points come first, nine of them drawn evenly.
     """
-    points, costs = [first], [cost(first)]
+    points = [first]
+    costs = [cost(first)]
     while len(points) < EVALUATIONS:
         drawn = rng.uniform(low, high)
         if len(points) >= 10:
             order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))
             count = min(max(len(points) // 4, 2), 25)
-            good, bad = np.array(points)[order[:count]], np.array(points)[order[count:]]
+            good = np.array(points)[order[:count]]
+            bad = np.array(points)[order[count:]]
             for axis, ends in enumerate(zip(low, high, strict=True)):
-                better, worse = _mixture(good[:, axis], *ends), _mixture(bad[:, axis], *ends)
+                better = _mixture(good[:, axis], *ends)
+                worse = _mixture(bad[:, axis], *ends)
                 centres, widths = better
                 chosen = rng.integers(len(centres), size=24)
                 tried = np.clip(centres[chosen] + widths[chosen] * rng.standard_normal(24), *ends)
-                drawn[axis] = tried[np.argmax(_logarithm(tried, *better) - _logarithm(tried, *worse))]
+                drawn[axis] = tried[
+                    np.argmax(_logarithm(tried, *better) - _logarithm(tried, *worse))
+                ]
         points.append(drawn)
         costs.append(cost(drawn))
     return points[int(np.argmin(costs))]
@@ -125,7 +155,8 @@ def landscapes(seed: int) -> Rows:
     inside[:, 0] = masses
     q, _, _ = whole.simulate(whole.all_values(inside), whole.free)
     seen = whole.runs[0]
-    last, every = loss(np.maximum(masses, 1e-6)[:, None])[0], ((q[:, 0, : seen.used] - seen.position) ** 2).mean(axis=1)
+    last = loss(np.maximum(masses, 1e-6)[:, None])[0]
+    every = ((q[:, 0, : seen.used] - seen.position) ** 2).mean(axis=1)
     rows = [_landscape("payload", masses, held.mass_kg, last, every)]
     box_held, box_facts, _ = box()
     rolling = play("container", seed, box_held).runs[LIFT]
@@ -138,11 +169,19 @@ def landscapes(seed: int) -> Rows:
     modulus, ratio = CUBES["heavy cube"]
     squeeze = play("softness", seed, soft_cube("heavy cube")).runs[-1]
     moduli = np.geomspace(1e3, 1e5, 61)
-    problem, q = squeezed(calibrated_robot(seed, "empty_hand_gripper"), squeeze, moduli.tolist(), ratio)
+    problem, q = squeezed(
+        calibrated_robot(seed, "empty_hand_gripper"), squeeze, moduli.tolist(), ratio
+    )
     off = q - problem.runs[0].position
     rows.append(_landscape("squeeze", moduli, modulus, off[:, -1] ** 2, (off**2).mean(axis=1)))
     return {"rows": rows}
 
 
 def _landscape(name: str, x: np.ndarray, truth: float, last: np.ndarray, every: np.ndarray) -> Rows:
-    return {"experiment": name, "x": x.tolist(), "truth": truth, "last": last.tolist(), "all": every.tolist()}
+    return {
+        "experiment": name,
+        "x": x.tolist(),
+        "truth": truth,
+        "last": last.tolist(),
+        "all": every.tolist(),
+    }

@@ -44,7 +44,8 @@ SEGMENT_BYTES = 2**20
 """States of a segment: as many whole frames as fit, at least one. A launch costs 50 us, and what fits into the cache is faster."""
 _STATES = 4
 FRICTION_VELOCITY = 1e-3  # v_s, where Coulomb's law is smoothed [rad/s]
-MARGIN = 0.8  # of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency
+# of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency
+MARGIN = 0.8
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,13 @@ class SoftBody:
     Raises `SimulationError`: Unknown law or contact, no mass or no travel.
     """
 
-    def __init__(self, mesh: TetMesh, mass: float, travel: float, law: str = "log", contact: str = "bonded") -> None:
+    def __init__(
+        self, mesh: TetMesh, mass: float, travel: float, law: str = "log", contact: str = "bonded"
+    ) -> None:
         if contact not in CONTACTS:
-            raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
+            raise SimulationError(
+                f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}"
+            )
         if not (np.isfinite(mass) and mass > 0.0 and np.isfinite(travel) and travel != 0.0):
             raise SimulationError(
                 f"block.mass={mass:g} kg and a travel of {travel:g} m: the first must be above 0, the second not 0"
@@ -112,10 +117,21 @@ class SoftBody:
         inverses = mesh.gradients[:, 1:]
         shares = mesh.volumes / np.bincount(mesh.cells, mesh.volumes)[mesh.cells]
         grams = inverses @ np.swapaxes(inverses, 1, 2)
-        block = mesh.tets, mesh.cells, shares, mesh.volumes, inverses, grams, self.masses, self._sides, self._ends
+        block = (
+            mesh.tets,
+            mesh.cells,
+            shares,
+            mesh.volumes,
+            inverses,
+            grams,
+            self.masses,
+            self._sides,
+            self._ends,
+        )
         kinds = wp.int32, wp.int32, FLOAT, FLOAT, MAT33, MAT33, FLOAT, FLOAT, wp.int32
         self._block = [
-            wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu") for values, kind in zip(block, kinds, strict=True)
+            wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu")
+            for values, kind in zip(block, kinds, strict=True)
         ]
 
     @cached_property
@@ -145,13 +161,18 @@ class SoftBody:
     def most_step_s(self, mu: float, lam: float, viscosity: float = 0.0) -> float:
         """Longest stable step at rest [s]: h^2 omega^2 + 2 h c < 4 with the fastest wave's omega and damping c."""
         shear, bulk, viscous = self._fastest
-        omega2, damping = mu * shear + max(lam, 0.0) * bulk, viscosity * viscous
+        omega2 = mu * shear + max(lam, 0.0) * bulk
+        damping = viscosity * viscous
         if omega2 == 0.0:
             return np.inf
         return float((np.sqrt(damping**2 + 4.0 * omega2) - damping) / omega2)
 
     def rollout(
-        self, run: SoftRun, p: np.ndarray, keep: str = "states", start: tuple[np.ndarray, np.ndarray] | None = None
+        self,
+        run: SoftRun,
+        p: np.ndarray,
+        keep: str = "states",
+        start: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> "SoftRollout":
         """Integrate the run for some guesses.
 
@@ -168,9 +189,13 @@ class SoftBody:
             raise SimulationError(f"unknown keep={keep!r}: choose one of {', '.join(KEEP)}")
         p = np.array(p, dtype=np.float64)
         if p.ndim != 2 or p.shape[1] != len(SOFT_PARAMETERS) or not np.isfinite(p).all():
-            raise SimulationError(f"parameters must be rows of finite numbers: {', '.join(SOFT_PARAMETERS)}")
+            raise SimulationError(
+                f"parameters must be rows of finite numbers: {', '.join(SOFT_PARAMETERS)}"
+            )
         for row in p:
-            mu, lam, eta = row[SOFT_INDEX["lame_mu"]], row[SOFT_INDEX["lame_lambda"]], row[SOFT_INDEX["viscosity"]]
+            mu = row[SOFT_INDEX["lame_mu"]]
+            lam = row[SOFT_INDEX["lame_lambda"]]
+            eta = row[SOFT_INDEX["viscosity"]]
             check_material(self.law, mu, lam)
             longest = MARGIN * self.most_step_s(mu, lam, eta)
             if run.step_s > longest:
@@ -180,15 +205,22 @@ class SoftBody:
                 )
         return SoftRollout(self, run, p, keep, start)
 
-    def _start(self, p: np.ndarray, given: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+    def _start(
+        self, p: np.ndarray, given: tuple[np.ndarray, np.ndarray] | None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities of the nodes of each world, each (W, N, 3)."""
         x, v = (self._points, np.zeros_like(self._points)) if given is None else given
-        x, v = np.tile(x, (len(p), 1, 1)), np.tile(v, (len(p), 1, 1))
+        x = np.tile(x, (len(p), 1, 1))
+        v = np.tile(v, (len(p), 1, 1))
         squeeze = self.travel * p[:, SOFT_INDEX["q0"]] - p[:, SOFT_INDEX["gap"]]
         pressed = squeeze > 0.0
         side = self._sides[self._ends]
-        x[:, self._ends, 0] = side * (0.5 * self.mesh.length - 0.5 * np.maximum(squeeze, 0.0)[:, None])
-        v[:, self._ends, 0] = -0.5 * side * self.travel * (pressed * p[:, SOFT_INDEX["v0"]])[:, None]
+        x[:, self._ends, 0] = side * (
+            0.5 * self.mesh.length - 0.5 * np.maximum(squeeze, 0.0)[:, None]
+        )
+        v[:, self._ends, 0] = (
+            -0.5 * side * self.travel * (pressed * p[:, SOFT_INDEX["v0"]])[:, None]
+        )
         if self.contact == "bonded":
             v[:, self._ends, 1:] = 0.0
         return x, v
@@ -217,18 +249,29 @@ class SoftRollout:
     """
 
     def __init__(
-        self, owner: SoftBody, run: SoftRun, p: np.ndarray, keep: str, start: tuple[np.ndarray, np.ndarray] | None
+        self,
+        owner: SoftBody,
+        run: SoftRun,
+        p: np.ndarray,
+        keep: str,
+        start: tuple[np.ndarray, np.ndarray] | None,
     ) -> None:
         self._owner, self._run, self._keep, self._given = owner, run, keep, p
         self._p = _doubles(p)
         faces_mass = float(owner.masses[owner._ends].sum())
-        self._constants = _doubles([0.5 * owner.mesh.length, owner.travel, FRICTION_VELOCITY, faces_mass, run.step_s])
+        self._constants = _doubles(
+            [0.5 * owner.mesh.length, owner.travel, FRICTION_VELOCITY, faces_mass, run.step_s]
+        )
         self._kernel = frame_kernel(owner.law, owner.contact == "bonded")
-        per_frame = 8 * len(p) * run.substeps * (3 + 9 * len(owner.mesh.points) + owner.mesh.cell_count)
+        per_frame = (
+            8 * len(p) * run.substeps * (3 + 9 * len(owner.mesh.points) + owner.mesh.cell_count)
+        )
         whole = max(1, min(run.frames, SEGMENT_BYTES // per_frame))
         self._first = list(range(0, run.frames, whole))  # frame of each segment
         currents = run.currents()
-        self._currents = [_doubles(currents[k * run.substeps : (k + whole) * run.substeps]) for k in self._first]
+        self._currents = [
+            _doubles(currents[k * run.substeps : (k + whole) * run.substeps]) for k in self._first
+        ]
         q0, v0, gap = (p[:, SOFT_INDEX[name]] for name in ("q0", "v0", "gap"))
         self._pressed_at_start = owner.travel * q0 > gap
         self._segments: list[list[wp.array]] = []
@@ -244,7 +287,9 @@ class SoftRollout:
             self._segments.append(rows)
             done = self._integrate(segment)
             ends = slice(frame, frame + whole)
-            self.q[:, ends], self.v[:, ends] = (state.numpy()[:, run.substeps :: run.substeps] for state in done[:2])
+            self.q[:, ends], self.v[:, ends] = (
+                state.numpy()[:, run.substeps :: run.substeps] for state in done[:2]
+            )
         self.points, self.velocities = (array.numpy()[:, -1].copy() for array in done[2:_STATES])
         if not (np.isfinite(self.q).all() and np.isfinite(self.points).all()):
             raise SimulationError(
@@ -262,21 +307,26 @@ class SoftRollout:
 
     def _launch(self, segment: int, rows: list[wp.array], **adjoint: Any) -> None:
         inputs = [*self._owner._block, self._constants, self._currents[segment], self._p]
-        wp.launch(self._kernel, dim=len(self._given), inputs=inputs, outputs=rows, device="cpu", **adjoint)
+        wp.launch(
+            self._kernel, dim=len(self._given), inputs=inputs, outputs=rows, device="cpu", **adjoint
+        )
 
     def _integrate(self, segment: int) -> list[wp.array]:
         """Every step of a segment, from the start that is kept."""
         rows = self._segments[segment]
         if self._keep == "starts":
-            start, rows = rows, self._rows(self._steps(segment))
+            start = rows
+            rows = self._rows(self._steps(segment))
             _carry(start, 0, rows, 0)
         self._launch(segment, rows)
         return rows
 
     def gradient(self, weights: np.ndarray) -> np.ndarray:
         """Gradient of ``sum(weights * q)``, weights of shape (W, K), by the parameters of each world, shape (W, P)."""
-        run, owner = self._run, self._owner
-        later, by_p = self._rows(0), wp.zeros_like(self._p)
+        run = self._run
+        owner = self._owner
+        later = self._rows(0)
+        by_p = wp.zeros_like(self._p)
         given = [None] * (len(owner._block) + 2)
         adjoint: dict[int, list[wp.array]] = {}
         for segment, frame in reversed(list(enumerate(self._first))):
@@ -295,7 +345,9 @@ class SoftRollout:
         gradient = by_p.numpy().copy()
         by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in later[:_STATES])
         # the start: q0 and v0, and the faces' nodes that the fingers hold there
-        side, ends, half = owner._sides[owner._ends], owner._ends, 0.5 * self._pressed_at_start
+        side = owner._sides[owner._ends]
+        ends = owner._ends
+        half = 0.5 * self._pressed_at_start
         along = -half * (by_x[:, ends, 0] @ side)
         gradient[:, SOFT_INDEX["q0"]] += by_q + owner.travel * along
         gradient[:, SOFT_INDEX["gap"]] -= along

@@ -12,7 +12,9 @@ from proprio_ros.sim.runtime import FLOAT
 _OF_GRIPPER = ("inertia", "torque_constant", "coulomb", "viscous", "q0", "v0", "gap")
 SOFT_PARAMETERS = (*_OF_GRIPPER, "lame_mu", "lame_lambda", "viscosity")
 """Rows of a parameter vector, SI: kg m^2, N m/A, N m, N m s/rad, rad, rad/s, m, Pa, Pa, Pa s (kg, N, m for a slide)."""
-INERTIA, TORQUE_CONSTANT, COULOMB, VISCOUS, Q0, V0, GAP, LAME_MU, LAME_LAMBDA, VISCOSITY = range(len(SOFT_PARAMETERS))
+INERTIA, TORQUE_CONSTANT, COULOMB, VISCOUS, Q0, V0, GAP, LAME_MU, LAME_LAMBDA, VISCOSITY = range(
+    len(SOFT_PARAMETERS)
+)
 MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
 
 
@@ -32,7 +34,13 @@ def _log(j: FLOAT):
 
 
 @wp.func
-def _edges(x: wp.array3d(dtype=VEC3), w: wp.int32, n: wp.int32, tets: wp.array2d(dtype=wp.int32), t: wp.int32):
+def _edges(
+    x: wp.array3d(dtype=VEC3),
+    w: wp.int32,
+    n: wp.int32,
+    tets: wp.array2d(dtype=wp.int32),
+    t: wp.int32,
+):
     """Of a nodal field, from the first corner of a tetrahedron to the others."""
     origin = x[w, n, tets[t, 0]]
     return x[w, n, tets[t, 1]] - origin, x[w, n, tets[t, 2]] - origin, x[w, n, tets[t, 3]] - origin
@@ -75,7 +83,11 @@ def _law_functions(law: str) -> tuple[Any, Any]:
             f = d * dm
             side = wp.transpose(f * (mu * volume))
             spherical = volume * (lam * (cell_j - one) - FLOAT(2.0) * mu)
-            return (volume * (mu * d + eta * rates)) * gram + side * wp.transpose(dm) + spherical * wp.transpose(dm)
+            return (
+                (volume * (mu * d + eta * rates)) * gram
+                + side * wp.transpose(dm)
+                + spherical * wp.transpose(dm)
+            )
         else:
             c1 = wp.cross(e2, e3)
             j = wp.dot(e1, c1) / (FLOAT(6.0) * volume)
@@ -143,7 +155,9 @@ def frame_kernel(law: str, bonded: bool) -> Any:
         for n in range(current_in.shape[0]):
             for t in range(tets.shape[0]):
                 e1, e2, e3 = _edges(x, w, n, tets, t)
-                wp.atomic_add(cell_j, w, n, cells[t], shares[t] * change(e1, e2, e3, volumes[t], inverses[t]))
+                wp.atomic_add(
+                    cell_j, w, n, cells[t], shares[t] * change(e1, e2, e3, volumes[t], inverses[t])
+                )
             for t in range(tets.shape[0]):
                 e1, e2, e3 = _edges(x, w, n, tets, t)
                 r1, r2, r3 = _edges(v, w, n, tets, t)
@@ -165,7 +179,9 @@ def frame_kernel(law: str, bonded: bool) -> Any:
             pressing = wp.float64(0.0)
             if travel * q[w, n] - gap > FLOAT(0.0):
                 pressing = push[w, n]
-            torque = torque_constant * current_in[n] - coulomb * wp.tanh(turn / smooth) - drag * turn
+            torque = (
+                torque_constant * current_in[n] - coulomb * wp.tanh(turn / smooth) - drag * turn
+            )
             u[w, n + 1] = turn + h * (torque - travel * pressing) / inertia
             q[w, n + 1] = q[w, n] + h * u[w, n + 1]
             for i in range(masses.shape[0]):

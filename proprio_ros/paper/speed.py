@@ -34,7 +34,8 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 BAG = "quantised_s00_fixed_heavy_ball_50g_joint3"
 TRUE_KG = 0.05
 STARTS_KG = (0.005, 0.016, 0.05, 0.16, 0.5)
-RTOL, ATOL = 1e-8, 1e-10
+RTOL = 1e-8
+ATOL = 1e-10
 
 
 class _Case:
@@ -65,13 +66,25 @@ def speed(seed: int) -> dict[str, Any]:
     case = _Case()
     whole = ours(partial(weigh, case.robot, [case.run], case.facts), "payload_mass")
     rows = [whole.row(way="ours: weighing with interval and verdict", truth=TRUE_KG)]
-    for way, solve in (("ours: the search alone", _ours), ("scipy: least_squares and solve_ivp", _scipy)):
+    for way, solve in (
+        ("ours: the search alone", _ours),
+        ("scipy: least_squares and solve_ivp", _scipy),
+    ):
         rows.append(_row(way, *timed(solve(case))))
     theirs = paper_mass(case.robot, case.run, case.facts)
-    return {"rows": [*rows, theirs.row(way="the paper's way", truth=TRUE_KG), _sysid_row(case), *_newton_rows(case)]}
+    return {
+        "rows": [
+            *rows,
+            theirs.row(way="the paper's way", truth=TRUE_KG),
+            _sysid_row(case),
+            *_newton_rows(case),
+        ]
+    }
 
 
-def _row(way: str, mass: float | None, seconds: float | None = None, why: str = "") -> dict[str, Any]:
+def _row(
+    way: str, mass: float | None, seconds: float | None = None, why: str = ""
+) -> dict[str, Any]:
     return Answer(mass, seconds=seconds, why=why).row(way=way, truth=TRUE_KG)
 
 
@@ -88,11 +101,13 @@ def _scipy(case: _Case) -> Callable[[], float]:
     from scipy.integrate import solve_ivp
     from scipy.optimize import least_squares
 
-    coordinates, prepared = case.problem.coordinates, case.prepared
+    coordinates = case.problem.coordinates
+    prepared = case.prepared
     values = coordinates.prior_mean[None].copy()
     values[0, 0] = 0.0
     p, dp = case.problem.parameters(case.problem.all_values(values), case.problem.free)
-    empty, per_kg = p[0, 0], dp[0, 0, :, 0]
+    empty = p[0, 0]
+    per_kg = dp[0, 0, :, 0]
     torque = empty[INDEX["torque_constant"]] * float(case.run.input_current_A[0])
     times = prepared.times_s - empty[INDEX["delay"]]
     weight = np.sqrt(np.diag(coordinates.prior_precision))
@@ -105,12 +120,16 @@ def _scipy(case: _Case) -> Callable[[], float]:
             q, v = y.tolist()
             return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
 
-        rolled = solve_ivp(law, (0.0, float(times[-1])), now[1:], "DOP853", times, rtol=RTOL, atol=ATOL)
+        rolled = solve_ivp(
+            law, (0.0, float(times[-1])), now[1:], "DOP853", times, rtol=RTOL, atol=ATOL
+        )
         off = (rolled.y[0] - prepared.position) / prepared.sigma
         return np.append(off, ((now - coordinates.prior_mean) * weight)[1:])
 
     def solve() -> float:
-        ends = [least_squares(residual, start, x_scale=coordinates.natural) for start in case.starts]
+        ends = [
+            least_squares(residual, start, x_scale=coordinates.natural) for start in case.starts
+        ]
         best = ends[int(np.argmin([end.cost for end in ends]))]
         return float(case.masses(best.x[None])[0])
 
@@ -137,7 +156,8 @@ def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, f
     """
     from mujoco import sysid
 
-    coordinates, prepared = case.problem.coordinates, case.prepared
+    coordinates = case.problem.coordinates
+    prepared = case.prepared
     spec = welded(case, step_s)
     times = step_s * np.arange(int(np.ceil(prepared.times_s[-1] / step_s - 1e-9)) + 1)
     model = spec.compile()
@@ -146,29 +166,55 @@ def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, f
     initial = sysid.create_initial_state(model, np.array([prepared.rest.value]))
     sequences = sysid.ModelSequences("arm", spec, "probe", initial, control, encoder)
 
-    def rollout(models: Any, datas: Any, control_signal: Any, param_dicts: Any, initial_states: Any, **maps: Any) -> Any:
+    def rollout(
+        models: Any,
+        datas: Any,
+        control_signal: Any,
+        param_dicts: Any,
+        initial_states: Any,
+        **maps: Any,
+    ) -> Any:
         # one recording, so one state per column of finite differences
-        states = [sysid.create_initial_state(model, one["q0"].value, one["v0"].value) for one in param_dicts]
+        states = [
+            sysid.create_initial_state(model, one["q0"].value, one["v0"].value)
+            for one in param_dicts
+        ]
         names = ("rollout_signal_mapping", "rollout_state_mapping", "ctrl_mapping")
         chosen = {name: maps[name] for name in names}
-        return sysid.sysid_rollout(models=models, datas=datas, control_signal=control_signal, initial_states=states, **chosen)
+        return sysid.sysid_rollout(
+            models=models,
+            datas=datas,
+            control_signal=control_signal,
+            initial_states=states,
+            **chosen,
+        )
 
-    def whitened(params: Any, predicted: Any, measured: Any, model: Any, everything: bool, state: Any) -> Any:
+    def whitened(
+        params: Any, predicted: Any, measured: Any, model: Any, everything: bool, state: Any
+    ) -> Any:
         values = params.as_vector()
-        seen = np.interp(prepared.times_s, np.append(0.0, state[:, 0]), np.append(values[1], state[:, 1]))
+        seen = np.interp(
+            prepared.times_s, np.append(0.0, state[:, 0]), np.append(values[1], state[:, 1])
+        )
         off = (seen - prepared.position) / prepared.sigma
-        prior = ((values - coordinates.prior_mean) * np.sqrt(np.diag(coordinates.prior_precision)))[1:]
+        prior = ((values - coordinates.prior_mean) * np.sqrt(np.diag(coordinates.prior_precision)))[
+            1:
+        ]
         return np.concatenate([off, prior])[:, None], measured, measured
 
     residual = sysid.build_residual_fn(
-        models_sequences=[sequences], modify_residual=whitened, custom_rollout=rollout, resample_true=False
+        models_sequences=[sequences],
+        modify_residual=whitened,
+        custom_rollout=rollout,
+        resample_true=False,
     )
 
     def heavier(spec: Any, parameter: Any) -> None:
         set_mass(spec.body("payload"), float(parameter.value[0]), case)
 
     def solve() -> tuple[np.ndarray, float]:
-        masses, costs = [], []
+        masses = []
+        costs = []
         for mass in STARTS_KG:
             first = sysid.ParameterDict()
             first.add(sysid.Parameter("mass", mass, 1e-4, 2.0, modifier=heavier))
@@ -201,13 +247,16 @@ def welded(case: _Case, step_s: float) -> Any:
         if joint.name == case.run.joint:
             joint.armature = case.prepared.drive.armature.value
             continue
-        body, axis, q = joint.parent, np.array(joint.axis), positions[joint.name]
+        body = joint.parent
+        axis = np.array(joint.axis)
+        q = positions[joint.name]
         if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
             moved = np.zeros(3)
             mujoco.mju_rotVecQuat(moved, axis * q, np.array(body.quat))
             body.pos = np.array(body.pos) + moved
         else:
-            turn, turned = np.zeros(4), np.zeros(4)
+            turn = np.zeros(4)
+            turned = np.zeros(4)
             mujoco.mju_axisAngle2Quat(turn, axis, q)
             mujoco.mju_mulQuat(turned, np.array(body.quat), turn)
             body.quat = turned
@@ -215,9 +264,12 @@ def welded(case: _Case, step_s: float) -> Any:
     payload = spec.body(case.robot.payload_frame).add_body(name="payload", pos=case.facts.com)
     payload.explicitinertial = True
     set_mass(payload, STARTS_KG[0], case)
-    motor = spec.add_actuator(name="motor", target=case.run.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor = spec.add_actuator(
+        name="motor", target=case.run.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
     motor.gainprm[0] = case.prepared.drive.torque_constant.value
-    sensor, seen = mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtObj.mjOBJ_JOINT
+    sensor = mujoco.mjtSensor.mjSENS_JOINTPOS
+    seen = mujoco.mjtObj.mjOBJ_JOINT
     spec.add_sensor(name="encoder", type=sensor, objtype=seen, objname=case.run.joint)
     spec.option.gravity, spec.option.timestep = case.robot.gravity, step_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -238,9 +290,12 @@ def _newton_rows(case: _Case) -> list[dict[str, Any]]:
         from newton.solvers import SolverFeatherstone  # noqa: F401
     except ImportError:
         return [_row("Newton", None, why="not installed: pip install 'proprio_ros[newton]'")]
-    step_s = last_frame_loss(case.robot, case.run, case.facts, PaperOptions()).step_s  # the paper's way has it, too
+    # the paper's way has it, too
+    step_s = last_frame_loss(case.robot, case.run, case.facts, PaperOptions()).step_s
     arm, before = timed(lambda: NewtonArm(case, step_s))
-    mass, seconds = timed(newton_search(case, arm), lambda: arm(case.problem.coordinates.prior_mean))
+    mass, seconds = timed(
+        newton_search(case, arm), lambda: arm(case.problem.coordinates.prior_mean)
+    )
     whole = _row("Newton: recording its steps, and the search", mass, before + seconds)
     return [whole, _row("Newton: the search alone", mass, seconds)]
 
@@ -260,24 +315,39 @@ class NewtonArm:
         prepared, self._prior = case.prepared, case.problem.coordinates
         locked = reduced_model(case.robot, case.run, {})
         pseudo = locked.pseudo_inertia[0]
-        mass, com = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
-        second, spread = pseudo[:3, :3] - mass * np.outer(com, com), case.facts.shape.second_moment_per_mass
+        mass = pseudo[3, 3]
+        com = pseudo[:3, 3] / pseudo[3, 3]
+        second = pseudo[:3, :3] - mass * np.outer(com, com)
+        spread = case.facts.shape.second_moment_per_mass
         self._inertia_per_kg = inertia_about_origin(spread)
         builder = newton.ModelBuilder(gravity=tuple(locked.gravity))
-        moved = builder.add_link(mass=mass, com=tuple(com), inertia=wp.mat33(inertia_about_origin(second)))
+        moved = builder.add_link(
+            mass=mass, com=tuple(com), inertia=wp.mat33(inertia_about_origin(second))
+        )
         self._payload = builder.add_link(
-            mass=STARTS_KG[0], com=tuple(case.facts.com), inertia=wp.mat33(STARTS_KG[0] * self._inertia_per_kg)
+            mass=STARTS_KG[0],
+            com=tuple(case.facts.com),
+            inertia=wp.mat33(STARTS_KG[0] * self._inertia_per_kg),
         )
         nothing = dict.fromkeys(("damping", "stiffness", "target_ke", "target_kd", "friction"), 0.0)
-        placement, axis = _transform(locked.placement[0]), tuple(locked.axes[0])
+        placement = _transform(locked.placement[0])
+        axis = tuple(locked.axes[0])
         armature = prepared.drive.armature.value
-        hinge = builder.add_joint_revolute(-1, moved, parent_xform=placement, axis=axis, armature=armature, **nothing)
-        weld = builder.add_joint_fixed(moved, self._payload, parent_xform=_transform(locked.frames[case.robot.payload_frame][1]))
+        hinge = builder.add_joint_revolute(
+            -1, moved, parent_xform=placement, axis=axis, armature=armature, **nothing
+        )
+        weld = builder.add_joint_fixed(
+            moved,
+            self._payload,
+            parent_xform=_transform(locked.frames[case.robot.payload_frame][1]),
+        )
         builder.add_articulation([hinge, weld])
         self._model = model = builder.finalize(device="cpu", requires_grad=True)
         self._solver = newton.solvers.SolverFeatherstone(model)
         self._control = model.control()
-        self._control.joint_f.fill_(prepared.drive.torque_constant.value * float(case.run.input_current_A[0]))
+        self._control.joint_f.fill_(
+            prepared.drive.torque_constant.value * float(case.run.input_current_A[0])
+        )
 
         instants = np.maximum(prepared.times_s - case.robot.delay.value, 0.0) / step_s
         steps = math.ceil(instants[-1] - 1e-6)
@@ -286,7 +356,10 @@ class NewtonArm:
         self._position, self._sigma = prepared.position, prepared.sigma
         self._states = [model.state() for _ in range(steps + 1)]
         # a sample lies between two steps: the misfit's slope with respect to these goes into the tape
-        self._slopes = {row: wp.zeros(1, dtype=wp.float32, device="cpu") for row in np.union1d(self._row, self._row + 1)}
+        self._slopes = {
+            row: wp.zeros(1, dtype=wp.float32, device="cpu")
+            for row in np.union1d(self._row, self._row + 1)
+        }
 
         def play() -> None:
             # the payload's mass has changed
@@ -314,7 +387,8 @@ class NewtonArm:
         for row, slope in self._slopes.items():
             slope.fill_(slopes[row])
         wp.capture_launch(self._backward)
-        model, first = self._model, self._states[0]
+        model = self._model
+        first = self._states[0]
         by_mass = model.body_mass.grad.numpy()[self._payload]
         by_inertia = model.body_inertia.grad.numpy()[self._payload]
         by_start = first.joint_q.grad.numpy()[0], first.joint_qd.grad.numpy()[0]
@@ -327,7 +401,9 @@ class NewtonArm:
         """Of the joint at the samples [rad], shape (T,), for a mass, a position and a velocity at the start."""
         mass, q0, v0 = values
         self._model.body_mass[self._payload : self._payload + 1].fill_(mass)
-        self._model.body_inertia[self._payload : self._payload + 1].fill_(wp.mat33(mass * self._inertia_per_kg))
+        self._model.body_inertia[self._payload : self._payload + 1].fill_(
+            wp.mat33(mass * self._inertia_per_kg)
+        )
         self._states[0].joint_q.fill_(q0)
         self._states[0].joint_qd.fill_(v0)
         wp.capture_launch(self._forward)
@@ -350,7 +426,9 @@ def newton_search(case: _Case, arm: NewtonArm) -> Callable[[], float]:
 
     def solve() -> float:
         first = case.starts / coordinates.natural
-        ends = [minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in first]
+        ends = [
+            minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in first
+        ]
         best = min(ends, key=lambda end: float(end.fun))
         return float(case.masses(best.x[None] * coordinates.natural)[0])
 

@@ -34,8 +34,13 @@ NO_ROWS = ("cli/", "nodes/", "launch/", "report/", *(f"paper/{name}" for name in
 def code() -> str:
     """Of everything that the rows follow from: the package's sources, its configuration and its robot."""
     found = hashlib.sha256()
-    package, shared = Path(__file__).resolve().parents[1], share_directory()
-    for folder, pattern in ((package, "*.py"), (shared / "config", "*.yaml"), (shared / "urdf", "*.urdf")):
+    package = Path(__file__).resolve().parents[1]
+    shared = share_directory()
+    for folder, pattern in (
+        (package, "*.py"),
+        (shared / "config", "*.yaml"),
+        (shared / "urdf", "*.urdf"),
+    ):
         for path in sorted(folder.rglob(pattern)):
             name = path.relative_to(folder).as_posix()
             if folder != package or not name.startswith(NO_ROWS):
@@ -51,7 +56,9 @@ class Store:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigurationError(f"--out {folder}: {error.strerror}; name a folder that can be written") from error
+            raise ConfigurationError(
+                f"--out {folder}: {error.strerror}; name a folder that can be written"
+            ) from error
 
     def read(self, task: Task) -> Rows | None:
         """Rows of an experiment and seed; None where they are not there, or of other code."""
@@ -59,7 +66,11 @@ class Store:
             kept = json.loads(self._path(task).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        whole = isinstance(kept, dict) and kept.get("code") == code() and isinstance(kept.get("rows"), dict)
+        whole = (
+            isinstance(kept, dict)
+            and kept.get("code") == code()
+            and isinstance(kept.get("rows"), dict)
+        )
         return kept["rows"] if whole else None
 
     def write(self, task: Task, rows: Rows) -> None:
@@ -74,7 +85,9 @@ class Store:
 def tasks_of(names: Sequence[str], seeds: int) -> list[Task]:
     """What there is to do, seed by seed, so that a run that is stopped early has some of everything."""
     chosen = {name: experiment(name) for name in names or EXPERIMENTS}
-    return [(name, seed) for seed in range(seeds) for name, one in chosen.items() if seed < one.seeds]
+    return [
+        (name, seed) for seed in range(seeds) for name, one in chosen.items() if seed < one.seeds
+    ]
 
 
 @one_blas_thread
@@ -88,13 +101,16 @@ def compute(task: Task) -> tuple[Task, Rows]:
     try:
         rows = experiment(name).run(seed)
     except ProprioError as error:
-        if isinstance(error.__cause__, ImportError):  # what is not installed is missed by every seed alike
+        # what is not installed is missed by every seed alike
+        if isinstance(error.__cause__, ImportError):
             raise
         rows = {"failed": str(error)}
     return task, {**rows, "cost_s": time.process_time() - began}
 
 
-def run(store: Store, names: Sequence[str], seeds: int, processes: int, tell: Callable[[str], Any]) -> dict[str, list[Rows]]:
+def run(
+    store: Store, names: Sequence[str], seeds: int, processes: int, tell: Callable[[str], Any]
+) -> dict[str, list[Rows]]:
     """All rows by experiment, in the order of the seeds; what is kept is not computed again.
 
     No names are all experiments. So many processes work at a time; those that take times run alone.
@@ -102,7 +118,8 @@ def run(store: Store, names: Sequence[str], seeds: int, processes: int, tell: Ca
     wanted = tasks_of(names, seeds)
     missing = [task for task in wanted if store.read(task) is None]
     tell(f"{len(wanted)} experiments and seeds, {len(wanted) - len(missing)} of them done before")
-    began, done = time.monotonic(), 0
+    began = time.monotonic()
+    done = 0
 
     def keep(task: Task, rows: Rows) -> None:
         nonlocal done
@@ -111,15 +128,21 @@ def run(store: Store, names: Sequence[str], seeds: int, processes: int, tell: Ca
         spent = time.monotonic() - began
         left = spent / done * (len(missing) - done)
         failed = f": {rows['failed']}" if "failed" in rows else ""
-        tell(f"{done} of {len(missing)}: {task[0]}, seed {task[1]}{failed} ({spent:.0f} s, about {left:.0f} s left)")
+        tell(
+            f"{done} of {len(missing)}: {task[0]}, seed {task[1]}{failed} ({spent:.0f} s, about {left:.0f} s left)"
+        )
 
     together = [task for task in missing if not experiment(task[0]).alone]
     if min(processes, len(together)) <= 1:
         together = []
     if together:
         # a fresh interpreter: Warp's and BLAS's threads do not survive a fork
-        with ProcessPoolExecutor(min(processes, len(together)), get_context("spawn"), end_with_parent) as pool:
-            waiting: list[Future[tuple[Task, Rows]]] = [pool.submit(compute, task) for task in together]
+        with ProcessPoolExecutor(
+            min(processes, len(together)), get_context("spawn"), end_with_parent
+        ) as pool:
+            waiting: list[Future[tuple[Task, Rows]]] = [
+                pool.submit(compute, task) for task in together
+            ]
             try:
                 for finished in as_completed(waiting):
                     keep(*finished.result())

@@ -18,7 +18,18 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Estimate, Value
-from proprio_ros.inputs.forms import Form, FormError, Number, Part, Perhaps, Truth, Whole, mapping, shortly, under
+from proprio_ros.inputs.forms import (
+    Form,
+    FormError,
+    Number,
+    Part,
+    Perhaps,
+    Truth,
+    Whole,
+    mapping,
+    shortly,
+    under,
+)
 from proprio_ros.inputs.settings import read
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, plan_excitations
 from proprio_ros.pipeline.check import check_bags
@@ -29,7 +40,14 @@ from proprio_ros.pipeline.request import Options
 from proprio_ros.pipeline.shown import checks_figure, checks_table, plans_figure, plans_table
 from proprio_ros.probes import all_probes
 from proprio_ros.quantity import spec_for
-from proprio_ros.report import calibration_figure, card, motions_figure, runs_figure, words_figure, write_calibration_report
+from proprio_ros.report import (
+    calibration_figure,
+    card,
+    motions_figure,
+    runs_figure,
+    words_figure,
+    write_calibration_report,
+)
 from proprio_ros.robot import Robot
 from proprio_ros.schema import header
 
@@ -123,7 +141,10 @@ class Weighing(_Answered):
     def to_frame(self) -> pandas.DataFrame:
         """A table with one row per estimated quantity; needs pandas."""
         columns = ("name", "value", "std", "ci95_low", "ci95_high", "unit", "reason", "verdict")
-        rows = [(v.name, v.value, v.std, *_ends(v.ci95), v.unit, v.reason, self.verdict) for v in self.estimate.values]
+        rows = [
+            (v.name, v.value, v.std, *_ends(v.ci95), v.unit, v.reason, self.verdict)
+            for v in self.estimate.values
+        ]
         return frame(columns, rows)
 
     def plot(self) -> Figure:
@@ -131,7 +152,11 @@ class Weighing(_Answered):
         found = self.estimate
         if found.joint_fits:
             return motions_figure(found.joint_fits)
-        return runs_figure(found.run_fits) if found.run_fits else words_figure(repr(self)[1:-1], self.reasons)
+        return (
+            runs_figure(found.run_fits)
+            if found.run_fits
+            else words_figure(repr(self)[1:-1], self.reasons)
+        )
 
     def report(self, path: AnyPath, force: bool = False) -> Path:
         """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
@@ -147,7 +172,11 @@ class Weighing(_Answered):
         if self._main.value is None:
             return f"<{self._main.name}: not determined ({self.verdict})>"
         spec = spec_for(self.unit, self.std, kept=True)
-        interval = "" if self.ci95 is None else f", 95 % interval {self.ci95[0]:{spec}} .. {self.ci95[1]:{spec}}"
+        interval = (
+            ""
+            if self.ci95 is None
+            else f", 95 % interval {self.ci95[0]:{spec}} .. {self.ci95[1]:{spec}}"
+        )
         return f"<{self._main.name} {self.value():{spec}} {self.unit}{interval} ({self.verdict})>"
 
 
@@ -158,7 +187,8 @@ class CalibrationResult(_Answered, os.PathLike[str]):
     It stands for a calibration file: the one that was asked for, or else one that is deleted with this object.
     """
 
-    estimate: CalibrationEstimate  # everything that was found out: fits of the runs, unknowns, advice for further runs
+    # everything that was found out: fits of the runs, unknowns, advice for further runs
+    estimate: CalibrationEstimate
     path: Path | None  # the calibration file; None when the calibration was not accepted
     call: str  # the call that gives it again
     _folder: Any = field(default=None, compare=False)
@@ -182,14 +212,18 @@ class CalibrationResult(_Answered, os.PathLike[str]):
     def to_frame(self) -> pandas.DataFrame:
         """A table with one row per unknown of the robot: what its file says (prior), and what the runs say; needs pandas."""
         columns = ("name", "value", "std", "unit", "prior", "prior_std")
-        rows = [(u.name, u.value, u.std, u.unit, u.prior, u.prior_std) for u in self.estimate.unknowns]
+        rows = [
+            (u.name, u.value, u.std, u.unit, u.prior, u.prior_std) for u in self.estimate.unknowns
+        ]
         return frame(columns, rows)
 
     def report(self, path: AnyPath, force: bool = False) -> Path:
         """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
         origin = self.estimate.origin
         sources = [*origin["bags"], *(entry["bag"] for entry in origin["references"])]
-        write_calibration_report(self.estimate, Path(path), command=self.call, sources=sources, force=force)
+        write_calibration_report(
+            self.estimate, Path(path), command=self.call, sources=sources, force=force
+        )
         return Path(path)
 
     def plot(self) -> Figure:
@@ -229,18 +263,39 @@ class Plans(Listed[ExcitationPlan]):
         masses_kg: What the hand may hold [kg].
     """
 
-    def __init__(self, robot: Robot, plans: Iterable[ExcitationPlan], masses_kg: Sequence[float]) -> None:
+    def __init__(
+        self, robot: Robot, plans: Iterable[ExcitationPlan], masses_kg: Sequence[float]
+    ) -> None:
         super().__init__(plans)
         self.robot, self.masses_kg = robot, list(masses_kg)
 
     def as_json(self) -> dict[str, Any]:
         """What ``proprio plan --json`` prints."""
-        about = {"robot": self.robot.name, "calibrated": self.robot.is_calibrated(), "masses_kg": self.masses_kg}
-        return {**header("plan"), "probe": "payload", **about, "plans": [plan.as_json() for plan in self]}
+        about = {
+            "robot": self.robot.name,
+            "calibrated": self.robot.is_calibrated(),
+            "masses_kg": self.masses_kg,
+        }
+        return {
+            **header("plan"),
+            "probe": "payload",
+            **about,
+            "plans": [plan.as_json() for plan in self],
+        }
 
     def to_frame(self) -> pandas.DataFrame:
         """A table with one row per plan; needs pandas."""
-        keys = ("joint", "current_A", "duration_s", "start", "kind", "travel", "clearance_m", "std_kg", "reason")
+        keys = (
+            "joint",
+            "current_A",
+            "duration_s",
+            "start",
+            "kind",
+            "travel",
+            "clearance_m",
+            "std_kg",
+            "reason",
+        )
         return frame(keys, [tuple(getattr(plan, key) for key in keys) for plan in self])
 
     def plot(self) -> Figure:
@@ -278,7 +333,11 @@ class Checks(Listed[BagCheck]):
     def to_frame(self) -> pandas.DataFrame:
         """A table with one row per run; needs pandas."""
         keys = ("name", "joint", "duration_s", "travel", "unit", "current_A", "samples", "problem")
-        rows = [(check.bag, *(getattr(run, key) for key in keys)) for check in self for run in check.runs]
+        rows = [
+            (check.bag, *(getattr(run, key) for key in keys))
+            for check in self
+            for run in check.runs
+        ]
         return frame(("bag", *keys), rows)
 
     def plot(self) -> Figure:
@@ -362,9 +421,13 @@ def calibrate(
     given = read_arguments(locals())
     folder = tempfile.TemporaryDirectory(prefix="proprio-") if output is None else None
     path = Path(given["output"] if folder is None else f"{folder.name}/calibration.yaml")
-    estimate = calibrate_from_bags(given["bags"], given["references"] or {}, options_of(given), path, progress, force)
+    estimate = calibrate_from_bags(
+        given["bags"], given["references"] or {}, options_of(given), path, progress, force
+    )
     accepted = estimate.verdict.value == "accepted"
-    return CalibrationResult(estimate, path if accepted else None, _call("calibrate", given), folder)
+    return CalibrationResult(
+        estimate, path if accepted else None, _call("calibrate", given), folder
+    )
 
 
 def plan(
@@ -386,7 +449,10 @@ def plan(
     """
     given = read_arguments(locals())
     asked = given["masses"]
-    return Plans(*plan_excitations(asked, options_of(given), given["count"], progress, given["seconds"]), asked)
+    return Plans(
+        *plan_excitations(asked, options_of(given), given["count"], progress, given["seconds"]),
+        asked,
+    )
 
 
 def check(
@@ -434,7 +500,10 @@ def _paths(value: Any) -> tuple[str, ...]:
 
 def _masses(value: Any) -> list[float]:
     alone = isinstance(value, (int, float))
-    return [Number(unit="kg").read(_plain(mass)) for mass in ([value] if alone else _several(value, "a mass in kg"))]
+    return [
+        Number(unit="kg").read(_plain(mass))
+        for mass in ([value] if alone else _several(value, "a mass in kg"))
+    ]
 
 
 def _known(value: Any) -> dict[str | Path, float]:
@@ -482,14 +551,23 @@ _ARGUMENTS: dict[str, Form] = {
 
 def read_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
     """The arguments of a call as its code takes them; raises ConfigurationError: One is of the wrong type."""
-    known = {"held", "solver"} | {key.partition(".")[0] for probe in all_probes() for key in probe.keys}
+    known = {"held", "solver"} | {
+        key.partition(".")[0] for probe in all_probes() for key in probe.keys
+    }
     facts = given.get("facts", {})
     for section, values in facts.items():
         if section not in known and not isinstance(values, Mapping):
             by_section = "facts come by section, such as payload={'size': 0.03}"
             raise TypeError(f"{section}= is no argument; {by_section}")
-    stated = {name: _argument(name, value, _ARGUMENTS[name]) for name, value in given.items() if name != "facts"}
-    return {**stated, "facts": {section: _argument(section, values, _FACTS) for section, values in facts.items()}}
+    stated = {
+        name: _argument(name, value, _ARGUMENTS[name])
+        for name, value in given.items()
+        if name != "facts"
+    }
+    return {
+        **stated,
+        "facts": {section: _argument(section, values, _FACTS) for section, values in facts.items()},
+    }
 
 
 def _argument(name: str, value: Any, form: Form) -> Any:
@@ -497,8 +575,12 @@ def _argument(name: str, value: Any, form: Form) -> Any:
         return read(name, _plain(value), form)
     except ProprioError:
         raise
-    except Exception as error:  # of a value's own methods: a path or a list that is none, or holds itself
-        raise ConfigurationError(f"{name}: cannot be read ({type(error).__name__}: {error})") from error
+    except (
+        Exception
+    ) as error:  # of a value's own methods: a path or a list that is none, or holds itself
+        raise ConfigurationError(
+            f"{name}: cannot be read ({type(error).__name__}: {error})"
+        ) from error
 
 
 def options_of(given: Mapping[str, Any]) -> Options:

@@ -31,12 +31,28 @@ from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.refresh import refresh
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
-from proprio_ros.identification.regression.one_joint_estimate import best_delay, calibrate_joint, torque_left_over
+from proprio_ros.identification.regression.one_joint_estimate import (
+    best_delay,
+    calibrate_joint,
+    torque_left_over,
+)
 from proprio_ros.identification.robot_calibration import UNLEARNT, LoadedRun, calibrate
 from proprio_ros.inputs.reading import text_of, yaml_of
-from proprio_ros.inputs.resources import check_new_yaml, paths_of, resource, resource_names, write_in_one_step
+from proprio_ros.inputs.resources import (
+    check_new_yaml,
+    paths_of,
+    resource,
+    resource_names,
+    write_in_one_step,
+)
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.loading import Recordings, bag_recording, bag_runs, bag_runs_or_motion, runs_or_motion
+from proprio_ros.pipeline.loading import (
+    Recordings,
+    bag_recording,
+    bag_runs,
+    bag_runs_or_motion,
+    runs_or_motion,
+)
 from proprio_ros.pipeline.replay import aged_robot, moment_of
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import probe_that
@@ -80,14 +96,19 @@ def calibrate_from_bags(
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
-    paths, started = paths_of(paths), time.perf_counter()
+    paths = paths_of(paths)
+    started = time.perf_counter()
     _check_given([*paths, *references], output, force)
     for path, mass in references.items():
         if not 0.0 < mass <= HEAVIEST_REFERENCE_KG:
-            raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
+            raise ConfigurationError(
+                f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1"
+            )
     request = read_request(replace(options or Options(), calibration=None), _reference)
     if output is not None and Path(output).resolve() == request.robot.source.resolve():
-        raise ConfigurationError(f"--output {output}: is the robot file, and the calibration extends it: name another")
+        raise ConfigurationError(
+            f"--output {output}: is the robot file, and the calibration extends it: name another"
+        )
     loads = [(Path(path), KnownLoad()) for path in paths]
     loads += [(Path(path), KnownLoad(mass, request.facts)) for path, mass in references.items()]
     once = Recordings([path for path, _ in loads])
@@ -111,14 +132,22 @@ def calibrate_from_bags(
     if motions:
         estimate = _from_motions(request, motions, progress)
     else:
-        estimate = with_advice(request.robot, calibrate(request.robot, runs, progress), progress=progress)
+        estimate = with_advice(
+            request.robot, calibrate(request.robot, runs, progress), progress=progress
+        )
     if estimate.calibration is not None:
-        made = moment_of([each.run for each in runs], [path for path, _ in loads], request.options.state_topic)
-        estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
+        made = moment_of(
+            [each.run for each in runs], [path for path, _ in loads], request.options.state_topic
+        )
+        estimate = replace(
+            estimate, calibration=replace(estimate.calibration, motors=motors, made=made)
+        )
     if references:
         estimate = _with_implied_scale(estimate, request.robot, bool(runs) and runs[0].run.free)
     used = {fit.name for fit in estimate.run_fits}
-    unused = tuple(recorded_run(request.robot, each.run) for each in runs if each.run.name not in used)
+    unused = tuple(
+        recorded_run(request.robot, each.run) for each in runs if each.run.name not in used
+    )
     known = [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()]
     origin = {"bags": [str(path) for path in paths], "references": known}
     return _written(replace(estimate, unused=unused), output, request, origin, read - started)
@@ -136,28 +165,38 @@ def refresh_from_bags(
 
     All else is as for `calibrate_from_bags`, errors included.
     """
-    paths, old, started = paths_of(paths), options.calibration, time.perf_counter()
+    paths = paths_of(paths)
+    old = options.calibration
+    started = time.perf_counter()
     if old is None:
         raise ConfigurationError("nothing to bring up to date: name the old calibration")
     _check_given(paths, output, force)
     if stated := [key for key in options.settings if key.startswith("robot.")]:
-        raise ConfigurationError(f"--set {stated[0]}: {old} says what the robot is; leave it out, or calibrate from the start")
+        raise ConfigurationError(
+            f"--set {stated[0]}: {old} says what the robot is; leave it out, or calibrate from the start"
+        )
     request = read_request(options)
     fresh = request.robot.calibration
     if fresh is None:
-        raise ConfigurationError(f"{old} was made from motions; only a calibration of runs can be brought up to date")
+        raise ConfigurationError(
+            f"{old} was made from motions; only a calibration of runs can be brought up to date"
+        )
     once = Recordings(paths)
     motors = _motors_of([Path(path) for path in paths], request)
     runs = [run for path in paths for run in once.checked(path, bag_runs(Path(path), request))]
     now = moment_of(runs, paths, options.state_topic)
     robot = aged_robot(request.robot, now)
     read = time.perf_counter()
-    estimate = with_advice(robot, refresh(robot, [LoadedRun(run) for run in runs], progress), progress=progress)
+    estimate = with_advice(
+        robot, refresh(robot, [LoadedRun(run) for run in runs], progress), progress=progress
+    )
     if (learnt := estimate.calibration) is not None:
         learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
         estimate = replace(estimate, calibration=learnt)
     origin = {"bags": [str(path) for path in paths], "references": [], "refreshed": str(old)}
-    return _written(estimate, output, replace(request, robot=robot), origin, read - started, Path(old))
+    return _written(
+        estimate, output, replace(request, robot=robot), origin, read - started, Path(old)
+    )
 
 
 def _check_given(paths: Sequence[str | Path], output: str | Path | None, force: bool) -> None:
@@ -177,14 +216,19 @@ def _written(
     like: Path | None = None,
 ) -> CalibrationEstimate:
     """The estimate with its origin and timing; where it is accepted, it is written first."""
-    learnt, written = estimate.calibration or estimate.motion or estimate.joint, None
+    learnt = estimate.calibration or estimate.motion or estimate.joint
+    written = None
     if output is not None and learnt is not None and estimate.verdict.value == "accepted":
         said = "" if estimate.weighable is None else estimate.weighable.sentence()
         # a calibration carries what was stated of the arm, so that nobody has to say it again
-        stated: dict[str, Any] = {"held": {**request.robot.held, **request.locked}} if request.locked else {}
+        stated: dict[str, Any] = (
+            {"held": {**request.robot.held, **request.locked}} if request.locked else {}
+        )
         if "payload.frame" in request.options.settings:
             stated["payload_frame"] = request.robot.payload_frame
-        write_calibration(Path(output), request.robot, learnt, {**request.overrides, **stated}, said, like)
+        write_calibration(
+            Path(output), request.robot, learnt, {**request.overrides, **stated}, said, like
+        )
         written = calibration_used(Path(output))
     timing = {"read": read_s, **estimate.timing_s}
     return replace(estimate, timing_s=timing, origin={**origin, "calibration": written})
@@ -196,7 +240,9 @@ def _reference(settings: Settings) -> PayloadFacts:
     return probe.reference(settings)
 
 
-def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: bool = False) -> CalibrationEstimate:
+def _with_implied_scale(
+    estimate: CalibrationEstimate, robot: Robot, swings: bool = False
+) -> CalibrationEstimate:
     """With what the references say of all motors at once: a reason where that, or what the arm then weighs, is beyond its prior.
 
     A reference whose mass is mistyped scales the motors' torque and the arm's weight alike, and every mass that is weighed later.
@@ -219,13 +265,21 @@ def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: boo
     if (motion := estimate.motion) is not None and (weighable := estimate.weighable) is not None:
         # until it has been weighed again, the intervals of masses reach what the robot file says
         std = max(motion.torque_scale_std, abs(1.0 - 1.0 / scale.value) / Z95)
-        until = f"any mass to +-{100.0 * Z95 * std:.0f} % until the reference has been weighed again"
-        wide = replace(weighable, std_kg=float(np.hypot(weighable.std_kg, std * weighable.mass_kg)), in_motion=until)
+        until = (
+            f"any mass to +-{100.0 * Z95 * std:.0f} % until the reference has been weighed again"
+        )
+        wide = replace(
+            weighable,
+            std_kg=float(np.hypot(weighable.std_kg, std * weighable.mass_kg)),
+            in_motion=until,
+        )
         estimate = replace(estimate, motion=replace(motion, torque_scale_std=std), weighable=wide)
     return replace(estimate, reasons=reasons)
 
 
-def _implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: bool) -> tuple[str, Quantity, Quantity] | None:
+def _implied_scale(
+    estimate: CalibrationEstimate, robot: Robot, swings: bool
+) -> tuple[str, Quantity, Quantity] | None:
     """True torque over the robot file's, and the arm's weight over its URDF's, by references: value, and the prior's deviation.
 
     Free responses tell no torque but the rotor's inertia, which follows the references as torque does. In words first.
@@ -234,23 +288,40 @@ def _implied_scale(estimate: CalibrationEstimate, robot: Robot, swings: bool) ->
         if not motion.referenced:
             return None
         std = max(relative_torque_std(robot, joint) for joint in motion.joints)
-        value, arm = motion.torque_scale, motion.torque_scale * motion.arm_over_urdf
+        value = motion.torque_scale
+        arm = motion.torque_scale * motion.arm_over_urdf
     else:
         kind = "armature" if swings else "torque_constant"
-        rows = [row for row in estimate.unknowns if row.kind == kind and row.std < UNLEARNT * row.prior_std]
+        rows = [
+            row
+            for row in estimate.unknowns
+            if row.kind == kind and row.std < UNLEARNT * row.prior_std
+        ]
         if not rows:
             return None
-        row, (values, priors, stds) = rows[0], np.array([(row.value, row.prior, row.prior_std) for row in rows]).T
+        row, (values, priors, stds) = (
+            rows[0],
+            np.array([(row.value, row.prior, row.prior_std) for row in rows]).T,
+        )
         by = values if swings else priors  # a rotor may be stated as nothing
         if not np.all(by):
             return None
-        value, std = 1.0 + float(np.mean((values - priors) / by)), float(np.mean(stds / by))
-        arm = next((row.value for row in estimate.unknowns if row.kind == "arm_scale"), robot.arm_scale.value)
-    known = Quantity(value, std), Quantity(arm / robot.arm_scale.value, max(robot.arm_scale.std, LEAST_ARM_STD))
+        value = 1.0 + float(np.mean((values - priors) / by))
+        std = float(np.mean(stds / by))
+        arm = next(
+            (row.value for row in estimate.unknowns if row.kind == "arm_scale"),
+            robot.arm_scale.value,
+        )
+    known = (
+        Quantity(value, std),
+        Quantity(arm / robot.arm_scale.value, max(robot.arm_scale.std, LEAST_ARM_STD)),
+    )
     if swings:
         inertia = f"{shown('kg m^2', row.value, spec='.3g')}, which is known as {row.prior:.3g} +- {row.prior_std:.2g}"
         return f"the rotor of {row.scope} has {inertia}", *known
-    more = f"{100.0 * abs(value - 1.0):.0f} % {'stronger' if value >= 1.0 else 'weaker'} than stated"
+    more = (
+        f"{100.0 * abs(value - 1.0):.0f} % {'stronger' if value >= 1.0 else 'weaker'} than stated"
+    )
     if abs(value - 1.0) < 0.005:
         more = "as strong as stated"
     return f"all motors are {more}, which is known to {100.0 * std:.0f} %", *known
@@ -264,7 +335,9 @@ def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdenti
             continue
         found = read_motors(path, request.options.state_topic)
         if differences := other_arm(motors, found):
-            raise RecordingError(f"{path}: another arm than that of the recordings before it: {differences}")
+            raise RecordingError(
+                f"{path}: another arm than that of the recordings before it: {differences}"
+            )
         motors |= found
     return motors
 
@@ -283,7 +356,9 @@ def plan_excitations(
     """
     request = read_request(options or Options(), _reference)
     for name in request.locked:
-        raise ConfigurationError(f"--set held.{name}: a plan says where every joint is; leave it out")
+        raise ConfigurationError(
+            f"--set held.{name}: a plan says where every joint is; leave it out"
+        )
     return request.robot, plan(request.robot, masses_kg, request.facts, count, progress, seconds)
 
 
@@ -291,12 +366,15 @@ def _from_motions(
     request: Request, motions: Sequence[tuple[Motion, float]], progress: Callable[[str], None]
 ) -> CalibrationEstimate:
     """Of motions and the mass of the reference in each [kg]; 0: the hand was empty."""
-    robot, facts = request.robot, request.facts
+    robot = request.robot
+    facts = request.facts
     empty = [motion for motion, mass_kg in motions if mass_kg == 0.0]
     references = [(motion, mass_kg) for motion, mass_kg in motions if mass_kg > 0.0]
     if references and len(motions[0][0].joints) == 1:
         progress(f"fitting {len(motions)} motions of one joint")
-        return calibrate_joint(robot, [motion for motion, _ in motions], [kg for _, kg in motions], facts)
+        return calibrate_joint(
+            robot, [motion for motion, _ in motions], [kg for _, kg in motions], facts
+        )
     if not empty:
         raise RecordingError(
             f"{motions[0][0].name}: a motion with a reference needs one with an empty hand beside it: name that bag, too"
@@ -319,7 +397,9 @@ def write_calibration(
     Dotted settings that were in force come back with the file, and its comment says what can be weighed with it. It takes the place
     of a calibration that it is ``like``: all else stands as it does there. Raises `ConfigurationError`: The file cannot be written.
     """
-    section = CommentedMap({key: _laid_out(key, value) for key, value in calibration.as_settings().items()})
+    section = CommentedMap(
+        {key: _laid_out(key, value) for key, value in calibration.as_settings().items()}
+    )
     settings = nested_settings(robot.model.independent_joints, overrides or {})
     if like is None:
         content = CommentedMap(settings)
@@ -333,7 +413,9 @@ def write_calibration(
     if of_runs:
         content["calibrated"] = True
     content["model_fingerprint"] = robot.model.fingerprint()
-    of_motions = "motion_calibration" if isinstance(calibration, MotionCalibration) else "joint_calibration"
+    of_motions = (
+        "motion_calibration" if isinstance(calibration, MotionCalibration) else "joint_calibration"
+    )
     content["calibration" if of_runs else of_motions] = section
     noun = "runs" if of_runs else "motions"
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
@@ -349,7 +431,9 @@ def write_calibration(
     write_in_one_step(path, stream.getvalue(), "--output")
 
 
-def _with_learnt_delay(request: Request, loads: Sequence[tuple[Path, KnownLoad]], progress: Callable[[str], None]) -> Request:
+def _with_learnt_delay(
+    request: Request, loads: Sequence[tuple[Path, KnownLoad]], progress: Callable[[str], None]
+) -> Request:
     """The same with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
 
     Only where a single joint follows its goal by a law, so that all of its torque hangs on that delay.
@@ -357,7 +441,13 @@ def _with_learnt_delay(request: Request, loads: Sequence[tuple[Path, KnownLoad]]
     robot = request.robot
     (joint, *others), drives = list(robot.drive_trains), robot.drive_trains
     driven_by = drives[joint].driven_by
-    if others or driven_by is None or not driven_by.follows_goal or robot.delay.std == 0.0 or len(loads) < FEWEST_RUNS:
+    if (
+        others
+        or driven_by is None
+        or not driven_by.follows_goal
+        or robot.delay.std == 0.0
+        or len(loads) < FEWEST_RUNS
+    ):
         return request
     recordings = [bag_recording(path, request) for path, _ in loads]
     if any(recording.torque_off_ns for recording in recordings):
@@ -369,7 +459,9 @@ def _with_learnt_delay(request: Request, loads: Sequence[tuple[Path, KnownLoad]]
         late = replace(robot, delay=Quantity(delay_s))
         asked = replace(request, robot=late)
         motions = [runs_or_motion(with_stall_currents(each, late), asked) for each in recordings]
-        return torque_left_over(late, [each for each in motions if isinstance(each, Motion)], masses, request.facts)
+        return torque_left_over(
+            late, [each for each in motions if isinstance(each, Motion)], masses, request.facts
+        )
 
     delay = best_delay(left_over, robot.delay)
     overrides = {**request.overrides, "delay_s": {"value": delay.value, "std": delay.std}}

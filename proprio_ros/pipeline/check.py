@@ -34,7 +34,14 @@ from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.text import is_text_recording, read_text_recording
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.voltage import voltage_driven
-from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, FloatArray, InputRecord, Recording, Run
+from proprio_ros.records import (
+    LOST_AFTER_PERIODS,
+    MEASURED_EFFORT,
+    FloatArray,
+    InputRecord,
+    Recording,
+    Run,
+)
 from proprio_ros.robot import Robot, is_description
 from proprio_ros.threads import one_blas_thread
 
@@ -47,7 +54,9 @@ DOUBTFUL_EFFORT = (*UNUSABLE_EFFORT, "effort_without_sign")
 
 
 @one_blas_thread
-def check_bags(paths: str | Path | Sequence[str | Path], options: Options | None = None) -> tuple[str, list[BagCheck]]:
+def check_bags(
+    paths: str | Path | Sequence[str | Path], options: Options | None = None
+) -> tuple[str, list[BagCheck]]:
     """Look into bags or text recordings without fitting anything: the robot's name, and one entry per bag.
 
     What the options leave open is said in the answer. Of the settings ``robot.``, ``held.JOINT`` and ``payload.frame``
@@ -64,7 +73,9 @@ def check_bags(paths: str | Path | Sequence[str | Path], options: Options | None
     # a URDF alone is enough to look, as where torque was recorded: what needs torque constants is then not said
     described = read_request(replace(options, effort_unit="N.m", driver=None), _any_object)
     request = replace(described, options=options)
-    return request.robot.name, [(_text_check if is_text_recording(path) else _bag_check)(request, path) for path in given]
+    return request.robot.name, [
+        (_text_check if is_text_recording(path) else _bag_check)(request, path) for path in given
+    ]
 
 
 def _any_object(settings: Settings) -> None:
@@ -74,7 +85,9 @@ def _any_object(settings: Settings) -> None:
 
 
 def _bag_check(request: Request, path: Path) -> BagCheck:
-    robot, options, effort_unit = request.robot, request.options, request.unit
+    robot = request.robot
+    options = request.options
+    effort_unit = request.unit
     if episode_of(path) is None:
         contents = look_into(path, options.state_topic, options.command_topic, request.conventions)
     else:  # a data set has columns, and the driver's profile says which
@@ -82,7 +95,13 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         contents = Contents((), columns.position if columns else None)
     types = {name: kind for name, kind, _ in contents.topics}
     fitting = tuple(driver.name for driver in drivers_of(types.items()))
-    check = BagCheck(str(path), topics=contents.topics, state_topic=contents.states, driver=request.driver, fitting=fitting)
+    check = BagCheck(
+        str(path),
+        topics=contents.topics,
+        state_topic=contents.states,
+        driver=request.driver,
+        fitting=fitting,
+    )
     if contents.problem:
         return replace(check, problem=contents.problem)
     problem = ""
@@ -120,17 +139,34 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     # what the law of a position servo makes of goal and position needs no effort
     drives = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
     without = {name for name, drive in drives.items() if drive is not None and drive.follows_goal}
-    seen = tuple(each for each in seen if each.code not in DOUBTFUL_EFFORT or not without.issuperset(each.joints))
+    seen = tuple(
+        each
+        for each in seen
+        if each.code not in DOUBTFUL_EFFORT or not without.issuperset(each.joints)
+    )
     if recording.inputs is None or recording.inputs.measured or recording.inputs.computed:
         runs = tuple(_with_effort(run, seen) for run in runs)
         for finding in seen:
-            if motion is not None and finding.code in UNUSABLE_MOTION and set(motion.moved) <= set(finding.joints):
-                motion, problem = None, f"of no use as a motion: {finding.sentence}"
-    useless = {name for finding in seen if finding.code in DOUBTFUL_EFFORT for name in finding.joints}
+            if (
+                motion is not None
+                and finding.code in UNUSABLE_MOTION
+                and set(motion.moved) <= set(finding.joints)
+            ):
+                motion = None
+                problem = f"of no use as a motion: {finding.sentence}"
+    useless = {
+        name for finding in seen if finding.code in DOUBTFUL_EFFORT for name in finding.joints
+    }
     by_voltage = voltage_driven(robot)
-    per_torque, units = ({}, ()) if by_voltage else loading.plausible_units(recording, robot, useless)
+    per_torque, units = (
+        ({}, ()) if by_voltage else loading.plausible_units(recording, robot, useless)
+    )
     # a joint alone whose torque's scale is open is weighed with known loads, not with an empty hand
-    tells = None if by_voltage and len(robot.drive_trains) == 1 else _motion_check(robot, recording, motion)
+    tells = (
+        None
+        if by_voltage and len(robot.drive_trains) == 1
+        else _motion_check(robot, recording, motion)
+    )
     driven_by, driven_in = _input_of(recording, runs, types, effort_unit)
     names = recording.joints.names
     check = replace(
@@ -141,7 +177,12 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         input_unit=driven_in or None,
         runs=runs,
         problem=problem,
-        notes=recording.notes + (() if motion is not None else loading.unit_not_used(recording.inputs, options.effort_unit)),
+        notes=recording.notes
+        + (
+            ()
+            if motion is not None
+            else loading.unit_not_used(recording.inputs, options.effort_unit)
+        ),
         motion=motion,
         moves=moved,
         still=tuple(name for name in names if name not in moved),
@@ -177,7 +218,8 @@ def _spacing(times_s: FloatArray) -> dict[str, Any]:
 
 def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tuple[Finding, ...]:
     """What the robot that was named leaves open."""
-    recorded, file = recording.joints.names, robot.source.name
+    recorded = recording.joints.names
+    file = robot.source.name
     if not set(recorded) & set(robot.model.independent_joints):
         why = f"none of these joints is one of {robot.name}: name the robot with --robot NAME, FILE or URDF"
         return (Finding("other_robot", why, recorded),)
@@ -201,7 +243,12 @@ def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tu
 def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
     """A run driven by a measured effort, of which no torque can be made, is of no use."""
     for finding in seen:
-        if finding.code in UNUSABLE_EFFORT and run.joint in finding.joints and not run.problem and not run.free:
+        if (
+            finding.code in UNUSABLE_EFFORT
+            and run.joint in finding.joints
+            and not run.problem
+            and not run.free
+        ):
             return replace(run, problem=finding.sentence, mass_half_width_kg=None)
     return run
 
@@ -212,7 +259,9 @@ def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> 
     if motion is None:
         if recording.inputs is not None or set(turning) - set(recording.joints.names):
             return None
-        nothing = InputRecord(recording.joints.times_ns[:1], tuple(turning), np.zeros((1, len(turning))), "nothing")
+        nothing = InputRecord(
+            recording.joints.times_ns[:1], tuple(turning), np.zeros((1, len(turning))), "nothing"
+        )
         try:
             motion = motion_of(replace(recording, inputs=nothing), joints=turning)
         except RecordingError:
@@ -226,7 +275,9 @@ def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> 
     except (RecordingError, RobotError):
         return None
     stated = not is_description(str(robot.source))
-    return MotionCheck(motion.moved, float(motion.times_s[-1]), width_kg, per_kg if stated else None)
+    return MotionCheck(
+        motion.moved, float(motion.times_s[-1]), width_kg, per_kg if stated else None
+    )
 
 
 def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, ...]:
@@ -249,11 +300,15 @@ def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, .
         same = "the same motion with the object and with an empty hand, on the same day: the latter is the `--baseline`"
         advice.append(same + longer)
     elif any(not run.problem for run in check.runs) and not free and not robot.is_calibrated():
-        advice.append("runs with an empty hand, for `proprio calibrate`: it narrows what a run tells severalfold")
+        advice.append(
+            "runs with an empty hand, for `proprio calibrate`: it narrows what a run tells severalfold"
+        )
     return tuple(advice)
 
 
-def _input_of(recording: Recording, runs: Sequence[RunCheck], types: dict[str, str], unit: str | None) -> tuple[str, str]:
+def _input_of(
+    recording: Recording, runs: Sequence[RunCheck], types: dict[str, str], unit: str | None
+) -> tuple[str, str]:
     """Where the current would come from, and what its numbers are; empty where there is none."""
     inputs = recording.inputs
     if any(run.free for run in runs):
@@ -295,7 +350,9 @@ def _unusable_closing(run: PreparedRun) -> str:
     """Why a closing of the gripper is of no use: fingers on a stiff block need not get far."""
     if run.used >= MIN_USED and abs(run.travel) < UNMOVED_RAD:
         moved = 1e3 * abs(run.travel * run.drive.transmission)
-        return Reason("stuck", f"the fingers moved only {moved:.2f} mm, so friction decides where they are")
+        return Reason(
+            "stuck", f"the fingers moved only {moved:.2f} mm, so friction decides where they are"
+        )
     return unusable(run) if run.used < MIN_USED else ""
 
 
@@ -303,9 +360,19 @@ def _text_check(request: Request, path: Path) -> BagCheck:
     """A text recording is one run, driven by the torque that its setting states."""
     text = read_text_recording(path)
     drive = request.robot.drive_trains.get(text.joint)
-    current_A = float(text.setting["torque_N_m"]) / (np.nan if drive is None else drive.nominal_effort_per_current)
-    driven = (float(text.times_s[-1]), float(text.relative_position[-1]), "rad", current_A, len(text.times_s))
-    problem = "" if drive is not None else f"{request.robot.name} has no drive train for {text.joint}"
+    current_A = float(text.setting["torque_N_m"]) / (
+        np.nan if drive is None else drive.nominal_effort_per_current
+    )
+    driven = (
+        float(text.times_s[-1]),
+        float(text.relative_position[-1]),
+        "rad",
+        current_A,
+        len(text.times_s),
+    )
+    problem = (
+        "" if drive is not None else f"{request.robot.name} has no drive train for {text.joint}"
+    )
     run = RunCheck(text.name, text.joint, *driven, problem)
     check = BagCheck(str(path), (text.joint,), **_spacing(text.times_s), runs=(run,))
     return replace(check, input="the torque in setting.json", input_unit="N m")

@@ -44,18 +44,25 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
     """
     path = Path(str(robot.settings.get("urdf", "")))
     if path.suffix != ".urdf" or not path.is_file():
-        raise RobotError(f"{robot.name}: its URDF is in no .urdf file of its own ({path.name}); write it to one and name that")
+        raise RobotError(
+            f"{robot.name}: its URDF is in no .urdf file of its own ({path.name}); write it to one and name that"
+        )
     builder = ElementTree.TreeBuilder(insert_comments=True)
     root = ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=builder))
     calibration = robot.motion_calibration
     friction = {
-        name: (drive.viscous.value / drive.transmission**2, drive.coulomb.value / abs(drive.transmission))
+        name: (
+            drive.viscous.value / drive.transmission**2,
+            drive.coulomb.value / abs(drive.transmission),
+        )
         for name, drive in robot.drive_trains.items()
     }
     if calibration is None:
         scale = robot.arm_scale.value
         bodies = {
-            link.name: scale * link.pseudo_inertia for link in robot.model.links if scale != 1.0 and link.pseudo_inertia[3, 3]
+            link.name: scale * link.pseudo_inertia
+            for link in robot.model.links
+            if scale != 1.0 and link.pseudo_inertia[3, 3]
         }
         bent: list[str] = []
     else:
@@ -87,22 +94,32 @@ def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
     calibration = robot.motion_calibration
     assert calibration is not None
     others = [name for name in robot.model.independent_joints if name not in calibration.joints]
-    held = zero_pose(robot, others) | {name: at for name, at in robot.held.items() if name in others}
+    held = zero_pose(robot, others) | {
+        name: at for name, at in robot.held.items() if name in others
+    }
     model = robot.model.lock(list(calibration.joints), held, robot.gravity)
     masses = {link.name: link.pseudo_inertia for link in robot.model.links}
-    found, bent = {}, []
+    found = {}
+    bent = []
     for body, joint in enumerate(calibration.joints):
         at = slice(PARAMETERS * body, PARAMETERS * (body + 1))
         learnt = calibration.torque_scale * calibration.values[at]
         if learnt[0] <= 0.0:
-            raise RobotError(f"what moves with {joint} weighs {learnt[0]:.3g} kg by this calibration; calibrate with more motion")
+            raise RobotError(
+                f"what moves with {joint} weighs {learnt[0]:.3g} kg by this calibration; calibrate with more motion"
+            )
         change = pseudo_inertia(learnt) - model.pseudo_inertia[body]
-        link = max((name for name, (of, _) in model.frames.items() if of == body), key=lambda name: masses[name][3, 3])
+        link = max(
+            (name for name, (of, _) in model.frames.items() if of == body),
+            key=lambda name: masses[name][3, 3],
+        )
         back = np.linalg.inv(model.frames[link][1])
         pseudo = masses[link] + back @ change @ back.T
         mass = float(pseudo[3, 3])
         if mass <= 0.0:
-            raise RobotError(f"{link} would weigh {mass:.3g} kg by this calibration; calibrate with more motion")
+            raise RobotError(
+                f"{link} would weigh {mass:.3g} kg by this calibration; calibrate with more motion"
+            )
         # the torques of gravity stay exactly, and inertia about the centre is that of the nearest body that can be
         about = np.outer(pseudo[:3, 3], pseudo[:3, 3]) / mass
         size, axes = np.linalg.eigh(pseudo[:3, :3] - about)
@@ -115,13 +132,20 @@ def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
 
 def _state_inertia(element: ElementTree.Element, pseudo: FloatArray) -> None:
     """Write a body in the place of what a link has."""
-    mass, centre = float(pseudo[3, 3]), pseudo[:3, 3] / pseudo[3, 3]
+    mass = float(pseudo[3, 3])
+    centre = pseudo[:3, 3] / pseudo[3, 3]
     spread = pseudo[:3, :3] - mass * np.outer(centre, centre)
     inertia = np.trace(spread) * np.eye(3) - spread
     for old in element.findall("inertial"):
         element.remove(old)
     inertial = ElementTree.SubElement(element, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{axis:.9g}" for axis in centre), rpy="0 0 0")
+    ElementTree.SubElement(
+        inertial, "origin", xyz=" ".join(f"{axis:.9g}" for axis in centre), rpy="0 0 0"
+    )
     ElementTree.SubElement(inertial, "mass", value=f"{mass:.9g}")
-    names = {f"i{'xyz'[row]}{'xyz'[column]}": f"{inertia[row, column]:.9g}" for row in range(3) for column in range(row, 3)}
+    names = {
+        f"i{'xyz'[row]}{'xyz'[column]}": f"{inertia[row, column]:.9g}"
+        for row in range(3)
+        for column in range(row, 3)
+    }
     ElementTree.SubElement(inertial, "inertia", names)

@@ -20,7 +20,12 @@ from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.recordings.plausibility import EffortUnit, effort_per_torque, effort_units
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
-from proprio_ros.recordings.signals import read_drive_signals, read_recording, refuse_prefix, without_jumps
+from proprio_ros.recordings.signals import (
+    read_drive_signals,
+    read_recording,
+    refuse_prefix,
+    without_jumps,
+)
 from proprio_ros.recordings.voltage import refuse_unit, voltage_driven, with_stall_currents
 from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.robot import Robot, is_description
@@ -51,7 +56,9 @@ class Recordings:
         Raises `ConfigurationError`: Another path held one of them: the same samples at the same times, and the same current.
         """
         if isinstance(found, Motion):
-            self._check(path, " ".join(found.joints), found.times_s, found.position, found.current_A)
+            self._check(
+                path, " ".join(found.joints), found.times_s, found.position, found.current_A
+            )
         else:
             for run in found:
                 self._check(path, run.joint, run.times_s, run.position, run.input_current_A)
@@ -114,12 +121,21 @@ def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
 
 def _motion(recording: Recording, request: Request) -> Motion:
     """The recording as a motion; fingers that were not recorded stand where their range allows nearest to zero, which is noted."""
-    robot, locked = request.robot, standing(request, recording.joints.names)
+    robot = request.robot
+    locked = standing(request, recording.joints.names)
     known = {*recording.joints.names, *locked}
-    slides = [robot.model.joint(name) for name in robot.model.independent_joints if name not in known]
-    taken = {each.name: float(np.clip(0.0, each.lower, each.upper)) for each in slides if each.kind == "prismatic"}
+    slides = [
+        robot.model.joint(name) for name in robot.model.independent_joints if name not in known
+    ]
+    taken = {
+        each.name: float(np.clip(0.0, each.lower, each.upper))
+        for each in slides
+        if each.kind == "prismatic"
+    }
     still = robot.motion_calibration is not None
-    motion = motion_of(recording, joints=turning_joints(robot), held={**taken, **locked}, standing=still)
+    motion = motion_of(
+        recording, joints=turning_joints(robot), held={**taken, **locked}, standing=still
+    )
     notes = tuple(
         f"{recording.name}: {name} was not recorded and is taken to stand at {value:g} m; --set held.{name}=VALUE states it"
         for name, value in taken.items()
@@ -148,7 +164,10 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
 
 def bag_recording(path: Path, request: Request) -> Recording:
     """What one bag, or one episode of a data set, holds for a robot, named after it. Raises `RecordingError`: It cannot be read."""
-    robot, options, unit, episode = request.robot, request.options, request.unit, episode_of(path)
+    robot = request.robot
+    options = request.options
+    unit = request.unit
+    episode = episode_of(path)
     if request.driver is not None and request.driver.refused:
         raise RecordingError(f"{path}: {request.driver.refused}")
     refuse_unit(robot, unit)
@@ -171,7 +190,9 @@ def bag_recording(path: Path, request: Request) -> Recording:
     recording = without_jumps(recording, list(robot.drive_trains))
     if by_voltage:
         if episode is None:
-            signals = read_drive_signals(path, options.state_topic, request.conventions, options.span)
+            signals = read_drive_signals(
+                path, options.state_topic, request.conventions, options.span
+            )
             recording = replace(recording, signals=signals)
         recording = with_stall_currents(recording, robot)
     notes = recording.notes
@@ -181,7 +202,11 @@ def bag_recording(path: Path, request: Request) -> Recording:
         notes += check_motors(path, robot, options.state_topic)
     if request.driver is not None:
         notes += _implausible_unit(recording, request)
-    if unit == "N.m" and is_description(str(robot.source)) and (inputs := recording.inputs) is not None:
+    if (
+        unit == "N.m"
+        and is_description(str(robot.source))
+        and (inputs := recording.inputs) is not None
+    ):
         if not inputs.measured and inputs.unit != "N.m":
             raise RecordingError(
                 f"{path}: {inputs.source} are currents, and {robot.source.name} states no torque constants: write a file with "
@@ -192,7 +217,8 @@ def bag_recording(path: Path, request: Request) -> Recording:
 
 def _episode_recording(path: Path, folder: Path, index: int, request: Request) -> Recording:
     """One episode of a data set; Raises as `bag_recording` does."""
-    driver, model = request.driver, request.robot.model
+    driver = request.driver
+    model = request.robot.model
     if driver is None or driver.columns is None:
         raise ConfigurationError(
             f"{path}: an episode of a data set, whose units nobody states: give --driver lerobot, another profile with columns, or "
@@ -237,7 +263,9 @@ def plausible_units(
     per_torque = {name: value for name, value in per_torque.items() if name not in without}
     stated = {} if is_description(str(robot.source)) else robot.drive_trains
     constants = {name: drive.torque_constant.value for name, drive in stated.items()}
-    return per_torque, effort_units(per_torque, constants, CURRENT_PER_COUNT_A) if per_torque else ()
+    return per_torque, effort_units(
+        per_torque, constants, CURRENT_PER_COUNT_A
+    ) if per_torque else ()
 
 
 def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str, ...]:
@@ -254,7 +282,11 @@ def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str
             "arm, or name its own calibration"
         )
     updated = other_firmware(robot.calibration.motors, motors)
-    return (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",) if updated else ()
+    return (
+        (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",)
+        if updated
+        else ()
+    )
 
 
 def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:
@@ -281,4 +313,6 @@ def unit_not_used(inputs: InputRecord | None, effort_unit: str | None) -> tuple[
     """A note where the user said what effort means, and nothing was made of it."""
     if inputs is None or inputs.measured or effort_unit is None:
         return ()
-    return (f"--effort-unit {effort_unit} was not used: the current is that of {inputs.source}, not measured effort",)
+    return (
+        f"--effort-unit {effort_unit} was not used: the current is that of {inputs.source}, not measured effort",
+    )

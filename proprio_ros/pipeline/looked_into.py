@@ -27,7 +27,8 @@ class RunCheck:
     name: str
     joint: str
     duration_s: float  # how long the joint was driven [s]
-    travel: float  # from the first to the last sample [rad or m, as ``unit`` says]; of a free swing its whole span
+    # from the first to the last sample [rad or m, as ``unit`` says]; of a free swing its whole span
+    travel: float
     unit: str
     current_A: float  # the largest of its currents, with its sign [A]; 0 in a free swing
     samples: int  # joint states while it was driven
@@ -54,7 +55,9 @@ class RunCheck:
         if not self.problem and self.mass_half_width_kg is not None:
             judged += f"; alone it tells a light object's mass to about +-{_grams(self.mass_half_width_kg)}"
         if self.free:
-            until = f"{self.duration_s:.2f} s until it hangs still, over {self.travel:.2f} {self.unit}"
+            until = (
+                f"{self.duration_s:.2f} s until it hangs still, over {self.travel:.2f} {self.unit}"
+            )
             about = f"a free swing of {self.joint}: torque off, {until}"
         else:
             moved = f"{1e3 * self.current_A:+.0f} mA for {self.duration_s:.2f} s, travel {self.travel:+.3f} {self.unit}"
@@ -94,7 +97,8 @@ class BagCheck:
     bag: str
     joints: tuple[str, ...] = ()  # joints whose positions were recorded
     duration_s: float = 0.0  # from the first to the last joint state [s]
-    rate_Hz: float = float("nan")  # of the joint states, by their median interval [1/s]; NaN where none could be read
+    # of the joint states, by their median interval [1/s]; NaN where none could be read
+    rate_Hz: float = float("nan")
     gaps: int = 0  # intervals of more than 2.5 periods
     longest_gap_s: float = float("nan")  # the longest interval [s]
     topics: tuple[tuple[str, str, int], ...] = ()  # name, type and number of messages of each
@@ -105,7 +109,8 @@ class BagCheck:
     runs: tuple[RunCheck, ...] = ()
     problem: str = ""  # why no run could be looked for, or an empty string
     notes: tuple[str, ...] = ()  # every repair made while reading
-    motion: Motion | None = None  # what was recorded where several joints were driven at once; then there are no runs
+    # what was recorded where several joints were driven at once; then there are no runs
+    motion: Motion | None = None
     # moves, still: the joints that move, and those that do not
     moves: tuple[str, ...] = ()
     still: tuple[str, ...] = ()
@@ -126,10 +131,13 @@ class BagCheck:
         return sum(not run.problem for run in self.runs) + (self.motion is not None)
 
     def as_json(self) -> dict[str, Any]:
-        motion, seen = self.motion, ("notes", "moves", "still", "findings", "effort_units", "effort_per_N_m", "tells")
+        motion = self.motion
+        seen = ("notes", "moves", "still", "findings", "effort_units", "effort_per_N_m", "tells")
         record = {
             **_named(self, "bag", "joints", "duration_s", "rate_Hz", "gaps", "longest_gap_s"),
-            "topics": [{"name": name, "type": kind, "messages": count} for name, kind, count in self.topics],
+            "topics": [
+                {"name": name, "type": kind, "messages": count} for name, kind, count in self.topics
+            ],
             **_named(self, "state_topic", "input", "input_unit", "runs"),
             "motion": motion and {"joints": motion.moved, "duration_s": motion.times_s[-1]},
             "usable_runs": self.usable,
@@ -150,8 +158,12 @@ class BagCheck:
             rate = f"{self.duration_s:.2f} s at {self.rate_Hz:.1f} Hz, {longest if self.gaps else 'no gaps'}"
             lines.append(f"  joint states: {states}; {rate}")
         if self.input:
-            lines.append(f"  input: {self.input}" + (f" ({self.input_unit})" if self.input_unit else ""))
-        lines += [f"  topic: {name} ({kind}), {count} messages" for name, kind, count in self.topics]
+            lines.append(
+                f"  input: {self.input}" + (f" ({self.input_unit})" if self.input_unit else "")
+            )
+        lines += [
+            f"  topic: {name} ({kind}), {count} messages" for name, kind, count in self.topics
+        ]
         lines += self._driver_lines()
         lines += [line for run in self.runs for line in run.lines()]
         if self.motion is not None:
@@ -186,8 +198,13 @@ class BagCheck:
         words = f"its topics are those of {' or '.join(self.fitting)}"
         if stated is None:
             which = "one" if len(self.fitting) > 1 else "it"
-            return [f"  driver: {words}; state {which} with --driver, none is used before"] * bool(self.fitting)
-        lines = [f"  driver: {stated.name}, {stated.title}", *(f"    {note}" for note in stated.notes)]
+            return [f"  driver: {words}; state {which} with --driver, none is used before"] * bool(
+                self.fitting
+            )
+        lines = [
+            f"  driver: {stated.name}, {stated.title}",
+            *(f"    {note}" for note in stated.notes),
+        ]
         other = self.fitting and not {stated.name, *stated.extends} & set(self.fitting)
         return [*lines, *[f"  problem: {words}, not of {stated.name}"] * bool(other)]
 
@@ -197,18 +214,26 @@ class BagCheck:
         joints = ", ".join(self.effort_per_N_m)
         parts = []
         for unit in self.effort_units:
-            ends = dict.fromkeys(_short(edge) for edge in (min(unit.ratio.values()), max(unit.ratio.values())))
-            parts.append(f"{' to '.join(ends)} in {unit.unit}{' (plausible)' if unit.plausible else ''}")
+            ends = dict.fromkeys(
+                _short(edge) for edge in (min(unit.ratio.values()), max(unit.ratio.values()))
+            )
+            parts.append(
+                f"{' to '.join(ends)} in {unit.unit}{' (plausible)' if unit.plausible else ''}"
+            )
         lines = [
             f"  effort over the torque that gravity needs by the URDF, of {joints}: {'; '.join(parts)}; an empty hand gives 1, a "
             "load more; nothing is chosen by it"
         ]
         if len(self.effort_units) == 1:
-            constants = ", ".join(_short(1.0 / abs(value)) for value in self.effort_per_N_m.values())
+            constants = ", ".join(
+                _short(1.0 / abs(value)) for value in self.effort_per_N_m.values()
+            )
             would = f"the torque constants would be {constants} N m per unit of it"
             lines.append(f"  were it a current and the hand empty, {would}")
         if all(value < 0.0 for value in self.effort_per_N_m.values()):
-            lines.append("  the effort has the sign of the torque that gravity makes, not of what holds against it")
+            lines.append(
+                "  the effort has the sign of the torque that gravity makes, not of what holds against it"
+            )
         return lines
 
 

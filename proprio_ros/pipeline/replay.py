@@ -16,7 +16,13 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Estimate, HeldView
 from proprio_ros.identification.recorded import held_views, recorded_run
 from proprio_ros.inputs.resources import paths_of
-from proprio_ros.pipeline.loading import Recordings, bag_motion, bag_runs, bag_runs_or_motion, refuse_uncalibrated
+from proprio_ros.pipeline.loading import (
+    Recordings,
+    bag_motion,
+    bag_runs,
+    bag_runs_or_motion,
+    refuse_uncalibrated,
+)
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.base import Carries, Recorded, TakesMotions
@@ -62,10 +68,13 @@ def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Reco
     Raises:
         RecordingError, ConfigurationError: One cannot be read, or they do not fit together or the probe.
     """
-    options, baseline_paths = request.options, paths_of(request.options.baseline)
+    options = request.options
+    baseline_paths = paths_of(request.options.baseline)
     texts = [Path(path) for path in paths if is_text_recording(path)]
     if texts and options.span is not None:
-        raise ConfigurationError(f"--span: {texts[0]} is a text recording, which is read whole; leave it out")
+        raise ConfigurationError(
+            f"--span: {texts[0]} is a text recording, which is read whole; leave it out"
+        )
     once = Recordings([*paths, *baseline_paths])
     runs: list[Run] = []
     sources: list[Path] = []  # of each run
@@ -86,7 +95,9 @@ def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Reco
             sources.extend([Path(path)] * len(found))
     _refuse_unsuited(request, runs, motions)
     if (learnt := request.robot.calibration) is not None and learnt.made is not None and runs:
-        request = replace(request, robot=aged_robot(request.robot, moment_of(runs, paths, options.state_topic)))
+        request = replace(
+            request, robot=aged_robot(request.robot, moment_of(runs, paths, options.state_topic))
+        )
     whole = replace(request, options=replace(options, span=None))
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []
@@ -100,7 +111,8 @@ def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Reco
 
 def _refuse_unsuited(request: Request, runs: Sequence[Run], motions: Sequence[Motion]) -> None:
     """Raises: RecordingError: runs and motions do not go together, or do not suit calibration or probe."""
-    probe, robot = request.probe, request.robot
+    probe = request.probe
+    robot = request.robot
     if motions and runs:
         raise RecordingError(
             f"{motions[0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].name} holds probes: "
@@ -113,18 +125,28 @@ def _refuse_unsuited(request: Request, runs: Sequence[Run], motions: Sequence[Mo
             "a time, from rest with a constant current"
         )
     if (swings := [run.name for run in runs if run.free]) and not isinstance(probe, TakesMotions):
-        raise RecordingError(f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives")
+        raise RecordingError(
+            f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives"
+        )
 
 
-def identify(request: Request, robot: Robot, read: Recorded, paths: Sequence[str | Path]) -> Estimate:
+def identify(
+    request: Request, robot: Robot, read: Recorded, paths: Sequence[str | Path]
+) -> Estimate:
     """Identify what the probe names from robot and recordings as `read_for` gave them; ``paths`` say where they come from.
 
     Raises `RecordingError`: A recording is of no use.
     """
     probe = request.probe
-    of = probe.identify_motions if read.motions and isinstance(probe, TakesMotions) else probe.identify
+    of = (
+        probe.identify_motions
+        if read.motions and isinstance(probe, TakesMotions)
+        else probe.identify
+    )
     estimate = of(robot, read, request.facts)
-    learnt = (robot.motion_calibration or robot.joint_calibration) if read.motions else robot.calibration
+    learnt = (
+        (robot.motion_calibration or robot.joint_calibration) if read.motions else robot.calibration
+    )
     origin = {
         "bags": [str(path) for path in paths],
         "baseline": [str(path) for path in paths_of(request.options.baseline)],
@@ -140,7 +162,9 @@ def identify(request: Request, robot: Robot, read: Recorded, paths: Sequence[str
     return replace(estimate, notes=notes, origin=origin, recorded=tuple(recorded), held_views=views)
 
 
-def _held_views(request: Request, robot: Robot, motion: Motion, estimate: Estimate) -> tuple[HeldView, ...]:
+def _held_views(
+    request: Request, robot: Robot, motion: Motion, estimate: Estimate
+) -> tuple[HeldView, ...]:
     """The arm in the first motion with the load that the answer stands for."""
     probe = request.probe
     load = probe.carried(request.facts, estimate) if isinstance(probe, Carries) else None
@@ -161,7 +185,9 @@ def aged_robot(robot: Robot, now: Moment) -> Robot:
     return robot if calibration is robot.calibration else robot.with_calibration(calibration)
 
 
-def moment_of(runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None) -> Moment:
+def moment_of(
+    runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None
+) -> Moment:
     """When runs were recorded, and how warm the motors were in the bags that say it."""
     heard: dict[str, list[float]] = {}
     for path in paths:
@@ -175,7 +201,10 @@ def moment_of(runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str
 
 def _guessed_frame(robot: Robot, settings: Mapping[str, Any]) -> tuple[str, ...]:
     """A note where nobody said which link holds the objects."""
-    if not is_description(str(robot.source)) or not {"payload.frame", "robot.payload_frame"}.isdisjoint(settings):
+    if not is_description(str(robot.source)) or not {
+        "payload.frame",
+        "robot.payload_frame",
+    }.isdisjoint(settings):
         return ()
     frame = f"{robot.payload_frame} is taken as the link that holds the object, a guess"
     return (f"{frame}: --set payload.frame=LINK states it",)
@@ -190,7 +219,14 @@ def compile_for(options: Options) -> None:
     request.probe.compile(request.robot, request.facts)
 
 
-def write_report(estimate: Estimate, path: Path, *, command: str = "", sources: Sequence[str] = (), force: bool = False) -> None:
+def write_report(
+    estimate: Estimate,
+    path: Path,
+    *,
+    command: str = "",
+    sources: Sequence[str] = (),
+    force: bool = False,
+) -> None:
     """Write the page for one result, with what its probe has to show; see `write_page`."""
     own = probe_named(estimate.probe).sections(estimate)
     write_page(estimate, path, own, command=command, sources=sources, force=force)

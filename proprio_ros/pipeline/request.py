@@ -71,8 +71,10 @@ class Request:
     facts: Any = None  # what is stated about the object; the probe knows their form
     # positions that are stated of joints that were not recorded [rad or m]
     locked: Mapping[str, float] = field(default_factory=dict)
-    overrides: Mapping[str, Any] = field(default_factory=dict)  # dotted settings of the robot file that are in force
-    driver: Driver | None = None  # profile of the driver that published; read here, where only the options name it
+    # dotted settings of the robot file that are in force
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    # profile of the driver that published; read here, where only the options name it
+    driver: Driver | None = None
 
     def __post_init__(self) -> None:
         if self.driver is None and self.options.driver is not None:
@@ -96,16 +98,23 @@ class Request:
     @property
     def effort_per_current(self) -> dict[str, float]:
         """What published efforts of each joint are made with [N m/A or N/A]."""
-        return {name: drive.nominal_effort_per_current for name, drive in self.robot.drive_trains.items()}
+        return {
+            name: drive.nominal_effort_per_current
+            for name, drive in self.robot.drive_trains.items()
+        }
 
 
 def request_of(options: Options) -> Request:
     """Read what is asked about an object; raises as `read_request` does."""
     probe = probe_asked_for(options)
-    return read_request(options, lambda settings: probe.facts(settings, options.solver, options.profile))
+    return read_request(
+        options, lambda settings: probe.facts(settings, options.solver, options.profile)
+    )
 
 
-def read_request(options: Options, facts: Callable[[Settings], Any] = lambda settings: None) -> Request:
+def read_request(
+    options: Options, facts: Callable[[Settings], Any] = lambda settings: None
+) -> Request:
     """Read what is asked; ``facts`` takes what is stated about the object from the settings, and what it leaves is refused.
 
     Raises `ConfigurationError`, `RobotError`: In one line, what is wrong with it.
@@ -133,14 +142,21 @@ def facts_of(facts: Callable[[Settings], Any], settings: Mapping[str, Any]) -> A
 def probe_asked_for(options: Options) -> Probe[Any]:
     """The probe that the options name; ConfigurationError: there is none, or it lacks their solver or profile."""
     probe = probe_named(options.probe)
-    for flag, given, default in (("solver", options.solver, "lm"), ("profile", options.profile, "default")):
+    for flag, given, default in (
+        ("solver", options.solver, "lm"),
+        ("profile", options.profile, "default"),
+    ):
         there = {each.name: getattr(each, f"{flag}s", (default,)) for each in all_probes()}
         having = [name for name, choices in there.items() if given in choices]
         if not having:
             choices = dict.fromkeys(choice for each in there.values() for choice in each)
-            raise ConfigurationError(f"{flag} {given!r} is unknown; choose one of: {', '.join(choices)}")
+            raise ConfigurationError(
+                f"{flag} {given!r} is unknown; choose one of: {', '.join(choices)}"
+            )
         if probe.name not in having:
-            raise ConfigurationError(f"--{flag} {given} is only there for --probe {', '.join(having)}; leave it out")
+            raise ConfigurationError(
+                f"--{flag} {given} is only there for --probe {', '.join(having)}; leave it out"
+            )
     return probe
 
 
@@ -173,13 +189,18 @@ def _unit(options: Options, driver: Driver | None) -> str | None:
 
 def _locked(robot: Robot, settings: Settings) -> dict[str, float]:
     """The user's ``held.JOINT`` settings [rad or m]; they are taken out."""
-    locked = {name: read(f"held.{name}", value, Number()) for name, value in settings.take_prefix("held.").items()}
+    locked = {
+        name: read(f"held.{name}", value, Number())
+        for name, value in settings.take_prefix("held.").items()
+    }
     for name in locked:
         robot.model.joint(name)
     return locked
 
 
-def _configured(options: Options, settings: Settings, unit: str | None) -> tuple[Robot, dict[str, Any]]:
+def _configured(
+    options: Options, settings: Settings, unit: str | None
+) -> tuple[Robot, dict[str, Any]]:
     """The robot as ``robot.`` settings and ``payload.frame`` have it, and the former; both are taken out.
 
     Where torque was recorded, a URDF alone is enough.
@@ -195,9 +216,15 @@ def _configured(options: Options, settings: Settings, unit: str | None) -> tuple
     if (frame := settings.take("payload.frame", None)) is not None:
         links = [link.name for link in robot.model.links]
         if frame not in links:
-            raise ConfigurationError(f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}")
+            raise ConfigurationError(
+                f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}"
+            )
         robot = replace(robot, payload_frame=str(frame))
-    if "gravity" in overrides and not options.baseline and any(getattr(robot, each) is not None for each in CALIBRATIONS):
+    if (
+        "gravity" in overrides
+        and not options.baseline
+        and any(getattr(robot, each) is not None for each in CALIBRATIONS)
+    ):
         made = robot_named(options.calibration or options.robot or DEFAULT_ROBOT).gravity
         if np.linalg.norm(made - robot.gravity) > 0.05:  # m/s^2, 0.3 degrees
             raise ConfigurationError(
@@ -212,10 +239,18 @@ def _calibrated(calibration: str | Path, name: str | None, overrides: Mapping[st
     """The robot of a calibration, which must be the one that is named, if any is."""
     given = f"--calibration {calibration}"
     if Path(calibration).suffix not in (".yaml", ".yml"):
-        raise RobotError(f"{given}: expected the .yaml file that `proprio calibrate --output` wrote")
+        raise RobotError(
+            f"{given}: expected the .yaml file that `proprio calibrate --output` wrote"
+        )
     robot = robot_named(calibration, overrides)
-    if robot.calibration is None and robot.motion_calibration is None and robot.joint_calibration is None:
-        raise RobotError(f"{given}: holds no calibration; write it with `proprio calibrate --output`")
+    if (
+        robot.calibration is None
+        and robot.motion_calibration is None
+        and robot.joint_calibration is None
+    ):
+        raise RobotError(
+            f"{given}: holds no calibration; write it with `proprio calibrate --output`"
+        )
     if name is not None:
         asked = robot_named(name, with_recorded_torque(name, {}))
         if asked.model.fingerprint() != robot.model.fingerprint():

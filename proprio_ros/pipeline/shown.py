@@ -14,7 +14,13 @@ from proprio_ros.report import bars_figure, small_table
 
 def plans_table(title: str, plans: Iterable[ExcitationPlan], masses_kg: Sequence[float]) -> str:
     """With half of the 95 % interval that each promises, by mass."""
-    header = ("joint", "current, time", "start (rad)", *(f"{mass:g} kg" for mass in masses_kg), "why")
+    header = (
+        "joint",
+        "current, time",
+        "start (rad)",
+        *(f"{mass:g} kg" for mass in masses_kg),
+        "why",
+    )
     rows = [
         (
             plan.joint,
@@ -31,7 +37,11 @@ def plans_table(title: str, plans: Iterable[ExcitationPlan], masses_kg: Sequence
 def plans_figure(title: str, plans: Iterable[ExcitationPlan]) -> Any:
     """Half of the 95 % interval that each promises, the widest over the masses."""
     bars = [
-        (f"{plan.joint} {shown('A', plan.current_A, spec='+.0f')}, {plan.kind}", 1e3 * Z95 * max(plan.std_kg, default=0.0), True)
+        (
+            f"{plan.joint} {shown('A', plan.current_A, spec='+.0f')}, {plan.kind}",
+            1e3 * Z95 * max(plan.std_kg, default=0.0),
+            True,
+        )
         for plan in plans
     ]
     return bars_figure(title, "half of the 95 % interval (g)", bars)
@@ -40,16 +50,32 @@ def plans_figure(title: str, plans: Iterable[ExcitationPlan]) -> Any:
 def _found(check: BagCheck) -> list[tuple[str, str, float, str]]:
     """Of each run, of the motion or of the whole bag: which joint, how it moved, how long [s], and what is wrong."""
     if check.runs:
-        return [(run.joint, f"{run.travel:+.3f} {run.unit}", run.duration_s, run.problem) for run in check.runs]
+        return [
+            (run.joint, f"{run.travel:+.3f} {run.unit}", run.duration_s, run.problem)
+            for run in check.runs
+        ]
     if check.motion is not None:
         return [(", ".join(check.motion.moved), "a motion", check.duration_s, check.problem)]
-    return [(", ".join(check.joints), "", check.duration_s, check.problem.removeprefix(f"{check.bag}: ") or "no run")]
+    return [
+        (
+            ", ".join(check.joints),
+            "",
+            check.duration_s,
+            check.problem.removeprefix(f"{check.bag}: ") or "no run",
+        )
+    ]
 
 
 def checks_table(title: str, checks: Iterable[BagCheck]) -> str:
     """A row per run or motion."""
     rows = [
-        (check.bag, joint, moves, f"{seconds:.2f} s", f"not usable: {problem}" if problem else "usable")
+        (
+            check.bag,
+            joint,
+            moves,
+            f"{seconds:.2f} s",
+            f"not usable: {problem}" if problem else "usable",
+        )
         for check in checks
         for joint, moves, seconds, problem in _found(check)
     ]
@@ -59,7 +85,13 @@ def checks_table(title: str, checks: Iterable[BagCheck]) -> str:
 def checks_figure(title: str, checks: Iterable[BagCheck]) -> Any:
     """How long each run or motion is; what is not usable is grey, with why."""
     bars = [
-        (": ".join(filter(None, ("/".join(Path(check.bag).parts[-2:]), joint, problem or "usable"))), seconds, not problem)
+        (
+            ": ".join(
+                filter(None, ("/".join(Path(check.bag).parts[-2:]), joint, problem or "usable"))
+            ),
+            seconds,
+            not problem,
+        )
         for check in checks
         for joint, _, seconds, problem in _found(check)
     ]

@@ -52,7 +52,9 @@ def probe_named(name: str) -> Probe[Any]:
     """A probe by its name. Raises `ConfigurationError`: There is none of that name."""
     places = registry()
     if name not in places:
-        raise ConfigurationError(f"probe {name!r} is not available; choose one of: {', '.join(places)}")
+        raise ConfigurationError(
+            f"probe {name!r} is not available; choose one of: {', '.join(places)}"
+        )
     return _load(places[name])
 
 
@@ -73,7 +75,11 @@ def probe_at_work() -> Online[Any]:
 
 def virtual_objects() -> list[type[HandObject]]:
     """What a virtual hand can hold, each once."""
-    return list(dict.fromkeys(probe.virtual_object for probe in all_probes() if probe.virtual_object is not None))
+    return list(
+        dict.fromkeys(
+            probe.virtual_object for probe in all_probes() if probe.virtual_object is not None
+        )
+    )
 
 
 def virtual_object(text: str) -> HandObject | None:

@@ -89,9 +89,11 @@ class Example:
     now: str
     was: str
     takes: str
-    sequences: Mapping[str, str] = field(default_factory=dict)  # the identifier's parameters for a short demo
+    # the identifier's parameters for a short demo
+    sequences: Mapping[str, str] = field(default_factory=dict)
     reference: bool = True  # whether a weight helps the short calibration
-    stated: tuple[str, ...] = ()  # settings that say what the virtual object is, as a user says it of his
+    # settings that say what the virtual object is, as a user says it of his
+    stated: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -133,9 +135,12 @@ class Probe(ABC, Generic[Facts]):
     # topics of the identifier that are plain numbers, and the value that is published on each
     numbers: ClassVar[Mapping[str, str]] = MappingProxyType({})
     keys: ClassVar[tuple[str, ...]]  # what the settings about its object begin with
-    unknowns: ClassVar[Mapping[str, Kind]] = MappingProxyType({})  # kinds of unknowns that it brings, by name
-    virtual_object: ClassVar[type[HandObject] | None] = None  # what a virtual hand holds for it; None: nothing
-    hand: ClassVar[str] = ""  # what the user is asked for before the runs, as a sentence; empty: nothing
+    # kinds of unknowns that it brings, by name
+    unknowns: ClassVar[Mapping[str, Kind]] = MappingProxyType({})
+    # what a virtual hand holds for it; None: nothing
+    virtual_object: ClassVar[type[HandObject] | None] = None
+    # what the user is asked for before the runs, as a sentence; empty: nothing
+    hand: ClassVar[str] = ""
     default_sequence: ClassVar[str]  # the runs that are made where none is named
     example: ClassVar[Example | None] = None  # what the demo shows; None: no demo
 
@@ -221,7 +226,9 @@ class Guards(Probe[Facts]):
     def check_live(self, facts: Facts) -> None:
         """Whether the nodes can do what the facts ask for. Raises `ConfigurationError`: They cannot; with what to do instead."""
 
-    def check(self, robot: Robot, facts: Facts, sequence: ExcitationSequence, limits: Mapping[str, float]) -> None:
+    def check(
+        self, robot: Robot, facts: Facts, sequence: ExcitationSequence, limits: Mapping[str, float]
+    ) -> None:
         """Whether a sequence may be made with this object; ``limits`` by name.
 
         Raises `ConfigurationError`: Its runs say nothing about the object, or could break it.
@@ -232,7 +239,9 @@ class ChoosesNext(Probe[Facts]):
     """Somebody chooses its pushes, one by one."""
 
     @abstractmethod
-    def chooser(self, robot: Robot, facts: Facts, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
+    def chooser(
+        self, robot: Robot, facts: Facts, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
+    ) -> Chooser:
         """Who chooses the pushes of a sequence that has `until`, with what is in the hand; the baseline is without it.
 
         Raises `ConfigurationError`: Nobody can, for this sequence.
@@ -300,7 +309,13 @@ class Shown(Probe[Facts]):
         return ""
 
 
-def chooser_of(probe: Probe[Any], robot: Robot, facts: Any, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
+def chooser_of(
+    probe: Probe[Any],
+    robot: Robot,
+    facts: Any,
+    sequence: ExcitationSequence,
+    baseline: Sequence[Run] = (),
+) -> Chooser:
     """As `ChoosesNext.chooser`, for any probe. Raises `ConfigurationError`: Nobody can choose, for this probe or this sequence."""
     if not isinstance(probe, ChoosesNext):
         raise ConfigurationError(

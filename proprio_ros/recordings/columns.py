@@ -20,7 +20,8 @@ class JointColumns(NamedTuple):
     bag_ns: TimeArray  # (M,)
     stamp_ns: TimeArray  # (M,), 0 where the header has no stamp
     names: tuple[str, ...]
-    values: dict[str, FloatArray]  # quantity -> (M, J); NaN: not in the message, inf: in it, but NaN or infinite
+    # quantity -> (M, J); NaN: not in the message, inf: in it, but NaN or infinite
+    values: dict[str, FloatArray]
     notes: list[str]
 
     def ahead_ns(self) -> TimeArray:
@@ -30,10 +31,13 @@ class JointColumns(NamedTuple):
     def clock_ns(self) -> int:
         """How far the header stamps are ahead of the recorder's time [ns], 0 without any stamp."""
         ahead = np.sort(self.ahead_ns())
-        return int(ahead[ahead.size // 2]) if ahead.size else 0  # np.median would round it to 256 ns
+        # np.median would round it to 256 ns
+        return int(ahead[ahead.size // 2]) if ahead.size else 0
 
 
-def joint_state_columns(bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER) -> JointColumns:
+def joint_state_columns(
+    bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
+) -> JointColumns:
     """Columns of a JointState topic; the first of the quantities (fields of the message) must be there in every message.
 
     Raises `RecordingError`: Names and values do not fit each other, or two joints would have one name.
@@ -52,11 +56,14 @@ def joint_state_columns(bag: Bag, topic: Topic, quantities: Sequence[str], conve
     index = {name: column for column, name in enumerate(names)}
     bag_ns = np.concatenate([part.bag_ns for part in rows])
     values = {quantity: np.full((len(bag_ns), len(names)), np.nan) for quantity in quantities}
-    orders, row = set(), 0
+    orders = set()
+    row = 0
     for part, own in zip(rows, named, strict=True):
         columns = [index[name] for name in own]
         if len(set(columns)) != len(columns):
-            raise RecordingError(f"{bag.path}: {topic.name} names a joint twice in message {row + 1}")
+            raise RecordingError(
+                f"{bag.path}: {topic.name} names a joint twice in message {row + 1}"
+            )
         orders.add(tuple(columns))
         for quantity in quantities:
             length = (data := part.values[quantity]).shape[1]
@@ -70,10 +77,14 @@ def joint_state_columns(bag: Bag, topic: Topic, quantities: Sequence[str], conve
         row += len(part.bag_ns)
     notes = []
     if len({frozenset(order) for order in orders}) < len(orders):
-        notes.append(f"{topic.name}: the order of the joints changes between messages; they were matched by name.")
+        notes.append(
+            f"{topic.name}: the order of the joints changes between messages; they were matched by name."
+        )
     for quantity in {"position", "velocity"} & values.keys():
         values[quantity] *= conventions.radians
-    return JointColumns(bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes)
+    return JointColumns(
+        bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes
+    )
 
 
 def _marked(values: FloatArray) -> FloatArray:
@@ -81,7 +92,12 @@ def _marked(values: FloatArray) -> FloatArray:
 
 
 def array_columns(
-    bag: Bag, topic: Topic, means: InputTopic, joint_order: Sequence[str], recorded: Sequence[str], conventions: Conventions
+    bag: Bag,
+    topic: Topic,
+    means: InputTopic,
+    joint_order: Sequence[str],
+    recorded: Sequence[str],
+    conventions: Conventions,
 ) -> JointColumns:
     """Columns of an array of what drives the joints, as the quantity ``effort``.
 
@@ -89,8 +105,10 @@ def array_columns(
     ends the excitation. Numbers without labels are in the order of the robot's joints. Raises `RecordingError`: Labels
     or lengths do not fit.
     """
-    parts, notes = bag.rows(topic), dict[str, None]()
-    stated, labelled = conventions.renamed(means.joints), list[Sequence[str]]()
+    parts = bag.rows(topic)
+    notes = dict[str, None]()
+    stated = conventions.renamed(means.joints)
+    labelled = list[Sequence[str]]()
     for part in parts:
         count = len(part.message.data)
         if not count:
@@ -106,9 +124,13 @@ def array_columns(
             labels = stated
         if labels is None:
             there = tuple(joint for joint in joint_order if joint in recorded)
-            labels = next((order for order in (tuple(joint_order), there) if count == len(order)), None)
+            labels = next(
+                (order for order in (tuple(joint_order), there) if count == len(order)), None
+            )
             if labels is None:
-                advice = "label the columns in layout.dim, or choose another input with --command-topic"
+                advice = (
+                    "label the columns in layout.dim, or choose another input with --command-topic"
+                )
                 if conventions.driver:
                     advice = f"state the joints of its controller in a --driver file of your own (extends: {conventions.driver})"
                 raise RecordingError(
@@ -116,7 +138,9 @@ def array_columns(
                     f" ({', '.join(joint_order)}); {advice}"
                 )
             if len(labels) < len(joint_order) or means not in OUR_DRIVER.inputs:
-                notes[f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."] = None
+                notes[
+                    f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."
+                ] = None
         labelled.append(labels)
     names = tuple(dict.fromkeys(name for labels in labelled for name in labels))
     times_ns = np.concatenate([part.bag_ns for part in parts])
@@ -130,11 +154,14 @@ def array_columns(
     return JointColumns(times_ns, np.zeros_like(times_ns), names, {"effort": values}, list(notes))
 
 
-def _labels(bag: Bag, topic: Topic, message: Any, known: set[str], conventions: Conventions) -> tuple[str, ...] | None:
+def _labels(
+    bag: Bag, topic: Topic, message: Any, known: set[str], conventions: Conventions
+) -> tuple[str, ...] | None:
     """The robot's names of an array's columns; None where nothing names them."""
     labels = conventions.renamed(labels_of(message))
     if not any(labels) or (len(labels) != len(message.data) and known.isdisjoint(labels)):
-        return None  # no labels, or some that describe the dimensions ("currents") and not the columns
+        # no labels, or some that describe the dimensions ("currents") and not the columns
+        return None
     if len(labels) != len(message.data) or len(set(labels)) != len(labels) or not all(labels):
         raise RecordingError(
             f"{bag.path}: {topic.name} has {len(message.data)} values but is labelled {', '.join(labels)};"

@@ -17,7 +17,8 @@ from proprio_ros.recordings.effort import EFFORT_UNITS, Effort, ampere
 from proprio_ros.recordings.topics import OUR_DRIVER
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
 
-RATE_OFF = 0.004  # of the pace of header stamps, against that of the recorder's clock: quartz keeps 0.0001
+# of the pace of header stamps, against that of the recorder's clock: quartz keeps 0.0001
+RATE_OFF = 0.004
 CLEARLY = 5.0
 """Times the scatter of what comes late that two clocks must drift apart; a recorder that falls behind does so in jumps."""
 OTHER_UNIT = 100.0
@@ -26,16 +27,19 @@ FEWEST_STAMPS = 20
 OTHER_CLOCK_S = 0.5
 """A clock further off than this is not the recorder's (simulated time), and may run at a pace of its own."""
 
-CURRENT_OFF = 0.05  # of the measured current, against the commanded: real XM430 deliver 0.98 to 0.99 of it
+# of the measured current, against the commanded: real XM430 deliver 0.98 to 0.99 of it
+CURRENT_OFF = 0.05
 TORQUE_OFF = 0.3
 """The same where others command: an arm may measure torque behind its gears, which lacks what friction and rotor take."""
-LEAST_CURRENT_A = 0.005  # what the two must differ by, on average, whatever is commanded; two counts of an XM430
+# what the two must differ by, on average, whatever is commanded; two counts of an XM430
+LEAST_CURRENT_A = 0.005
 SAME_UNIT = {"N.m": 4.0, "A": 4.0, "mA": 1.5, "raw": 1.5}
 """Effort in no unit that is known is compared with no command: the nearest one must fit to this factor. Per mille of a motor's
 rating lie near mA and raw counts."""
 SETTLED_S = 0.1  # a motor follows a command within this time, delay of bus and driver included
 FEWEST_READINGS = 8
-ELSEWHERE_SHARE = 0.3  # of the readings that are far from the command, above which they follow another one
+# of the readings that are far from the command, above which they follow another one
+ELSEWHERE_SHARE = 0.3
 
 
 def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
@@ -50,13 +54,16 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
         return None
     # the median of slopes between samples half a recording apart: what comes late in between does not bend it
     order = np.argsort(stamp_s, kind="stable")
-    stamp_s, late_s = stamp_s[order], late_s[order]
+    stamp_s = stamp_s[order]
+    late_s = late_s[order]
     half = len(stamp_s) // 2
     apart_s = stamp_s[half:] - stamp_s[:-half]
     slope = float(np.median((late_s[half:] - late_s[:-half]) / np.maximum(apart_s, 1e-9)))
     line = slope * stamp_s
     scatter_s = 1.4826 * float(np.median(np.abs(late_s - line - np.median(late_s - line))))
-    if abs(slope) < RATE_OFF or abs(slope) * float(np.ptp(stamp_s)) < CLEARLY * max(scatter_s, 1e-4):
+    if abs(slope) < RATE_OFF or abs(slope) * float(np.ptp(stamp_s)) < CLEARLY * max(
+        scatter_s, 1e-4
+    ):
         return None
     return -slope / (1.0 + slope), abs(float(np.median(late_s))) < OTHER_CLOCK_S
 
@@ -75,7 +82,9 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     factor = 1.0 + share
     if not 1.0 / OTHER_UNIT < factor < OTHER_UNIT:
         many = f"{factor:.0f} times faster" if factor > 1.0 else f"{1.0 / factor:.0f} times slower"
-        raise RecordingError(f"{where}: header stamps run {many} than the times of recording: they are not in s and ns")
+        raise RecordingError(
+            f"{where}: header stamps run {many} than the times of recording: they are not in s and ns"
+        )
     much = f"run {abs(100.0 * share):.1f} % {'faster' if share > 0.0 else 'slower'} than the times of recording"
     if same:
         raise RecordingError(
@@ -85,13 +94,16 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     return (f"{where}: header stamps {much}; they are of another clock, and are taken as they are",)
 
 
-def refuse_other_current(recording: Recording, effort: Effort, usable_velocity: Mapping[str, float]) -> None:
+def refuse_other_current(
+    recording: Recording, effort: Effort, usable_velocity: Mapping[str, float]
+) -> None:
     """Look at commanded currents beside measured efforts, joint by joint, where the joint is slow and the command does not change.
 
     Where the command is the input the unit of the effort does not matter: that which fits best is taken. Up to its usable velocity
     [rad/s] the supply drives what a joint is commanded. Raises `RecordingError`: What flowed is not that.
     """
-    record, inputs = recording.joints, recording.commanded or recording.inputs
+    record = recording.joints
+    inputs = recording.commanded or recording.inputs
     if inputs is None or inputs.measured or inputs.computed or record.reported_effort is None:
         return
     if recording.commanded is None:
@@ -99,7 +111,9 @@ def refuse_other_current(recording: Recording, effort: Effort, usable_velocity: 
     for name, usable in usable_velocity.items():
         if name not in record.names or name not in inputs.names:
             continue
-        seen = _readings(record, name, inputs.times_ns, inputs.current_A[:, inputs.column(name)], usable)
+        seen = _readings(
+            record, name, inputs.times_ns, inputs.current_A[:, inputs.column(name)], usable
+        )
         if seen is None:
             continue
         commanded, reading = seen
@@ -115,20 +129,32 @@ def _readings(
     """Commanded currents that had settled, and the efforts beside them; None where there are few."""
     column = record.column(name)
     assert record.reported_effort is not None
-    reading, position = record.reported_effort[:, column], record.position[:, column]
+    reading = record.reported_effort[:, column]
+    position = record.position[:, column]
     at = np.searchsorted(times_ns, record.times_ns, side="right") - 1
     given = np.where(at >= 0, command[at.clip(0)], 0.0)
     changed_ns = times_ns[np.flatnonzero(np.diff(command, prepend=0.0) != 0.0)]
     last = np.searchsorted(changed_ns, record.times_ns, side="right") - 1
-    since_s = 1e-9 * (record.times_ns - changed_ns[last.clip(0)]) if len(changed_ns) else np.zeros(len(given))
+    since_s = (
+        1e-9 * (record.times_ns - changed_ns[last.clip(0)])
+        if len(changed_ns)
+        else np.zeros(len(given))
+    )
     speed = np.abs(np.gradient(position, 1e-9 * (record.times_ns - record.times_ns[0])))
-    used = (np.abs(given) > ZERO_CURRENT_A) & (since_s >= SETTLED_S) & (speed < 0.5 * usable) & np.isfinite(reading)
+    used = (
+        (np.abs(given) > ZERO_CURRENT_A)
+        & (since_s >= SETTLED_S)
+        & (speed < 0.5 * usable)
+        & np.isfinite(reading)
+    )
     if int(used.sum()) < FEWEST_READINGS or not np.any(reading[used]):
         return None
     return given[used], reading[used]
 
 
-def _as_current(name: str, reading: FloatArray, commanded: FloatArray, effort: Effort) -> tuple[str | None, FloatArray]:
+def _as_current(
+    name: str, reading: FloatArray, commanded: FloatArray, effort: Effort
+) -> tuple[str | None, FloatArray]:
     """Efforts as currents [A], in the unit that is stated or else fits best; no unit where none does."""
     per_A = {unit: 1.0 / ampere(unit, effort.per_count_A) for unit in EFFORT_UNITS if unit != "N.m"}
     if effort.nominal.get(name, 0.0) > 0.0:
@@ -144,15 +170,28 @@ def _as_current(name: str, reading: FloatArray, commanded: FloatArray, effort: E
     return unit, reading / per_A[unit] * np.sign(np.median(reading / commanded))
 
 
-def _compare(where: str, source: str, name: str, unit: str, commanded: FloatArray, measured: FloatArray, effort: Effort) -> None:
+def _compare(
+    where: str,
+    source: str,
+    name: str,
+    unit: str,
+    commanded: FloatArray,
+    measured: FloatArray,
+    effort: Effort,
+) -> None:
     """Raises RecordingError: the two contradict each other."""
     off = measured - commanded
     scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))
     least = max(LEAST_CURRENT_A, 4.0 * scatter / np.sqrt(len(off)))
     ratio = float(np.median(measured / commanded))
-    far = np.abs(off) > np.maximum(0.25 * np.abs(commanded), LEAST_CURRENT_A + 4.0 * min(scatter, LEAST_CURRENT_A))
+    far = np.abs(off) > np.maximum(
+        0.25 * np.abs(commanded), LEAST_CURRENT_A + 4.0 * min(scatter, LEAST_CURRENT_A)
+    )
     own = source.rpartition("/")[2] in {each.topic for each in OUR_DRIVER.inputs}
-    if abs(ratio - 1.0) > (CURRENT_OFF if own else TORQUE_OFF) and abs(float(np.median(off))) > least:
+    if (
+        abs(ratio - 1.0) > (CURRENT_OFF if own else TORQUE_OFF)
+        and abs(float(np.median(off))) > least
+    ):
         made = f" (at {effort.nominal[name]:.3g} N m/A)" if unit == "N.m" else ""
         raise RecordingError(
             f"{where}: by its effort{made}, {name} had {ratio:.2f} times the current of {source}: that is another recording's or "

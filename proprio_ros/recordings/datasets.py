@@ -27,7 +27,8 @@ from proprio_ros.recordings.effort import Effort
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
 POSITION_UNITS = ("rad", "deg")
-CLOCK = ("timestamp", "frame_index")  # columns that say when a frame was; the first that is there counts
+# columns that say when a frame was; the first that is there counts
+CLOCK = ("timestamp", "frame_index")
 FRAMES, BUFFER = 8192, 1 << 20
 """Frames, and bytes of a column, that are held at once where a part of an episode is read."""
 _EPISODE = re.compile(r"(?s)(?P<folder>.+)#(?P<index>\d{1,9})$")
@@ -46,7 +47,8 @@ class Columns:
     # ``.torque``, ``.effort`` or ``.current`` count
     effort: str = "observation.effort"
     goal: str = "action"  # column of what the joints were sent to, in the unit of the positions
-    percent: tuple[str, ...] = ()  # joints, in the driver's names, whose positions are percent of their range
+    # joints, in the driver's names, whose positions are percent of their range
+    percent: tuple[str, ...] = ()
 
 
 class Episode(NamedTuple):
@@ -117,18 +119,28 @@ def _opened(folder: Path, _changed_ns: int) -> DataSet:
         info = json_of(text_of(folder / "meta" / "info.json", RecordingError))
         version = str(info["codebase_version"])
         if not version.startswith(VERSIONS):
-            raise RecordingError(f"{folder}: a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot")
+            raise RecordingError(
+                f"{folder}: a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot"
+            )
         episodes = dict((_episodes_3 if version.startswith("v3.") else _episodes_2)(folder, info))
         features = {str(key): value for key, value in info["features"].items()}
-        return DataSet(folder, version, float(info["fps"]), features, dict(sorted(episodes.items())))
+        return DataSet(
+            folder, version, float(info["fps"]), features, dict(sorted(episodes.items()))
+        )
 
 
 def _episodes_2(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Episode]]:
-    pattern, each = str(info["data_path"]), int(info.get("chunks_size", 1000))
+    pattern = str(info["data_path"])
+    each = int(info.get("chunks_size", 1000))
     lines = text_of(folder / "meta" / "episodes.jsonl", RecordingError, _LONGEST_META).splitlines()
     for row in (json_of(line) for line in lines if line.strip()):
         index = int(row["episode_index"])
-        yield index, Episode(int(row["length"]), pattern.format(episode_chunk=index // each, episode_index=index))
+        yield (
+            index,
+            Episode(
+                int(row["length"]), pattern.format(episode_chunk=index // each, episode_index=index)
+            ),
+        )
 
 
 def _episodes_3(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Episode]]:
@@ -136,8 +148,13 @@ def _episodes_3(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Ep
     columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
     for file in sorted((folder / "meta" / "episodes").glob("*/*.parquet")):
         table = arrow().parquet.ParquetFile(file).read(columns=columns).to_pydict()
-        for index, length, chunk, number in zip(*(table[column] for column in columns), strict=True):
-            yield int(index), Episode(int(length), pattern.format(chunk_index=chunk, file_index=number))
+        for index, length, chunk, number in zip(
+            *(table[column] for column in columns), strict=True
+        ):
+            yield (
+                int(index),
+                Episode(int(length), pattern.format(chunk_index=chunk, file_index=number)),
+            )
 
 
 @contextmanager
@@ -158,8 +175,13 @@ def _readable(what: object) -> Iterator[None]:
 def _groups(file: Path, _changed_ns: int) -> tuple[Any, records.FloatArray, records.FloatArray]:
     """The open file, and lowest and highest episode of each of its row groups."""
     opened = arrow().parquet.ParquetFile(file)
-    leaf = next(n for n in range(opened.metadata.num_columns) if opened.schema.column(n).path == "episode_index")
-    low, high = np.full(opened.num_row_groups, -np.inf), np.full(opened.num_row_groups, np.inf)
+    leaf = next(
+        n
+        for n in range(opened.metadata.num_columns)
+        if opened.schema.column(n).path == "episode_index"
+    )
+    low = np.full(opened.num_row_groups, -np.inf)
+    high = np.full(opened.num_row_groups, np.inf)
     for group in range(opened.num_row_groups):
         known = opened.metadata.row_group(group).column(leaf).statistics
         if known is not None and known.has_min_max:
@@ -188,18 +210,26 @@ def read_columns(
         there = [column for column in columns if column in opened.schema_arrow.names]
         groups = np.flatnonzero((low <= index) & (high >= index)).tolist()
         if span is None:
-            table = opened.read_row_groups(groups, columns=[*there, "episode_index"], use_threads=False)
+            table = opened.read_row_groups(
+                groups, columns=[*there, "episode_index"], use_threads=False
+            )
             found, count = _of_episode(table, index, there)
         else:
             found, count = _columns_within(groups, there, data, index, span)
             if not all(map(len, found.values())):
-                raise RecordingError(f"{name}: no frames in this part of the recording; it has {count} in all")
+                raise RecordingError(
+                    f"{name}: no frames in this part of the recording; it has {count} in all"
+                )
     if count != episode.length:
-        raise RecordingError(f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole")
+        raise RecordingError(
+            f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole"
+        )
     return found
 
 
-def _of_episode(table: Any, index: int, columns: Sequence[str]) -> tuple[dict[str, records.FloatArray], int]:
+def _of_episode(
+    table: Any, index: int, columns: Sequence[str]
+) -> tuple[dict[str, records.FloatArray], int]:
     """Columns of the rows that belong to an episode, and how many these are."""
     table = table.filter(arrow().compute.equal(table["episode_index"], index))
     return {column: _numbers(table[column], len(table)) for column in columns}, len(table)
@@ -213,8 +243,12 @@ def _columns_within(
     first: dict[str, records.FloatArray] = {}
     count = 0
     # an episode is one row group: without a buffer all of its columns would be read first
-    opened = arrow().parquet.ParquetFile(data.folder / data.episodes[index].file, buffer_size=BUFFER)
-    batches = opened.iter_batches(FRAMES, row_groups=groups, columns=[*columns, "episode_index"], use_threads=False)
+    opened = arrow().parquet.ParquetFile(
+        data.folder / data.episodes[index].file, buffer_size=BUFFER
+    )
+    batches = opened.iter_batches(
+        FRAMES, row_groups=groups, columns=[*columns, "episode_index"], use_threads=False
+    )
     for table in batches:
         read, rows = _of_episode(table, index, columns)
         if not rows:
@@ -225,7 +259,9 @@ def _columns_within(
         for column in columns:
             parts[column].append(read[column][within])
         count += rows
-    return {column: np.concatenate(found) if found else np.empty(0) for column, found in parts.items()}, count
+    return {
+        column: np.concatenate(found) if found else np.empty(0) for column, found in parts.items()
+    }, count
 
 
 def parts_of_episode(folder: str | Path, index: int, most: int) -> list[records.Span]:
@@ -245,9 +281,15 @@ def _numbers(column: Any, count: int) -> records.FloatArray:
     if not count:
         return np.empty(0)
     types = arrow().types
-    if any(is_one(whole.type) for is_one in (types.is_list, types.is_fixed_size_list, types.is_large_list)):
+    if any(
+        is_one(whole.type)
+        for is_one in (types.is_list, types.is_fixed_size_list, types.is_large_list)
+    ):
         values = whole.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
-        if len(values) % count or len(set(arrow().compute.list_value_length(whole).to_pylist())) != 1:
+        if (
+            len(values) % count
+            or len(set(arrow().compute.list_value_length(whole).to_pylist())) != 1
+        ):
             raise RecordingError("the vectors of a column are of different lengths")
         return values.reshape(count, -1)
     return whole.to_numpy(zero_copy_only=False).astype(np.float64)
@@ -287,7 +329,9 @@ def read_episode(
     called = f"{Path(folder).name}#{index}"
     read = read_columns(data, index, [columns.position, columns.effort, columns.goal, *CLOCK], span)
     if columns.position not in read:
-        raise RecordingError(f"{called}: no column {columns.position}; there are: {', '.join(data.features)}")
+        raise RecordingError(
+            f"{called}: no column {columns.position}; there are: {', '.join(data.features)}"
+        )
     states = _by_name(data, columns.position, read[columns.position], called)
     position = _ending(states, "", "pos")
     measured = _ending(states, "torque", "effort", "current")
@@ -303,12 +347,18 @@ def read_episode(
             bare = name.removeprefix(prefix)
             ours = names.get(bare, bare)
             low, high = limits.get(ours, (0.0, 1.0))
-            found[ours] = low + 0.01 * (high - low) * values if name in columns.percent else scale * values
+            found[ours] = (
+                low + 0.01 * (high - low) * values if name in columns.percent else scale * values
+            )
         return found
 
-    times_ns, joints, sent = _times(data, read), in_si(position), in_si(_ending(goals, "", "pos"))
+    times_ns = _times(data, read)
+    joints = in_si(position)
+    sent = in_si(_ending(goals, "", "pos"))
     if len(joints) != len(position):
-        raise RecordingError(f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver")
+        raise RecordingError(
+            f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
+        )
     table = np.column_stack(list(joints.values()))
     whole, notes = _usable(times_ns, table, columns, called)
     nothing = np.full(len(table), np.nan)
@@ -318,7 +368,9 @@ def read_episode(
     signals = None
     if sent:
         rows = np.column_stack(list(sent.values()))[whole]
-        signals = records.DriveSignals(times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0))
+        signals = records.DriveSignals(
+            times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0)
+        )
     return records.Recording(called, record, means.measured(record), notes, (), signals)
 
 
@@ -326,10 +378,15 @@ def _usable(
     times_ns: records.TimeArray, position: records.FloatArray, columns: Columns, called: str
 ) -> tuple[records.BoolArray, tuple[str, ...]]:
     """Which frames have a position and a time of their own, shape (T,), and a note where some have not; refuses too few."""
-    whole: records.BoolArray = np.isfinite(position).all(axis=1) & (np.diff(times_ns, prepend=times_ns[:1] - 1) > 0)
-    count, left_out = int(whole.sum()), int((~whole).sum())
+    whole: records.BoolArray = np.isfinite(position).all(axis=1) & (
+        np.diff(times_ns, prepend=times_ns[:1] - 1) > 0
+    )
+    count = int(whole.sum())
+    left_out = int((~whole).sum())
     if count < records.MIN_SAMPLES:
-        raise RecordingError(f"{called}: only {count} frames are usable, at least {records.MIN_SAMPLES} are needed")
+        raise RecordingError(
+            f"{called}: only {count} frames are usable, at least {records.MIN_SAMPLES} are needed"
+        )
     furthest = np.abs(position[whole]).max()
     if furthest > records.IMPLAUSIBLE_POSITION:
         raise RecordingError(
@@ -340,18 +397,28 @@ def _usable(
     return whole, (note,) if left_out else ()
 
 
-def _ending(by_name: Mapping[str, records.FloatArray], *endings: str) -> dict[str, records.FloatArray]:
+def _ending(
+    by_name: Mapping[str, records.FloatArray], *endings: str
+) -> dict[str, records.FloatArray]:
     """The entries whose names have one of these endings, by joint."""
     of_each = {name: "".join(_SUFFIX.findall(name)) for name in by_name}
-    return {_SUFFIX.sub("", name): column for name, column in by_name.items() if of_each[name] in endings}
+    return {
+        _SUFFIX.sub("", name): column
+        for name, column in by_name.items()
+        if of_each[name] in endings
+    }
 
 
-def _by_name(data: DataSet, column: str, values: records.FloatArray, called: str) -> dict[str, records.FloatArray]:
+def _by_name(
+    data: DataSet, column: str, values: records.FloatArray, called: str
+) -> dict[str, records.FloatArray]:
     """The entries of a vector column by their names."""
     names = data.names(column)
     table = values.reshape(len(values), -1)
     if len(names) != table.shape[1]:
-        raise RecordingError(f"{called}: {column} has {table.shape[1]} entries and meta/info.json names {len(names)} of them")
+        raise RecordingError(
+            f"{called}: {column} has {table.shape[1]} entries and meta/info.json names {len(names)} of them"
+        )
     return dict(zip(names, table.T, strict=True))
 
 
@@ -361,11 +428,17 @@ def _effort(
     """Measured effort by joint, in the data set's names."""
     if not data.names(column) and values.reshape(len(values), -1).shape[1] == len(joints):
         return dict(zip(joints, values.T, strict=True))
-    return {_SUFFIX.sub("", name): column for name, column in _by_name(data, column, values, called).items()}
+    return {
+        _SUFFIX.sub("", name): column
+        for name, column in _by_name(data, column, values, called).items()
+    }
 
 
 def _times(
-    data: DataSet, read: Mapping[str, records.FloatArray], first_s: records.FloatArray | None = None, before: int = 0
+    data: DataSet,
+    read: Mapping[str, records.FloatArray],
+    first_s: records.FloatArray | None = None,
+    before: int = 0,
 ) -> records.TimeArray:
     """Of frames, since the first [ns]; where that is not among them, by its timestamp or how many frames are before them."""
     if "timestamp" in read:
@@ -380,5 +453,7 @@ def marked(data: DataSet, index: int, column: str) -> bool:
     """Whether every frame of an episode has something other than zero in a column; refuses one that is not there."""
     read = read_columns(data, index, [column])
     if column not in read:
-        raise RecordingError(f"{data.folder}#{index}: no column {column}; there are: {', '.join(data.features)}")
+        raise RecordingError(
+            f"{data.folder}#{index}: no column {column}; there are: {', '.join(data.features)}"
+        )
     return bool(len(read[column]) and np.all(read[column] != 0.0))

@@ -15,7 +15,17 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, one_line
-from proprio_ros.inputs.forms import Choice, Field, Form, FormError, Part, Perhaps, Text, section, shortly
+from proprio_ros.inputs.forms import (
+    Choice,
+    Field,
+    Form,
+    FormError,
+    Part,
+    Perhaps,
+    Text,
+    section,
+    shortly,
+)
 from proprio_ros.inputs.reading import path_problem, yaml_file
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.recordings.datasets import POSITION_UNITS, Columns
@@ -71,7 +81,9 @@ INPUT: dict[str, Form] = {
     "topic": _Topic("required"),
     "type": Choice("required; of a JointState its effort counts", tuple(_TYPES)),
     "unit": Choice("required; of its numbers", EFFORT_UNITS),
-    "joints": _Texts("order of numbers that come without names; left out: the robot file's order", _NAME),
+    "joints": _Texts(
+        "order of numbers that come without names; left out: the robot file's order", _NAME
+    ),
 }
 """Forms of one entry of ``inputs``."""
 
@@ -84,7 +96,9 @@ def _inputs(value: Any) -> tuple[InputTopic, ...]:
 
 
 def _input(value: Any) -> InputTopic:
-    given = section(value, {key: form if key == "joints" else Field(form) for key, form in INPUT.items()})
+    given = section(
+        value, {key: form if key == "joints" else Field(form) for key, form in INPUT.items()}
+    )
     joints = given.get("joints", ())
     if len(set(joints)) != len(joints):
         raise FormError("joints: a joint is named twice")
@@ -99,7 +113,9 @@ COLUMNS: dict[str, Form] = {
         ".torque, .effort or .current count"
     ),
     "goal": Text("column of what the joints were sent to; default action"),
-    "percent": _Texts("joints, in the data set's names, whose positions are percent of their range", _NAME),
+    "percent": _Texts(
+        "joints, in the data set's names, whose positions are percent of their range", _NAME
+    ),
 }
 """Forms of the keys of ``columns``."""
 
@@ -113,7 +129,9 @@ def _columns(value: Any) -> Columns:
 
 
 FORMS: dict[str, Form] = {
-    "extends": Text("profile whose keys hold where this file has none: a name, or a file beside it", "a profile"),
+    "extends": Text(
+        "profile whose keys hold where this file has none: a name, or a file beside it", "a profile"
+    ),
     "title": Text("the driver, in a few words; required", longest=_SENTENCE),
     "states": _Topic("topic of the joint states, in any namespace; default joint_states"),
     "effort_unit": Perhaps(
@@ -121,7 +139,8 @@ FORMS: dict[str, Form] = {
         Choice(words=EFFORT_UNITS),
     ),
     "position_unit": Choice(
-        "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live", tuple(_RADIANS)
+        "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live",
+        tuple(_RADIANS),
     ),
     "inputs": Part(
         "what drives the joints: the first that a bag has, else measured effort; default none",
@@ -134,12 +153,19 @@ FORMS: dict[str, Form] = {
         "the robot's name by the driver's",
         by=_names,
     ),
-    "refused": Text("why nothing can be weighed with such recordings; they are then refused with it", longest=200),
+    "refused": Text(
+        "why nothing can be weighed with such recordings; they are then refused with it",
+        longest=200,
+    ),
     "notes": _Texts("what to know about it; `proprio check` says it", Text(longest=_SENTENCE)),
     "columns": Part(
-        "what the columns of a LeRobot data set are; without it none can be read", "keys of a data set's columns", by=_columns
+        "what the columns of a LeRobot data set are; without it none can be read",
+        "keys of a data set's columns",
+        by=_columns,
     ),
-    "recognised_by": _Texts("topics, or types of messages, of which any identifies the driver; `proprio check` names it then"),
+    "recognised_by": _Texts(
+        "topics, or types of messages, of which any identifies the driver; `proprio check` names it then"
+    ),
 }
 """Forms of the keys of a profile."""
 
@@ -155,13 +181,18 @@ class Driver:
     effort_unit: str | None = None  # what effort of its joint states is; None where it does not say
     refused: str = ""  # why nothing can be weighed with it, or an empty string
     notes: tuple[str, ...] = ()  # what to know about it, one sentence each
-    recognised_by: tuple[str, ...] = ()  # topics without a namespace, or types, of which any identifies it
+    # topics without a namespace, or types, of which any identifies it
+    recognised_by: tuple[str, ...] = ()
     extends: tuple[str, ...] = ()  # names of the profiles that it extends
     columns: Columns | None = None  # what the columns of a data set are; None where it does not say
 
     def fits(self, topics: Iterable[tuple[str, str]]) -> bool:
         """Whether any of these topics, by name and type, identifies it."""
-        return any(kind == known or name.endswith(f"/{known}") for name, kind in topics for known in self.recognised_by)
+        return any(
+            kind == known or name.endswith(f"/{known}")
+            for name, kind in topics
+            for known in self.recognised_by
+        )
 
 
 def load_driver(name_or_path: str | Path) -> Driver:
@@ -169,7 +200,9 @@ def load_driver(name_or_path: str | Path) -> Driver:
     name = str(name_or_path)
     settings, parents = _settings(name, Path(), ())
     if "title" not in settings:
-        raise ConfigurationError(f"{_called(name)}: title is missing; say in a few words which driver it is")
+        raise ConfigurationError(
+            f"{_called(name)}: title is missing; say in a few words which driver it is"
+        )
     ours = Conventions(
         driver=name,
         states=settings.get("states", "joint_states"),
@@ -208,17 +241,23 @@ def _located(name: str, folder: Path) -> Path:
         close = [each for each in names if name and each.startswith(name)]
         close = close or difflib.get_close_matches(name[:100], names, n=1)
         hint = f"did you mean {' or '.join(close)}? " if close else ""
-        raise ConfigurationError(f"{_called(name)}: unknown; {hint}choose one of {', '.join(names)}, or give a .yaml file")
+        raise ConfigurationError(
+            f"{_called(name)}: unknown; {hint}choose one of {', '.join(names)}, or give a .yaml file"
+        )
     path = folder / name
     if problem := path_problem(path) or ("" if path.is_file() else "there is no such file"):
         raise ConfigurationError(f"{_called(name)}: {problem}")
     return path
 
 
-def _settings(name: str, folder: Path, above: tuple[str, ...]) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _settings(
+    name: str, folder: Path, above: tuple[str, ...]
+) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Keys and values of a profile and of those that it extends, and the names of the latter."""
     if len(above) == DEEPEST:
-        raise ConfigurationError(f"{_called(above[0])}: extends: more than {DEEPEST} files extend each other")
+        raise ConfigurationError(
+            f"{_called(above[0])}: extends: more than {DEEPEST} files extend each other"
+        )
     path = _located(name, folder)
     content = yaml_file(path, ConfigurationError, _called(name))
     try:

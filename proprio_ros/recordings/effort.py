@@ -40,12 +40,15 @@ class Effort:
     """What effort is, as the user states it; an unknown unit is refused (`ConfigurationError`)."""
 
     unit: str | None  # one of `EFFORT_UNITS`; None: not stated
-    nominal: Mapping[str, float]  # torque constants with which efforts were made of currents, by joint [N m/A or N/A]
+    # torque constants with which efforts were made of currents, by joint [N m/A or N/A]
+    nominal: Mapping[str, float]
     per_count_A: float = CURRENT_PER_COUNT_A  # current of one raw count [A]
 
     def __post_init__(self) -> None:
         if self.unit is not None and self.unit not in EFFORT_UNITS:
-            raise ConfigurationError(f"effort unit {self.unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
+            raise ConfigurationError(
+                f"effort unit {self.unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}"
+            )
 
     def constants(self, names: Sequence[str]) -> FloatArray:
         """Nominal torque constants [N m/A or N/A], NaN where unknown, shape (J,)."""
@@ -53,13 +56,19 @@ class Effort:
         return np.array([float(value) if value > 0.0 else np.nan for value in known])
 
     def record(
-        self, times_ns: TimeArray, names: tuple[str, ...], position: FloatArray, velocity: FloatArray | None, recorded: FloatArray
+        self,
+        times_ns: TimeArray,
+        names: tuple[str, ...],
+        position: FloatArray,
+        velocity: FloatArray | None,
+        recorded: FloatArray,
     ) -> JointRecord:
         """Joint states with the effort and the measured current that the recorded effort stands for, shape (T, J) each."""
         reported = known_or_none(recorded)
         effort = current = None
         if reported is not None and self.unit == "N.m":
-            effort, current = reported, known_or_none(reported / self.constants(names))
+            effort = reported
+            current = known_or_none(reported / self.constants(names))
         elif reported is not None and self.unit is not None:
             current = reported * ampere(self.unit, self.per_count_A)
         return JointRecord(times_ns, names, position, velocity, effort, current, reported)
@@ -70,4 +79,6 @@ class Effort:
             return None
         known = np.asarray(np.isfinite(record.current).any(axis=0))
         names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
-        return InputRecord(record.times_ns, names, held(record.current[:, known]), MEASURED_EFFORT, self.unit)
+        return InputRecord(
+            record.times_ns, names, held(record.current[:, known]), MEASURED_EFFORT, self.unit
+        )

@@ -58,7 +58,10 @@ def stamp_ns(message: Any) -> int:
 
 def labels_of(message: Any) -> list[str]:
     """What names the columns of an array: a dimension each, or one dimension with the names joined by commas."""
-    return [label.strip() for label in ",".join(str(each.label) for each in message.layout.dim).split(",")]
+    return [
+        label.strip()
+        for label in ",".join(str(each.label) for each in message.layout.dim).split(",")
+    ]
 
 
 class RawMessage(NamedTuple):

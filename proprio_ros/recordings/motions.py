@@ -15,7 +15,8 @@ MOVED_RAD = 0.05
 SHORTEST_S = 3.0  # a shorter motion says nothing about how well it is explained [s]
 SLOWEST_HZ = 20.0  # below this rate a motion of half a second has no shape
 WRAPPED_RAD = 3.0  # no arm turns that far between two samples
-LARGEST_STEP_RAD = 1.0  # angles whose steps are smaller than this once they are unwrapped did wrap around
+# angles whose steps are smaller than this once they are unwrapped did wrap around
+LARGEST_STEP_RAD = 1.0
 LONGEST_GAP_S = 0.1  # across a longer gap nobody knows how the arm moved [s]
 
 
@@ -39,11 +40,17 @@ class Motion:
     def moved(self) -> tuple[str, ...]:
         """The joints that did not stand still."""
         spans = np.ptp(self.position, axis=0)
-        return tuple(name for name, span in zip(self.joints, spans, strict=True) if span > MOVED_RAD)
+        return tuple(
+            name for name, span in zip(self.joints, spans, strict=True) if span > MOVED_RAD
+        )
 
 
 def motion_of(
-    recording: Recording, *, joints: Sequence[str], held: Mapping[str, float] | None = None, standing: bool = False
+    recording: Recording,
+    *,
+    joints: Sequence[str],
+    held: Mapping[str, float] | None = None,
+    standing: bool = False,
 ) -> Motion:
     """The whole recording as one motion, with measured currents where there are any: a command is reached late, and not quite.
 
@@ -54,7 +61,8 @@ def motion_of(
         RecordingError: A joint, its current or enough samples are missing.
         TooLittleMotion: Nothing moves.
     """
-    record, name = recording.joints, recording.name
+    record = recording.joints
+    name = recording.name
     missing = [joint for joint in joints if joint not in record.names]
     if missing:
         raise RecordingError(
@@ -65,7 +73,9 @@ def motion_of(
     times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)[known]
     _check_times(times_s, name)
     recorded = record.position[known]
-    position = _unwrapped(recorded[:, [record.column(joint) for joint in joints]], joints, name, notes)
+    position = _unwrapped(
+        recorded[:, [record.column(joint) for joint in joints]], joints, name, notes
+    )
     others = [joint for joint in record.names if joint not in joints]
     motion = Motion(
         name=name,
@@ -73,7 +83,8 @@ def motion_of(
         times_s=times_s - times_s[0],
         position=position,
         current_A=current,
-        held={joint: float(record.position[:, record.column(joint)].mean()) for joint in others} | dict(held or {}),
+        held={joint: float(record.position[:, record.column(joint)].mean()) for joint in others}
+        | dict(held or {}),
         source=source,
         notes=(*notes, *_repeats_command(recording, joints, source)),
         begin_ns=int(record.times_ns[0]),
@@ -84,44 +95,70 @@ def motion_of(
     return motion
 
 
-def _current(recording: Recording, joints: Sequence[str], notes: list[str]) -> tuple[FloatArray, BoolArray | slice, str]:
+def _current(
+    recording: Recording, joints: Sequence[str], notes: list[str]
+) -> tuple[FloatArray, BoolArray | slice, str]:
     """Currents of the motors [A], shape (T, J); at which joint states they are known, T of them; and where they come from."""
-    record, inputs, name = recording.joints, recording.inputs, recording.name
-    measured = None if record.current is None else record.current[:, [record.column(joint) for joint in joints]]
+    record = recording.joints
+    inputs = recording.inputs
+    name = recording.name
+    measured = (
+        None
+        if record.current is None
+        else record.current[:, [record.column(joint) for joint in joints]]
+    )
     if measured is not None and np.isfinite(measured).any(axis=0).all():
         complete = np.asarray(np.isfinite(measured).all(axis=1))
         if not complete.all():
-            notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
+            notes.append(
+                f"{name}: {int((~complete).sum())} samples without a measured current were left out"
+            )
         source = inputs.source if inputs is not None and inputs.computed else "measured current"
         return measured[complete], complete, source
     if inputs is None:
-        raise RecordingError(f"{name}: the recording holds no current; state the unit of its effort with --effort-unit")
+        raise RecordingError(
+            f"{name}: the recording holds no current; state the unit of its effort with --effort-unit"
+        )
     absent = [joint for joint in joints if joint not in inputs.names]
     if absent:
-        raise RecordingError(f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}")
+        raise RecordingError(
+            f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
+        )
     row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
     notes.append(
         f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
         "and what flows differ by some percent (state --effort-unit if the effort is a measured one)"
     )
-    return inputs.current_A[row][:, [inputs.column(joint) for joint in joints]], slice(None), inputs.source
+    return (
+        inputs.current_A[row][:, [inputs.column(joint) for joint in joints]],
+        slice(None),
+        inputs.source,
+    )
 
 
 def _check_times(times_s: FloatArray, name: str) -> None:
     """Raises: RecordingError: The samples are too few, too seldom, or lie too far apart."""
     lasted = 0.0 if len(times_s) < 2 else times_s[-1] - times_s[0]
     if lasted < SHORTEST_S:
-        raise RecordingError(f"{name}: the motion lasts {lasted:.1f} s; record at least {SHORTEST_S:g} s, better 15")
+        raise RecordingError(
+            f"{name}: the motion lasts {lasted:.1f} s; record at least {SHORTEST_S:g} s, better 15"
+        )
     intervals = np.diff(times_s)
     rate_hz = 1.0 / float(np.median(intervals))
     if rate_hz < SLOWEST_HZ:
-        raise RecordingError(f"{name}: joint states come at {rate_hz:.2g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least")
+        raise RecordingError(
+            f"{name}: joint states come at {rate_hz:.2g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
+        )
     lost_s = float(intervals[intervals > LONGEST_GAP_S].sum())
     if lost_s > 0.5 * times_s[-1]:
-        raise RecordingError(f"{name}: {lost_s:.0f} of {lasted:.0f} s lie in gaps between joint states")
+        raise RecordingError(
+            f"{name}: {lost_s:.0f} of {lasted:.0f} s lie in gaps between joint states"
+        )
 
 
-def _unwrapped(position: FloatArray, joints: Sequence[str], name: str, notes: list[str]) -> FloatArray:
+def _unwrapped(
+    position: FloatArray, joints: Sequence[str], name: str, notes: list[str]
+) -> FloatArray:
     """The same without jumps by full turns [rad], shape (T, J); a joint that jumps otherwise is refused."""
     turned = np.unwrap(position, axis=0)
     wrapped = np.abs(turned - position).max(axis=0) > 1.0
@@ -140,7 +177,8 @@ def _unwrapped(position: FloatArray, joints: Sequence[str], name: str, notes: li
 
 def _repeats_command(recording: Recording, joints: Sequence[str], source: str) -> tuple[str, ...]:
     """A note on joints whose measured current is the command, as simulators and some drivers publish it."""
-    record, inputs = recording.joints, recording.inputs
+    record = recording.joints
+    inputs = recording.inputs
     if source != "measured current" or inputs is None or inputs.measured or record.current is None:
         return ()
     row = np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1

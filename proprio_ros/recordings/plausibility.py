@@ -53,7 +53,8 @@ class EffortUnit:
     """How the effort would compare with the torque that gravity needs if it were in some unit."""
 
     unit: str  # as for ``--effort-unit``
-    ratio: Mapping[str, float]  # effort in N m over that torque by joint; 1 where all is as the URDF says
+    # effort in N m over that torque by joint; 1 where all is as the URDF says
+    ratio: Mapping[str, float]
     plausible: bool  # whether their median is within `PLAUSIBLE`
     as_json = asdict
 
@@ -62,7 +63,9 @@ def moving(record: JointRecord, slides: Sequence[str] = ()) -> tuple[str, ...]:
     """The joints that do not stand still."""
     spans = np.ptp(record.position, axis=0)
     least = [MOVED_M if name in slides else MOVED_RAD for name in record.names]
-    return tuple(name for name, span, limit in zip(record.names, spans, least, strict=True) if span > limit)
+    return tuple(
+        name for name, span, limit in zip(record.names, spans, least, strict=True) if span > limit
+    )
 
 
 def findings(recording: Recording, slides: Sequence[str] = ()) -> tuple[Finding, ...]:
@@ -94,11 +97,17 @@ def _still_columns(record: JointRecord, moved: Sequence[str]) -> Iterator[Findin
         constant = {
             name: float(column[np.isfinite(column)][0])
             for name, column in zip(record.names, values.T, strict=True)
-            if name in moved and np.isfinite(column).any() and np.ptp(column[np.isfinite(column)]) == 0.0
+            if name in moved
+            and np.isfinite(column).any()
+            and np.ptp(column[np.isfinite(column)]) == 0.0
         }
         if constant:
             word = quantity.removeprefix("reported_")
-            same = f"{next(iter(constant.values())):g}" if len(set(constant.values())) == 1 else "the same"
+            same = (
+                f"{next(iter(constant.values())):g}"
+                if len(set(constant.values())) == 1
+                else "the same"
+            )
             sentence = f"the {word} of {some(constant)} is {same} in every message although it moves: it is no reading"
             yield Finding(f"constant_{word}", sentence, tuple(constant), constant)
 
@@ -108,13 +117,16 @@ def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
     period_s = float(np.median(np.diff(times_s)))
     cuts = [0, *(np.flatnonzero(np.diff(times_s) > max(0.1, 5.0 * period_s)) + 1), len(times_s)]
     start, end = max(itertools.pairwise(cuts), key=lambda part: part[1] - part[0])
-    own, inside = times_s[start:end], values[start:end].reshape(end - start, -1)
+    own = times_s[start:end]
+    inside = values[start:end].reshape(end - start, -1)
     even = np.arange(own[0], own[-1] + 0.5 * period_s, period_s)
     columns = np.column_stack([np.interp(even, own, column) for column in inside.T])
     return even, columns.reshape(len(even), *values.shape[1:])
 
 
-def velocity_lag_s(times_s: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[float, float] | None:
+def velocity_lag_s(
+    times_s: FloatArray, position: FloatArray, velocity: FloatArray
+) -> tuple[float, float] | None:
     """How far a recorded velocity is behind the derivative of its position, and how many times as large it is; all of shape (T,).
 
     Returns: Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
@@ -147,7 +159,9 @@ def velocity_lag_s(times_s: FloatArray, position: FloatArray, velocity: FloatArr
         bend = below - 2.0 * at + above
         shift = 0.5 * (below - above) / bend if bend < 0.0 else 0.0
     early = derivative[inner.start - lags[best] : inner.stop - lags[best]]
-    return float((lags[best] + shift) * period_s), float((early @ reported[inner]) / (early @ early))
+    return float((lags[best] + shift) * period_s), float(
+        (early @ reported[inner]) / (early @ early)
+    )
 
 
 def _times_s(record: JointRecord) -> FloatArray:
@@ -157,13 +171,17 @@ def _times_s(record: JointRecord) -> FloatArray:
 def _velocity(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     if record.velocity is None:
         return
-    times_s, lags, ratios = _times_s(record), {}, {}
+    times_s = _times_s(record)
+    lags = {}
+    ratios = {}
     for name in moved:
         column = record.column(name)
         known = np.isfinite(record.velocity[:, column])
         if known.sum() < 50 or np.ptp(record.velocity[known, column]) == 0.0:
             continue
-        seen = velocity_lag_s(times_s[known], record.position[known, column], record.velocity[known, column])
+        seen = velocity_lag_s(
+            times_s[known], record.position[known, column], record.velocity[known, column]
+        )
         if seen is not None:
             lags[name], ratios[name] = seen
     period_s = float(np.median(np.diff(times_s)))
@@ -183,7 +201,8 @@ def _velocity(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
 
 def _span(values: Mapping[str, float], spec: str) -> str:
     """Smallest and largest, or the one where they print alike."""
-    least, most = format(min(values.values()), spec), format(max(values.values()), spec)
+    least = format(min(values.values()), spec)
+    most = format(max(values.values()), spec)
     return least if least == most else f"{least} to {most}"
 
 
@@ -191,14 +210,23 @@ def _registers(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     """Efforts that a driver took for unsigned: a register of 16 bits below zero, or a magnitude without its sign."""
     if record.reported_effort is None:
         return
-    wrapped, unsigned, highest = {}, [], 0.0
-    for name, effort, position in zip(record.names, record.reported_effort.T, record.position.T, strict=True):
+    wrapped = {}
+    unsigned = []
+    highest = 0.0
+    for name, effort, position in zip(
+        record.names, record.reported_effort.T, record.position.T, strict=True
+    ):
         known = effort[np.isfinite(effort)]
         if not len(known) or known.min() < 0.0 or np.ptp(known) == 0.0:
             continue
         whole = bool(np.all(known == np.round(known)))
         high = known[known > 32767.0]
-        if whole and len(high) and known.max() < 65536.0 and np.all((known < 20000.0) | (known > 45000.0)):
+        if (
+            whole
+            and len(high)
+            and known.max() < 65536.0
+            and np.all((known < 20000.0) | (known > 45000.0))
+        ):
             wrapped[name] = float(high.min())
             highest = max(highest, float(known.max()))
         elif name in moved:
@@ -227,16 +255,19 @@ def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     """Efforts that are read more seldom than they are published."""
     if record.reported_effort is None:
         return
-    times_s, slow = _times_s(record), {}
+    times_s = _times_s(record)
+    slow = {}
     for name in moved:
         column = record.column(name)
-        effort, position = record.reported_effort[:, column], record.position[:, column]
+        effort = record.reported_effort[:, column]
+        position = record.position[:, column]
         if not np.isfinite(effort).all() or np.ptp(effort) == 0.0:
             continue
         starts = np.flatnonzero(np.concatenate([[True], np.diff(effort) != 0.0]))
         ends = np.append(starts[1:], len(effort))
         # zero is a motor that is off; a controller at its limit repeats that, among many other values
-        least, most = effort.min(), effort.max()
+        least = effort.min()
+        most = effort.max()
         many = len(np.unique(effort)) > 20
         seen = [
             (end - start, len(np.unique(position[start:end])))
@@ -260,7 +291,8 @@ def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
 
 def _command_as_effort(recording: Recording) -> Iterator[Finding]:
     """An effort that is the command again, up to a factor and a delay of a cycle, says nothing of what flowed."""
-    record, inputs = recording.joints, recording.inputs
+    record = recording.joints
+    inputs = recording.inputs
     if inputs is None or inputs.measured or record.reported_effort is None:
         return
     row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
@@ -268,7 +300,8 @@ def _command_as_effort(recording: Recording) -> Iterator[Finding]:
     for name in record.names:
         if name not in inputs.names:
             continue
-        effort, command = record.reported_effort[:, record.column(name)], inputs.current_A[:, inputs.column(name)]
+        effort = record.reported_effort[:, record.column(name)]
+        command = inputs.current_A[:, inputs.column(name)]
         if not np.isfinite(effort).all() or np.ptp(command) == 0.0 or len(np.unique(command)) < 10:
             continue
         for given in (command[row], command[np.clip(row - 1, 0, None)]):
@@ -305,7 +338,11 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     # what is behind a joint that was not recorded would be somewhere else
     if record.reported_effort is None or not turning or not set(turning) <= set(record.names):
         return {}
-    held = {name: float(record.position[:, record.column(name)].mean()) for name in slides if name in record.names}
+    held = {
+        name: float(record.position[:, record.column(name)].mean())
+        for name in slides
+        if name in record.names
+    }
     model = robot.model.lock(turning, {**dict.fromkeys(slides, 0.0), **held}, robot.gravity)
     columns = [record.column(name) for name in model.joint_names]
     values = np.stack([record.position[:, columns], record.reported_effort[:, columns]], axis=2)
@@ -319,7 +356,8 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     if count < 20:
         return {}
     binned = even[: count * width].reshape(count, width, len(columns), 2).mean(axis=1)
-    position, effort = binned[:, :, 0], binned[:, :, 1]
+    position = binned[:, :, 0]
+    effort = binned[:, :, 1]
     step_s = width * period_s
     velocity = np.gradient(position, step_s, axis=0)
     acceleration = np.gradient(velocity, step_s, axis=0)
@@ -327,10 +365,14 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     found = {}
     moved = moving(record)
     for column, name in enumerate(model.joint_names):
-        load, speed, seen = torque[:, column], velocity[:, column], effort[:, column]
+        load = torque[:, column]
+        speed = velocity[:, column]
+        seen = effort[:, column]
         if name not in moved or np.ptp(seen) == 0.0:
             continue
-        matrix = np.column_stack([load, np.tanh(speed / 0.02), speed, acceleration[:, column], np.ones(count)])
+        matrix = np.column_stack(
+            [load, np.tanh(speed / 0.02), speed, acceleration[:, column], np.ones(count)]
+        )
         size = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
         matrix /= size
         solution, _, rank, _ = np.linalg.lstsq(matrix, seen, rcond=1e-8)
@@ -344,14 +386,19 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     return found
 
 
-def effort_units(per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float) -> tuple[EffortUnit, ...]:
+def effort_units(
+    per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float
+) -> tuple[EffortUnit, ...]:
     """How plausible each unit is that effort may be in, by `effort_per_torque`, torque constants [N m/A] and current per count."""
     result = []
     for unit in EFFORT_UNITS:
         ratio = dict(per_torque)
         if unit != "N.m":
             of_one_A = {name: value for name, value in per_torque.items() if name in constants}
-            ratio = {name: value * (ampere(unit, per_count_A) * constants[name]) for name, value in of_one_A.items()}
+            ratio = {
+                name: value * (ampere(unit, per_count_A) * constants[name])
+                for name, value in of_one_A.items()
+            }
         if ratio:
             middle = float(np.median(list(ratio.values())))
             result.append(EffortUnit(unit, ratio, PLAUSIBLE[0] <= middle <= PLAUSIBLE[1]))

@@ -21,13 +21,19 @@ PROBE_FRAMES = 36
 
 def published_robot(robot: Robot, text: TextRecording) -> Robot:
     """The robot with what the recording's own setting states: armature, and the torque that the current stands for."""
-    stated, drive = {}, robot.drive_trains.get(text.joint)
+    stated = {}
+    drive = robot.drive_trains.get(text.joint)
     if drive is not None:
         nominal = abs(float(text.setting["torque_N_m"]) / _current(text))
         stated["torque_constant_N_m_per_A"] = {"value": nominal, "std": drive.torque_constant.std}
         if "armature_kg_m2" in text.setting:
-            stated["armature_kg_m2"] = {"value": float(text.setting["armature_kg_m2"]), "std": drive.armature.std}
-    robot = robot.with_overrides({f"joints.{text.joint}.drive_train.{key}": entry for key, entry in stated.items()})
+            stated["armature_kg_m2"] = {
+                "value": float(text.setting["armature_kg_m2"]),
+                "std": drive.armature.std,
+            }
+    robot = robot.with_overrides(
+        {f"joints.{text.joint}.drive_train.{key}": entry for key, entry in stated.items()}
+    )
     if "gravity_m_s2" in text.setting:
         robot = replace(robot, gravity=np.array([0.0, 0.0, -float(text.setting["gravity_m_s2"])]))
     return robot
@@ -37,7 +43,11 @@ def published_run(robot: Robot, text: TextRecording, held: Mapping[str, float]) 
     """The run, in the pose that its setting states; ``held`` overrules that."""
     pose = {name: float(value) for name, value in text.setting["start_pose_rad"].items()}
     start = pose.pop(text.joint)
-    gripper = {name: 0.0 for name in robot.model.independent_joints if name != text.joint and name not in pose}
+    gripper = {
+        name: 0.0
+        for name in robot.model.independent_joints
+        if name != text.joint and name not in pose
+    }
     others = {**gripper, **pose, **held}
     used = text.times_s <= PROBE_FRAMES * FRAME_S + 1e-6
     return Run(
@@ -56,7 +66,10 @@ def published_run(robot: Robot, text: TextRecording, held: Mapping[str, float]) 
         source="the torque in setting.json",
         notes=(
             *(f"{name} is not in the recording and was taken as 0" for name in gripper),
-            *([f"{(~used).sum()} samples after the probe of {PROBE_FRAMES} frames were left out"] * (not used.all())),
+            *(
+                [f"{(~used).sum()} samples after the probe of {PROBE_FRAMES} frames were left out"]
+                * (not used.all())
+            ),
         ),
     )
 

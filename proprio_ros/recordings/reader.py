@@ -35,7 +35,8 @@ else:
 MOST_MESSAGES = 1_000_000  # messages of one topic of a bag: nearly three hours at 100 Hz
 MOST_BYTES = 500_000_000  # bytes of the messages of one topic, together
 MOST_BYTES_OF_ONE = 200_000  # bytes of one message: that of a thousand joints
-MOST_UNPACKED = 2_000_000_000  # bytes of a compressed bag's files, or of one chunk of it, once they are unpacked
+# bytes of a compressed bag's files, or of one chunk of it, once they are unpacked
+MOST_UNPACKED = 2_000_000_000
 _TOGETHER = 8192  # messages that are decoded at once
 
 
@@ -78,10 +79,17 @@ class Bag:
         self.path = path
         self.notes: list[str] = []
         self._readers = readers
-        self._between: tuple[int | None, int | None] = None, None  # recorder's times that are read [ns]
+        # recorder's times that are read [ns]
+        self._between: tuple[int | None, int | None] = None, None
         if len(files) > 1:
-            self.notes.append(f"There is no metadata.yaml; {len(files)} storage files were read as one bag.")
-        for log in sorted(path.glob("*.db3-wal")) if path.is_dir() else [path.with_name(f"{path.name}-wal")]:
+            self.notes.append(
+                f"There is no metadata.yaml; {len(files)} storage files were read as one bag."
+            )
+        for log in (
+            sorted(path.glob("*.db3-wal"))
+            if path.is_dir()
+            else [path.with_name(f"{path.name}-wal")]
+        ):
             if log.exists() and log.stat().st_size:
                 self.notes.append(
                     f"{log.name} may hold messages that were not read; merge it with"
@@ -92,25 +100,38 @@ class Bag:
             for connection in reader.connections:
                 key = (connection.topic, connection.msgtype)
                 counts[key] = counts.get(key, 0) + connection.msgcount
-        self.topics = Topics(path, tuple(Topic(*key, count) for key, count in sorted(counts.items())))
+        self.topics = Topics(
+            path, tuple(Topic(*key, count) for key, count in sorted(counts.items()))
+        )
 
     def cut(self, states: Topic, span: Span | None) -> None:
         """Read only a part from now on, of every topic. Raises `RecordingError`: The part is behind the last joint state."""
         if span is None:
             return
         files = self._wanted(states)
-        first_ns = min(ns for reader, wanted in files for _, ns, _ in islice(reader.messages(connections=wanted), 1))
-        self._between = first_ns + span[0] if span[0] else None, None if span[1] is None else first_ns + span[1]
+        first_ns = min(
+            ns
+            for reader, wanted in files
+            for _, ns, _ in islice(reader.messages(connections=wanted), 1)
+        )
+        self._between = (
+            first_ns + span[0] if span[0] else None,
+            None if span[1] is None else first_ns + span[1],
+        )
         if next(self._read(states), None) is None:
             until = "its end" if span[1] is None else f"{1e-9 * span[1]:g} s"
-            raise RecordingError(f"{self.path}: no joint states between {1e-9 * span[0]:g} s and {until}")
+            raise RecordingError(
+                f"{self.path}: no joint states between {1e-9 * span[0]:g} s and {until}"
+            )
 
     def parts(self, states: Topic, most: int) -> list[Span]:
         """Where to cut so that no part has more than so many joint states, and all about as many; one part where none has more."""
         count = -(-states.size // most)
         if count < 2:
             return [(0, None)]
-        size, begins, last_ns = -(-states.size // count), list[int](), 0
+        size = -(-states.size // count)
+        begins = list[int]()
+        last_ns = 0
         try:
             for number, message in enumerate(_in_order(self._read(states))):
                 last_ns = message[0]
@@ -118,13 +139,16 @@ class Bag:
                     begins.append(last_ns)
         except _OutOfOrder:  # files of one bag that overlap
             times = sorted(time_ns for time_ns, _ in self._read(states))
-            begins, last_ns = times[::size], times[-1]
+            begins = times[::size]
+            last_ns = times[-1]
         ends = sorted({begin_ns - begins[0] for begin_ns in begins})
         return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
 
     def messages(self, topic: Topic, most: int | None = None) -> list[tuple[int, Any]]:
         """Recorder's time [ns] and message, of at most so many bytes each, in the order of time (see `_limited`)."""
-        return [(time_ns, deserialised(raw, topic.msgtype)) for time_ns, raw in self._raw(topic, most)]
+        return [
+            (time_ns, deserialised(raw, topic.msgtype)) for time_ns, raw in self._raw(topic, most)
+        ]
 
     def rows(self, topic: Topic) -> list[Rows]:
         """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together."""
@@ -133,17 +157,25 @@ class Bag:
         except _OutOfOrder:  # files of one bag that overlap
             found = list(_in_rows(self._raw(topic), topic.msgtype))
         if not found:
-            raise RecordingError(f"{self.path}: {topic.name} holds no messages in this part of the recording")
+            raise RecordingError(
+                f"{self.path}: {topic.name} holds no messages in this part of the recording"
+            )
         return found
 
     def _wanted(self, topic: Topic) -> Iterator[tuple[Reader, list[Connection]]]:
         """The files that have a topic, with its connections."""
         for reader in self._readers:
-            wanted = [c for c in reader.connections if (c.topic, c.msgtype) == (topic.name, topic.msgtype)]
+            wanted = [
+                c for c in reader.connections if (c.topic, c.msgtype) == (topic.name, topic.msgtype)
+            ]
             if not wanted:
                 continue  # rosbags reads every topic when it is given none
             for each in wanted:
-                encoding = each.ext.serialization_format if isinstance(each.ext, ConnectionExtRosbag2) else "ros1"
+                encoding = (
+                    each.ext.serialization_format
+                    if isinstance(each.ext, ConnectionExtRosbag2)
+                    else "ros1"
+                )
                 if encoding != "cdr":
                     raise RecordingError(
                         f"{self.path}: topic {each.topic} is serialised as {encoding!r}; only 'cdr' can be read: record it with a"
@@ -155,12 +187,16 @@ class Bag:
         """Recorder's time [ns] and message as it was recorded, file by file."""
         start_ns, stop_ns = self._between
         for reader, wanted in self._wanted(topic):
-            for _, time_ns, raw in reader.messages(connections=wanted, start=start_ns, stop=stop_ns):
+            for _, time_ns, raw in reader.messages(
+                connections=wanted, start=start_ns, stop=stop_ns
+            ):
                 yield time_ns, bytes(raw)
 
     def _limited(self, topic: Topic, most: int | None = None) -> Iterator[tuple[int, bytes]]:
         """The same, of at most so many bytes each; refuses more than is read, and none, unless the bag was cut."""
-        most, size, count = most or MOST_BYTES_OF_ONE, 0, 0
+        most = most or MOST_BYTES_OF_ONE
+        size = 0
+        count = 0
         for time_ns, raw in self._read(topic):
             size += len(raw)
             if len(raw) > most or size > MOST_BYTES or count == MOST_MESSAGES:
@@ -174,9 +210,13 @@ class Bag:
         if self._between != (None, None):
             return
         if not count:
-            raise RecordingError(f"{self.path}: {topic.name} should hold {topic.size} messages but holds none")
+            raise RecordingError(
+                f"{self.path}: {topic.name} should hold {topic.size} messages but holds none"
+            )
         if count < topic.size:
-            self.notes.append(f"{topic.name}: the bag promises {topic.size} messages but holds {count}.")
+            self.notes.append(
+                f"{topic.name}: the bag promises {topic.size} messages but holds {count}."
+            )
 
     def _raw(self, topic: Topic, most: int | None = None) -> list[tuple[int, bytes]]:
         """All of them in the order of time."""
@@ -208,7 +248,8 @@ class Rows(NamedTuple):
 
 def _in_rows(messages: Iterable[tuple[int, bytes]], msgtype: str) -> Iterator[Rows]:
     """Numbers of messages in the order of time; no more than `_TOGETHER` messages are held as they were recorded."""
-    coming, waiting = iter(messages), list[tuple[int, bytes]]()
+    coming = iter(messages)
+    waiting = list[tuple[int, bytes]]()
     while True:
         waiting += islice(coming, _TOGETHER - len(waiting))
         if not waiting:
@@ -217,7 +258,9 @@ def _in_rows(messages: Iterable[tuple[int, bytes]], msgtype: str) -> Iterator[Ro
         names = ("position", "velocity", "effort") if hasattr(first, "header") else ("data",)
         numbers = {name: getattr(first, name) for name in names}
         layout = _layout(waiting[0][1], first, numbers)
-        count, stamps, values = 1, None, {key: np.asarray(data, np.float64)[None] for key, data in numbers.items()}
+        count = 1
+        stamps = None
+        values = {key: np.asarray(data, np.float64)[None] for key, data in numbers.items()}
         if layout is not None:
             count, stamps, values = layout.read([raw for _, raw in waiting])
         elif hasattr(first, "header"):
@@ -251,10 +294,14 @@ class _Layout(NamedTuple):
 
         stamps = None
         if self.stamp is not None:
-            seconds, nanoseconds = column(self.stamp, 4, "<i4"), column(self.stamp + 4, 4, "<u4")
+            seconds = column(self.stamp, 4, "<i4")
+            nanoseconds = column(self.stamp + 4, 4, "<u4")
             stamps = (seconds.astype(np.int64) * 1_000_000_000 + nanoseconds)[:, 0]
         numbers = self.numbers.items()
-        values = {name: column(*where).astype(np.float64).reshape(len(table), -1) for name, where in numbers}
+        values = {
+            name: column(*where).astype(np.float64).reshape(len(table), -1)
+            for name, where in numbers
+        }
         return len(table), stamps, values
 
 
@@ -297,7 +344,10 @@ def _layout(raw: bytes, message: Any, numbers: Mapping[str, Any]) -> _Layout | N
     if at > len(raw):
         return None
     _, stamps, found = layout.read([raw])
-    fits = all(np.array_equal(found[key][0], np.asarray(values), equal_nan=True) for key, values in numbers.items())
+    fits = all(
+        np.array_equal(found[key][0], np.asarray(values), equal_nan=True)
+        for key, values in numbers.items()
+    )
     return layout if fits and (stamps is None or int(stamps[0]) == stamp_ns(message)) else None
 
 
@@ -310,7 +360,9 @@ def _files(path: Path) -> list[Path]:
         raise RecordingError(f"{path}: no such bag; give a bag folder, or a .mcap or .db3 file")
     if path.is_file():
         if path.suffix == ".bag":
-            raise RecordingError(f"{path}: a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag")
+            raise RecordingError(
+                f"{path}: a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag"
+            )
         if path.suffix not in (".mcap", ".db3"):
             raise RecordingError(f"{path}: not a bag; give a bag folder, or a .mcap or .db3 file")
         return [path]
@@ -321,10 +373,16 @@ def _files(path: Path) -> list[Path]:
         if files:
             return files
     inner = sorted(metadata.parent.name for metadata in path.glob("*/metadata.yaml"))
-    hint = f"; did you mean one of the bags in it: {some(inner, 8)}?" if inner else "; give a bag folder or file"
+    hint = (
+        f"; did you mean one of the bags in it: {some(inner, 8)}?"
+        if inner
+        else "; give a bag folder or file"
+    )
     if (path / "meta" / "info.json").is_file():
         hint = f"; a LeRobot data set? Name an episode, '{one_line(path.name, 60)}#0', or ask all with `proprio batch`"
-    raise RecordingError(f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}")
+    raise RecordingError(
+        f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}"
+    )
 
 
 def _check_unpacked(path: Path) -> None:
@@ -339,7 +397,9 @@ def _check_unpacked(path: Path) -> None:
             while size <= MOST_UNPACKED and (data := stream.read(1 << 20)):
                 size += len(data)
         if size > MOST_UNPACKED:
-            raise RecordingError(f"{file}: unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read")
+            raise RecordingError(
+                f"{file}: unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read"
+            )
 
 
 def _unpacked(kind: Any, data: bytes, size: int = MOST_BYTES_OF_ONE) -> bytes:
@@ -363,5 +423,7 @@ class _Yaml(YAML):
 
 
 # a kilobyte of zstd or YAML can stand for gigabytes, and rosbags has no option that limits what it unpacks
-storage_mcap.DECOMPRESSORS.update(zstd=partial(_unpacked, zstd.ZstdDecompressor), lz4=partial(_unpacked, LZ4FrameDecompressor))
+storage_mcap.DECOMPRESSORS.update(
+    zstd=partial(_unpacked, zstd.ZstdDecompressor), lz4=partial(_unpacked, LZ4FrameDecompressor)
+)
 rosbag2_reader.zstd, rosbag2_reader.YAML, metadata.YAML = _Zstd, _Yaml, _Yaml

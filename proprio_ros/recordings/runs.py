@@ -33,7 +33,8 @@ SETTLING_S = 0.3  # after a run ends the joint is braked; what it does meanwhile
 BEFORE_S = 1.0  # rest before the onset that a run carries along [s]
 AFTER_S = 0.3
 """Of what the joint does after its run, so much is carried along: it shows when the current truly ended [s]."""
-MOVING_SPAN = 0.02  # a joint that a position controller holds gives way by less than this [rad or m]
+# a joint that a position controller holds gives way by less than this [rad or m]
+MOVING_SPAN = 0.02
 REPEATED_SHARE = 0.2
 """Of the joint states in a run may repeat the one before while the joint moves, before it is taken for a publisher's doing."""
 STEADY_SHARE, STEADY_WITHIN = 0.8, 0.25
@@ -73,7 +74,9 @@ class _Interval(NamedTuple):
     notes: tuple[str, ...]
 
 
-def cut_runs(recording: Recording, *, held: Mapping[str, float] | None = None, joints: Sequence[str]) -> tuple[Run, ...]:
+def cut_runs(
+    recording: Recording, *, held: Mapping[str, float] | None = None, joints: Sequence[str]
+) -> tuple[Run, ...]:
     """Cut the runs out of a recording, in the order in which they happened, of joints that have a motor.
 
     A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods (at most 0.3
@@ -96,10 +99,13 @@ def cut_runs(recording: Recording, *, held: Mapping[str, float] | None = None, j
         )
     record = recording.joints
     intervals = _intervals(recording.name, record, inputs, tuple(joints))
-    runs, too_short = [], []
+    runs = []
+    too_short = []
     before = [None, *(interval.end_ns for interval in intervals)]
     after = [*(interval.onset_ns for interval in intervals[1:]), None]
-    for number, (interval, end_ns, next_ns) in enumerate(zip(intervals, before, after, strict=False), start=1):
+    for number, (interval, end_ns, next_ns) in enumerate(
+        zip(intervals, before, after, strict=False), start=1
+    ):
         name = recording.name if len(intervals) == 1 else f"{recording.name}#{number}"
         try:
             runs.append(_run(name, record, inputs, interval, end_ns, next_ns, dict(held or {})))
@@ -112,7 +118,9 @@ def _without(left_out: Sequence[str], runs: Sequence[Run]) -> tuple[Run, ...]:
     """An excitation that was broken off at once says nothing, and must not cost the others; raises where there are none."""
     if not runs:
         raise RecordingError(left_out[0])
-    return tuple(replace(run, notes=(*run.notes, *(f"left out: {why}" for why in left_out))) for run in runs)
+    return tuple(
+        replace(run, notes=(*run.notes, *(f"left out: {why}" for why in left_out))) for run in runs
+    )
 
 
 def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
@@ -120,22 +128,33 @@ def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
     record = recording.joints
     if inputs.measured:
         return False
-    off_ns = [(begin - int(LET_GO_S * 1e9), end + int(CAUGHT_S * 1e9)) for begin, end in recording.torque_off_ns]
+    off_ns = [
+        (begin - int(LET_GO_S * 1e9), end + int(CAUGHT_S * 1e9))
+        for begin, end in recording.torque_off_ns
+    ]
     for column, joint in enumerate(inputs.names):
         active = np.abs(inputs.current_A[:, column]) > ZERO_CURRENT_A
         if joint not in record.names or not active.any():
             continue
         for interval in _intervals_of_joint(record, inputs, joint, active):
-            begins = [begin for begin, end in off_ns if begin < interval.end_ns and end > interval.onset_ns]
+            begins = [
+                begin
+                for begin, end in off_ns
+                if begin < interval.end_ns and end > interval.onset_ns
+            ]
             end_ns = min([interval.end_ns, *begins])
             if _span(record, joint, interval._replace(end_ns=end_ns)) > MOVING_SPAN:
                 return True
     return False
 
 
-def _free_responses(recording: Recording, held: dict[str, float], joints: tuple[str, ...]) -> tuple[Run, ...]:
+def _free_responses(
+    recording: Recording, held: dict[str, float], joints: tuple[str, ...]
+) -> tuple[Run, ...]:
     """A free response for each stretch without torque in which one joint falls."""
-    record, problems, runs = recording.joints, [], []
+    record = recording.joints
+    problems = []
+    runs = []
     columns = [record.column(joint) for joint in joints if joint in record.names]
     if not columns:
         raise RecordingError(
@@ -151,12 +170,16 @@ def _free_responses(recording: Recording, held: dict[str, float], joints: tuple[
         inside &= record.times_ns <= off_ns + int(LONGEST_SWING_S * 1e9)
         count = int(inside.sum())
         if count < MIN_SAMPLES:
-            problems.append(f"{said} only {count} joint states come while it is off: record on until it hangs still")
+            problems.append(
+                f"{said} only {count} joint states come while it is off: record on until it hangs still"
+            )
             continue
         spans = np.ptp(record.position[inside], axis=0)
         fell = [record.names[column] for column in columns if spans[column] > FELL_SPAN]
         if not fell:
-            problems.append(f"{said} no joint falls by {FELL_SPAN:g} rad: let go of it where gravity pulls at it")
+            problems.append(
+                f"{said} no joint falls by {FELL_SPAN:g} rad: let go of it where gravity pulls at it"
+            )
         elif len(fell) > 1:
             problems.append(f"{said} {', '.join(fell)} fall at once: hold all joints but one")
         else:
@@ -164,17 +187,23 @@ def _free_responses(recording: Recording, held: dict[str, float], joints: tuple[
     return _without(problems, runs)
 
 
-def _free_response(name: str, record: JointRecord, joint: str, inside: BoolArray, held: dict[str, float]) -> Run:
+def _free_response(
+    name: str, record: JointRecord, joint: str, inside: BoolArray, held: dict[str, float]
+) -> Run:
     """One free response, until the joint hangs still: then friction alone decides where."""
     column = record.column(joint)
     notes = []
     repeated = _repeated(record, inside, column)
     if repeated.any():
         inside = inside & ~repeated
-        notes.append(f"{int(repeated.sum())} joint states repeat the one before although {joint} moves; they were left out")
+        notes.append(
+            f"{int(repeated.sum())} joint states repeat the one before although {joint} moves; they were left out"
+        )
     rows = np.flatnonzero(inside)
     position = record.position[rows, column]
-    end = np.median(position[record.times_ns[rows] >= record.times_ns[rows[-1]] - int(REST_S * 1e9)])
+    end = np.median(
+        position[record.times_ns[rows] >= record.times_ns[rows[-1]] - int(REST_S * 1e9)]
+    )
     away = np.flatnonzero(np.abs(position - end) > STANDS_STILL)
     rows = rows[: min(int(away[-1]) + 3, len(rows))] if len(away) else rows
     times_s = (record.times_ns[rows] - record.times_ns[rows[0]]) / 1e9
@@ -197,32 +226,49 @@ def _free_response(name: str, record: JointRecord, joint: str, inside: BoolArray
     )
 
 
-def _others(record: JointRecord, rows: NDArray[Any], joint: str, held: Mapping[str, float]) -> dict[str, Any]:
+def _others(
+    record: JointRecord, rows: NDArray[Any], joint: str, held: Mapping[str, float]
+) -> dict[str, Any]:
     """What a `Run` says of all joints but that which moves, by name."""
-    positions = {other: record.position[rows, record.column(other)] for other in record.names if other != joint}
+    positions = {
+        other: record.position[rows, record.column(other)]
+        for other in record.names
+        if other != joint
+    }
     stated = {other: float(value) for other, value in held.items() if other != joint}
     return {
         "held": {other: float(values.mean()) for other, values in positions.items()} | stated,
-        "held_span": dict.fromkeys(stated, 0.0) | {other: float(np.ptp(v)) for other, v in positions.items()},
-        "held_position": {other: values for other, values in positions.items() if other not in held},
+        "held_span": dict.fromkeys(stated, 0.0)
+        | {other: float(np.ptp(v)) for other, v in positions.items()},
+        "held_position": {
+            other: values for other, values in positions.items() if other not in held
+        },
     }
 
 
-def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]) -> list[_Interval]:
+def _intervals(
+    name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]
+) -> list[_Interval]:
     active = _active(inputs)
     intervals = []
     for column, joint in enumerate(inputs.names):
         if not active[:, column].any() or (inputs.measured and joint not in joints):
             continue
         if joint not in joints:
-            raise RecordingError(f"{name}: joint {joint!r} was driven, but the robot drives {', '.join(joints)}")
+            raise RecordingError(
+                f"{name}: joint {joint!r} was driven, but the robot drives {', '.join(joints)}"
+            )
         if joint not in record.names:
             recorded = ", ".join(record.names)
-            raise RecordingError(f"{name}: joint {joint!r} was driven but its position was not recorded; recorded: {recorded}")
+            raise RecordingError(
+                f"{name}: joint {joint!r} was driven but its position was not recorded; recorded: {recorded}"
+            )
         intervals += _intervals_of_joint(record, inputs, joint, active[:, column])
     if inputs.measured:
         # a few samples above the rest level are noise, not an excitation
-        intervals = [interval for interval in intervals if interval.last - interval.first + 1 >= MIN_SAMPLES]
+        intervals = [
+            interval for interval in intervals if interval.last - interval.first + 1 >= MIN_SAMPLES
+        ]
         intervals = _without_holding_joints(record, intervals)
     intervals.sort(key=lambda interval: interval.onset_ns)
     for earlier, later in pairwise(intervals):
@@ -252,11 +298,15 @@ def _under_controller(name: str, joint: str) -> UnderController:
     )
 
 
-def _refuse_controlled(name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]) -> None:
+def _refuse_controlled(
+    name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]
+) -> None:
     """Raises: UnderController: A current that alternates from the first sample on has no rest level, but moves a joint."""
     for joint in joints:
         if joint in inputs.names and joint in record.names:
-            smooth = median_filter(inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES, mode="nearest")
+            smooth = median_filter(
+                inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES, mode="nearest"
+            )
             loud = float(np.mean(np.abs(smooth - np.median(smooth)) > MEASURED_CURRENT_FLOOR_A))
             if loud > 0.5 and np.ptp(record.position[:, record.column(joint)]) > MOVING_SPAN:
                 raise _under_controller(name, joint)
@@ -265,7 +315,9 @@ def _refuse_controlled(name: str, record: JointRecord, inputs: InputRecord, join
 def _is_excitation(record: JointRecord, inputs: InputRecord, interval: _Interval) -> bool:
     """Whether a measured current began at rest and stayed the same."""
     since_s = 1e-9 * (record.times_ns - interval.onset_ns)
-    before = record.position[(since_s >= -AT_REST_S) & (since_s <= 0.0), record.column(interval.joint)]
+    before = record.position[
+        (since_s >= -AT_REST_S) & (since_s <= 0.0), record.column(interval.joint)
+    ]
     if len(before) and np.ptp(before) > MOVING_SPAN:
         return False
     column = inputs.column(interval.joint)
@@ -295,7 +347,9 @@ def _active(inputs: InputRecord) -> BoolArray:
     return np.abs(inputs.current_A - rest) > max(MEASURED_CURRENT_FLOOR_A, 6.0 * sigma)
 
 
-def _intervals_of_joint(record: JointRecord, inputs: InputRecord, joint: str, active: BoolArray) -> list[_Interval]:
+def _intervals_of_joint(
+    record: JointRecord, inputs: InputRecord, joint: str, active: BoolArray
+) -> list[_Interval]:
     times = inputs.times_ns
     period_ns = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     # Commands that are sent only when they change have a long median period and would join runs far apart.
@@ -312,12 +366,20 @@ def _intervals_of_joint(record: JointRecord, inputs: InputRecord, joint: str, ac
     for first, last in stretches:
         notes = []
         onset_ns = int(times[first])
-        end_ns = int(times[last + 1]) if last + 1 < len(times) else max(int(record.times_ns[-1]), onset_ns)
+        end_ns = (
+            int(times[last + 1])
+            if last + 1 < len(times)
+            else max(int(record.times_ns[-1]), onset_ns)
+        )
         if last + 1 == len(times):
-            notes.append(f"the input ends while {joint} is still driven: its last current is held until the last joint state")
+            notes.append(
+                f"the input ends while {joint} is still driven: its last current is held until the last joint state"
+            )
         longest_ns = int(np.diff(times[first : last + 2]).max(initial=0))
         if longest_ns > LOST_AFTER_PERIODS * period_ns:
-            notes.append(f"no input came for {longest_ns / 1e6:.0f} ms while {joint} was driven; the last was held")
+            notes.append(
+                f"no input came for {longest_ns / 1e6:.0f} ms while {joint} was driven; the last was held"
+            )
         if inputs.measured:
             onset_ns, end_ns, note = _between_samples(times, int(first), int(last), end_ns)
             notes.append(note)
@@ -335,7 +397,11 @@ def _between_samples(times: TimeArray, first: int, last: int, end_ns: int) -> tu
     uncertainty_ms = (int(times[first]) - quiet_ns) / 1e6
     if last + 1 < len(times):
         end_ns = int(times[last])
-    return quiet_ns, end_ns, f"no command was recorded: the onset may be up to {uncertainty_ms:.1f} ms later than taken"
+    return (
+        quiet_ns,
+        end_ns,
+        f"no command was recorded: the onset may be up to {uncertainty_ms:.1f} ms later than taken",
+    )
 
 
 def _without_holding_joints(record: JointRecord, intervals: list[_Interval]) -> list[_Interval]:
@@ -343,7 +409,11 @@ def _without_holding_joints(record: JointRecord, intervals: list[_Interval]) -> 
 
     def holds(interval: _Interval) -> bool:
         least = max(MOVING_SPAN, 5.0 * _span(record, interval.joint, interval))
-        beside = [each for each in intervals if each.onset_ns < interval.end_ns and interval.onset_ns < each.end_ns]
+        beside = [
+            each
+            for each in intervals
+            if each.onset_ns < interval.end_ns and interval.onset_ns < each.end_ns
+        ]
         return any(_span(record, other.joint, interval) > least for other in beside)
 
     return [interval for interval in intervals if not holds(interval)]
@@ -391,7 +461,9 @@ def _run(
     if not before.any():
         notes.append(f"no joint state at rest was recorded before {interval.joint} was driven")
     elif (moved := np.ptp(before_position)) > MOVING_SPAN:
-        notes.append(f"{interval.joint} moved by {moved:.3g} before it was driven: it was not at rest")
+        notes.append(
+            f"{interval.joint} moved by {moved:.3g} before it was driven: it was not at rest"
+        )
     input_times_s, input_current_A = _piecewise(inputs, interval)
     return Run(
         name=name,
@@ -406,7 +478,9 @@ def _run(
         duration_s=duration_s,
         source=inputs.source,
         notes=tuple(notes),
-        reported_effort=None if record.reported_effort is None else record.reported_effort[inside, column],
+        reported_effort=None
+        if record.reported_effort is None
+        else record.reported_effort[inside, column],
         after_times_s=times_s[after],
         after_position=record.position[after, column],
         **_others(record, before | inside, interval.joint, held),
@@ -419,7 +493,10 @@ def _repeated(record: JointRecord, inside: BoolArray, column: int) -> BoolArray:
     A joint that moves slowly repeats its position, too, from one count of its encoder to the next. So a run's repeats count only
     where the joint goes in larger steps than that, and where there are many: else none is marked.
     """
-    columns = [record.position, *(c for c in (record.velocity, record.reported_effort) if c is not None)]
+    columns = [
+        record.position,
+        *(c for c in (record.velocity, record.reported_effort) if c is not None),
+    ]
     rows = np.concatenate(columns, axis=1)
     alike = np.zeros(len(rows), dtype=bool)
     alike[1:] = np.all((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1])), axis=1)

@@ -18,7 +18,14 @@ from proprio_ros import records
 from proprio_ros.errors import RecordingError, printable
 from proprio_ros.recordings.columns import JointColumns, array_columns, joint_state_columns
 from proprio_ros.recordings.contradictions import refuse_pace
-from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere, held, known_or_none
+from proprio_ros.recordings.effort import (
+    CURRENT_PER_COUNT_A,
+    EFFORT_UNITS,
+    Effort,
+    ampere,
+    held,
+    known_or_none,
+)
 from proprio_ros.recordings.messages import stamp_ns
 from proprio_ros.recordings.reader import Bag, open_bag
 from proprio_ros.recordings.topics import (
@@ -39,12 +46,16 @@ REGISTER, LARGEST_COUNT = 65536, 4096
 """Values of a register of 16 bits, and what no motor's current, duty or load in counts exceeds."""
 IMPLAUSIBLE_SPEED = 10.0
 """rad/s or m/s: no joint of an arm gets that fast there and back between a few samples; a damaged number does."""
-LONGEST_JUMP = 3  # samples in a row that may be damaged: more that agree with each other are a slipped encoder
-GARBAGE_SHARE = 0.05  # fewer messages than this with impossible numbers are left out; more have another unit
+# samples in a row that may be damaged: more that agree with each other are a slipped encoder
+LONGEST_JUMP = 3
+# fewer messages than this with impossible numbers are left out; more have another unit
+GARBAGE_SHARE = 0.05
 FOREIGN_CLOCK_NS = 500_000_000
 """Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
 
-SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 5.0  # joint states that come faster or slower have stamps in another unit
+# joint states that come faster or slower have stamps in another unit
+SHORTEST_PERIOD_S = 1e-4
+LONGEST_PERIOD_S = 5.0
 
 _NO_TIMES: records.TimeArray = np.empty(0, dtype=np.int64)
 
@@ -99,7 +110,8 @@ def read_recording(
         ConfigurationError: Unknown effort_unit.
     """
     effort = Effort(effort_unit, nominal_torque_constants, current_per_count_A)
-    path, asked = Path(path), _Asked(conventions, effort, joint_order)
+    path = Path(path)
+    asked = _Asked(conventions, effort, joint_order)
     inputs = beside = None
     with open_bag(path) as bag:
         state = bag.topics.states(state_topic, command_topic, conventions)
@@ -120,14 +132,18 @@ def read_recording(
     needed = not states_only and not (torque_off and effort_unit is None)
     if inputs is None and needed and record.reported_effort is not None:
         inputs = _measured(path, state, record, asked)
-    return records.Recording(path.resolve().name, record, inputs, tuple(notes), torque_off, commanded=beside)
+    return records.Recording(
+        path.resolve().name, record, inputs, tuple(notes), torque_off, commanded=beside
+    )
 
 
 def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) -> None:
     """Raise RecordingError: the recorded names are those of the robot's joints with one prefix before all of them."""
     if set(recorded) & set(joints):
         return
-    before = {name.removesuffix(joint) for joint in joints for name in recorded if name.endswith(joint)}
+    before = {
+        name.removesuffix(joint) for joint in joints for name in recorded if name.endswith(joint)
+    }
     for prefix in sorted(before, key=len):
         alike = [joint for joint in joints if prefix + joint in recorded]
         if 2 * len(alike) > len(joints):
@@ -137,7 +153,12 @@ def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) ->
 
 
 def _joint_record(
-    path: Path, topic: Topic, columns: JointColumns, inputs: records.InputRecord | None, asked: _Asked, notes: list[str]
+    path: Path,
+    topic: Topic,
+    columns: JointColumns,
+    inputs: records.InputRecord | None,
+    asked: _Asked,
+    notes: list[str],
 ) -> records.JointRecord:
     driven: list[str] = []
     if inputs is not None:
@@ -147,18 +168,26 @@ def _joint_record(
     times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
     period_s = 1e-9 * float(np.median(np.diff(times)))
     if not SHORTEST_PERIOD_S < period_s < LONGEST_PERIOD_S:
-        raise RecordingError(f"{path}: {topic.name} comes every {period_s:.2g} s: its time stamps are not in s and ns")
+        raise RecordingError(
+            f"{path}: {topic.name} comes every {period_s:.2g} s: its time stamps are not in s and ns"
+        )
     _check_positions(path, names, values["position"], expected)
     effort = _signed(names, values["effort"], notes)
-    return asked.effort.record(times, names, values["position"], known_or_none(values["velocity"]), effort)
+    return asked.effort.record(
+        times, names, values["position"], known_or_none(values["velocity"]), effort
+    )
 
 
-def _torque_off(bag: Bag, state: Topic, columns: JointColumns, notes: list[str]) -> tuple[tuple[int, int], ...]:
+def _torque_off(
+    bag: Bag, state: Topic, columns: JointColumns, notes: list[str]
+) -> tuple[tuple[int, int], ...]:
     """When torque was off, on the clock of the joint states, until the last of these."""
     candidates = bag.topics.called(TORQUE_ENABLED, [BOOL], state.namespace)
     if len(candidates) != 1:
         if candidates:
-            notes.append(f"{listed(candidates)} may all say when torque is off; none of them was used.")
+            notes.append(
+                f"{listed(candidates)} may all say when torque is off; none of them was used."
+            )
         return ()
     messages = bag.messages(candidates[0])
     last_ns = int(_times(columns, state, []).max())
@@ -166,7 +195,10 @@ def _torque_off(bag: Bag, state: Topic, columns: JointColumns, notes: list[str])
     ahead_ns = columns.ahead_ns()
     clock_ns = int(ahead_ns.max()) if ahead_ns.size else 0
     shift_ns = clock_ns if abs(clock_ns) > FOREIGN_CLOCK_NS else 0
-    changes = [(next(alike)[0] + shift_ns, on) for on, alike in groupby(messages, lambda timed: bool(timed[1].data))]
+    changes = [
+        (next(alike)[0] + shift_ns, on)
+        for on, alike in groupby(messages, lambda timed: bool(timed[1].data))
+    ]
     if changes and changes[-1][0] < last_ns:
         changes.append((last_ns, True))
     return tuple((off_ns, on_ns) for (off_ns, on), (on_ns, _) in pairwise(changes) if not on)
@@ -197,7 +229,12 @@ def _sorted(times: records.TimeArray, topic: Topic, notes: list[str]) -> records
 
 
 def _state_rows(
-    path: Path, topic: Topic, columns: JointColumns, driven: Sequence[str], expected: Sequence[str], notes: list[str]
+    path: Path,
+    topic: Topic,
+    columns: JointColumns,
+    driven: Sequence[str],
+    expected: Sequence[str],
+    notes: list[str],
 ) -> tuple[records.TimeArray, tuple[str, ...], dict[str, records.FloatArray]]:
     """One row per usable message in the order of time, one column per joint that has a position.
 
@@ -211,7 +248,9 @@ def _state_rows(
     usable = np.any(np.isfinite(columns.values["position"]), axis=0)
     names = tuple(name for name, column in zip(columns.names, usable, strict=True) if column)
     if never := [name for name in columns.names if name not in names]:
-        notes.append(f"{topic.name}: {', '.join(never)} never has a finite position and was left out.")
+        notes.append(
+            f"{topic.name}: {', '.join(never)} never has a finite position and was left out."
+        )
     values = {quantity: table[np.ix_(order, usable)] for quantity, table in columns.values.items()}
     position = values["position"]
     garbage = _garbage(values, np.isin(names, expected))
@@ -219,7 +258,9 @@ def _state_rows(
     _note(notes, topic, garbage, "messages hold numbers that no joint can have and were left out")
     given = np.isfinite(position)
     if not names:
-        raise RecordingError(f"{path}: {topic.name} has no finite position in {len(times)} messages; check the driver")
+        raise RecordingError(
+            f"{path}: {topic.name} has no finite position in {len(times)} messages; check the driver"
+        )
 
     needed = np.isin(names, driven)
     if not needed.any():
@@ -235,8 +276,12 @@ def _state_rows(
     for column in np.flatnonzero(~given[rows].all(axis=0)):
         known = given[:, column]
         known_times, first = np.unique(times[known] - times[0], return_index=True)
-        position[rows, column] = np.interp(times[rows] - times[0], known_times, position[known, column][first])
-        notes.append(f"{topic.name}: {names[column]} is in {_of(known)} messages; between them it was interpolated.")
+        position[rows, column] = np.interp(
+            times[rows] - times[0], known_times, position[known, column][first]
+        )
+        notes.append(
+            f"{topic.name}: {names[column]} is in {_of(known)} messages; between them it was interpolated."
+        )
     repeated = np.diff(times[rows], prepend=times[rows][:1] - 1) == 0
     _note(notes, topic, repeated, "stamps are repeated; the first message of each was kept")
     rows[rows] = ~repeated
@@ -254,15 +299,23 @@ def _state_rows(
     return times[rows], names, {quantity: table[rows] for quantity, table in values.items()}
 
 
-def _garbage(values: Mapping[str, records.FloatArray], joints: records.BoolArray) -> records.BoolArray:
+def _garbage(
+    values: Mapping[str, records.FloatArray], joints: records.BoolArray
+) -> records.BoolArray:
     """Messages with numbers from unwritten memory in one of the joints' columns, shape (T,); where many are, the unit is wrong."""
     bad = np.zeros(len(values["position"]), dtype=bool)
-    for quantity, limit in (("position", records.IMPLAUSIBLE_POSITION), ("velocity", 1e6), ("effort", 1e9)):
+    for quantity, limit in (
+        ("position", records.IMPLAUSIBLE_POSITION),
+        ("velocity", 1e6),
+        ("effort", 1e9),
+    ):
         bad |= (np.abs(values[quantity][:, joints]) > limit).any(axis=1)
     return bad if bad.mean() < GARBAGE_SHARE else np.zeros_like(bad)
 
 
-def _check_positions(path: Path, names: Sequence[str], position: records.FloatArray, expected: Sequence[str]) -> None:
+def _check_positions(
+    path: Path, names: Sequence[str], position: records.FloatArray, expected: Sequence[str]
+) -> None:
     for name, values in zip(names, position.T, strict=True):
         # joints that are not the robot's may be wheels, which do turn that far
         if name in expected and np.abs(values).max() > records.IMPLAUSIBLE_POSITION:
@@ -281,9 +334,12 @@ def _commands(
         columns = joint_state_columns(bag, topic, ["effort"], asked.conventions)
         times = _times(columns, topic, notes)
     else:
-        columns = array_columns(bag, topic, means, asked.joint_order, states.names, asked.conventions)
+        columns = array_columns(
+            bag, topic, means, asked.joint_order, states.names, asked.conventions
+        )
         times = columns.bag_ns
-    effort, clock_ns = columns.values["effort"], states.clock_ns()
+    effort = columns.values["effort"]
+    clock_ns = states.clock_ns()
     if means.unit == "N.m":
         constants = asked.effort.constants(columns.names)
         unknown = np.flatnonzero(np.isnan(constants) & (np.nan_to_num(effort) != 0.0).any(axis=0))
@@ -303,21 +359,30 @@ def _commands(
         )
     notes += columns.notes
     broken = np.any(np.isinf(current), axis=1)
-    _note(notes, topic, broken, "messages have NaN or infinite values; the last finite one was held")
+    _note(
+        notes, topic, broken, "messages have NaN or infinite values; the last finite one was held"
+    )
     order = _sorted(times, topic, notes)
-    times, current = times[order], held(current[order])
+    times = times[order]
+    current = held(current[order])
     latest = np.diff(times, append=times[-1] + 1) > 0
     _note(notes, topic, ~latest, "stamps are repeated; the last message of each was kept")
-    return records.InputRecord(times[latest], columns.names, current[latest], printable(topic.name), means.unit)
+    return records.InputRecord(
+        times[latest], columns.names, current[latest], printable(topic.name), means.unit
+    )
 
 
-def _signed(names: Sequence[str], effort: records.FloatArray, notes: list[str]) -> records.FloatArray:
+def _signed(
+    names: Sequence[str], effort: records.FloatArray, notes: list[str]
+) -> records.FloatArray:
     """The same with negative counts of a 16-bit register that were read as unsigned, and lie far above all others."""
     negative = (effort >= REGISTER - LARGEST_COUNT) & (effort < REGISTER)
     with np.errstate(invalid="ignore"):
         others = np.abs(np.where(negative, 0.0, effort))
         whole = np.isnan(effort) | (effort == np.round(effort))
-    columns = negative.any(axis=0) & (whole & (np.isnan(others) | (others <= LARGEST_COUNT))).all(axis=0)
+    columns = negative.any(axis=0) & (whole & (np.isnan(others) | (others <= LARGEST_COUNT))).all(
+        axis=0
+    )
     if not columns.any():
         return effort
     which = ", ".join(name for name, column in zip(names, columns, strict=True) if column)
@@ -328,7 +393,9 @@ def _signed(names: Sequence[str], effort: records.FloatArray, notes: list[str]) 
     return np.where(negative & columns, effort - REGISTER, effort)
 
 
-def _measured(path: Path, topic: Topic, record: records.JointRecord, asked: _Asked) -> records.InputRecord:
+def _measured(
+    path: Path, topic: Topic, record: records.JointRecord, asked: _Asked
+) -> records.InputRecord:
     """Input from what the motors reported."""
     inputs = asked.effort.measured(record)
     if asked.effort.unit is None:
@@ -346,7 +413,10 @@ def _measured(path: Path, topic: Topic, record: records.JointRecord, asked: _Ask
 
 
 def read_drive_signals(
-    path: str | Path, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER, span: records.Span | None = None
+    path: str | Path,
+    state_topic: str | None = None,
+    conventions: Conventions = OUR_DRIVER,
+    span: records.Span | None = None,
 ) -> records.DriveSignals:
     """Read goals (positions of /joint_command, named as joint states are) and supply voltage (/battery_state), as far as there.
 
@@ -359,22 +429,32 @@ def read_drive_signals(
         bag.cut(state, span)
 
         def found(name: str, msgtype: str) -> Topic | None:
-            topics = [topic for topic in bag.topics.called(name, [msgtype], state.namespace) if topic != state]
+            topics = [
+                topic
+                for topic in bag.topics.called(name, [msgtype], state.namespace)
+                if topic != state
+            ]
             if len(topics) > 1:
                 raise RecordingError(f"{path}: which {name}? {listed(topics)}: record one of them")
             return topics[0] if topics else None
 
-        goal, battery = found(JOINT_COMMAND, JOINT_STATE), found(BATTERY_STATE, BATTERY)
+        goal = found(JOINT_COMMAND, JOINT_STATE)
+        battery = found(BATTERY_STATE, BATTERY)
         if goal is None and battery is None:
             return records.DriveSignals(_NO_TIMES, (), np.empty((0, 0)), _NO_TIMES, np.empty(0))
         ahead_ns = joint_state_columns(bag, state, ["position"], conventions).clock_ns()
-        goal_ns, names, goals = _NO_TIMES, tuple[str, ...](), np.empty((0, 0))
+        goal_ns = _NO_TIMES
+        names = tuple[str, ...]()
+        goals = np.empty((0, 0))
         if goal is not None:
             columns = joint_state_columns(bag, goal, ["position"], conventions)
             goal_ns = np.where(columns.stamp_ns == 0, columns.bag_ns + ahead_ns, columns.stamp_ns)
             order = np.argsort(goal_ns, kind="stable")
-            goals = np.where(np.isfinite(columns.values["position"]), columns.values["position"], np.nan)[order]
-            goal_ns, names = goal_ns[order], columns.names
+            goals = np.where(
+                np.isfinite(columns.values["position"]), columns.values["position"], np.nan
+            )[order]
+            goal_ns = goal_ns[order]
+            names = columns.names
         volts = [
             (stamp_ns(message) or time_ns + ahead_ns, float(message.voltage))
             for time_ns, message in ([] if battery is None else bag.messages(battery))
@@ -382,7 +462,9 @@ def read_drive_signals(
         ]
     volts.sort(key=lambda sample: sample[0])
     voltage_ns = np.array([time_ns for time_ns, _ in volts], dtype=np.int64)
-    return records.DriveSignals(goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64))
+    return records.DriveSignals(
+        goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64)
+    )
 
 
 def without_jumps(recording: records.Recording, joints: Sequence[str]) -> records.Recording:
@@ -402,7 +484,11 @@ def without_jumps(recording: records.Recording, joints: Sequence[str]) -> record
     for count in range(1, LONGEST_JUMP + 1):
         # it leaves, and after that many samples it is where it was, as far as it can have moved meanwhile
         back = (count + 1) * allowed[: len(allowed) - count]
-        gone = far[:-count] & far[count:] & (np.abs(position[count + 1 :] - position[: -count - 1]) <= back)
+        gone = (
+            far[:-count]
+            & far[count:]
+            & (np.abs(position[count + 1 :] - position[: -count - 1]) <= back)
+        )
         for number in range(1, count + 1):
             jumped[number : number + len(gone)] |= gone
     kept = ~np.any(jumped, axis=1)
@@ -412,5 +498,9 @@ def without_jumps(recording: records.Recording, joints: Sequence[str]) -> record
         f"in {_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s; they were left "
         "out: is the file damaged?"
     )
-    columns: Any = {name: values[kept] for name, values in vars(record).items() if isinstance(values, np.ndarray)}
+    columns: Any = {
+        name: values[kept]
+        for name, values in vars(record).items()
+        if isinstance(values, np.ndarray)
+    }
     return replace(recording, joints=replace(record, **columns), notes=(*recording.notes, note))

@@ -32,26 +32,38 @@ class TextRecording:
 
 def is_text_recording(path: str | Path) -> bool:
     """Whether a path is a folder with trajectory.csv and setting.json."""
-    return not path_problem(path) and all((Path(path) / name).is_file() for name in ("trajectory.csv", "setting.json"))
+    return not path_problem(path) and all(
+        (Path(path) / name).is_file() for name in ("trajectory.csv", "setting.json")
+    )
 
 
 def read_text_recording(path: str | Path) -> TextRecording:
     """Read a folder with trajectory.csv (columns `time_s,<joint>_relative_rad`) and setting.json; refuses malformed ones."""
     path = Path(path)
     if not is_text_recording(path):
-        raise RecordingError(f"{path}: not a text recording; it needs trajectory.csv and setting.json")
+        raise RecordingError(
+            f"{path}: not a text recording; it needs trajectory.csv and setting.json"
+        )
     setting = _setting(path / "setting.json")
-    joint, file = setting["moving_joint"], path / "trajectory.csv"
+    joint = setting["moving_joint"]
+    file = path / "trajectory.csv"
     names = ["time_s", f"{joint}_relative_rad"]
     expected = ",".join(names)
     header, rows = _csv_table(file, expected)
     try:
         table = np.array([[float(cell) for cell in row] for row in rows])
     except ValueError as error:
-        raise RecordingError(f"{file}: not a table of numbers under the header {expected} ({error})") from error
+        raise RecordingError(
+            f"{file}: not a table of numbers under the header {expected} ({error})"
+        ) from error
     if header != names:
         raise RecordingError(f"{file}: the header must be {expected}, got {','.join(header)}")
-    if table.ndim != 2 or table.shape[1] != 2 or len(table) < MIN_SAMPLES or not np.isfinite(table).all():
+    if (
+        table.ndim != 2
+        or table.shape[1] != 2
+        or len(table) < MIN_SAMPLES
+        or not np.isfinite(table).all()
+    ):
         raise RecordingError(f"{file}: needs at least {MIN_SAMPLES} rows of two finite numbers")
     if not bool(np.all(np.diff(table[:, 0]) > 0)):
         raise RecordingError(f"{file}: time_s must increase from row to row")
@@ -80,20 +92,29 @@ def _setting(file: Path) -> dict[str, Any]:
     needed = ("moving_joint", "torque_N_m", "start_pose_rad")
     missing = [key for key in needed if not isinstance(setting, dict) or key not in setting]
     if missing:
-        raise RecordingError(f"{file}: {', '.join(missing)} missing; it must be an object with {', '.join(needed)}")
+        raise RecordingError(
+            f"{file}: {', '.join(missing)} missing; it must be an object with {', '.join(needed)}"
+        )
     try:
         Text(what="text").read(setting["moving_joint"])
     except FormError as error:
         raise RecordingError(f"{file}: moving_joint must be a name: {error}") from error
-    pose, joint = setting["start_pose_rad"], setting["moving_joint"]
+    pose = setting["start_pose_rad"]
+    joint = setting["moving_joint"]
     numbers = {key: setting[key] for key in _SETTING_NUMBERS if key in setting}
     if not isinstance(pose, dict) or joint not in pose:
-        raise RecordingError(f"{file}: start_pose_rad must give a position for each joint, {joint!r} too")
+        raise RecordingError(
+            f"{file}: start_pose_rad must give a position for each joint, {joint!r} too"
+        )
     for section in ("simulation", "fit"):
         part = setting.get(section, {})
         if not isinstance(part, dict):
             raise RecordingError(f"{file}: {section} must be an object, got {shortly(part)}")
-        numbers |= {f"{section}.{key}": value for key, value in part.items() if f"{section}.{key}" in _SETTING_NUMBERS}
+        numbers |= {
+            f"{section}.{key}": value
+            for key, value in part.items()
+            if f"{section}.{key}" in _SETTING_NUMBERS
+        }
     numbers |= {f"start_pose_rad.{joint}": value for joint, value in pose.items()}
     for key, value in numbers.items():
         if finite(value) is None:
@@ -114,7 +135,9 @@ def read_point_file(path: str | Path) -> PointTrack:
         stamps = np.array([int(row[0]) for row in table], dtype=np.int64)
         points = np.array([[float(cell) for cell in row[1:]] for row in table]).reshape(-1, 3)
     except (ValueError, OverflowError) as error:
-        raise RecordingError(f"{path}: needs rows of a whole number of ns and three numbers in m ({error})") from error
+        raise RecordingError(
+            f"{path}: needs rows of a whole number of ns and three numbers in m ({error})"
+        ) from error
     return PointTrack.of_seen(stamps, points)
 
 
@@ -124,7 +147,11 @@ def _csv_table(file: Path, form: str) -> tuple[list[str], list[list[str]]]:
     try:
         header, *rows = [row for row in csv.reader(text.splitlines()) if row]
     except (ValueError, csv.Error) as error:
-        raise RecordingError(f"{file}: not a table of numbers under the header {form} ({error})") from error
+        raise RecordingError(
+            f"{file}: not a table of numbers under the header {form} ({error})"
+        ) from error
     if len(rows) > MOST_ROWS:
-        raise RecordingError(f"{file}: has {len(rows)} rows, and {MOST_ROWS} are the most that are read: cut it")
+        raise RecordingError(
+            f"{file}: has {len(rows)} rows, and {MOST_ROWS} are the most that are read: cut it"
+        )
     return [cell.strip() for cell in header], rows

@@ -32,7 +32,8 @@ class InputTopic:
     topic: str  # its name without a namespace
     msgtype: str  # `JOINT_STATE`, whose effort counts, or the first of `FLOAT_ARRAYS`
     unit: str  # of its numbers, one of `EFFORT_UNITS`
-    joints: tuple[str, ...] = ()  # order of numbers that come without names, in the driver's names; empty: the robot's
+    # order of numbers that come without names, in the driver's names; empty: the robot's
+    joints: tuple[str, ...] = ()
 
     @property
     def msgtypes(self) -> tuple[str, ...]:
@@ -55,7 +56,8 @@ class Conventions:
     prefix: str = ""  # before the names of this robot's joints; it is taken off
     # the robot's names by those that the driver uses, once the prefix is off
     names: Mapping[str, str] = field(default_factory=dict)
-    radians: float = 1.0  # what a unit of its positions is [rad]; those of sliding joints, too, are multiplied with it
+    # what a unit of its positions is [rad]; those of sliding joints, too, are multiplied with it
+    radians: float = 1.0
 
     def renamed(self, names: Sequence[str]) -> tuple[str, ...]:
         """The robot's names of joints that a driver names."""
@@ -66,7 +68,9 @@ class Conventions:
 
     def published(self, name: str) -> str:
         """The driver's name of one of the robot's joints."""
-        return self.prefix + next((theirs for theirs, ours in self.names.items() if ours == name), name)
+        return self.prefix + next(
+            (theirs for theirs, ours in self.names.items() if ours == name), name
+        )
 
 
 OUR_DRIVER = Conventions()
@@ -86,7 +90,10 @@ class Topic(NamedTuple):
 
 def listed(topics: Sequence[Topic]) -> str:
     """Topics as a message names them."""
-    return some([f"{topic.name} ({topic.msgtype.replace('/msg/', '/')})" for topic in topics], 8) or "none"
+    return (
+        some([f"{topic.name} ({topic.msgtype.replace('/msg/', '/')})" for topic in topics], 8)
+        or "none"
+    )
 
 
 @dataclass(frozen=True)
@@ -124,7 +131,12 @@ class Topics:
     def _refuse(self, why: str) -> NoReturn:
         raise RecordingError(f"{self.path}: {why}")
 
-    def states(self, name: str | None, command_name: str | None = None, conventions: Conventions = OUR_DRIVER) -> Topic:
+    def states(
+        self,
+        name: str | None,
+        command_name: str | None = None,
+        conventions: Conventions = OUR_DRIVER,
+    ) -> Topic:
         """The joint states: as the user calls them, else those that the driver's conventions name, else the only ones.
 
         Refuses a bag that has none, or several that may be meant; what the user calls the input is not taken for them.
@@ -135,7 +147,9 @@ class Topics:
             self._refuse("the bag holds no messages; record it again with `ros2 bag record`")
         typed = [topic for topic in self.all if topic.msgtype == JOINT_STATE]
         if not typed:
-            self._refuse(f"no JointState topic in the bag; it holds: {listed(self.all)}; record /joint_states")
+            self._refuse(
+                f"no JointState topic in the bag; it holds: {listed(self.all)}; record /joint_states"
+            )
         filled = self.filled(JOINT_STATE)
         if not filled:
             self._refuse(f"no joint states: {listed(typed)} holds no messages")
@@ -146,26 +160,40 @@ class Topics:
                 f"--state-topic from: {listed(filled)}"
             )
         commands = (command_name, f"/{command_name}")
-        others = [each for each in filled if not each.name.endswith("/applied_effort") and each.name not in commands]
+        others = [
+            each
+            for each in filled
+            if not each.name.endswith("/applied_effort") and each.name not in commands
+        ]
         candidates = candidates or others
         if len(candidates) != 1:
             self._refuse(f"which joint states? choose with --state-topic from: {listed(filled)}")
         return candidates[0]
 
-    def input(self, name: str | None, states: Topic, conventions: Conventions = OUR_DRIVER) -> tuple[Topic, InputTopic] | None:
+    def input(
+        self, name: str | None, states: Topic, conventions: Conventions = OUR_DRIVER
+    ) -> tuple[Topic, InputTopic] | None:
         """What drove the joints, and what it means: as the user calls it, else the first that the driver's conventions name.
 
         It has the namespace of the joint states. None where there is none, several are refused.
         """
         if name is not None:
             topic = self.chosen(name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")
-            inputs = (*conventions.inputs, InputTopic("", JOINT_STATE, "N.m"), InputTopic("", FLOAT_ARRAYS[0], "A"))
+            inputs = (
+                *conventions.inputs,
+                InputTopic("", JOINT_STATE, "N.m"),
+                InputTopic("", FLOAT_ARRAYS[0], "A"),
+            )
             return topic, next(each for each in inputs if topic.msgtype in each.msgtypes)
         namespace = states.name.removesuffix(f"/{conventions.states}")
         if namespace == states.name:  # the user named another topic
             namespace = states.namespace
         for usual in conventions.inputs:
-            found = [topic for topic in self.called(usual.topic, usual.msgtypes, namespace) if topic != states]
+            found = [
+                topic
+                for topic in self.called(usual.topic, usual.msgtypes, namespace)
+                if topic != states
+            ]
             if len(found) > 1:
                 self._refuse(f"which input? choose with --command-topic from: {listed(found)}")
             if found:

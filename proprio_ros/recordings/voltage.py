@@ -39,10 +39,14 @@ def with_stall_currents(recording: Recording, robot: Robot) -> Recording:
     if not joints or recording.torque_off_ns or recording.signals is None:
         return recording
     record = recording.joints
-    current = np.full(record.position.shape, np.nan) if record.current is None else record.current.copy()
+    current = (
+        np.full(record.position.shape, np.nan) if record.current is None else record.current.copy()
+    )
     takes = []
     for joint in joints:
-        current[:, record.column(joint)], words = _stall_current(recording, robot, joint, recording.signals)
+        current[:, record.column(joint)], words = _stall_current(
+            recording, robot, joint, recording.signals
+        )
         takes.append(words)
     known = np.isfinite(current).all(axis=0)
     names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
@@ -51,9 +55,12 @@ def with_stall_currents(recording: Recording, robot: Robot) -> Recording:
     return replace(recording, joints=replace(record, current=current), inputs=inputs)
 
 
-def _stall_current(recording: Recording, robot: Robot, joint: str, signals: DriveSignals) -> tuple[FloatArray, str]:
+def _stall_current(
+    recording: Recording, robot: Robot, joint: str, signals: DriveSignals
+) -> tuple[FloatArray, str]:
     """Of one joint [A], and what it was made of."""
-    record, drive = recording.joints, robot.drive_trains[joint]
+    record = recording.joints
+    drive = robot.drive_trains[joint]
     driven_by = drive.driven_by
     assert driven_by is not None
     column = record.column(joint)
@@ -71,7 +78,9 @@ def _stall_current(recording: Recording, robot: Robot, joint: str, signals: Driv
             f"{recording.name}: by {robot.source.name} the effort of {joint} is its duty cycle, and none was recorded"
         )
     if len(signals.voltage_V):
-        voltage_V = np.interp(times_s, 1e-9 * (signals.voltage_ns - zero_ns).astype(np.float64), _smoothed(signals))
+        voltage_V = np.interp(
+            times_s, 1e-9 * (signals.voltage_ns - zero_ns).astype(np.float64), _smoothed(signals)
+        )
         words = driven_by.takes
     elif drive.supply_voltage_V > 0.0:
         voltage_V = np.full(len(times_s), drive.supply_voltage_V)

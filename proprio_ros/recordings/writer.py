@@ -28,19 +28,27 @@ def write_messages(path: str | Path, messages: Sequence[RawMessage], storage: st
     path = Path(path)
     plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
     if storage not in plugins:
-        raise ConfigurationError(f"bag storage {storage!r} is not known; choose from {', '.join(plugins)}")
+        raise ConfigurationError(
+            f"bag storage {storage!r} is not known; choose from {', '.join(plugins)}"
+        )
     existed = path.exists()
     try:
         with Writer(path, version=9, storage_plugin=plugins[storage]) as writer:
             kinds = sorted({(message.topic, message.msgtype) for message in messages})
-            connections = {kind: writer.add_connection(*kind, typestore=message_types()) for kind in kinds}
+            connections = {
+                kind: writer.add_connection(*kind, typestore=message_types()) for kind in kinds
+            }
             for message in sorted(messages, key=lambda message: message.time_ns):
-                writer.write(connections[message.topic, message.msgtype], message.time_ns, message.data)
+                writer.write(
+                    connections[message.topic, message.msgtype], message.time_ns, message.data
+                )
         _add_checksums(path)
     except (WriterError, OSError) as error:
         if not existed:
             shutil.rmtree(path, ignore_errors=True)
-        raise RecordingError(f"{path}: cannot be written ({error}); give a new folder on a disk with room") from error
+        raise RecordingError(
+            f"{path}: cannot be written ({error}); give a new folder on a disk with room"
+        ) from error
 
 
 def _add_checksums(path: Path) -> None:

@@ -2,7 +2,13 @@
 
 from proprio_ros.report.calibration_page import write_calibration_report
 from proprio_ros.report.figures import motions_figure, runs_figure
-from proprio_ros.report.notebook import bars_figure, calibration_figure, series_figure, small_table, words_figure
+from proprio_ros.report.notebook import (
+    bars_figure,
+    calibration_figure,
+    series_figure,
+    small_table,
+    words_figure,
+)
 from proprio_ros.report.page import card, write_page
 
 __all__ = [

@@ -34,22 +34,45 @@ def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
     rows = {row.key: row for row in unknowns}
     joints = joints_of(unknowns)
     terms = TERMS if ("torque_constant", joints[0]) in rows else OF_MOTIONS
-    with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (figure, axes):
+    with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (
+        figure,
+        axes,
+    ):
         for axis, term in zip(axes.ravel(), terms, strict=True):
             least = -np.inf if term in ANY_SIGN else 0.0
             for place, joint in enumerate(joints[::-1]):
                 if (row := rows.get((term, joint))) is None:
                     continue
-                before, now = (row.prior, row.prior_std, 0.62, PALE), (row.value, row.std, 0.26, ACCENT)
+                before = (row.prior, row.prior_std, 0.62, PALE)
+                now = (row.value, row.std, 0.26, ACCENT)
                 for value, std, height, color in (before, now):
                     low = max(value - Z95 * std, least)
-                    axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
-                axis.plot(max(row.value, least), place, "|", color=INK, markersize=9, markeredgewidth=1.6)
-            axis.set_yticks(range(len(joints)), [plain(_short(joint, 32)) for joint in joints[::-1]])
-            axis.set_title(f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})", fontsize=9.5, loc="left")
+                    axis.barh(
+                        place,
+                        value + Z95 * std - low,
+                        left=low,
+                        height=height,
+                        color=color,
+                        linewidth=0,
+                    )
+                axis.plot(
+                    max(row.value, least), place, "|", color=INK, markersize=9, markeredgewidth=1.6
+                )
+            axis.set_yticks(
+                range(len(joints)), [plain(_short(joint, 32)) for joint in joints[::-1]]
+            )
+            axis.set_title(
+                f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})",
+                fontsize=9.5,
+                loc="left",
+            )
             axis.grid(axis="y", visible=False)
             # a file that leaves it wide open must not hide what was learnt
-            known = [abs(row.value) + Z95 * row.std for joint in joints if (row := rows.get((term, joint))) is not None]
+            known = [
+                abs(row.value) + Z95 * row.std
+                for joint in joints
+                if (row := rows.get((term, joint))) is not None
+            ]
             (low, high), most = axis.get_xlim(), MOST_OVER * max(known, default=1.0)
             axis.set_xlim(max(low, -most), min(high, most))
             axis.locator_params(axis="x", nbins=5)
@@ -75,19 +98,34 @@ def correlation_figure(calibration: Calibration) -> str:
         for spine in axis.spines.values():
             spine.set_visible(False)
         # so few steps that the bar is drawn as shapes, not embedded as an image
-        figure.colorbar(picture, ax=axis, shrink=0.7, label="correlation", boundaries=np.linspace(-1.0, 1.0, 41))
+        figure.colorbar(
+            picture, ax=axis, shrink=0.7, label="correlation", boundaries=np.linspace(-1.0, 1.0, 41)
+        )
         return svg(figure, "Correlations between the unknowns of the calibration")
 
 
 def residuals_figure(fits: tuple[RunFit, ...]) -> str:
     """Measured less simulated of every run, on one scale."""
     rows = -(-len(fits) // RUNS_A_ROW)
-    grid = {"nrows": rows, "ncols": min(len(fits), RUNS_A_ROW), "sharex": True, "sharey": True, "squeeze": False}
+    grid = {
+        "nrows": rows,
+        "ncols": min(len(fits), RUNS_A_ROW),
+        "sharex": True,
+        "sharey": True,
+        "squeeze": False,
+    }
     with drawn(9.2, 0.5 + 1.35 * rows, **grid) as (figure, axes):
         for axis in axes.ravel()[len(fits) :]:
             axis.set_visible(False)
         for axis, fit in zip(axes.ravel(), fits, strict=False):
-            axis.fill_between(fit.times_s, -2e3 * fit.sigma, 2e3 * fit.sigma, color=ACCENT, alpha=0.16, linewidth=0)
+            axis.fill_between(
+                fit.times_s,
+                -2e3 * fit.sigma,
+                2e3 * fit.sigma,
+                color=ACCENT,
+                alpha=0.16,
+                linewidth=0,
+            )
             axis.axhline(0.0, color=MUTED, linewidth=0.7)
             residual = 1e3 * (fit.measured - fit.simulated)
             axis.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=2, linewidth=0.7)

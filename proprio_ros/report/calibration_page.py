@@ -13,7 +13,17 @@ from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import html, pictures
 from proprio_ros.report.figures import svg
-from proprio_ros.report.html import bulleted, framed, listed, plotted, provenance, table, titled, within, write_document
+from proprio_ros.report.html import (
+    bulleted,
+    framed,
+    listed,
+    plotted,
+    provenance,
+    table,
+    titled,
+    within,
+    write_document,
+)
 from proprio_ros.report.motion_sections import torques
 
 _WORDS = {
@@ -23,14 +33,22 @@ _WORDS = {
 
 
 def write_calibration_report(
-    estimate: CalibrationEstimate, path: Path, *, command: str = "", sources: Sequence[str] = (), force: bool = False
+    estimate: CalibrationEstimate,
+    path: Path,
+    *,
+    command: str = "",
+    sources: Sequence[str] = (),
+    force: bool = False,
 ) -> None:
     """Write the page for one calibration; all is as for `write_page`."""
     parts = _headline(estimate)
     if figures.joints_of(estimate.unknowns):
         parts += plotted(
             "The drive train",
-            svg(figures.draw_drive_trains(estimate.unknowns), "Drive-train terms of every joint, before and after"),
+            svg(
+                figures.draw_drive_trains(estimate.unknowns),
+                "Drive-train terms of every joint, before and after",
+            ),
             "Pale: the 95 % interval of the robot file, cut where it is far wider. Strong: what the recordings leave of it. "
             "A strong bar as long as the pale one was not learnt.",
         )
@@ -48,7 +66,11 @@ def write_calibration_report(
             "The run as the calibration without it predicts it. It may be far off where the others say little, but not "
             "further than promised: bars on the right that reach far past 1 contradict the others.",
         )
-    parts += [*_motions(estimate), *_weighed(estimate), *torques(estimate.joint_fits, False, learnt=True)]
+    parts += [
+        *_motions(estimate),
+        *_weighed(estimate),
+        *torques(estimate.joint_fits, False, learnt=True),
+    ]
     parts += ["<h2>Runs that were not used</h2>"] * bool(estimate.unused)
     for n, run in enumerate(estimate.unused, start=1):
         parts += [f"<h3>{html.breakable(run.name)}</h3>", framed(pictures.run_figure(None, run, n))]
@@ -72,10 +94,15 @@ def _motions(estimate: CalibrationEstimate) -> list[str]:
     motion = estimate.motion
     if motion is None:
         return []
-    runs = [[run["name"], f"{run['duration_s']:.0f} s", shown("kg", run["load_kg"], spec=".0f")] for run in motion.runs]
+    runs = [
+        [run["name"], f"{run['duration_s']:.0f} s", shown("kg", run["load_kg"], spec=".0f")]
+        for run in motion.runs
+    ]
     joints = [
         [joint, shown("N m", rms, spec=".0f"), f"{windows:.1f}"]
-        for joint, rms, windows in zip(motion.joints, motion.residual, motion.correlation, strict=True)
+        for joint, rms, windows in zip(
+            motion.joints, motion.residual, motion.correlation, strict=True
+        )
     ]
     return [
         "<h2>The motions</h2>",
@@ -83,19 +110,34 @@ def _motions(estimate: CalibrationEstimate) -> list[str]:
         f"<p>By its torques the arm weighs {motion.arm_over_urdf:.2f} times what its URDF says. The torque constants count as "
         f"known to {100.0 * motion.torque_scale_std:.1f} %, times {motion.torque_scale:.3f}.</p>",
         "<h3>Torque that is left over</h3>",
-        table(["joint", "rms over windows of 0.5 s", "windows that share an error"], joints, numbers=(1, 2)),
+        table(
+            ["joint", "rms over windows of 0.5 s", "windows that share an error"],
+            joints,
+            numbers=(1, 2),
+        ),
     ]
 
 
 def _weighed(estimate: CalibrationEstimate) -> list[str]:
     if not estimate.weighed_empty:
         return []
-    loads = {run["name"]: run["load_kg"] for run in estimate.joint.runs} if estimate.joint is not None else {}
+    loads = (
+        {run["name"]: run["load_kg"] for run in estimate.joint.runs}
+        if estimate.joint is not None
+        else {}
+    )
     rows = []
     for each in estimate.weighed_empty:
         spec = spec_for("kg", each.half_width / Z95)
         held = shown("kg", loads.get(each.name, 0.0), spec=".0f")
-        rows.append([each.name, held, shown("kg", each.mass_kg, spec=spec), "± " + shown("kg", each.half_width, spec=spec)])
+        rows.append(
+            [
+                each.name,
+                held,
+                shown("kg", each.mass_kg, spec=spec),
+                "± " + shown("kg", each.half_width, spec=spec),
+            ]
+        )
     title = "<h3>Each motion, weighed by the calibration of the others</h3>"
     return [title, table(["", "held", "weighs", "95 %"], rows, numbers=(1, 2, 3))]
 
@@ -122,13 +164,19 @@ def _noise(estimate: CalibrationEstimate) -> list[str]:
     if calibration is None:
         return []
     rows = [
-        ["readings, over what the robot file says of encoder noise and rounding", f"{calibration.residual_scale:.2f}"],
+        [
+            "readings, over what the robot file says of encoder noise and rounding",
+            f"{calibration.residual_scale:.2f}",
+        ],
         ["stamps of the joint states", shown("s", calibration.stamp_jitter_s)],
         [KINDS["disturbance"].label, shown("N m", calibration.torque_disturbance)],
         ["delay from run to run", shown("s", calibration.onset_jitter_s)],
         ["velocity at which probes begin", shown("rad/s", calibration.start_velocity)],
     ]
-    return ["<h3>Noise, as the runs show it (standard deviations)</h3>", table(["", ""], rows, numbers=(1,))]
+    return [
+        "<h3>Noise, as the runs show it (standard deviations)</h3>",
+        table(["", ""], rows, numbers=(1,)),
+    ]
 
 
 def _advice(estimate: CalibrationEstimate) -> list[str]:
@@ -138,7 +186,9 @@ def _advice(estimate: CalibrationEstimate) -> list[str]:
     for plan in estimate.advice:
         start = ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items())
         current = f"{shown('A', plan.current_A, spec='+.0f')}, {plan.duration_s:g} s"
-        rows.append([plan.joint, plan.kind, start, current, f"{100 * plan.clearance_m:.0f} cm", plan.reason])
+        rows.append(
+            [plan.joint, plan.kind, start, current, f"{100 * plan.clearance_m:.0f} cm", plan.reason]
+        )
     header = ["joint", "kind", "start (rad)", "current", "clearance", "why"]
     return ["<h2>Runs that would help most</h2>", table(header, rows, numbers=(), labels=2)]
 
@@ -149,7 +199,8 @@ def _unknowns(estimate: CalibrationEstimate) -> list[str]:
     rows = []
     for row in estimate.unknowns:
         left = f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-"
-        prior, now = within(row.prior, row.prior_std), within(row.value, row.std)
+        prior = within(row.prior, row.prior_std)
+        now = within(row.value, row.std)
         rows.append([row.label, prior, now, left, row.unit.replace("^2", "²")])
     header = ["unknown", "robot file", "now", "left of its uncertainty", "unit"]
     return ["<h2>Every shared unknown</h2>", table(header, rows, numbers=(1, 2, 3), labels=1)]

@@ -13,7 +13,9 @@ from html import escape
 
 import numpy as np
 
-WIDTH, LEFT, RIGHT = 640.0, 74.0, 14.0
+WIDTH = 640.0
+LEFT = 74.0
+RIGHT = 14.0
 TITLE, BELOW, AXIS = 34.0, 12.0, 42.0
 """Height of a panel's title, of the space below a panel, and of the axis below the last one."""
 INSIDE = WIDTH - LEFT - RIGHT
@@ -65,7 +67,9 @@ def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
     """The SVG of panels from above with the axis below all of them; ``name`` is for those who cannot see it."""
     every = np.concatenate([_of(s.x, axis.log) for panel in panels for s in panel.series])
     x0, x1 = _reach(every, 0.01)
-    top, body, edges = 0.0, [], []
+    top = 0.0
+    body = []
+    edges = []
     for panel in panels:
         top += TITLE
         body.append(_panel(panel, axis, x0, x1, top))
@@ -76,7 +80,9 @@ def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
     for value, word in _ticks(x0, x1, axis.log, whole=axis.whole):
         at = LEFT + (value - x0) / (x1 - x0) * INSIDE
         line = "".join(f"M{_n(at)},{_n(above)}V{_n(below)}" for above, below in edges)
-        marks.append(f'<path d="{line}"/><text x="{_n(at)}" y="{_n(bottom + 18)}" text-anchor="middle">{word}</text>')
+        marks.append(
+            f'<path d="{line}"/><text x="{_n(at)}" y="{_n(bottom + 18)}" text-anchor="middle">{word}</text>'
+        )
     title = f'<text x="{_n(LEFT + INSIDE / 2)}" y="{_n(bottom + AXIS - 4)}" text-anchor="middle">{escape(axis.title)}</text>'
     log = " data-log" if axis.log else ""
     return (
@@ -88,29 +94,43 @@ def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
 
 def _panel(panel: Panel, axis: Axis, x0: float, x1: float, top: float) -> str:
     seen = [_of(s.y, panel.log) for s in panel.series]
-    seen += [_of(np.array(panel.rules), panel.log), *(panel.band[1:] if panel.band is not None else ())]
+    seen += [
+        _of(np.array(panel.rules), panel.log),
+        *(panel.band[1:] if panel.band is not None else ()),
+    ]
     every = np.concatenate(seen)
     y0, y1 = _reach(np.minimum(every, panel.highest), MARGIN)
 
     def points(x: np.ndarray, y: np.ndarray) -> list[str]:
-        x, y = _of(x, axis.log), _of(y, panel.log)
+        x = _of(x, axis.log)
+        y = _of(y, panel.log)
         good = np.isfinite(x) & np.isfinite(y)
-        right, down = (x[good] - x0) / (x1 - x0) * INSIDE, (y1 - y[good]) / (y1 - y0) * panel.height
+        right = (x[good] - x0) / (x1 - x0) * INSIDE
+        down = (y1 - y[good]) / (y1 - y0) * panel.height
         return [f"{_n(a)},{_n(b)}" for a, b in zip(right, down, strict=True)]
 
     def across(value: float) -> str:
         return _n((float(_of(np.array(value), axis.log)) - x0) / (x1 - x0) * INSIDE)
 
-    drawn, legend = [], []
+    drawn = []
+    legend = []
     for low, high in panel.spans:
-        drawn.append(f'<path class="span" d="M{across(low)},0H{across(high)}V{_n(panel.height)}H{across(low)}Z"/>')
+        drawn.append(
+            f'<path class="span" d="M{across(low)},0H{across(high)}V{_n(panel.height)}H{across(low)}Z"/>'
+        )
     if panel.band is not None:
         times, low_y, high_y = panel.band
         around = "L".join([*points(times, high_y), *points(times, low_y)[::-1]])
         drawn.append(f'<path class="span" d="M{around}Z"/>')
-    drawn += [f'<path class="vertical" d="M{across(value)},0V{_n(panel.height)}"/>' for value in panel.verticals]
+    drawn += [
+        f'<path class="vertical" d="M{across(value)},0V{_n(panel.height)}"/>'
+        for value in panel.verticals
+    ]
     ends = np.array([10.0**x0, 10.0**x1] if axis.log else [x0, x1])
-    drawn += [f'<path class="rule" d="M{"L".join(points(ends, np.full(2, rule)))}"/>' for rule in panel.rules]
+    drawn += [
+        f'<path class="rule" d="M{"L".join(points(ends, np.full(2, rule)))}"/>'
+        for rule in panel.rules
+    ]
     for series in panel.series:
         places = points(series.x, series.y)
         if not places:
@@ -119,14 +139,24 @@ def _panel(panel: Panel, axis: Axis, x0: float, x1: float, top: float) -> str:
         if series.kind == "dots":
             line = "".join(f"M{place}h0" for place in places)
         elif series.kind == "pairs":
-            line = "".join(f"M{low}L{high}" for low, high in zip(places[::2], places[1::2], strict=True))
+            line = "".join(
+                f"M{low}L{high}" for low, high in zip(places[::2], places[1::2], strict=True)
+            )
         elif series.kind == "steps":
-            line = f"M{places[0]}" + "".join(f"H{place.partition(',')[0]}L{place}" for place in places[1:])
-        named = f' data-name="{escape(series.name)}" data-unit="{escape(panel.unit)}"' if series.name else ""
+            line = f"M{places[0]}" + "".join(
+                f"H{place.partition(',')[0]}L{place}" for place in places[1:]
+            )
+        named = (
+            f' data-name="{escape(series.name)}" data-unit="{escape(panel.unit)}"'
+            if series.name
+            else ""
+        )
         drawn.append(f'<path class="{series.kind} {series.color}"{named} d="{line}"/>')
         if series.name and series.listed:
             sign = "\N{BLACK CIRCLE}" if series.kind == "dots" else "\N{EM DASH}"
-            legend.append(f'<tspan class="{series.color}" dx="14">{sign} {escape(series.name)}</tspan>')
+            legend.append(
+                f'<tspan class="{series.color}" dx="14">{sign} {escape(series.name)}</tspan>'
+            )
     words = f'<text x="2" y="{_n(top - 11)}"><tspan class="title">{escape(panel.title)}</tspan>{"".join(legend)}</text>'
     marks = []
     for value, word in _ticks(y0, y1, panel.log, panel.height / 22.0):
@@ -155,20 +185,30 @@ def _reach(values: np.ndarray, margin: float) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
-    low, high = float(finite.min()), float(finite.max())
+    low = float(finite.min())
+    high = float(finite.max())
     if high - low < 1e-9 * max(abs(low), abs(high), 1e-6):
-        low, high = low - max(0.1 * abs(low), 1e-3), high + max(0.1 * abs(high), 1e-3)
+        low = low - max(0.1 * abs(low), 1e-3)
+        high = high + max(0.1 * abs(high), 1e-3)
     spare = margin * (high - low)
     return low - spare, high + spare
 
 
-def _ticks(low: float, high: float, log: bool, most: float = 7.0, whole: bool = False) -> list[tuple[float, str]]:
+def _ticks(
+    low: float, high: float, log: bool, most: float = 7.0, whole: bool = False
+) -> list[tuple[float, str]]:
     """Places on the axis and what stands there: round numbers."""
     if log:
         digits_shown = (1,) if high - low > 1.5 else (1, 2, 5)
-        decades = range(math.floor(low), math.ceil(high) + 1, max(1, math.ceil((high - low) / most)))
+        decades = range(
+            math.floor(low), math.ceil(high) + 1, max(1, math.ceil((high - low) / most))
+        )
         values = [digit * 10.0**decade for decade in decades for digit in digits_shown]
-        return [(math.log10(v), f"{v:g}".replace("e+0", "e")) for v in values if low <= math.log10(v) <= high]
+        return [
+            (math.log10(v), f"{v:g}".replace("e+0", "e"))
+            for v in values
+            if low <= math.log10(v) <= high
+        ]
     power = 10.0 ** math.floor(math.log10((high - low) / most))
     step = next(power * digit for digit in (1, 2, 5, 10) if (high - low) / (power * digit) < most)
     if math.floor(high / step) - math.ceil(low / step) < 1:  # one mark is no scale

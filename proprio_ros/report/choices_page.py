@@ -32,9 +32,14 @@ def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path
 
     The target is the half interval that was asked for. Raises `ConfigurationError`: The file cannot be written.
     """
-    parts, last = ["<h1>Pushes, one by one</h1>"], choices[-1]
+    parts = ["<h1>Pushes, one by one</h1>"]
+    last = choices[-1]
     if len(choices) > 1:  # before the first nothing is known
-        value = shown(sought.unit, last.value, spec=spec_for(sought.unit, sought.std_of(last.half, last.value)))
+        value = shown(
+            sought.unit,
+            last.value,
+            spec=spec_for(sought.unit, sought.std_of(last.half, last.value)),
+        )
         pushes = f"{len(choices) - 1} push{'es' * (len(choices) > 2)}"
         after = f"{sought.label} {sought.said(last.half)} (95 %) after {pushes}; {sought.said(target)} asked for"
         parts += [f"<p class=value>{escape(value)}</p>", f"<p class=interval>{escape(after)}</p>"]
@@ -48,12 +53,16 @@ def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path
         took = f"{1e3 * choice.decided_s:.0f} ms"
         rows.append([str(number), known, choice.chosen, promised, "; ".join(choice.others), took])
     header = ["", "known before", "chosen", "promises", "not chosen", "decided in"]
-    parts += ["<h2>What was chosen, and what was not</h2>", table(header, rows, (0, 1, 3, 5), labels=1)]
+    parts += [
+        "<h2>What was chosen, and what was not</h2>",
+        table(header, rows, (0, 1, 3, 5), labels=1),
+    ]
     write_document(path, "Pushes, one by one", parts, "the page of the choices")
 
 
 def _figure(choices: Sequence[Choice], sought: Sought, target: float) -> str:
-    pushes, name = np.arange(1.0, len(choices)), sought.label
+    pushes = np.arange(1.0, len(choices))
+    name = sought.label
     factor, unit = shown_unit(sought.unit)
     as_shown, unit_of_half = (100.0, "%") if sought.share else (factor, unit)
     value = factor * np.array([choice.value for choice in choices[1:]])
@@ -69,4 +78,6 @@ def _figure(choices: Sequence[Choice], sought: Sought, target: float) -> str:
         Panel(f"half 95 % interval ({unit_of_half})", unit_of_half, halves, rules=rules, log=True),
     ]
     about = f"{name} and 95 % interval after each push. Below: half of it, what the push promised, what was asked for."
-    return framed(chart(panels, Axis("pushes", "", whole=True), "Interval after each push"), f"Above: {about}")
+    return framed(
+        chart(panels, Axis("pushes", "", whole=True), "Interval after each push"), f"Above: {about}"
+    )

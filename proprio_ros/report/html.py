@@ -23,7 +23,9 @@ SCRIPT = Path(__file__).with_name("chart.js").read_text(encoding="utf-8")
 
 def policy(*scripts: str) -> str:
     """A browser loads nothing for the page, and runs no other scripts in it."""
-    digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
+    digests = (
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
+    )
     allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
     return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}"
 
@@ -55,7 +57,14 @@ def document(title: str, parts: Sequence[str], own: Own | None = None) -> str:
     return "\n".join([*head, *parts, f"{tail}</body></html>"])
 
 
-def write_document(path: Path, title: str, parts: Sequence[str], option: str, force: bool = False, own: Own | None = None) -> None:
+def write_document(
+    path: Path,
+    title: str,
+    parts: Sequence[str],
+    option: str,
+    force: bool = False,
+    own: Own | None = None,
+) -> None:
     """Write a page; an older page of that name is replaced in one step, another file only with ``force``.
 
     Raises `ConfigurationError`: Another file is there, or it cannot be written; the option is what named it.
@@ -73,12 +82,19 @@ def provenance(command: str, sources: Sequence[str], timing_s: Mapping[str, floa
         named = ", ".join(f"<code>{escape(str(source))}</code>" for source in sources)
         parts.append(f"<p class=small>Recordings: {named}</p>")
     timing = ", ".join(f"{name} {1e3 * seconds:.0f} ms" for name, seconds in timing_s.items())
-    return [*parts, f"<p class=small>proprio_ros {escape(__version__)}{'; ' * bool(timing)}{escape(timing)}</p>"]
+    return [
+        *parts,
+        f"<p class=small>proprio_ros {escape(__version__)}{'; ' * bool(timing)}{escape(timing)}</p>",
+    ]
 
 
 def bulleted(sentences: Sequence[str]) -> list[str]:
     """Sentences as a list, or nothing."""
-    return ["<ul>" + "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences) + "</ul>"] if sentences else []
+    return (
+        ["<ul>" + "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences) + "</ul>"]
+        if sentences
+        else []
+    )
 
 
 def listed(title: str, sentences: Sequence[str]) -> list[str]:
@@ -88,7 +104,10 @@ def listed(title: str, sentences: Sequence[str]) -> list[str]:
 
 def titled(title: str, verdict: str, words: str) -> list[str]:
     """The headline with the verdict in its colour."""
-    return [f"<h1>{escape(title)}</h1>", f'<span class="verdict {escape(verdict)}">{escape(words)}</span>']
+    return [
+        f"<h1>{escape(title)}</h1>",
+        f'<span class="verdict {escape(verdict)}">{escape(words)}</span>',
+    ]
 
 
 def plotted(title: str, svg: str, caption: str) -> list[str]:
@@ -119,7 +138,11 @@ def percent(share: float) -> str:
 
 
 def table(
-    header: Sequence[str], rows: Sequence[Sequence[str]], numbers: Iterable[int], ids: Sequence[str] = (), labels: int = 0
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    numbers: Iterable[int],
+    ids: Sequence[str] = (),
+    labels: int = 0,
 ) -> str:
     """Rows of text; the columns in ``numbers`` are set to the right, and the rows' ``ids`` are for links.
 
@@ -140,14 +163,18 @@ def table(
         return "".join(cell(column, words, tag) for column, words in enumerate(row))
 
     head = f"<thead><tr>{cells(header, 'th')}</tr></thead>" if any(header) else ""
-    body = "".join(f"<tr{mark}>{cells(row, 'td')}</tr>" for row, mark in zip(rows, marks, strict=True))
+    body = "".join(
+        f"<tr{mark}>{cells(row, 'td')}</tr>" for row, mark in zip(rows, marks, strict=True)
+    )
     return f"<div class=wide><table{' class=folds' if labels else ''}>{head}<tbody>{body}</tbody></table></div>"
 
 
 def breakable(words: str) -> str:
     """A cell's words, in which a long name may break where folders do."""
     return (
-        re.sub(r"(?<=[/_])(?=\w)", "<wbr>", escape(words)) if len(max(words.split(), key=len, default="")) > 24 else escape(words)
+        re.sub(r"(?<=[/_])(?=\w)", "<wbr>", escape(words))
+        if len(max(words.split(), key=len, default="")) > 24
+        else escape(words)
     )
 
 

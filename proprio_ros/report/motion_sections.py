@@ -13,7 +13,9 @@ from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import breakable, framed, percent
 from proprio_ros.report.pictures import ArmPicture
 
-HINT = "Rest the pointer on a curve for its values; drag to look closer, double-click for all of it."
+HINT = (
+    "Rest the pointer on a curve for its values; drag to look closer, double-click for all of it."
+)
 _INERTIA = {
     "identified": "Ellipsoid: the homogeneous one of that mass and inertia, both identified.",
     "stated": "Ellipsoid: the homogeneous one of that mass, with inertia as stated.",
@@ -26,12 +28,21 @@ def arm_and_payload(views: Sequence[HeldView]) -> list[str]:
     if not views:
         return []
     about = "Strong: the arm where the hand is farthest out, with a ring where the object is attached; faint: at other instants."
-    pictures = "".join(framed(held_figure(view, len(views) == 1), view.side.capitalize()) for view in views)
+    pictures = "".join(
+        framed(held_figure(view, len(views) == 1), view.side.capitalize()) for view in views
+    )
     if views[0].centre is not None:
         interval = "" if views[0].within is None else "; dashed: its 95 % interval"
         about += f" Cross: the payload's centre of mass{interval}. {_INERTIA.get(views[0].inertia_is, '')}"
-        pictures += "".join(framed(held_figure(view, closer=True), f"{view.side.capitalize()}, closer") for view in views)
-    return ["<h2>Arm and payload</h2>", f"<div class=views>{pictures}</div>", f"<p class=small>{escape(about)}</p>"]
+        pictures += "".join(
+            framed(held_figure(view, closer=True), f"{view.side.capitalize()}, closer")
+            for view in views
+        )
+    return [
+        "<h2>Arm and payload</h2>",
+        f"<div class=views>{pictures}</div>",
+        f"<p class=small>{escape(about)}</p>",
+    ]
 
 
 def held_figure(view: HeldView, alone: bool = False, closer: bool = False) -> str:
@@ -63,7 +74,10 @@ def what_told(fits: Sequence[JointFit]) -> list[str]:
         "that of what stays unexplained of the joint's torque."
     )
     most = max(float(fit.told.max(initial=0.0)) for fit in fits) or 1.0
-    parts = ["<h2>Which joints and which seconds told the mass</h2>", f"<p class=small>{escape(about)}</p>"]
+    parts = [
+        "<h2>Which joints and which seconds told the mass</h2>",
+        f"<p class=small>{escape(about)}</p>",
+    ]
     for name in dict.fromkeys(fit.name for fit in fits):
         mine = [fit for fit in fits if fit.name == name]
         rows = "".join(
@@ -72,7 +86,10 @@ def what_told(fits: Sequence[JointFit]) -> list[str]:
             for fit in sorted(mine, key=lambda fit: -float(fit.told.sum()))
         )
         end_s = len(mine[0].told) * mine[0].part_s
-        ends = "".join(f"<span>{share * end_s:.{0 if end_s > 10.0 else 1}f} s</span>" for share in (0.0, 0.5, 1.0))
+        ends = "".join(
+            f"<span>{share * end_s:.{0 if end_s > 10.0 else 1}f} s</span>"
+            for share in (0.0, 0.5, 1.0)
+        )
         parts.append(
             f"<h3>{escape(name)}</h3><table class='bars strips'><tbody>{rows}<tr><td></td><td><div class=ends>{ends}</div></td><td>"
             "</td></tr></tbody></table>"
@@ -83,7 +100,9 @@ def what_told(fits: Sequence[JointFit]) -> list[str]:
 def _strip(shares: np.ndarray) -> str:
     """A cell for each part of a recording, as dark as its share of the most, 0 to 1."""
     cells = "".join(
-        f'<rect x="{place}" width="1" height="1" opacity="{share:.2f}"/>' for place, share in enumerate(shares) if share >= 0.005
+        f'<rect x="{place}" width="1" height="1" opacity="{share:.2f}"/>'
+        for place, share in enumerate(shares)
+        if share >= 0.005
     )
     return (
         f'<svg class="strip" role="img" aria-label="Share over time" viewBox="0 0 {len(shares)} 1" '
@@ -95,9 +114,11 @@ def torques(fits: Sequence[JointFit], weighed: bool, learnt: bool = False) -> li
     """Measured and explained torque of each joint; ``weighed``: there is a payload's, too; ``learnt``: it calibrates the arm."""
     if not fits:
         return []
-    by, where = "the arm, its friction and the payload", " where the load is known"
+    by = "the arm, its friction and the payload"
+    where = " where the load is known"
     if learnt:
-        by, where = "the arm and its friction", " over all motions"
+        by = "the arm and its friction"
+        where = " over all motions"
     about = (
         f"Means over windows of half a second. Explained: by {by} as they were identified. "
         f"Band: two standard deviations of what stays unexplained{where}."
@@ -110,9 +131,15 @@ def torques(fits: Sequence[JointFit], weighed: bool, learnt: bool = False) -> li
         fits = sorted(fits, key=lambda fit: (fit.name, told.index(fit.joint)))
     for fit in fits:
         title = f"{fit.name}: {fit.joint}" if several else fit.joint
-        left_over, known = (f"{rms:{spec_for('', rms / Z95, kept=True)}} N m" for rms in (fit.left_over, fit.usual))
+        left_over, known = (
+            f"{rms:{spec_for('', rms / Z95, kept=True)}} N m" for rms in (fit.left_over, fit.usual)
+        )
         usual = f", {known}{where}" if fit.usual > 0.0 and (several or not learnt) else ""
-        told_mass = f"Told {percent(float(fit.told.sum()))} of the mass; " if len(fits) > 1 and not learnt else ""
+        told_mass = (
+            f"Told {percent(float(fit.told.sum()))} of the mass; "
+            if len(fits) > 1 and not learnt
+            else ""
+        )
         words = f"{told_mass}{left_over} stay unexplained (rms){usual}."
         figure = framed(torque_figure(fit, weighed))
         parts.append(f"<h3>{escape(title)}</h3><p class=small>{escape(words)}</p>{figure}")
@@ -123,14 +150,33 @@ def torque_figure(fit: JointFit, with_payload: bool) -> str:
     """Torque over time, what explains it, and what is left over; ``with_payload``: also without what the payload makes of it."""
     small = float(np.abs(fit.measured).max(initial=0.0)) < 1.0
     factor, unit = (1e3, "mN m") if small else (1.0, "N m")
-    times, explained = fit.times_s, factor * fit.explained
-    traces = [Series("measured", times, factor * fit.measured, "measured"), Series("explained", times, explained, "simulated")]
+    times = fit.times_s
+    explained = factor * fit.explained
+    traces = [
+        Series("measured", times, factor * fit.measured, "measured"),
+        Series("explained", times, explained, "simulated"),
+    ]
     if with_payload:
-        traces.insert(0, Series("without the payload", times, explained - factor * fit.payload, "left-out"))
-    off = Series("explained less measured", times, explained - factor * fit.measured, "simulated", listed=False)
+        traces.insert(
+            0, Series("without the payload", times, explained - factor * fit.payload, "left-out")
+        )
+    off = Series(
+        "explained less measured",
+        times,
+        explained - factor * fit.measured,
+        "simulated",
+        listed=False,
+    )
     band = None
     if fit.usual > 0.0:
         width = np.full(len(times), 2.0 * factor * fit.usual)
         band = (times, -width, width)
-    panels = [Panel(f"torque ({unit})", unit, traces, 120.0), Panel(f"residual ({unit})", unit, [off], 70.0, band, rules=[0.0])]
-    return chart(panels, Axis("time (s)", "s"), f"{fit.joint}: measured and explained torque and residual over time")
+    panels = [
+        Panel(f"torque ({unit})", unit, traces, 120.0),
+        Panel(f"residual ({unit})", unit, [off], 70.0, band, rules=[0.0]),
+    ]
+    return chart(
+        panels,
+        Axis("time (s)", "s"),
+        f"{fit.joint}: measured and explained torque and residual over time",
+    )

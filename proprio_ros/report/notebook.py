@@ -16,7 +16,9 @@ from proprio_ros.report.figures import ACCENT, INK, MUTED, drawn, plain
 MOST_ROWS = 40  # of a table or of bars; what there is more is counted
 
 
-def small_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], after: Iterable[str] = ()) -> str:
+def small_table(
+    title: str, header: Sequence[str], rows: Sequence[Sequence[str]], after: Iterable[str] = ()
+) -> str:
     """A title, a table without the notebook's own style, and sentences."""
     cell = "padding:.15em .8em .15em 0;text-align:left;vertical-align:top"
     heads = "".join(f'<th style="{cell}">{escape(words)}</th>' for words in header)
@@ -47,9 +49,17 @@ def bars_figure(title: str, unit: str, bars: Sequence[tuple[str, float, bool]]) 
         return words_figure(title, ["there is nothing to show"])
     shown = list(bars[:MOST_ROWS])
     names = [plain(textwrap.fill(name, 56, max_lines=3, placeholder=" ...")) for name, *_ in shown]
-    with drawn(7.4, 0.9 + sum(0.12 + 0.14 * (1 + name.count("\n")) for name in names)) as (figure, axis):
+    with drawn(7.4, 0.9 + sum(0.12 + 0.14 * (1 + name.count("\n")) for name in names)) as (
+        figure,
+        axis,
+    ):
         lengths = [length if np.isfinite(length) else 0.0 for _, length, _ in shown]
-        axis.barh(range(len(shown)), lengths, color=[ACCENT if good else MUTED for *_, good in shown], height=0.6)
+        axis.barh(
+            range(len(shown)),
+            lengths,
+            color=[ACCENT if good else MUTED for *_, good in shown],
+            height=0.6,
+        )
         axis.set_yticks(range(len(shown)), names, fontsize=8.0)
         axis.invert_yaxis()
         axis.set_xlim(left=0.0)
@@ -60,12 +70,24 @@ def bars_figure(title: str, unit: str, bars: Sequence[tuple[str, float, bool]]) 
         return figure
 
 
-def series_figure(title: str, places: Sequence[str], unit: str, lines: Sequence[tuple[str, Any, Any]]) -> Any:
+def series_figure(
+    title: str, places: Sequence[str], unit: str, lines: Sequence[tuple[str, Any, Any]]
+) -> Any:
     """Named values with half of their intervals, one of each line at every place. A matplotlib ``Figure``."""
     with drawn(7.4, 3.6) as (figure, axis):
         for number, (name, values, half) in enumerate(lines):
-            at = np.arange(len(places)) + 0.06 * (number - 0.5 * (len(lines) - 1))  # beside each other, not on each other
-            axis.errorbar(at, values, yerr=half, fmt="o-", linewidth=1.0, markersize=3.5, capsize=2, label=plain(name))
+            # beside each other, not on each other
+            at = np.arange(len(places)) + 0.06 * (number - 0.5 * (len(lines) - 1))
+            axis.errorbar(
+                at,
+                values,
+                yerr=half,
+                fmt="o-",
+                linewidth=1.0,
+                markersize=3.5,
+                capsize=2,
+                label=plain(name),
+            )
         axis.set_xticks(range(len(places)), places, rotation=30, ha="right", fontsize=8.0)
         axis.set_ylabel(unit)
         axis.set_title(textwrap.fill(plain(title), 90), loc="left", fontsize=9.5)
@@ -79,12 +101,22 @@ def calibration_figure(estimate: CalibrationEstimate) -> Any:
         return draw_drive_trains(estimate.unknowns)
     weighed = estimate.weighed_empty[:MOST_ROWS]
     if not weighed:
-        return words_figure(f"calibration {estimate.verdict.value.replace('_', ' ')}", estimate.reasons or ("nothing to show",))
+        return words_figure(
+            f"calibration {estimate.verdict.value.replace('_', ' ')}",
+            estimate.reasons or ("nothing to show",),
+        )
     with drawn(7.4, 0.9 + 0.28 * len(weighed)) as (figure, axis):
-        grams, half = (1e3 * np.array(each) for each in zip(*((w.mass_kg, w.half_width) for w in weighed), strict=True))
+        grams, half = (
+            1e3 * np.array(each)
+            for each in zip(*((w.mass_kg, w.half_width) for w in weighed), strict=True)
+        )
         axis.errorbar(grams, range(len(weighed)), xerr=half, fmt="o", color=ACCENT, capsize=3)
         axis.axvline(0.0, color=INK, linewidth=0.8)
-        axis.set_yticks(range(len(weighed)), [plain(textwrap.shorten(each.name, 60)) for each in weighed], fontsize=8.0)
+        axis.set_yticks(
+            range(len(weighed)),
+            [plain(textwrap.shorten(each.name, 60)) for each in weighed],
+            fontsize=8.0,
+        )
         axis.invert_yaxis()
         axis.set_xlabel("what each weighs by the calibration of the others, 95 % (g)")
         return figure

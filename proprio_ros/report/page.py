@@ -13,7 +13,17 @@ from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.records import TORQUE_OFF
 from proprio_ros.report import html, pictures
-from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, within, write_document
+from proprio_ros.report.html import (
+    bulleted,
+    framed,
+    listed,
+    number,
+    provenance,
+    table,
+    titled,
+    within,
+    write_document,
+)
 from proprio_ros.report.motion_sections import HINT, arm_and_payload, torques, what_told
 
 _WORDS = {
@@ -23,21 +33,36 @@ _WORDS = {
     Verdict.NOT_IDENTIFIABLE: "not identifiable: the recording does not determine it",
 }
 
-_COLORS = {"accepted": "#2b7a4b", "rejected": "#b23a48", "not_identifiable": "#96600c", "too_wide": "#96600c"}
+_COLORS = {
+    "accepted": "#2b7a4b",
+    "rejected": "#b23a48",
+    "not_identifiable": "#96600c",
+    "too_wide": "#96600c",
+}
 """Of verdicts in a notebook; another is grey, as on the page."""
 
 _ROLES = {"free": "fitted", "frozen": "as stated"}
 
 
 def write_page(
-    estimate: Estimate, path: Path, own: Sequence[str] = (), *, command: str = "", sources: Sequence[str] = (), force: bool = False
+    estimate: Estimate,
+    path: Path,
+    own: Sequence[str] = (),
+    *,
+    command: str = "",
+    sources: Sequence[str] = (),
+    force: bool = False,
 ) -> None:
     """Write the page for one result; an older page is replaced in one step, another file of that name only with ``force``.
 
     ``own`` is what only its probe has to show, as HTML; the command line gives the same result again from its sources.
     Raises `ConfigurationError`: The file cannot be written.
     """
-    parts = [*_headline(estimate), *arm_and_payload(estimate.held_views), *what_told(estimate.joint_fits)]
+    parts = [
+        *_headline(estimate),
+        *arm_and_payload(estimate.held_views),
+        *what_told(estimate.joint_fits),
+    ]
     parts += [*_runs(estimate), *own]
     if estimate.scan is not None and len(estimate.scan.values) > 1:
         parts += _scan(estimate)
@@ -45,9 +70,15 @@ def write_page(
         parts += _convergence(estimate)
     if estimate.budget:
         about = f"Standard deviation that each puts on the {estimate.values[0].label}, and its share of the variance."
-        parts += ["<h2>Where the uncertainty comes from</h2>", f"<p class=small>{escape(about)}</p>"]
+        parts += [
+            "<h2>Where the uncertainty comes from</h2>",
+            f"<p class=small>{escape(about)}</p>",
+        ]
         parts.append(pictures.budget_figure(estimate))
-    parts += [*torques(estimate.joint_fits, estimate.values[0].value is not None), *_values(estimate)]
+    parts += [
+        *torques(estimate.joint_fits, estimate.values[0].value is not None),
+        *_values(estimate),
+    ]
     parts += listed("What was assumed", estimate.assumptions)
     parts += listed("Notes on the recording", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
@@ -55,17 +86,27 @@ def write_page(
     write_document(Path(path), title, parts, "--report", force)
 
 
-def card(title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str], interval_first: bool = False) -> str:
+def card(
+    title: str,
+    verdict: Verdict,
+    values: Sequence[Value],
+    reasons: Sequence[str],
+    interval_first: bool = False,
+) -> str:
     """A result in a few lines for a notebook's cell, styled by itself, so that nothing of it reaches the rest of the notebook."""
     color = _COLORS.get(verdict.value, "#5a6675")
     badge = f"background:{color};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600;display:inline-block"
     lines = [f'<div style="{badge}">{escape(_verdict_in_words(verdict))}</div> {escape(title)}']
     for value in values:
         number_style = "font-size:1.5em;font-weight:600;margin-top:.3em"
-        lines.append(f'<div style="{number_style}">{escape(_in_words(value, interval_first))}</div>')
+        lines.append(
+            f'<div style="{number_style}">{escape(_in_words(value, interval_first))}</div>'
+        )
         lines.append(f"<div>{escape(_interval_in_words(value, interval_first))}</div>")
     lines += bulleted(reasons)
-    if verdict is not Verdict.ACCEPTED and (remedy := REMEDIES.get(getattr(next(iter(reasons), ""), "code", ""))):
+    if verdict is not Verdict.ACCEPTED and (
+        remedy := REMEDIES.get(getattr(next(iter(reasons), ""), "code", ""))
+    ):
         lines.append(f"<div>What to do: {escape(remedy)}.</div>")
     return "<div>" + "".join(lines) + "</div>"
 
@@ -74,26 +115,37 @@ def _runs(estimate: Estimate) -> list[str]:
     pairs = pictures.paired(estimate)
     if not pairs:
         return []
-    parts = ["<h2>Measured against simulated</h2>" if estimate.run_fits else "<h2>What was recorded</h2>"]
+    parts = [
+        "<h2>Measured against simulated</h2>" if estimate.run_fits else "<h2>What was recorded</h2>"
+    ]
     parts.append(f"<p class='small hint'>{HINT}</p>")
     for n, (fit, run) in enumerate(pairs, start=1):
         if fit is not None:
             name = fit.name
-            driven_by = "let go" if fit.source == TORQUE_OFF else f"{fit.current_A:+.3f} A from {fit.source}"
+            driven_by = (
+                "let go"
+                if fit.source == TORQUE_OFF
+                else f"{fit.current_A:+.3f} A from {fit.source}"
+            )
             about = f"{fit.joint}, {driven_by}, travel {fit.travel:+.2f} rad"
         else:
             assert run is not None
             name = run.name
             driven = run.input_current_A[np.argmax(np.abs(run.input_current_A))]
             moved = run.position[-1] - run.position[0] if len(run.position) else 0.0
-            about = f"not used: see the reasons above. {run.joint}, {driven:+.3f} A from {run.source}, "
+            about = (
+                f"not used: see the reasons above. {run.joint}, {driven:+.3f} A from {run.source}, "
+            )
             about += f"moved by {moved:+.3f} {run.unit}"
         if run is not None and run.baseline:
             about += "; baseline"
         parts.append(f"<h3>{html.breakable(name)}</h3><p class=small>{escape(about)}</p>")
         trace = framed(pictures.run_figure(fit, run, n))
         if run is not None and run.arm.size:
-            arm = framed(pictures.arm_figure(run, n), "From the side: dotted at the start, ring: the driven joint.")
+            arm = framed(
+                pictures.arm_figure(run, n),
+                "From the side: dotted at the start, ring: the driven joint.",
+            )
             trace = f"<div class=run>{trace}{arm}</div>"
         parts.append(trace)
     return parts
@@ -120,8 +172,12 @@ def _headline(estimate: Estimate) -> list[str]:
             continue  # an inertia has its lines below
         if place == 0 or value.known:
             beside = " beside" * (place > 0)
-            parts.append(f'<p class="value{beside}">{escape(_in_words(value, estimate.interval_first))}</p>')
-        parts.append(f"<p class=interval>{escape(_interval_in_words(value, estimate.interval_first))}</p>")
+            parts.append(
+                f'<p class="value{beside}">{escape(_in_words(value, estimate.interval_first))}</p>'
+            )
+        parts.append(
+            f"<p class=interval>{escape(_interval_in_words(value, estimate.interval_first))}</p>"
+        )
     return [*parts, *bulleted(estimate.reasons)]
 
 
@@ -149,10 +205,20 @@ def _interval_in_words(value: Value, interval_first: bool = False) -> str:
         known = [part for part in value.parts if part.ci95 is not None]
         digits = (spec_for(part.unit, part.std) for part in known)  # type: ignore[arg-type]
         ends = zip(known, digits, strict=True)
-        intervals = "; ".join(shown(part.unit, *part.ci95, spec=spec, between=" to ") for part, spec in ends)
+        intervals = "; ".join(
+            shown(part.unit, *part.ci95, spec=spec, between=" to ") for part, spec in ends
+        )
         why = f" ({value.reason})" if value.reason else ""
-        return f"{value.label}, 95 % intervals {intervals}".replace("^2", "²") + why if known else f"{value.label}{why}"
-    if isinstance(value.ci95, list) and isinstance(value.value, float) and isinstance(value.std, float):
+        return (
+            f"{value.label}, 95 % intervals {intervals}".replace("^2", "²") + why
+            if known
+            else f"{value.label}{why}"
+        )
+    if (
+        isinstance(value.ci95, list)
+        and isinstance(value.value, float)
+        and isinstance(value.std, float)
+    ):
         spec = spec_for(value.unit, value.std)
         if interval_first:
             return f"{value.label}, 95 % interval; best guess {shown(value.unit, value.value, spec=spec)}"
@@ -177,7 +243,8 @@ def _convergence(estimate: Estimate) -> list[str]:
         )
     if isinstance(estimate.values[0].value, float):
         about += " Dashed: the answer."
-    refined, scheduled = bool(solver.refined), any(path.scheduled is not None for path in solver.paths)
+    refined = bool(solver.refined)
+    scheduled = any(path.scheduled is not None for path in solver.paths)
     factor, unit = shown_unit(estimate.values[0].unit)
     end = f"least error ({unit})" if scheduled else f"end ({unit})"
     stops = [f"where the schedule stops ({unit})"] * scheduled
@@ -203,25 +270,50 @@ def _convergence(estimate: Estimate) -> list[str]:
 def _values(estimate: Estimate) -> list[str]:
     parts = ["<h2>Values and intervals</h2>"]
     rows = []
-    for each in (part for value in estimate.values for part in (value.parts if value.known else [value])):
-        interval = "-" if each.ci95 is None else " to ".join(number(end, each.std) for end in each.ci95)
+    for each in (
+        part for value in estimate.values for part in (value.parts if value.known else [value])
+    ):
+        interval = (
+            "-" if each.ci95 is None else " to ".join(number(end, each.std) for end in each.ci95)
+        )
         numbers = [number(each.value, each.std), number(each.std, each.std), interval]
         numbers = numbers if each.known else ["-"] * 3
         rows.append([each.label, *numbers, each.unit.replace("^2", "²"), each.reason])
-    header = ["estimate", "value", "std", "95 % interval", "unit", *[""] * any(row[-1] for row in rows)]
+    header = [
+        "estimate",
+        "value",
+        "std",
+        "95 % interval",
+        "unit",
+        *[""] * any(row[-1] for row in rows),
+    ]
     parts.append(table(header, [row[: len(header)] for row in rows], numbers=(1, 2, 3), labels=1))
     if estimate.unknowns:
-        parts.append("<h3>Every unknown: what the robot file says, and what the recording adds</h3>")
+        parts.append(
+            "<h3>Every unknown: what the robot file says, and what the recording adds</h3>"
+        )
         rows = []
         for row in estimate.unknowns:
             prior = "none" if row.prior_std == float("inf") else within(row.prior, row.prior_std)
-            pull = "-" if row.pull is None else f"{round(row.pull, 1) + 0.0:+.1f}"  # zero has no sign of its own
+            # zero has no sign of its own
+            pull = "-" if row.pull is None else f"{round(row.pull, 1) + 0.0:+.1f}"
             unit = row.unit.replace("^2", "²")
-            rows.append([row.label, _ROLES.get(row.role, row.role), prior, within(row.value, row.std), pull, unit])
+            rows.append(
+                [
+                    row.label,
+                    _ROLES.get(row.role, row.role),
+                    prior,
+                    within(row.value, row.std),
+                    pull,
+                    unit,
+                ]
+            )
         header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
         parts.append(table(header, rows, numbers=(2, 3, 4), labels=1))
     if (fit := estimate.fit) is not None:
-        expected = "where the load is known" if estimate.joint_fits else "expected from encoder and stamps"
+        expected = (
+            "where the load is known" if estimate.joint_fits else "expected from encoder and stamps"
+        )
         rows = [
             ["rms residual", shown(fit.unit, fit.rms, spec=".3g")],
             [expected, shown(fit.unit, fit.expected_rms, spec=".3g")],

@@ -26,26 +26,35 @@ def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) ->
         assert recorded is not None
         traces = [Series("recorded", recorded.times_s, recorded.position, "measured", "dots")]
     else:
-        times, places = fit.left_out_times_s, fit.left_out
+        times = fit.left_out_times_s
+        places = fit.left_out
         if recorded is not None and recorded.unit == unit:
             early = recorded.times_s < 0.0
-            times, places = np.append(recorded.times_s[early], times), np.append(recorded.position[early], places)
+            times = np.append(recorded.times_s[early], times)
+            places = np.append(recorded.position[early], places)
         traces = [
             Series("not fitted", times, places, "left-out", "dots", bool(len(times))),
             Series("measured", fit.times_s, fit.measured, "measured", "dots"),
             Series("simulated", fit.times_s, fit.simulated, "simulated"),
         ]
     panels = [Panel(f"position ({unit})", unit, traces, 170.0)]
-    free = TORQUE_OFF in (fit.source if fit is not None else "", recorded.source if recorded is not None else "")
+    free = TORQUE_OFF in (
+        fit.source if fit is not None else "",
+        recorded.source if recorded is not None else "",
+    )
     if recorded is not None and not free:
         panels.append(Panel("input current (A)", "A", [_current(recorded)], 70.0, rules=[0.0]))
     if fit is not None:
-        residual, sigma = 1e3 * (fit.simulated - fit.measured), 2e3 * fit.sigma
+        residual = 1e3 * (fit.simulated - fit.measured)
+        sigma = 2e3 * fit.sigma
         off = Series("simulated less measured", fit.times_s, residual, "simulated", listed=False)
         title = "residual (mrad); band: two standard deviations"
         panels.append(Panel(title, "mrad", [off], 90.0, (fit.times_s, -sigma, sigma), rules=[0.0]))
-    fitted, alone = "measured and simulated position, input current and residual", "recorded position and input current"
-    return chart(panels, Axis(TIME[free], "s"), f"Run {number}: {fitted if fit else alone} over time")
+    fitted = "measured and simulated position, input current and residual"
+    alone = "recorded position and input current"
+    return chart(
+        panels, Axis(TIME[free], "s"), f"Run {number}: {fitted if fit else alone} over time"
+    )
 
 
 def _current(run: RecordedRun) -> Series:
@@ -74,30 +83,43 @@ class ArmPicture:
     high: np.ndarray
     scale: float  # units of the picture per metre
     body: list[str] = field(default_factory=list)  # what is drawn
-    WIDTH, MARGIN, BELOW = 300.0, 18.0, 44.0
+    WIDTH = 300.0
+    MARGIN = 18.0
+    BELOW = 44.0
 
     @classmethod
     def around(cls, points: np.ndarray, closer: bool = False) -> ArmPicture:
         """With room for some points, shape (N, 2), and unless it is from ``closer`` for the base; 3 cm at least, for a scale."""
-        low, high = points.min(axis=0), points.max(axis=0)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         if not closer:
-            low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+            low = np.minimum(low, 0.0)
+            high = np.maximum(high, 0.0)
         return cls(low, high, (cls.WIDTH - 2.0 * cls.MARGIN) / max(float((high - low).max()), 0.03))
 
     def ground(self) -> None:
         """The floor, at the height of the base."""
         floor = self.MARGIN + self.scale * self.high[1]
-        self.body.append(f'<path class="ground" d="M{self.MARGIN / 2:.1f},{floor:.1f}H{self.WIDTH - self.MARGIN / 2:.1f}"/>')
+        self.body.append(
+            f'<path class="ground" d="M{self.MARGIN / 2:.1f},{floor:.1f}H{self.WIDTH - self.MARGIN / 2:.1f}"/>'
+        )
 
     def place(self, point: np.ndarray) -> str:
         """Of a point [m]."""
-        left = self.MARGIN + 0.5 * (self.WIDTH - 2.0 * self.MARGIN - self.scale * float((self.high - self.low)[0]))
-        across, down = self.scale * (point[0] - self.low[0]), self.scale * (self.high[1] - point[1])
+        left = self.MARGIN + 0.5 * (
+            self.WIDTH - 2.0 * self.MARGIN - self.scale * float((self.high - self.low)[0])
+        )
+        across = self.scale * (point[0] - self.low[0])
+        down = self.scale * (self.high[1] - point[1])
         return f"{left + across:.1f},{self.MARGIN + down:.1f}"
 
     def links(self, links: np.ndarray, style: str, joint: np.ndarray | None = None) -> None:
         """Lines from joint to joint, shape (L, 2, 2), and a ring about one joint."""
-        lines = dict.fromkeys(f"M{a}L{b}" for a, b in ((self.place(link[0]), self.place(link[1])) for link in links) if a != b)
+        lines = dict.fromkeys(
+            f"M{a}L{b}"
+            for a, b in ((self.place(link[0]), self.place(link[1])) for link in links)
+            if a != b
+        )
         self.body.append(f'<path class="{style}" d="{"".join(lines)}"/>')
         if joint is not None:
             x, y = self.place(joint).split(",")
@@ -105,18 +127,27 @@ class ArmPicture:
 
     def outline(self, points: np.ndarray, style: str) -> None:
         """A closed curve, shape (K, 2)."""
-        self.body.append(f'<path class="{style}" d="M{"L".join(self.place(point) for point in points)}Z"/>')
+        self.body.append(
+            f'<path class="{style}" d="M{"L".join(self.place(point) for point in points)}Z"/>'
+        )
 
     def cross(self, point: np.ndarray) -> None:
         """A mark."""
         x, y = map(float, self.place(point).split(","))
-        self.body.append(f'<path class="cross" d="M{x - 5:.1f},{y:.1f}h10M{x:.1f},{y - 5:.1f}v10"/>')
+        self.body.append(
+            f'<path class="cross" d="M{x - 5:.1f},{y:.1f}h10M{x:.1f},{y - 5:.1f}v10"/>'
+        )
 
     def svg(self, name: str) -> str:
         """With a bar for its scale; ``name`` is for those who cannot see it."""
         height = self.scale * float((self.high - self.low)[1]) + 2.0 * self.MARGIN + self.BELOW
-        length = next(bar for bar in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.0) if self.scale * bar < 0.35 * self.WIDTH)
-        bottom, bar = height - 12.0, self.scale * length
+        length = next(
+            bar
+            for bar in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.0)
+            if self.scale * bar < 0.35 * self.WIDTH
+        )
+        bottom = height - 12.0
+        bar = self.scale * length
         ruler = (
             f'<path class="ground" style="stroke:var(--ink)" d="M{self.MARGIN:.1f},{bottom:.1f}h{bar:.1f}"/>'
             f'<text x="{self.MARGIN + bar + 8.0:.1f}" y="{bottom + 4.0:.1f}">{100.0 * length:g} cm</text>'
@@ -139,38 +170,58 @@ def convergence_figure(estimate: Estimate) -> str:
 
     first = [path.agrees for path in solver.paths].index(True) if solver.starts_agreeing else -1
     series = [
-        curve(path, 0, f"start at {factor * path.start:.3g} {unit}", "agreeing" if path.agrees else "apart", False)
+        curve(
+            path,
+            0,
+            f"start at {factor * path.start:.3g} {unit}",
+            "agreeing" if path.agrees else "apart",
+            False,
+        )
         for path in solver.paths
     ]
     if first >= 0 and solver.refined:
         one = series[first]
         series[first] = Series("robot as stated", one.x, one.y, one.color)
     begin = max(len(path.values) for path in solver.paths) - 1
-    series += [curve(path, begin, "all open", "answer", n == 0) for n, path in enumerate(solver.refined)]
+    series += [
+        curve(path, begin, "all open", "answer", n == 0) for n, path in enumerate(solver.refined)
+    ]
     verticals = [begin] if solver.refined else []
     stops = [path.scheduled for path in solver.paths if path.scheduled is not None]
     if stops:
         at, values = np.full(len(stops), solver.iterations), factor * np.array(stops)
         series.append(Series("where the schedule stops", at, values, "answer", "dots"))
         verticals = [solver.iterations]
-    answer, name = estimate.values[0].value, estimate.values[0].label
+    answer = estimate.values[0].value
+    name = estimate.values[0].label
     rules = [factor * answer] if isinstance(answer, float) and answer > 0.0 else []
-    panel = Panel(f"{name} ({unit})", unit, series, 210.0, rules=rules, verticals=verticals, log=True)
-    return chart([panel], Axis("iteration", "iterations", whole=True), f"Iterations of the search: {name}")
+    panel = Panel(
+        f"{name} ({unit})", unit, series, 210.0, rules=rules, verticals=verticals, log=True
+    )
+    return chart(
+        [panel], Axis("iteration", "iterations", whole=True), f"Iterations of the search: {name}"
+    )
 
 
 def scan_figure(estimate: Estimate) -> str:
     """The cost over what was searched for, with the value and its interval."""
     factor, unit = shown_unit(estimate.values[0].unit)
-    scan, value = estimate.scan, estimate.values[0]
+    scan = estimate.scan
+    value = estimate.values[0]
     assert scan is not None
     x = factor * scan.values
     log = scan.level is None  # the paper's loss spans orders of magnitude
-    spans, verticals = [], []
+    spans = []
+    verticals = []
     if isinstance(value.value, float):
         verticals = [factor * value.value]
         if value.ci95 is not None:
-            spans = [(factor * max(value.ci95[0], scan.values[0]), factor * min(value.ci95[1], scan.values[-1]))]
+            spans = [
+                (
+                    factor * max(value.ci95[0], scan.values[0]),
+                    factor * min(value.ci95[1], scan.values[-1]),
+                )
+            ]
     cost = np.maximum(scan.cost, 1e-4) if log else scan.cost
     series = [Series(scan.measure, x, cost, "measured", listed=False)]
     rules, highest = ([], np.inf) if scan.level is None else ([scan.level], HIGHEST_CHI2)
@@ -196,7 +247,8 @@ def budget_figure(estimate: Estimate) -> str:
 
 def paired(estimate: Estimate) -> Sequence[tuple[RunFit | None, RecordedRun | None]]:
     """Every recorded run with its fit, None where no fit could use it; fits come in the order of their runs."""
-    fits, pairs = list(estimate.run_fits), []
+    fits = list(estimate.run_fits)
+    pairs = []
     for run in estimate.recorded:
         used = bool(fits) and (fits[0].name, fits[0].joint) == (run.name, run.joint)
         if used:  # bags in folders of one name are of one name

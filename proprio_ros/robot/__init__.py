@@ -9,7 +9,13 @@
 from proprio_ros.robot.description import is_description
 from proprio_ros.robot.drive_train import DriveTrain
 from proprio_ros.robot.fields import nested_settings
-from proprio_ros.robot.geometry import inertia_about_origin, motion, pseudo_inertia, rotation_about, rotation_from_rpy
+from proprio_ros.robot.geometry import (
+    inertia_about_origin,
+    motion,
+    pseudo_inertia,
+    rotation_about,
+    rotation_from_rpy,
+)
 from proprio_ros.robot.live_description import LiveDescription
 from proprio_ros.robot.robot_file import Robot, load_robot, with_recorded_torque
 from proprio_ros.robot.tree import ReducedModel, RobotModel

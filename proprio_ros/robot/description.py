@@ -15,7 +15,8 @@ from proprio_ros.inputs.reading import path_problem
 from proprio_ros.robot.tree import RobotModel
 from proprio_ros.robot.urdf import Joint
 
-PACKAGE = "robot_descriptions:"  # what a source begins with that names a robot of the package robot_descriptions
+# what a source begins with that names a robot of the package robot_descriptions
+PACKAGE = "robot_descriptions:"
 _BAGS = (".mcap", ".db3")
 _TOOLS = ("tcp", r"(^|_)(eef?|end_?effector|grasp)", "tool", "hand", "flange", "gripper")
 """What fixed frames of tools are called, those nearest to the object first."""
@@ -47,7 +48,9 @@ def read_model(source: str, of_bag: Callable[[Path], str] | None = None) -> Robo
         raise RobotError(f"{one_line(source, 60)}: {problem}")
     if is_bag(path):
         if of_bag is None:
-            raise RobotError(f"{path}: is a bag, which only a reader of bags can take a description from")
+            raise RobotError(
+                f"{path}: is a bag, which only a reader of bags can take a description from"
+            )
         return RobotModel.from_urdf_string(of_bag(path), f"/robot_description of {path.name}")
     if path.suffix == ".xacro":
         urdf = f"{path.name.split('.')[0]}.urdf"
@@ -63,19 +66,27 @@ def _packaged(name: str) -> Path:
     try:
         importlib.import_module("robot_descriptions")
     except ImportError as error:
-        raise RobotError(f"{where}: the package is not installed: pip install robot_descriptions, or give a .urdf file") from error
+        raise RobotError(
+            f"{where}: the package is not installed: pip install robot_descriptions, or give a .urdf file"
+        ) from error
     module = f"robot_descriptions.{name.removesuffix('_description')}_description"
     try:
         found = importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name != module:
             raise RobotError(f"{where}: needs {error.name}, which is not installed") from error
-        raise RobotError(f"{where}: the package has no such description; `python -m robot_descriptions list` names them") from error
-    except Exception as error:  # it clones a repository when it is imported: git and the network fail as they like
+        raise RobotError(
+            f"{where}: the package has no such description; `python -m robot_descriptions list` names them"
+        ) from error
+    except (
+        Exception
+    ) as error:  # it clones a repository when it is imported: git and the network fail as they like
         raise RobotError(f"{where}: cannot be fetched ({one_line(str(error), 120)})") from error
     path = getattr(found, "URDF_PATH", None)
     if not path:
-        raise RobotError(f"{where}: has no URDF there; take another description of that robot, or give a .urdf file")
+        raise RobotError(
+            f"{where}: has no URDF there; take another description of that robot, or give a .urdf file"
+        )
     return Path(path)
 
 
@@ -84,7 +95,8 @@ def hand_link(model: RobotModel) -> str:
 
     The last body is the one before the tree branches into fingers, or before a joint that is a finger by its name; never a finger.
     """
-    depth, body = {model.root: 0}, {model.root: model.root}
+    depth = {model.root: 0}
+    body = {model.root: model.root}
     moving: dict[str, list[Joint]] = {model.root: []}  # by body, which its first link names
     for joint in model.joints:
         depth[joint.child] = depth[joint.parent] + 1
@@ -94,22 +106,35 @@ def hand_link(model: RobotModel) -> str:
             moving[joint.child] = []
     beyond: dict[str, int] = {}  # the most joints that move by themselves, one behind the other
     for name in reversed(moving):
-        beyond[name] = max((each.independent + beyond[each.child] for each in moving[name]), default=0)
+        beyond[name] = max(
+            (each.independent + beyond[each.child] for each in moving[name]), default=0
+        )
 
     def tools(of: str) -> list[tuple[int, int, str]]:
         names = [link for link in body if body[link] == of]
-        ranks = {link: next((n for n, form in enumerate(_TOOLS) if re.search(form, link, re.I)), -1) for link in names}
-        return [(-rank, depth[link], link) for link, rank in ranks.items() if rank >= 0 and link != of]
+        ranks = {
+            link: next((n for n, form in enumerate(_TOOLS) if re.search(form, link, re.I)), -1)
+            for link in names
+        }
+        return [
+            (-rank, depth[link], link) for link, rank in ranks.items() if rank >= 0 and link != of
+        ]
 
-    hand, before = model.root, 0
+    hand = model.root
+    before = 0
     while moving[hand]:
         joint = max(moving[hand], key=lambda each: each.independent + beyond[each.child])
         branches = len(moving[hand]) > 1 and before >= beyond[hand]
-        finger = _FINGER.search(joint.child) or _FINGER.search(joint.name) or re.search("gripper", joint.name, re.I)
+        finger = (
+            _FINGER.search(joint.child)
+            or _FINGER.search(joint.name)
+            or re.search("gripper", joint.name, re.I)
+        )
         last = not beyond[joint.child] and joint.kind == "prismatic" and not tools(joint.child)
         if branches or finger or last or not joint.independent:
             break
-        hand, before = joint.child, before + 1
+        hand = joint.child
+        before = before + 1
     if found := tools(hand):
         return max(found)[2]
     return max((link for link in body if body[link] == hand), key=lambda link: depth[link])
@@ -126,4 +151,6 @@ def check_masses(model: RobotModel, source: str) -> None:
             carried[body[joint.parent]] += mass[joint.child]
     bare = [name for name, total in carried.items() if total <= 0.0]
     if bare:
-        raise RobotError(f"{source}: no <inertial> in links that move: {some(bare)}; state mass, centre and inertia of each")
+        raise RobotError(
+            f"{source}: no <inertial> in links that move: {some(bare)}; state mass, centre and inertia of each"
+        )

@@ -102,7 +102,11 @@ class DriveTrain:
     @property
     def travel_coefficients(self) -> tuple[float, float, float]:
         """What a squeeze takes for the finger's travel, as `FingerTravel.coefficients` are."""
-        return (self.transmission, 0.0, 0.0) if self.finger_travel is None else self.finger_travel.coefficients
+        return (
+            (self.transmission, 0.0, 0.0)
+            if self.finger_travel is None
+            else self.finger_travel.coefficients
+        )
 
     @property
     def nominal_effort_per_current(self) -> float:

@@ -23,9 +23,11 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.inputs.forms import Form, Number
 from proprio_ros.robot.geometry import FloatArray
 
-STEP_S = 0.002  # a goal that is limited in speed is followed in such steps, as firmware does every few milliseconds
+# a goal that is limited in speed is followed in such steps, as firmware does every few milliseconds
+STEP_S = 0.002
 LONGEST_S = 1e5  # of a recording, in which goals are followed
-MEASURED, COMPUTED = "duty cycle and supply voltage", "goal, position and supply voltage by the servo's law"
+MEASURED = "duty cycle and supply voltage"
+COMPUTED = "goal, position and supply voltage by the servo's law"
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,16 @@ class Goal:
         first = min(float(times_s[0]), float(self.times_s[0]))
         if times_s[-1] - first > LONGEST_S:
             apart = f"goals and joint states are stamped {times_s[-1] - first:.3g} s apart"
-            raise RecordingError(f"{apart}: stamp both by one clock, that of the computer that records them")
+            raise RecordingError(
+                f"{apart}: stamp both by one clock, that of the computer that records them"
+            )
         steps_s = np.arange(first, float(times_s[-1]) + STEP_S, STEP_S)
         limited = self.position[self._rows(steps_s)].copy()
         for row in range(1, len(limited)):
             step = limited[row] - limited[row - 1]
-            limited[row] = limited[row - 1] + min(max(step, -fastest_rad_s * STEP_S), fastest_rad_s * STEP_S)
+            limited[row] = limited[row - 1] + min(
+                max(step, -fastest_rad_s * STEP_S), fastest_rad_s * STEP_S
+            )
         return np.interp(times_s, steps_s, limited)
 
     def _rows(self, times_s: FloatArray) -> np.ndarray:
@@ -61,10 +67,16 @@ class Drive:
     kind: ClassVar[str]  # as the robot file names it
     takes: ClassVar[str]  # what the duty cycle is made of, in words
     follows_goal: ClassVar[bool] = False  # whether it needs the goal
-    forms: ClassVar[Mapping[str, Form]]  # of each key in the robot file; one whose class has a default may be left out
+    # of each key in the robot file; one whose class has a default may be left out
+    forms: ClassVar[Mapping[str, Form]]
 
     def duty(
-        self, times_s: FloatArray, position: FloatArray, effort: FloatArray | None, goal: Goal | None, delay_s: float
+        self,
+        times_s: FloatArray,
+        position: FloatArray,
+        effort: FloatArray | None,
+        goal: Goal | None,
+        delay_s: float,
     ) -> FloatArray:
         """The duty cycle at some instants, -1 to 1, shape (T,).
 
@@ -85,13 +97,21 @@ class DutyCycle(Drive):
     kind: ClassVar[str] = "duty_cycle"
     takes: ClassVar[str] = MEASURED
     forms: ClassVar[Mapping[str, Form]] = {
-        "per_count": Number("duty cycle, 0 to 1, of one count of the published effort", "", -1.0, 1.0)
+        "per_count": Number(
+            "duty cycle, 0 to 1, of one count of the published effort", "", -1.0, 1.0
+        )
     }
 
-    per_count: float  # duty cycle of one count: 1/885 for the Present PWM of a Dynamixel, with the sign of the torque
+    # duty cycle of one count: 1/885 for the Present PWM of a Dynamixel, with the sign of the torque
+    per_count: float
 
     def duty(
-        self, times_s: FloatArray, position: FloatArray, effort: FloatArray | None, goal: Goal | None, delay_s: float
+        self,
+        times_s: FloatArray,
+        position: FloatArray,
+        effort: FloatArray | None,
+        goal: Goal | None,
+        delay_s: float,
     ) -> FloatArray:
         assert effort is not None  # whoever reads the recording says that it is missing
         return np.clip(self.per_count * effort, -1.0, 1.0)
@@ -105,10 +125,14 @@ class PositionServo(Drive):
     takes: ClassVar[str] = COMPUTED
     follows_goal: ClassVar[bool] = True
     forms: ClassVar[Mapping[str, Form]] = {
-        "gain_per_rad": Number("duty cycle per rad between goal and position", "1/rad", 0.0, 1e4, open=True),
+        "gain_per_rad": Number(
+            "duty cycle per rad between goal and position", "1/rad", 0.0, 1e4, open=True
+        ),
         "limit": Number("largest duty cycle", "", 0.0, 1.0, open=True),
         "dead_band_rad": Number("nearer to its goal the servo does nothing", "rad", 0.0, 1.0),
-        "goal_speed_rad_s": Number("the firmware moves its goal no faster", "rad/s", 0.0, 1e3, open=True),
+        "goal_speed_rad_s": Number(
+            "the firmware moves its goal no faster", "rad/s", 0.0, 1e3, open=True
+        ),
     }
 
     gain_per_rad: float  # duty cycle per rad of distance
@@ -117,7 +141,12 @@ class PositionServo(Drive):
     goal_speed_rad_s: float = np.inf  # the firmware moves its goal no faster
 
     def duty(
-        self, times_s: FloatArray, position: FloatArray, effort: FloatArray | None, goal: Goal | None, delay_s: float
+        self,
+        times_s: FloatArray,
+        position: FloatArray,
+        effort: FloatArray | None,
+        goal: Goal | None,
+        delay_s: float,
     ) -> FloatArray:
         assert goal is not None
         distance = goal.at(times_s - delay_s, self.goal_speed_rad_s) - position

@@ -45,11 +45,15 @@ def _finger_travel(value: Any) -> FingerTravel:
     rising = Field(Numbers(least=2, rising=True, example="a list of two or more numbers"))
     at_rad, open_m = section(value, {"at_rad": rising, "open_m": rising}).values()
     if len(at_rad) != len(open_m):
-        raise FormError(f"{len(at_rad)} angles and {len(open_m)} openings; give one opening for each angle")
+        raise FormError(
+            f"{len(at_rad)} angles and {len(open_m)} openings; give one opening for each angle"
+        )
     if max(map(abs, open_m)) > 1.0:
         raise FormError(f"open_m={list(open_m)} is over 1 m: openings are in m, not mm")
     if max(map(abs, at_rad)) > 10.0:
-        raise FormError(f"at_rad={list(at_rad)} is over a full turn: angles are in rad, not degrees")
+        raise FormError(
+            f"at_rad={list(at_rad)} is over a full turn: angles are in rad, not degrees"
+        )
     travel = FingerTravel(at_rad, open_m)
     if travel.ratio_at(np.linspace(at_rad[0], at_rad[-1], 101)).min() <= 0.0:
         raise FormError("by these openings the finger turns back in between; measure them again")
@@ -63,7 +67,11 @@ def _drive(value: Any) -> Drive:
     if kind is None:
         raise FormError(f"kind must be one of {', '.join(KINDS_OF_DRIVE)}, got {shortly(name)}")
     needed = required(kind)
-    return kind(**section(given, {key: Field(form) if key in needed else form for key, form in kind.forms.items()}))
+    return kind(
+        **section(
+            given, {key: Field(form) if key in needed else form for key, form in kind.forms.items()}
+        )
+    )
 
 
 def _drift(value: Any) -> Drift:
@@ -71,7 +79,10 @@ def _drift(value: Any) -> Drift:
 
 
 def _held(value: Any) -> dict[str, float]:
-    return section(value, dict.fromkeys(mapping(value), Field(Number(unit="rad or m", lowest=-100.0, highest=100.0))))
+    return section(
+        value,
+        dict.fromkeys(mapping(value), Field(Number(unit="rad or m", lowest=-100.0, highest=100.0))),
+    )
 
 
 @dataclass(frozen=True)
@@ -99,17 +110,29 @@ MOTOR: dict[str, Field] = {
     "model": Field(Text("name of the model"), ""),
     "id": Field(Whole("its number on the bus", "", 0, 252), None),
     NOMINAL: Field(Number("what published efforts are made with", "N m/A", 0.0, 1e3, open=True)),
-    "supply_voltage_V": Field(Number("0: the supply does not limit the current", "V", 0.0, 1e3), 0.0),
-    "back_emf_V_s_per_rad": Field(Number("voltage that the motor makes per speed", "V s/rad", 0.0, 1e3), 0.0),
+    "supply_voltage_V": Field(
+        Number("0: the supply does not limit the current", "V", 0.0, 1e3), 0.0
+    ),
+    "back_emf_V_s_per_rad": Field(
+        Number("voltage that the motor makes per speed", "V s/rad", 0.0, 1e3), 0.0
+    ),
     "resistance_ohm": Field(Number("of the winding", "ohm", 0.0, 1e4), 0.0),
-    "current_limit_A": Field(Number("the driver never commands more", "A", 0.0, 1e3, open=True), math.inf),
+    "current_limit_A": Field(
+        Number("the driver never commands more", "A", 0.0, 1e3, open=True), math.inf
+    ),
     "encoder_resolution_rad": Field(Number("one count", "rad", 0.0, 1.0), 0.0015),
-    "encoder_noise_rad": Field(Number("standard deviation of a reading, beyond rounding", "rad", 0.0, 1.0), 0.001),
+    "encoder_noise_rad": Field(
+        Number("standard deviation of a reading, beyond rounding", "rad", 0.0, 1.0), 0.001
+    ),
     "encoder_once_per_turn_rad": Field(
-        Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0), 0.002
+        Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0),
+        0.002,
     ),
     "driven_by": Field(
-        Part("what drives the motor where no current does, as {kind: duty_cycle, per_count: 0.00113}; null: a current", by=_drive),
+        Part(
+            "what drives the motor where no current does, as {kind: duty_cycle, per_count: 0.00113}; null: a current",
+            by=_drive,
+        ),
         None,
     ),
 }
@@ -125,11 +148,16 @@ DRIVE_TRAIN: dict[str, Field] = {
     "stribeck_velocity_rad_s": Field(_quantity(RANGES["stribeck_velocity"]), Quantity(0.1, 0.05)),
 }
 JOINT: dict[str, Field] = {
-    "usable_velocity_rad_s": Field(Number("faster samples are left out", "rad/s", 0.0, 1e3, open=True), math.inf),
-    "transmission_m_per_rad": Field(
-        Number("how far a sliding joint moves per rad of the motor", "m/rad", 0.0, 10.0, open=True), None
+    "usable_velocity_rad_s": Field(
+        Number("faster samples are left out", "rad/s", 0.0, 1e3, open=True), math.inf
     ),
-    "finger_travel": Field(Part("what gauge blocks said of one finger: at_rad and open_m", by=_finger_travel), None),
+    "transmission_m_per_rad": Field(
+        Number("how far a sliding joint moves per rad of the motor", "m/rad", 0.0, 10.0, open=True),
+        None,
+    ),
+    "finger_travel": Field(
+        Part("what gauge blocks said of one finger: at_rad and open_m", by=_finger_travel), None
+    ),
 }
 ROBOT: dict[str, Field] = {
     "name": Field(Text("of the robot")),
@@ -143,28 +171,50 @@ ROBOT: dict[str, Field] = {
         ),
         STANDARD_GRAVITY,
     ),
-    "arm_scale": Field(_quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0, 0.1)),
+    "arm_scale": Field(
+        _quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0, 0.1)
+    ),
     "delay_s": Field(_quantity(RANGES["delay"]), Quantity(0.0, 0.01)),
     "stamp_jitter_s": Field(NOISE["stamp_jitter_s"], 0.001),
     "onset_jitter_s": Field(NOISE["onset_jitter_s"], 0.001),
     "torque_disturbance_N_m": Field(NOISE["torque_disturbance_N_m"], Wide("weakest", 0.002)),
     "start_velocity_rad_s": Field(NOISE["start_velocity_rad_s"], 0.01),
     "friction_spread": Field(NOISE["friction_spread"], 0.15),
-    "link_mass_std": Field(Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.05),
-    "link_com_std_m": Field(Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.005),
+    "link_mass_std": Field(
+        Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.05
+    ),
+    "link_com_std_m": Field(
+        Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.005
+    ),
     "link_inertia_std": Field(Number("relative inertia about it", "", 0.0, 10.0), 0.2),
     # a tenth of a rad/s would take the place of the friction that it smooths
-    "friction_velocity_rad_s": Field(Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001),
-    "held": Field(Part("where joints stand that recordings lack, by name, in rad or m", by=_held), {}),
-    "drift": Field(Part("how fast a calibration ages: four relative standard deviations", by=_drift), Drift()),
+    "friction_velocity_rad_s": Field(
+        Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
+    ),
+    "held": Field(
+        Part("where joints stand that recordings lack, by name, in rad or m", by=_held), {}
+    ),
+    "drift": Field(
+        Part("how fast a calibration ages: four relative standard deviations", by=_drift), Drift()
+    ),
     "calibrated": Field(Truth("whether the numbers come from this very arm"), False),
     "model_fingerprint": Field(Text("of the URDF that a calibration was made with"), None),
-    "calibration": Field(Part("what `proprio calibrate` identified", by=Calibration.from_settings), None),
+    "calibration": Field(
+        Part("what `proprio calibrate` identified", by=Calibration.from_settings), None
+    ),
     "motion_calibration": Field(
-        Part("what `proprio calibrate` identified from motions of several joints", by=MotionCalibration.from_settings), None
+        Part(
+            "what `proprio calibrate` identified from motions of several joints",
+            by=MotionCalibration.from_settings,
+        ),
+        None,
     ),
     "joint_calibration": Field(
-        Part("what `proprio calibrate` identified from motions of one joint", by=JointCalibration.from_settings), None
+        Part(
+            "what `proprio calibrate` identified from motions of one joint",
+            by=JointCalibration.from_settings,
+        ),
+        None,
     ),
 }
 ELSEWHERE = dict.fromkeys(("urdf", "joints", "extends"), Field(Text(longest=LONGEST_PATH), None))
@@ -187,7 +237,11 @@ def unknown_of(path: tuple[str, ...]) -> Key:
 def override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Every key that may be overridden, as text and as the way to it; a joint's name may itself hold dots."""
     paths: list[tuple[str, ...]] = [(key,) for key in ROBOT if key not in _FILE_ONLY]
-    of_joint = [*(("motor", key) for key in MOTOR), *(("drive_train", key) for key in DRIVE_TRAIN), *((key,) for key in JOINT)]
+    of_joint = [
+        *(("motor", key) for key in MOTOR),
+        *(("drive_train", key) for key in DRIVE_TRAIN),
+        *((key,) for key in JOINT),
+    ]
     paths += [("joints", joint, *path) for joint in joints for path in of_joint]
     return {".".join(path): path for path in paths}
 

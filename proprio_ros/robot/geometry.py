@@ -45,7 +45,8 @@ def rotation_about(axis: ArrayLike, angle: float | FloatArray) -> FloatArray:
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
     """Homogeneous transform from a rotation matrix (3, 3) and a translation [m] (3,), shape (4, 4); of many of either (N, 4, 4)."""
-    rotation, translation = np.asarray(rotation), np.asarray(translation)
+    rotation = np.asarray(rotation)
+    translation = np.asarray(translation)
     result = np.zeros((*(rotation.shape[:-2] or translation.shape[:-1]), 4, 4))
     result[..., :3, :3] = rotation
     result[..., :3, 3] = translation

@@ -13,7 +13,8 @@ from proprio_ros.errors import RobotError
 from proprio_ros.robot.robot_file import Robot
 
 Vector = tuple[float, float, float]
-_LEVEL = 0.7  # of a joint's axis that is level: with less, one sees its motion better from elsewhere
+# of a joint's axis that is level: with less, one sees its motion better from elsewhere
+_LEVEL = 0.7
 _STILL_M = 1e-6  # a link whose height changes by less than this stands where it stands
 
 
@@ -41,7 +42,9 @@ def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
     return _lowest(*_way_to_lowerable(robot), pose)
 
 
-def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) -> tuple[np.ndarray, np.ndarray]:
+def side_view(
+    robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]
+) -> tuple[np.ndarray, np.ndarray]:
     """The links as lines from joint to joint, seen along a joint's axis where that is level, else across the arm.
 
     In the first of the poses, which name all independent joints [rad or m], the hand is to the right.
@@ -54,7 +57,9 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
     """
     model = robot.model
     plane = side_plane(robot, joint, poses[0])
-    driven = [plane @ model.frame_transform(model.joint(joint).child, pose)[:3, 3] for pose in poses]
+    driven = [
+        plane @ model.frame_transform(model.joint(joint).child, pose)[:3, 3] for pose in poses
+    ]
     return links_in(robot, plane, poses), np.array(driven)
 
 
@@ -81,24 +86,40 @@ def side_plane(robot: Robot, joint: str, pose: Mapping[str, float]) -> np.ndarra
 def links_in(robot: Robot, plane: np.ndarray, poses: Sequence[Mapping[str, float]]) -> np.ndarray:
     """Both ends of the links in every pose, along the unit vectors of a plane [m], shape (P, L, 2, 2); as `side_view`."""
     model = robot.model
-    frames = [{link.name: model.frame_transform(link.name, pose) for link in model.links} for pose in poses]
-    return np.array([[[plane @ at[end][:3, 3] for end in (j.parent, j.child)] for j in model.joints] for at in frames])
+    frames = [
+        {link.name: model.frame_transform(link.name, pose) for link in model.links}
+        for pose in poses
+    ]
+    return np.array(
+        [
+            [[plane @ at[end][:3, 3] for end in (j.parent, j.child)] for j in model.joints]
+            for at in frames
+        ]
+    )
 
 
-def hand_path(robot: Robot, joint: str, start: Mapping[str, float], travel: float, points: int = 20) -> np.ndarray:
+def hand_path(
+    robot: Robot, joint: str, start: Mapping[str, float], travel: float, points: int = 20
+) -> np.ndarray:
     """Where the hand is while one joint moves by a signed travel [rad or m]: [m], in the frame of the root link, shape (points, 3).
 
     Raises `RobotError`: A position is missing.
     """
     places = np.linspace(start[joint], start[joint] + travel, points).tolist()
-    at = [robot.model.frame_transform(robot.payload_frame, {**start, joint: place}) for place in places]
+    at = [
+        robot.model.frame_transform(robot.payload_frame, {**start, joint: place})
+        for place in places
+    ]
     return np.array([frame[:3, 3] for frame in at])
 
 
 def bent_pose(robot: Robot) -> dict[str, float]:
     """A pose of all independent joints in which no lever happens to vanish [rad or m]."""
     joints = map(robot.model.joint, robot.model.independent_joints)
-    return {joint.name: float(np.clip(0.3 + 0.1 * n, joint.lower, joint.upper)) for n, joint in enumerate(joints)}
+    return {
+        joint.name: float(np.clip(0.3 + 0.1 * n, joint.lower, joint.upper))
+        for n, joint in enumerate(joints)
+    }
 
 
 def zero_pose(robot: Robot, joints: Sequence[str] | None = None) -> dict[str, float]:
@@ -119,7 +140,9 @@ def _lowest(up: Vector, steps: tuple[_Step, ...], pose: Mapping[str, float]) -> 
             try:
                 position = step.multiplier * pose[step.driver] + step.offset
             except KeyError as error:
-                raise RobotError(f"the pose lacks the position of joint {step.driver!r}: give all of them") from error
+                raise RobotError(
+                    f"the pose lacks the position of joint {step.driver!r}: give all of them"
+                ) from error
             if step.kind == "prismatic":
                 height += position * _dot((x, y, z), step.axis)
             else:
@@ -164,7 +187,11 @@ def _way(robot: Robot, frames: list[str]) -> tuple[_Step, ...]:
         index[joint.child] = len(steps)
         first, second, third, origin = (_vector(joint.origin[:3, n]) for n in range(4))
         follows = (index.get(joint.parent, -1), joint.kind, driver, multiplier, offset)
-        steps.append(_Step(*follows, (first, second, third), origin, _vector(joint.axis), joint.child in frames))
+        steps.append(
+            _Step(
+                *follows, (first, second, third), origin, _vector(joint.axis), joint.child in frames
+            )
+        )
     return tuple(steps)
 
 
@@ -179,7 +206,8 @@ def _dot(a: Vector, b: Vector) -> float:
 
 def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
     """Rodrigues' formula: v turned about a unit axis by an angle [rad]."""
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     along = (1.0 - c) * _dot(axis, v)
     return (
         c * v[0] + s * (axis[1] * v[2] - axis[2] * v[1]) + along * axis[0],

@@ -39,7 +39,9 @@ class LiveDescription:
         self._topic, self._folder = topic, folder
         self._fingerprint = ""
         self.path: Path | None = None
-        self.problem = f"waits for {topic} (std_msgs/String, latched), as robot_state_publisher publishes it"
+        self.problem = (
+            f"waits for {topic} (std_msgs/String, latched), as robot_state_publisher publishes it"
+        )
 
     def hear(self, text: str) -> tuple[str, str]:
         """Takes the text of a URDF; returns ``info`` or ``warning``, and what there is to say; empty: nothing is new."""
@@ -75,12 +77,18 @@ class LiveDescription:
         # what is decoded already must not be decoded by what it says of itself
         document = re.sub(r"\A\s*<\?xml[^>]*\?>", "", text)
         name = re.sub(r"[^A-Za-z0-9_-]+", "_", model.name)[:60]
-        folder = self._folder.resolve() / "descriptions" / hashlib.sha256(document.encode()).hexdigest()[:12]
+        folder = (
+            self._folder.resolve()
+            / "descriptions"
+            / hashlib.sha256(document.encode()).hexdigest()[:12]
+        )
         path = folder / f"{name}_{model.fingerprint()[:12]}.urdf"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RobotError(f"{path.parent} cannot be written ({error.strerror}): name another data_directory") from error
+            raise RobotError(
+                f"{path.parent} cannot be written ({error.strerror}): name another data_directory"
+            ) from error
         write_in_one_step(path, document, "the description")
         return path
 
@@ -90,5 +98,7 @@ def _usable(text: str, source: str) -> RobotModel:
     model = RobotModel.from_urdf_string(text, source)
     check_masses(model, source)
     if all(model.joint(name).kind == "prismatic" for name in model.independent_joints):
-        raise RobotError(f"{source}: no joint of {model.name} turns, so nothing can be weighed with it")
+        raise RobotError(
+            f"{source}: no joint of {model.name} turns, so nothing can be weighed with it"
+        )
     return model

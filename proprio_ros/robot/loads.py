@@ -25,7 +25,8 @@ class Load(NamedTuple):
     inertia: dict[str, float]  # what it moves, without rotors [kg m^2 or kg]
     # of each joint that moves: what the others need then to stand, for its acceleration and for its speed squared
     reactions: dict[str, dict[str, tuple[float, float]]]
-    per_kg: dict[str, float]  # effort that holds a point mass of 1 kg in the payload frame [N m/kg or N/kg]
+    # effort that holds a point mass of 1 kg in the payload frame [N m/kg or N/kg]
+    per_kg: dict[str, float]
 
 
 class Loads:
@@ -48,7 +49,8 @@ class Loads:
                 self._bodies.append((joint, body, place))
                 self._driving.append(model.driving(joint))
                 self._pseudo.append(np.zeros((4, 4)))
-                body, place = len(self._pseudo) - 1, np.eye(4)
+                body = len(self._pseudo) - 1
+                place = np.eye(4)
             frames[joint.child] = body, place
             if body >= 0:
                 self._pseudo[body] = self._pseudo[body] + place @ inertias[joint.child] @ place.T
@@ -58,13 +60,18 @@ class Loads:
     def at(self, pose: Mapping[str, float], held_kg: float = 0.0) -> Load:
         """Efforts and inertias in a pose of all independent joints [rad or m]. A joint that others follow moves them, too."""
         places: list[FloatArray] = []
-        moving: list[FloatArray] = []  # velocity of the points beyond, as a matrix on their coordinates
+        # velocity of the points beyond, as a matrix on their coordinates
+        moving: list[FloatArray] = []
         parents = [parent for _, parent, _ in self._bodies]
-        for (joint, parent, frame), (name, multiplier, offset) in zip(self._bodies, self._driving, strict=True):
+        for (joint, parent, frame), (name, multiplier, offset) in zip(
+            self._bodies, self._driving, strict=True
+        ):
             frame = places[parent] @ frame if parent >= 0 else frame
             places.append(frame @ motion(joint.kind, joint.axis, multiplier * pose[name] + offset))
             moving.append(multiplier * _velocity(joint.kind, frame, joint.axis))
-        beyond = [place @ pseudo @ place.T for place, pseudo in zip(places, self._pseudo, strict=True)]
+        beyond = [
+            place @ pseudo @ place.T for place, pseudo in zip(places, self._pseudo, strict=True)
+        ]
         per_kg = dict.fromkeys(self.joints, 0.0)
         if self._hand >= 0:
             held = places[self._hand] @ self._held_at
@@ -81,7 +88,8 @@ class Loads:
         reactions: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in self.joints}
 
         def add(moved: int, other: int, momentum: FloatArray) -> None:
-            name, feels = self._driving[moved][0], self._driving[other][0]
+            name = self._driving[moved][0]
+            feels = self._driving[other][0]
             if name != feels:
                 by_acceleration, by_speed = reactions[name].get(feels, (0.0, 0.0))
                 by_acceleration += float(np.sum(momentum * moving[moved]))

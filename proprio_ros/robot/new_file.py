@@ -21,7 +21,8 @@ from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 STATE = "STATE THIS"
 CHECK = "CHECK THIS"
 _COLUMN = 52  # where comments begin
-_NO_TEXT = ("null", "true", "false", "yes", "no", "on", "off", "y", "n")  # what YAML reads as something else
+# what YAML reads as something else
+_NO_TEXT = ("null", "true", "false", "yes", "no", "on", "off", "y", "n")
 _WRITTEN_BY_CALIBRATE = ("model_fingerprint", "calibration", "joint_calibration")
 
 
@@ -37,7 +38,10 @@ class NewFile:
 
 
 def new_robot_file(
-    source: str, output: Path, of_bag: Callable[[Path], str] | None = None, torque_recorded: bool = False
+    source: str,
+    output: Path,
+    of_bag: Callable[[Path], str] | None = None,
+    torque_recorded: bool = False,
 ) -> NewFile:
     """Write down what a URDF (see `read_model`) says of a robot, and what must be stated beside it.
 
@@ -60,7 +64,11 @@ def new_robot_file(
         if key == "name":
             words = "its description: a .urdf file, a bag, robot_descriptions:NAME"
             lines.append(_line(0, "urdf", _way(source, output), words))
-    lines += ["", "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held", "joints:"]
+    lines += [
+        "",
+        "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held",
+        "joints:",
+    ]
     to_state = []
     turning = [name for name in model.independent_joints if model.joint(name).kind != "prismatic"]
     joints = tuple(turning) if torque_recorded and turning else model.independent_joints
@@ -97,15 +105,30 @@ def _joint(model: RobotModel, name: str, explained: bool, torque_recorded: bool)
         return _line(indent, key, _default(entry, model, name) if value is ... else value, words)
 
     limits = f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
-    lines = [f"  {_yaml(name)}:  # {joint.kind}{limits if math.isfinite(joint.effort_limit) else ''}", "    motor:"]
+    lines = [
+        f"  {_yaml(name)}:  # {joint.kind}{limits if math.isfinite(joint.effort_limit) else ''}",
+        "    motor:",
+    ]
     for key, entry in MOTOR.items():
         if key == NOMINAL and torque_recorded:
-            lines.append(line(6, key, entry, 1, "torque is recorded, not current: " if explained else ""))
+            lines.append(
+                line(6, key, entry, 1, "torque is recorded, not current: " if explained else "")
+            )
         elif key == NOMINAL:
-            words = f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
+            words = (
+                f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
+            )
             lines.append(_line(6, key, None, STATE + words))
         elif key == "current_limit_A" and torque_recorded and math.isfinite(joint.effort_limit):
-            lines.append(line(6, key, entry, joint.effort_limit, f"{'N' if slides else 'N m'}, its URDF's: " if explained else ""))
+            lines.append(
+                line(
+                    6,
+                    key,
+                    entry,
+                    joint.effort_limit,
+                    f"{'N' if slides else 'N m'}, its URDF's: " if explained else "",
+                )
+            )
         else:
             lines.append(line(6, key, entry))
     lines.append("    drive_train:")
@@ -128,7 +151,9 @@ def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
     """What holds where the key is left out, as the file writes it."""
     default = entry.default
     if isinstance(default, Wide):
-        turning = [name for name in model.independent_joints if model.joint(name).kind != "prismatic"]
+        turning = [
+            name for name in model.independent_joints if model.joint(name).kind != "prismatic"
+        ]
         names = [joint] if joint else turning or model.independent_joints
         spread = default.at(0.0, min(largest_torque(model, name) for name in names)).std
         if not joint:
@@ -138,7 +163,11 @@ def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
         return {"value": default.value, "std": default.std}
     if default is STANDARD_GRAVITY:
         return list(default)
-    return None if default == "" or default == math.inf or not isinstance(default, (int, float, bool)) else default
+    return (
+        None
+        if default == "" or default == math.inf or not isinstance(default, (int, float, bool))
+        else default
+    )
 
 
 def _words(entry: Field) -> str:
@@ -155,7 +184,8 @@ def _way(source: str, output: Path) -> str:
     """How the file names its description: by the way from one to the other where that is short."""
     if source.startswith(PACKAGE):
         return source
-    folder, path = output.resolve().parent, Path(source).resolve()
+    folder = output.resolve().parent
+    path = Path(source).resolve()
     return os.path.relpath(path, folder) if path.is_relative_to(folder) else str(path)
 
 

@@ -16,7 +16,8 @@ from proprio_ros.robot.tree import ReducedModel
 _NEXT, _LAST = np.roll(np.arange(3), -1), np.roll(np.arange(3), 1)
 _ROWS, _COLUMNS = np.triu_indices(3)
 _ONCE = np.where(_ROWS == _COLUMNS, 0.5, 1.0)[:, None, None]
-PARAMETERS = 10  # of a body: m [kg], m c [kg m] (3), I [kg m^2] about the body's origin: xx, xy, xz, yy, yz, zz
+# of a body: m [kg], m c [kg m] (3), I [kg m^2] about the body's origin: xx, xy, xz, yy, yz, zz
+PARAMETERS = 10
 
 
 def body_parameters(pseudo_inertia: FloatArray) -> FloatArray:
@@ -59,7 +60,8 @@ class Kinematics:
 
     def seen_by(self, body: int, screws: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Screws, shape (6, S, T), in the frame of a body: angular and linear, shape (3, S, T) each."""
-        turn, place = self.rotation[:, :, body, None], self.origin[:, body, None]
+        turn = self.rotation[:, :, body, None]
+        place = self.origin[:, body, None]
         linear = screws[3:] + cross_product(screws[:3], place)
         return (turn * screws[:3]).sum(1), (turn * linear).sum(1)
 
@@ -67,22 +69,36 @@ class Kinematics:
 def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) -> Kinematics:
     """Kinematics of a model of n revolute joints along a motion: position [rad] and velocity [rad/s], shape (T, n) each."""
     count, bodies = position.shape
-    rotation, origin = np.zeros((3, 3, bodies, count)), np.zeros((3, bodies, count))
+    rotation = np.zeros((3, 3, bodies, count))
+    origin = np.zeros((3, bodies, count))
     axis, twist = np.zeros((2, 6, bodies, count))
-    sine, versine = np.sin(position.T), 1.0 - np.cos(position.T)
+    sine = np.sin(position.T)
+    versine = 1.0 - np.cos(position.T)
     for body in range(bodies):
-        parent, place, cross = int(model.parents[body]), model.placement[body, :3], _skew(model.axes[body])
-        turn = np.broadcast_to(np.eye(3)[..., None], (3, 3, count)) if parent < 0 else rotation[:, :, parent]
-        columns = place[:, :3] @ np.column_stack([np.eye(3), cross, cross @ cross, model.axes[body]])
+        parent = int(model.parents[body])
+        place = model.placement[body, :3]
+        cross = _skew(model.axes[body])
+        turn = (
+            np.broadcast_to(np.eye(3)[..., None], (3, 3, count))
+            if parent < 0
+            else rotation[:, :, parent]
+        )
+        columns = place[:, :3] @ np.column_stack(
+            [np.eye(3), cross, cross @ cross, model.axes[body]]
+        )
         seen = np.tensordot(np.hstack([columns, place[:, 3:]]), turn, (0, 0))
         rotation[:, :, body] = seen[:3] + sine[body] * seen[3:6] + versine[body] * seen[6:9]
         origin[:, body] = seen[10] + (0.0 if parent < 0 else origin[:, parent])
         axis[:3, body], axis[3:, body] = seen[9], cross_product(origin[:, body], seen[9])
-        twist[:, body] = axis[:, body] * velocity[:, body] + (0.0 if parent < 0 else twist[:, parent])
+        twist[:, body] = axis[:, body] * velocity[:, body] + (
+            0.0 if parent < 0 else twist[:, parent]
+        )
     return Kinematics(rotation, origin, axis, twist)
 
 
-def momentum_along(angular: FloatArray, linear: FloatArray, spin: FloatArray, speed: FloatArray) -> FloatArray:
+def momentum_along(
+    angular: FloatArray, linear: FloatArray, spin: FloatArray, speed: FloatArray
+) -> FloatArray:
     """Momentum of a body along screws, per unit of each of its parameters: in its own frame that is a product or two.
 
     ``angular``, ``linear``: of the screws; ``spin``, ``speed``: of the body; all shape (3, ...). Returns: shape (10, ...).
@@ -103,7 +119,9 @@ def carriers(model: ReducedModel, body: int) -> list[int]:
 def gravity_along(model: ReducedModel, motion: Kinematics, body: int) -> FloatArray:
     """Gravity's force on a body along each joint that carries it, per unit of its parameters, shape (10, joints, T)."""
     force, _ = motion.seen_by(body, np.append(model.gravity, np.zeros(3))[:, None, None])
-    return momentum_along(*motion.seen_by(body, motion.axis[:, carriers(model, body)]), 0.0 * force, force)
+    return momentum_along(
+        *motion.seen_by(body, motion.axis[:, carriers(model, body)]), 0.0 * force, force
+    )
 
 
 def gravity_torques(model: ReducedModel, position: FloatArray) -> FloatArray:

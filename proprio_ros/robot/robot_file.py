@@ -14,11 +14,29 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import TERMS, Calibration, check_complete
 from proprio_ros.errors import RobotError, one_line
-from proprio_ros.inputs.forms import REQUIRED, Field, FormError, Part, Text, mapping, refuse_unknown, section, shortly, under
+from proprio_ros.inputs.forms import (
+    REQUIRED,
+    Field,
+    FormError,
+    Part,
+    Text,
+    mapping,
+    refuse_unknown,
+    section,
+    shortly,
+    under,
+)
 from proprio_ros.inputs.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.quantity import Quantity
-from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, is_bag, is_description, read_model
+from proprio_ros.robot.description import (
+    PACKAGE,
+    check_masses,
+    hand_link,
+    is_bag,
+    is_description,
+    read_model,
+)
 from proprio_ros.robot.drive_train import DriveTrain, Motor
 from proprio_ros.robot.fields import (
     CALIBRATIONS,
@@ -63,7 +81,8 @@ class Robot:
     torque_disturbance: float = 0.0
     # standard deviation of the velocity at which a locked joint is when its excitation begins [rad/s]
     start_velocity: float = 0.01
-    friction_spread: float = 0.15  # standard deviation of friction from one free response to the next, relative
+    # standard deviation of friction from one free response to the next, relative
+    friction_spread: float = 0.15
     # what neighbouring samples of a free response share of the error of its simulation: standard deviation that one
     # sample must have so that independent ones weigh as much [rad]. Calibrations and free responses themselves show it
     swing_error: float = 0.0
@@ -80,7 +99,8 @@ class Robot:
     # what motions with known loads say about the only joint of this very robot
     joint_calibration: JointCalibration | None = None
     drift: Drift = field(default_factory=Drift)  # how fast a calibration ages
-    held: Mapping[str, float] = field(default_factory=dict)  # where joints stand that a recording lacks [rad or m]
+    # where joints stand that a recording lacks [rad or m]
+    held: Mapping[str, float] = field(default_factory=dict)
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -94,7 +114,10 @@ class Robot:
     @property
     def friction_rises(self) -> bool:
         """Whether dry friction of any joint is, or may turn out to be, greater at rest."""
-        return any(drive.stribeck.value > 0.0 or drive.stribeck.std > 0.0 for drive in self.drive_trains.values())
+        return any(
+            drive.stribeck.value > 0.0 or drive.stribeck.std > 0.0
+            for drive in self.drive_trains.values()
+        )
 
     def with_overrides(self, overrides: Mapping[str, Any]) -> Robot:
         """The same robot with some settings replaced, by dotted key such as ``joints.joint3.drive_train.coulomb_N_m``.
@@ -102,7 +125,10 @@ class Robot:
         A number replaces a quantity and is known exactly; ``{"std": 0.01}`` changes only what it names. Raises
         `RobotError`: A key is unknown or a value does not fit it.
         """
-        settings = merged(copy.deepcopy(dict(self.settings)), nested_settings(self.model.independent_joints, overrides))
+        settings = merged(
+            copy.deepcopy(dict(self.settings)),
+            nested_settings(self.model.independent_joints, overrides),
+        )
         settings.pop("calibration", None)
         robot = _robot(settings, self.source, self.model)
         if self.calibration is None:
@@ -123,14 +149,26 @@ class Robot:
                 f"{self.source.name}: the calibration is of {', '.join(foreign)}, but {self.name} drives "
                 f"{', '.join(self.drive_trains)}: calibrate this robot"
             )
-        known, drives = calibration.quantities, {}
+        known = calibration.quantities
+        drives = {}
         for joint, drive in self.drive_trains.items():
-            terms: dict[str, Any] = {term: known.get((term, joint), getattr(drive, term)) for term in TERMS}
+            terms: dict[str, Any] = {
+                term: known.get((term, joint), getattr(drive, term)) for term in TERMS
+            }
             drives[joint] = replace(drive, **terms)
-        noise = ("torque_disturbance", "start_velocity", "swing_error", "residual_scale", "stamp_jitter_s")
+        noise = (
+            "torque_disturbance",
+            "start_velocity",
+            "swing_error",
+            "residual_scale",
+            "stamp_jitter_s",
+        )
         changes: dict[str, Any] = {name: getattr(calibration, name) for name in noise}
         changes |= {name: known.get(name, getattr(self, name)) for name in ("arm_scale", "delay")}
-        changes |= {name: getattr(calibration, name) or getattr(self, name) for name in ("friction_spread", "onset_jitter_s")}
+        changes |= {
+            name: getattr(calibration, name) or getattr(self, name)
+            for name in ("friction_spread", "onset_jitter_s")
+        }
         return replace(self, drive_trains=drives, calibration=calibration, **changes)
 
 
@@ -141,7 +179,9 @@ _CONSTANT = "torque_constant_N_m_per_A"
 def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     """One YAML file with all that it extends merged in, and the path of its URDF made absolute."""
     if path in below:
-        raise RobotError(f"{path}: files extend each other in a circle: {' -> '.join(p.name for p in (*below, path))}")
+        raise RobotError(
+            f"{path}: files extend each other in a circle: {' -> '.join(p.name for p in (*below, path))}"
+        )
     if is_description(str(path)):
         return bare_settings(str(path))
     try:
@@ -179,7 +219,9 @@ def _urdf_source(text: str, source: Path) -> str:
         return str(beside)
     if text.removesuffix(".urdf") in resource_names("urdf"):
         return str(resource("urdf", text))
-    raise RobotError(f"{source.name}: urdf: there is no {beside}; give a path relative to {source.parent}, or an absolute one")
+    raise RobotError(
+        f"{source.name}: urdf: there is no {beside}; give a path relative to {source.parent}, or an absolute one"
+    )
 
 
 def _choices() -> str:
@@ -189,14 +231,18 @@ def _choices() -> str:
 def _located(name_or_path: str, folder: Path) -> Path:
     """The YAML file that a name or a path (relative to a folder) means."""
     path = folder / name_or_path
-    problem = path_problem(path) or ("" if path.name.isprintable() else "holds characters that are not printable")
+    problem = path_problem(path) or (
+        "" if path.name.isprintable() else "holds characters that are not printable"
+    )
     if problem:
         raise RobotError(f"robot {one_line(name_or_path, 60)} {problem}; {_choices()}")
     if name_or_path.startswith(PACKAGE):
         return Path(name_or_path)
     if is_description(name_or_path) or path.suffix in (".yaml", ".yml"):
         if not path.is_file():
-            raise RobotError(f"there is no {'URDF' if is_description(name_or_path) else 'robot file'} {path}; {_choices()}")
+            raise RobotError(
+                f"there is no {'URDF' if is_description(name_or_path) else 'robot file'} {path}; {_choices()}"
+            )
         return path.resolve()
     if name_or_path not in resource_names("robots"):
         raise RobotError(f"unknown robot {name_or_path!r}; {_choices()}")
@@ -211,7 +257,9 @@ def bare_settings(source: str) -> dict[str, Any]:
         "name": model.name,
         "urdf": source,
         "payload_frame": hand_link(model),
-        "joints": {name: {} for name in model.independent_joints if model.joint(name).kind != "prismatic"},
+        "joints": {
+            name: {} for name in model.independent_joints if model.joint(name).kind != "prismatic"
+        },
     }
 
 
@@ -226,7 +274,9 @@ def _stated(settings: Mapping[str, Any]) -> dict[str, Any]:
     joints = settings.get("joints")
     result = {key: value for key, value in settings.items() if value is not None}
     if isinstance(joints, Mapping):
-        result["joints"] = {name: {} if joint is None else kept(joint, 2) for name, joint in joints.items()}
+        result["joints"] = {
+            name: {} if joint is None else kept(joint, 2) for name, joint in joints.items()
+        }
     return result
 
 
@@ -240,11 +290,15 @@ def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) 
     refuse_unknown(settings, ROBOT | ELSEWHERE)
     for name, joint in _part(settings, "joints").items():
         if not isinstance(name, str):
-            raise FormError(f"joints: {shortly(name)} is no text; put a name that looks like a number in quotes")
+            raise FormError(
+                f"joints: {shortly(name)} is no text; put a name that looks like a number in quotes"
+            )
         for key, fields in (("motor", MOTOR), ("drive_train", DRIVE_TRAIN)):
             with under("joints", name, key):
                 refuse_unknown(_part(joint, key), fields)
-    missing = [key for key, entry in ROBOT.items() if entry.default is REQUIRED and key not in settings]
+    missing = [
+        key for key, entry in ROBOT.items() if entry.default is REQUIRED and key not in settings
+    ]
     without: dict[str, list[str]] = defaultdict(list)
     for name, joint in _part(settings, "joints").items():
         if NOMINAL not in _part(joint, "motor") and _CONSTANT not in _part(joint, "drive_train"):
@@ -271,7 +325,9 @@ def _few(names: Sequence[str], longest: int = 60) -> str:
     count = len(names)
     while count > 1 and len(", ".join(names[:count])) > longest:
         count -= 1
-    return ", ".join(names[:count]) + (f" and {len(names) - count} more" if count < len(names) else "")
+    return ", ".join(names[:count]) + (
+        f" and {len(names) - count} more" if count < len(names) else ""
+    )
 
 
 def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = None) -> Robot:
@@ -293,9 +349,13 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         calibrated = robot.with_calibration(given["calibration"])
         stds = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
         stds |= {f"link_com_{axis}": robot.link_com_std for axis in "xyz"}
-        priors = {kind: Quantity(0.0, std) for kind, std in stds.items()} | {"arm_scale": robot.arm_scale}
+        priors = {kind: Quantity(0.0, std) for kind, std in stds.items()} | {
+            "arm_scale": robot.arm_scale
+        }
         with under("calibration"):
-            check_complete(given["calibration"], [link.name for link in model.links], drive_trains, priors)
+            check_complete(
+                given["calibration"], [link.name for link in model.links], drive_trains, priors
+            )
     except FormError as error:
         raise RobotError(f"{source.name}: {error}") from None
     return calibrated
@@ -318,12 +378,15 @@ def _check_model(given: Mapping[str, Any], model: RobotModel, urdf: Any) -> None
         model.joint(name)
     links = [link.name for link in model.links]
     if (frame := given["payload_frame"]) not in links:
-        raise FormError(f"payload_frame: {model.name} has no link {frame!r}; links: {', '.join(links)}")
+        raise FormError(
+            f"payload_frame: {model.name} has no link {frame!r}; links: {', '.join(links)}"
+        )
 
 
 def _drive_trains(joints: Any, model: RobotModel) -> tuple[dict[str, DriveTrain], dict[str, Motor]]:
     """Drive trains and motors by joint."""
-    drive_trains, motors = {}, {}
+    drive_trains = {}
+    motors = {}
     with under("joints"):
         for name, settings in mapping(joints).items():
             if name not in model.independent_joints:
@@ -360,10 +423,14 @@ def _assembled(
 ) -> Robot:
     """The robot without its calibration from excitations."""
     stated = {_RENAMED.get(key, key): given[key] for key in ROBOT if key not in _NOT_OF_ROBOT}
-    disturbance, motion, of_joint = (stated[key] for key in ("torque_disturbance", *CALIBRATIONS[1:]))
+    disturbance, motion, of_joint = (
+        stated[key] for key in ("torque_disturbance", *CALIBRATIONS[1:])
+    )
     if isinstance(disturbance, Wide):
         # of the weakest joint: what differs from run to run goes with friction
-        weakest = min(largest_torque(model, name, drive.transmission) for name, drive in drive_trains.items())
+        weakest = min(
+            largest_torque(model, name, drive.transmission) for name, drive in drive_trains.items()
+        )
         disturbance = disturbance.at(0.0, weakest).std
     drives = f"but {given['name']} drives {', '.join(drive_trains)}: calibrate this robot"
     if motion is not None:
@@ -373,8 +440,19 @@ def _assembled(
             raise FormError(f"motion_calibration: is of {', '.join(foreign)}, {drives}")
     if of_joint is not None and [of_joint.joint] != list(drive_trains):
         raise FormError(f"joint_calibration: is of {of_joint.joint}, {drives}")
-    stated |= {"torque_disturbance": disturbance, "motion_calibration": motion, "gravity": frozen(given["gravity"])}
-    return Robot(model=model, drive_trains=drive_trains, motors=motors, source=source, settings=settings, **stated)
+    stated |= {
+        "torque_disturbance": disturbance,
+        "motion_calibration": motion,
+        "gravity": frozen(given["gravity"]),
+    }
+    return Robot(
+        model=model,
+        drive_trains=drive_trains,
+        motors=motors,
+        source=source,
+        settings=settings,
+        **stated,
+    )
 
 
 def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrain, Motor]:
@@ -390,34 +468,54 @@ def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrai
         value = stated.get("value") if isinstance(stated, Mapping) else stated
         settings = merged(settings, {"motor": {NOMINAL: value}})
     parts = section(settings, fields | JOINT)
-    motor, transmission, travel = parts["motor"], parts["transmission_m_per_rad"], parts["finger_travel"]
+    motor = parts["motor"]
+    transmission = parts["transmission_m_per_rad"]
+    travel = parts["finger_travel"]
     largest = largest_torque(model, name, transmission or 1.0)
     drive: dict[str, Any] = {
         without_unit(key): value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
         for key, value in (parts["drive_train"] or section({}, DRIVE_TRAIN)).items()
     }
     if joint.kind != "prismatic" and transmission is not None:
-        raise FormError(f"transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it")
-    if travel is not None and (transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0):
+        raise FormError(
+            f"transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it"
+        )
+    if travel is not None and (
+        transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0
+    ):
         nominal = "not there" if transmission is None else f"{1e3 * transmission:g} mm per rad"
         raise FormError(
             f"finger_travel opens by {1e3 * travel.mean_ratio:.3g} mm per rad of the motor, transmission_m_per_rad is "
             f"{nominal}: one of them is wrong, or not of one finger"
         )
     if motor["supply_voltage_V"] > 0.0 and motor["resistance_ohm"] == 0.0:
-        raise FormError("motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit")
+        raise FormError(
+            "motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit"
+        )
     if (driven_by := motor["driven_by"]) is not None:
         if joint.kind == "prismatic":
-            raise FormError("motor: driven_by is for a joint that turns, but this one slides; remove it")
+            raise FormError(
+                "motor: driven_by is for a joint that turns, but this one slides; remove it"
+            )
         if motor["resistance_ohm"] == 0.0:
             need = f"motor: driven_by {driven_by.kind} needs resistance_ohm too, to make a current of a voltage"
             raise FormError(f"{need}; state it")
     if motor["encoder_resolution_rad"] == 0.0 and motor["encoder_noise_rad"] == 0.0:
-        raise FormError("motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect")
+        raise FormError(
+            "motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect"
+        )
     return (
         DriveTrain(
             **drive,
-            **{key: motor[key] for key in ("supply_voltage_V", "back_emf_V_s_per_rad", "resistance_ohm", "driven_by")},
+            **{
+                key: motor[key]
+                for key in (
+                    "supply_voltage_V",
+                    "back_emf_V_s_per_rad",
+                    "resistance_ohm",
+                    "driven_by",
+                )
+            },
             nominal_torque_constant=motor[NOMINAL],
             usable_velocity=parts["usable_velocity_rad_s"],
             encoder_resolution=motor["encoder_resolution_rad"],
@@ -431,7 +529,9 @@ def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrai
 
 
 def load_robot(
-    name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, of_bag: Callable[[Path], str] | None = None
+    name_or_path: str | Path,
+    overrides: Mapping[str, Any] | None = None,
+    of_bag: Callable[[Path], str] | None = None,
 ) -> Robot:
     """Read a robot.
 
@@ -450,7 +550,9 @@ def load_robot(
     if not overrides or model is None or settings.get("calibration") is not None:
         robot = _robot(settings, path, model)
         return robot.with_overrides(overrides) if overrides else robot
-    return _robot(merged(settings, nested_settings(model.independent_joints, overrides)), path, model)
+    return _robot(
+        merged(settings, nested_settings(model.independent_joints, overrides)), path, model
+    )
 
 
 def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -460,12 +562,18 @@ def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any])
     What the user states beside that stays, and what a calibration learnt.
     """
     settings = _read_settings(_located(str(name_or_path), Path()))
-    if any(settings.get(section) is not None for section in CALIBRATIONS) or not isinstance(settings.get("joints"), Mapping):
+    if any(settings.get(section) is not None for section in CALIBRATIONS) or not isinstance(
+        settings.get("joints"), Mapping
+    ):
         return dict(overrides)
     unit: dict[str, Any] = {}
     for name, stated in settings["joints"].items():
-        nominal, constant = f"joints.{name}.motor.{NOMINAL}", f"joints.{name}.drive_train.{_CONSTANT}"
-        open_yet = _part(stated, "motor").get(NOMINAL) in (None, 1) and _part(stated, "drive_train").get(_CONSTANT) is None
+        nominal = f"joints.{name}.motor.{NOMINAL}"
+        constant = f"joints.{name}.drive_train.{_CONSTANT}"
+        open_yet = (
+            _part(stated, "motor").get(NOMINAL) in (None, 1)
+            and _part(stated, "drive_train").get(_CONSTANT) is None
+        )
         if open_yet and nominal not in overrides and constant not in overrides:
             unit |= {nominal: 1.0, constant: dict(RECORDED_TORQUE)}
     return unit | dict(overrides)

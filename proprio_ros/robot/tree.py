@@ -30,10 +30,12 @@ class ReducedModel:
 
     joint_names: tuple[str, ...]  # active joints, parents before children, length n
     kinds: tuple[str, ...]  # 'revolute' or 'prismatic' of each, length n
-    parents: NDArray[np.int64]  # index of the body that each joint stands on, -1 for the base, shape (n,)
+    # index of the body that each joint stands on, -1 for the base, shape (n,)
+    parents: NDArray[np.int64]
     placement: FloatArray  # parentbody_T_joint at position zero, shape (n, 4, 4)
     axes: FloatArray  # unit axis in each joint's frame, shape (n, 3)
-    pseudo_inertia: FloatArray  # of each body about its joint's frame, which moves with the body, shape (n, 4, 4)
+    # of each body about its joint's frame, which moves with the body, shape (n, 4, 4)
+    pseudo_inertia: FloatArray
     gravity: FloatArray  # in the base frame [m/s^2], shape (3,)
     # for every link the body that it belongs to (-1 for the base) and body_T_link
     frames: dict[str, tuple[int, FloatArray]]
@@ -60,7 +62,9 @@ class RobotModel:
             with path.open("rb") as stream:
                 text = stream.read(LONGEST_TEXT + 1)
         except OSError as error:
-            raise RobotError(f"{path}: cannot be read ({error.strerror}); give the path of a URDF file") from error
+            raise RobotError(
+                f"{path}: cannot be read ({error.strerror}); give the path of a URDF file"
+            ) from error
         return cls(*UrdfReader(text, path.name).read())
 
     @classmethod
@@ -84,12 +88,16 @@ class RobotModel:
     def joint(self, name: str) -> Joint:
         """A joint by name. Raises `RobotError`: There is no such joint."""
         if name not in self._joints_by_name:
-            raise RobotError(f"{self.name} has no joint {name!r}; its joints: {', '.join(self._joints_by_name) or 'none'}")
+            raise RobotError(
+                f"{self.name} has no joint {name!r}; its joints: {', '.join(self._joints_by_name) or 'none'}"
+            )
         return self._joints_by_name[name]
 
     def driving(self, joint: Joint) -> tuple[str, float, float]:
         """The independent joint that a moving joint follows, through all its mimics: (name, multiplier, offset)."""
-        name, multiplier, offset = joint.name, 1.0, 0.0
+        name = joint.name
+        multiplier = 1.0
+        offset = 0.0
         while (mimic := self._joints_by_name[name].mimic) is not None:
             name = mimic[0]
             offset += multiplier * mimic[2]
@@ -101,10 +109,14 @@ class RobotModel:
             return 0.0
         name, multiplier, offset = self.driving(joint)
         if name not in positions:
-            raise RobotError(f"no position of joint {name!r} of {self.name} is known: state it with --set held.{name}=VALUE")
+            raise RobotError(
+                f"no position of joint {name!r} of {self.name} is known: state it with --set held.{name}=VALUE"
+            )
         position = float(positions[name])
         if not math.isfinite(position):
-            raise RobotError(f"the position of joint {name!r} is {position}; it must be a finite number in rad or m")
+            raise RobotError(
+                f"the position of joint {name!r} is {position}; it must be a finite number in rad or m"
+            )
         return multiplier * position + offset
 
     def frame_transform(self, frame: str, positions: Mapping[str, float]) -> FloatArray:
@@ -122,7 +134,12 @@ class RobotModel:
             frame = joint.parent
         return result
 
-    def lock(self, active: Sequence[str], positions: Mapping[str, float], gravity: ArrayLike = STANDARD_GRAVITY) -> ReducedModel:
+    def lock(
+        self,
+        active: Sequence[str],
+        positions: Mapping[str, float],
+        gravity: ArrayLike = STANDARD_GRAVITY,
+    ) -> ReducedModel:
         """Lock all joints but some, and merge what no longer moves against each other: one body for each active joint.
 
         Args:
@@ -138,21 +155,28 @@ class RobotModel:
         self._check_active(active)
         gravity = frozen(gravity)
         if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
-            raise RobotError("gravity must be three finite numbers in m/s^2, e.g. [0, 0, -9.81] where z is up")
+            raise RobotError(
+                "gravity must be three finite numbers in m/s^2, e.g. [0, 0, -9.81] where z is up"
+            )
         inertias = {link.name: link.pseudo_inertia for link in self.links}
         frames: dict[str, tuple[int, FloatArray]] = {self.root: (-1, frozen(np.eye(4)))}
         moving: list[Joint] = []
-        parents, placement, bodies = [], [], list[FloatArray]()
+        parents = []
+        placement = []
+        bodies = list[FloatArray]()
         for joint in self.joints:
             body, body_from_parent = frames[joint.parent]
             if joint.name in active:
                 parents.append(body)
                 placement.append(body_from_parent @ joint.origin)
                 bodies.append(np.zeros((4, 4)))
-                body, body_from_link = len(moving), np.eye(4)
+                body = len(moving)
+                body_from_link = np.eye(4)
                 moving.append(joint)
             else:
-                body_from_link = body_from_parent @ joint.transform(self._position(joint, positions))
+                body_from_link = body_from_parent @ joint.transform(
+                    self._position(joint, positions)
+                )
             frames[joint.child] = (body, frozen(body_from_link))
             if body >= 0:
                 bodies[body] += body_from_link @ inertias[joint.child] @ body_from_link.T
@@ -166,7 +190,9 @@ class RobotModel:
         parents_array.setflags(write=False)
         return ReducedModel(
             joint_names=tuple(joint.name for joint in moving),
-            kinds=tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in moving),
+            kinds=tuple(
+                "prismatic" if joint.kind == "prismatic" else "revolute" for joint in moving
+            ),
             parents=parents_array,
             placement=frozen(placement),
             axes=frozen([joint.axis for joint in moving]),
@@ -182,11 +208,17 @@ class RobotModel:
         for name in active:
             joint = self.joint(name)
             if joint.kind == "fixed":
-                raise RobotError(f"joint {name!r} of {self.name} is fixed and cannot move; choose from: {choices}")
+                raise RobotError(
+                    f"joint {name!r} of {self.name} is fixed and cannot move; choose from: {choices}"
+                )
             if joint.mimic is not None:
-                raise RobotError(f"joint {name!r} of {self.name} only follows {joint.mimic[0]!r}; choose from: {choices}")
+                raise RobotError(
+                    f"joint {name!r} of {self.name} only follows {joint.mimic[0]!r}; choose from: {choices}"
+                )
             if list(active).count(name) > 1:
-                raise RobotError(f"joint {name!r} of {self.name} was chosen to move twice; name it once")
+                raise RobotError(
+                    f"joint {name!r} of {self.name} was chosen to move twice; name it once"
+                )
         for joint in self.joints:
             if joint.mimic is not None and (source := self.driving(joint)[0]) in active:
                 raise RobotError(
@@ -205,7 +237,10 @@ class RobotModel:
             numbers = np.ravel(np.asarray(values, dtype=np.float64))
             scale = float(np.abs(numbers).max()) or 1.0
             # adding zero makes a rounded -0 the same as 0
-            return [f"{scale:.11e}", *(f"{value:.12f}" for value in np.round(numbers / scale, 12) + 0.0)]
+            return [
+                f"{scale:.11e}",
+                *(f"{value:.12f}" for value in np.round(numbers / scale, 12) + 0.0),
+            ]
 
         joints = sorted(
             [joint.name, joint.kind, joint.parent, joint.child, digits(joint.origin)]

@@ -17,7 +17,14 @@ import numpy as np
 
 from proprio_ros.errors import RobotError, one_line
 from proprio_ros.inputs.reading import LONGEST_TEXT
-from proprio_ros.robot.geometry import FloatArray, frozen, motion, pseudo_inertia, rotation_from_rpy, transform
+from proprio_ros.robot.geometry import (
+    FloatArray,
+    frozen,
+    motion,
+    pseudo_inertia,
+    rotation_from_rpy,
+    transform,
+)
 
 JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
 LONGEST_NAME = 255  # characters of the name of a link or a joint
@@ -73,15 +80,21 @@ class UrdfReader:
     def __init__(self, text: str | bytes, source: str) -> None:
         self._source = source
         if len(text) > LONGEST_TEXT:
-            raise RobotError(f"{source}: has over {LONGEST_TEXT / 1e6:g} MB; give a URDF file, whose meshes lie beside it")
+            raise RobotError(
+                f"{source}: has over {LONGEST_TEXT / 1e6:g} MB; give a URDF file, whose meshes lie beside it"
+            )
         try:
             self._robot = ElementTree.fromstring(text)
         except (ElementTree.ParseError, LookupError, ValueError) as error:
             raise RobotError(f"{source}: not XML ({error}); give a URDF file") from error
         if self._robot.tag != "robot":
-            raise RobotError(f"{source}: the document is a <{self._robot.tag}>, not a <robot>; give a URDF file")
+            raise RobotError(
+                f"{source}: the document is a <{self._robot.tag}>, not a <robot>; give a URDF file"
+            )
         if any("xacro}" in str(element.tag) for element in self._robot.iter()):
-            raise RobotError(f"{source}: holds xacro macros; expand it first: xacro {source} > robot.urdf")
+            raise RobotError(
+                f"{source}: holds xacro macros; expand it first: xacro {source} > robot.urdf"
+            )
 
     def _fail(self, message: str) -> NoReturn:
         raise RobotError(f"{self._source}: {message}")
@@ -93,7 +106,9 @@ class UrdfReader:
         """
         for tag in ("link", "joint"):
             if (count := len(self._robot.findall(tag))) > MOST_LINKS:
-                self._fail(f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves")
+                self._fail(
+                    f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves"
+                )
         links = self._unique("link", self._link)
         if not links:
             self._fail("the robot has no <link>")
@@ -101,7 +116,9 @@ class UrdfReader:
         for joint in joints.values():
             for role, name in (("parent", joint.parent), ("child", joint.child)):
                 if name not in links:
-                    self._fail(f"joint {joint.name!r} names an unknown {role} link {name!r}; links: {', '.join(links)}")
+                    self._fail(
+                        f"joint {joint.name!r} names an unknown {role} link {name!r}; links: {', '.join(links)}"
+                    )
         self._check_mimics(joints)
         root = self._root(links, joints)
         ordered = self._ordered(root, joints)
@@ -121,11 +138,18 @@ class UrdfReader:
         if not name:
             self._fail(f"a <{element.tag}> has no name; give it one")
         if not name.isprintable() or len(name) > LONGEST_NAME:
-            self._fail(f"the name '{one_line(name, 60)}' of a <{element.tag}> is not printable, or too long")
+            self._fail(
+                f"the name '{one_line(name, 60)}' of a <{element.tag}> is not printable, or too long"
+            )
         return name
 
     def _numbers(
-        self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None, count: int = 3
+        self,
+        element: ElementTree.Element,
+        attribute: str,
+        where: str,
+        default: str | None = None,
+        count: int = 3,
     ) -> list[float]:
         """So many numbers of an attribute."""
         text = element.get(attribute, default)
@@ -139,13 +163,19 @@ class UrdfReader:
             self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> must be finite")
         largest = _LARGEST.get(element.tag, _LARGEST.get(attribute, math.inf))
         if max(map(abs, values), default=0.0) > largest:
-            self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> is over {largest:g}: units are kg, m and rad")
+            self._fail(
+                f"{where}: {attribute}={text!r} of <{element.tag}> is over {largest:g}: units are kg, m and rad"
+            )
         if len(values) != count:
             needed = "one number" if count == 1 else "three numbers"
-            self._fail(f"{where}: {attribute} of <{element.tag}> must be {needed}, got {len(values)}")
+            self._fail(
+                f"{where}: {attribute} of <{element.tag}> must be {needed}, got {len(values)}"
+            )
         return values
 
-    def _number(self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None) -> float:
+    def _number(
+        self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None
+    ) -> float:
         return self._numbers(element, attribute, where, default, 1)[0]
 
     def _origin(self, element: ElementTree.Element, where: str) -> FloatArray:
@@ -161,9 +191,12 @@ class UrdfReader:
         inertial = element.find("inertial")
         if inertial is None:
             return Link(name, frozen(np.zeros((4, 4))))
-        mass_element, inertia_element = inertial.find("mass"), inertial.find("inertia")
+        mass_element = inertial.find("mass")
+        inertia_element = inertial.find("inertia")
         if mass_element is None or inertia_element is None:
-            self._fail(f"{where}: <inertial> needs both <mass> and <inertia>; leave it out for a frame without mass")
+            self._fail(
+                f"{where}: <inertial> needs both <mass> and <inertia>; leave it out for a frame without mass"
+            )
         mass = self._number(mass_element, "value", where)
         keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         xx, xy, xz, yy, yz, zz = (self._number(inertia_element, key, where) for key in keys)
@@ -171,7 +204,9 @@ class UrdfReader:
         if 0.0 <= mass <= _NO_MASS_KG and np.abs(inertia).max() <= _NO_INERTIA_KG_M2:
             return Link(name, frozen(np.zeros((4, 4))))
         if mass <= 0.0:
-            self._fail(f"{where}: mass must be positive, got {mass} kg; leave <inertial> out for a frame without mass")
+            self._fail(
+                f"{where}: mass must be positive, got {mass} kg; leave <inertial> out for a frame without mass"
+            )
         smallest, middle, largest = np.linalg.eigvalsh(inertia)
         moments = f"principal moments {smallest:.4g}, {middle:.4g}, {largest:.4g} kg m^2"
         if smallest <= 0.0:
@@ -193,7 +228,9 @@ class UrdfReader:
         where = f"joint {name!r}"
         kind = element.get("type", "")
         if kind not in JOINT_KINDS:
-            self._fail(f"{where}: type {kind!r} is not supported; supported: {', '.join(JOINT_KINDS)}")
+            self._fail(
+                f"{where}: type {kind!r} is not supported; supported: {', '.join(JOINT_KINDS)}"
+            )
         ends = {}
         for role in ("parent", "child"):
             end = element.find(role)
@@ -224,33 +261,51 @@ class UrdfReader:
             mimic=self._mimic(element, kind, where),
         )
 
-    def _limits(self, element: ElementTree.Element, kind: str, where: str) -> tuple[float, float, float, float]:
-        lower, upper, velocity, effort = -math.inf, math.inf, math.inf, math.inf
+    def _limits(
+        self, element: ElementTree.Element, kind: str, where: str
+    ) -> tuple[float, float, float, float]:
+        lower = -math.inf
+        upper = math.inf
+        velocity = math.inf
+        effort = math.inf
         limit = element.find("limit")
         if kind in ("revolute", "prismatic"):
             if limit is None or limit.get("lower") is None or limit.get("upper") is None:
                 advice = ", or make it continuous" if kind == "revolute" else ""
-                self._fail(f"{where}: a {kind} joint needs <limit lower=.. upper=../>; add it{advice}")
-            lower, upper = self._number(limit, "lower", where), self._number(limit, "upper", where)
+                self._fail(
+                    f"{where}: a {kind} joint needs <limit lower=.. upper=../>; add it{advice}"
+                )
+            lower = self._number(limit, "lower", where)
+            upper = self._number(limit, "upper", where)
             if lower > upper:
-                self._fail(f"{where}: the lower limit {lower} is above the upper limit {upper}; swap them")
+                self._fail(
+                    f"{where}: the lower limit {lower} is above the upper limit {upper}; swap them"
+                )
         if limit is not None and kind != "fixed":
             if limit.get("velocity") is not None:
                 velocity = self._number(limit, "velocity", where)
             if limit.get("effort") is not None:
                 effort = self._number(limit, "effort", where)
             if velocity < 0.0 or effort < 0.0:
-                self._fail(f"{where}: limits of velocity and effort must not be negative, got {velocity} and {effort}")
+                self._fail(
+                    f"{where}: limits of velocity and effort must not be negative, got {velocity} and {effort}"
+                )
         return lower, upper, velocity, effort
 
-    def _mimic(self, element: ElementTree.Element, kind: str, where: str) -> tuple[str, float, float] | None:
+    def _mimic(
+        self, element: ElementTree.Element, kind: str, where: str
+    ) -> tuple[str, float, float] | None:
         mimic = element.find("mimic")
         if mimic is None or kind == "fixed":
             return None
         source = mimic.get("joint")
         if not source:
             self._fail(f"{where}: <mimic> names no joint; add joint=..")
-        return source, self._number(mimic, "multiplier", where, "1"), self._number(mimic, "offset", where, "0")
+        return (
+            source,
+            self._number(mimic, "multiplier", where, "1"),
+            self._number(mimic, "offset", where, "0"),
+        )
 
     def _check_mimics(self, joints: Mapping[str, Joint]) -> None:
         for joint in joints.values():
@@ -259,12 +314,18 @@ class UrdfReader:
             while mimic is not None:
                 source = mimic[0]
                 if source not in joints:
-                    self._fail(f"joint {seen[-1]!r} mimics an unknown joint {source!r}; joints: {', '.join(joints)}")
+                    self._fail(
+                        f"joint {seen[-1]!r} mimics an unknown joint {source!r}; joints: {', '.join(joints)}"
+                    )
                 if joints[source].kind == "fixed":
-                    self._fail(f"joint {seen[-1]!r} mimics {source!r}, which is fixed; let it mimic a joint that moves")
+                    self._fail(
+                        f"joint {seen[-1]!r} mimics {source!r}, which is fixed; let it mimic a joint that moves"
+                    )
                 if source in seen:
                     circle = " -> ".join([*seen, source])
-                    self._fail(f"joints mimic each other in a circle: {circle}; leave one independent")
+                    self._fail(
+                        f"joints mimic each other in a circle: {circle}; leave one independent"
+                    )
                 seen.append(source)
                 mimic = joints[source].mimic
 
@@ -279,19 +340,26 @@ class UrdfReader:
             carrier[joint.child] = joint.name
         roots = [name for name in links if name not in carrier]
         if not roots:
-            self._fail(f"the joints form a loop and no link is the root; cut it at one of: {', '.join(joints)}")
+            self._fail(
+                f"the joints form a loop and no link is the root; cut it at one of: {', '.join(joints)}"
+            )
         if len(roots) > 1:
-            self._fail(f"several links have no parent: {', '.join(roots)}; join them to one root with fixed joints")
+            self._fail(
+                f"several links have no parent: {', '.join(roots)}; join them to one root with fixed joints"
+            )
         return roots[0]
 
     def _ordered(self, root: str, joints: Mapping[str, Joint]) -> list[Joint]:
         children: dict[str, list[Joint]] = defaultdict(list)
         for joint in reversed(list(joints.values())):
             children[joint.parent].append(joint)
-        ordered, waiting = [], [*children[root]]
+        ordered = []
+        waiting = [*children[root]]
         while waiting:
             ordered.append(waiting.pop())
             waiting += children[ordered[-1].child]
         if loop := [name for name, joint in joints.items() if joint not in ordered]:
-            self._fail(f"joints {', '.join(loop)} form a loop apart from the tree; let one of them start at a link of it")
+            self._fail(
+                f"joints {', '.join(loop)} form a loop apart from the tree; let one of them start at a link of it"
+            )
         return ordered

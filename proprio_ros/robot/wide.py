@@ -29,7 +29,11 @@ class Wide:
 
     def at(self, nominal: float, largest: float) -> Quantity:
         """Of a joint with this nominal torque constant [N m/A] and largest torque [N m]."""
-        return Quantity(nominal, self.share * nominal) if self.of == "nominal" else Quantity(0.0, self.share * largest)
+        return (
+            Quantity(nominal, self.share * nominal)
+            if self.of == "nominal"
+            else Quantity(0.0, self.share * largest)
+        )
 
     def described(self) -> str:
         """For the documentation."""
@@ -51,7 +55,9 @@ def largest_torque(model: RobotModel, name: str, transmission: float = 1.0) -> f
     behind: dict[str, float] = {joint.child: 0.0}  # link: how far from the axis at most [m]
     for other in model.joints:
         if other.parent in behind and other is not joint:
-            behind[other.child] = behind[other.parent] + math.dist(other.origin[:3, 3], (0.0, 0.0, 0.0))
+            behind[other.child] = behind[other.parent] + math.dist(
+                other.origin[:3, 3], (0.0, 0.0, 0.0)
+            )
     load = 0.0
     for link in model.links:
         if link.name in behind:

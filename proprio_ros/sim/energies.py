@@ -104,18 +104,27 @@ def shear_energy(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     flat = f.reshape(-1, 9)
     if law == "linear":
         strain = 0.5 * (flat + flat @ _TRANSPOSE) - _ONE
-        return (strain**2).sum(axis=1), 2.0 * strain, np.broadcast_to(np.eye(9) + _TRANSPOSE, (len(flat), 9, 9))
+        return (
+            (strain**2).sum(axis=1),
+            2.0 * strain,
+            np.broadcast_to(np.eye(9) + _TRANSPOSE, (len(flat), 9, 9)),
+        )
     ic = (flat**2).sum(axis=1)
     j, by_f, curvature = _determinant(f)
     by_ic = np.full_like(ic, 0.5)
     w = 0.5 * (ic - 3.0)
     if law == "log":
         value, first, second = log_j(j)
-        w, by_j, by_jj = w - value, -first, -second
+        w = w - value
+        by_j = -first
+        by_jj = -second
     elif law == "smith":
-        w, by_j, by_jj = w - (j - 1.0) + 0.5 * (j - 1.0) ** 2, j - 2.0, np.ones_like(j)
+        w = w - (j - 1.0) + 0.5 * (j - 1.0) ** 2
+        by_j = j - 2.0
+        by_jj = np.ones_like(j)
     else:
-        w, by_j = w - 0.75 * (j - 1.0) - 0.5 * np.log(0.25 * (ic + 1.0)), np.full_like(j, -0.75)
+        w = w - 0.75 * (j - 1.0) - 0.5 * np.log(0.25 * (ic + 1.0))
+        by_j = np.full_like(j, -0.75)
         by_ic = 0.5 - 0.5 / (ic + 1.0)
     hessian = 2.0 * by_ic[:, None, None] * np.eye(9) + by_j[:, None, None] * curvature
     if law == "warp_compat":
@@ -129,7 +138,8 @@ def volume(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     """j of the law, its change of volume, and derivatives: (M,), (M, 9), (M, 9, 9)."""
     if law != "linear":
         return _determinant(f)
-    by_f, by_ff = np.broadcast_to(_ONE, (len(f), 9)), np.broadcast_to(np.zeros((9, 9)), (len(f), 9, 9))
+    by_f = np.broadcast_to(_ONE, (len(f), 9))
+    by_ff = np.broadcast_to(np.zeros((9, 9)), (len(f), 9, 9))
     return np.trace(f, axis1=1, axis2=2) - 2.0, by_f, by_ff
 
 

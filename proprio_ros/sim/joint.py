@@ -47,7 +47,8 @@ class JointRun:
     # (voltage [V], back-EMF constant [V s/rad], resistance [ohm]); voltage 0 means no limit
     supply: tuple[float, float, float] = (0.0, 0.0, 1.0)
     friction_velocity: float = 1e-3  # v_s, where Coulomb's law is smoothed [rad/s]
-    step_s: float = 1.0 / 240.0  # longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's
+    # longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's
+    step_s: float = 1.0 / 240.0
     # step while the joint is near standstill [s]; equal to ``step_s`` where there is no dry friction
     fine_step_s: float = 1.0 / 240.0
     # load from each of those instants on beside gravity's, shape (S, 2): with an empty hand [N m], and what each
@@ -74,9 +75,13 @@ class JointSimulator:
     def __init__(self, runs: Sequence[JointRun], integrator: str = "rk4") -> None:
         runtime.check()
         if integrator not in INTEGRATORS:
-            raise SimulationError(f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}")
+            raise SimulationError(
+                f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}"
+            )
         if not runs or any(len(run.sample_times_s) == 0 for run in runs):
-            raise SimulationError("nothing to simulate: every run needs at least one sample after the command's onset")
+            raise SimulationError(
+                "nothing to simulate: every run needs at least one sample after the command's onset"
+            )
         self.runs = tuple(runs)
         self.integrator = integrator
         self.sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
@@ -86,7 +91,8 @@ class JointSimulator:
         samples = np.zeros((len(runs), self._width))
         switch_times = np.zeros((len(runs), int(input_counts.max())))
         inputs = np.zeros((*switch_times.shape, 3))
-        constants, steps = np.zeros((len(runs), 4)), np.zeros((len(runs), 2))
+        constants = np.zeros((len(runs), 4))
+        steps = np.zeros((len(runs), 2))
         for row, run in enumerate(runs):
             samples[row, : self.sample_counts[row]] = run.sample_times_s
             switch_times[row, : input_counts[row]] = run.input_times_s
@@ -112,7 +118,11 @@ class JointSimulator:
     def windows(self, fraction: float) -> np.ndarray:
         """How many samples of each run lie in the first ``fraction`` of its time, at least three; shape (R,), int32."""
         counts = [
-            int(np.searchsorted(run.sample_times_s, fraction * run.sample_times_s[-1] + TIME_EPS, side="right"))
+            int(
+                np.searchsorted(
+                    run.sample_times_s, fraction * run.sample_times_s[-1] + TIME_EPS, side="right"
+                )
+            )
             for run in self.runs
         ]
         return np.minimum(np.maximum(np.array(counts, dtype=np.int32), 3), self.sample_counts)
@@ -136,7 +146,9 @@ class JointSimulator:
         q, v, dq, *_ = self._launch(world_run, p, dp, counts)
         return q, v, dq[:, :, : dp.shape[2]]
 
-    def _launch(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None) -> tuple[np.ndarray, ...]:
+    def _launch(
+        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
+    ) -> tuple[np.ndarray, ...]:
         """All outputs of the tangent kernel; its directions are padded to one of ``tangent_sizes``."""
         worlds, _, directions = dp.shape
         size = next((s for s in self.tangent_sizes if s >= directions), directions)
@@ -164,7 +176,8 @@ class JointSimulator:
 
     def _run_data(self, counts: wp.array) -> list[Any]:
         """What every kernel knows about the runs, in its order."""
-        times, inputs = self._switch_times, self._inputs
+        times = self._switch_times
+        inputs = self._inputs
         return [self._samples, counts, times, inputs, self._input_counts, self._steps, self._data()]
 
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
@@ -184,13 +197,20 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     """
     # more directions than parameters come only from callers of their own
     sizes = [size for size in _TANGENT_SIZES if size <= _size_of(len(PARAMETERS))]
-    runtime.load([rollout(joint_law(*kind), integrator) for kind in kinds_of_kernel(sizes, rises)], "cpu")
+    runtime.load(
+        [rollout(joint_law(*kind), integrator) for kind in kinds_of_kernel(sizes, rises)], "cpu"
+    )
 
 
 def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]:
     """Size, and whether friction rises towards standstill, of each kernel that fits may need; the last size has all parameters."""
     # all parameters at once are more than some fits have unknowns, and the rise is one of them on every robot
-    return [(size, stribeck) for size in sizes for stribeck in (False, True) if rises or not stribeck or size == sizes[-1]]
+    return [
+        (size, stribeck)
+        for size in sizes
+        for stribeck in (False, True)
+        if rises or not stribeck or size == sizes[-1]
+    ]
 
 
 def plain_kernel(directions: int, integrator: str) -> Any:
@@ -208,21 +228,27 @@ class _Launch:
     def __init__(self, owner: JointSimulator, worlds: int, size: int, stribeck: bool) -> None:
         vec = wp.types.vector(length=size, dtype=FLOAT)
         shape = (worlds, len(owner.parameters))
-        counts, world_run = wp.clone(owner._full_counts), owner._zeros(worlds, wp.int32)
-        p, dp = owner._zeros(shape), owner._zeros(shape, vec)
+        counts = wp.clone(owner._full_counts)
+        world_run = owner._zeros(worlds, wp.int32)
+        p = owner._zeros(shape)
+        dp = owner._zeros(shape, vec)
         self._outputs = owner._outputs(worlds, size)
         kernel, out_type = owner._kernel(size, stribeck)
         out = out_type()
         for name, array in zip(out_type.vars, self._outputs, strict=True):
             setattr(out, name, array)
         inputs = [*owner._run_data(counts), world_run, p, dp]
-        self._command = runtime.launch(kernel, dim=worlds, inputs=inputs, outputs=[out], device="cpu", record_cmd=True)
+        self._command = runtime.launch(
+            kernel, dim=worlds, inputs=inputs, outputs=[out], device="cpu", record_cmd=True
+        )
         # on the CPU a Warp array is the host's own memory: written and read in place, without a copy
         self._views = [array.numpy() for array in (world_run, counts, p, dp)]
         self._given: list[np.ndarray | None] = [None] * len(self._views)
         self._results = tuple(output.numpy() for output in self._outputs)
 
-    def __call__(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, ...]:
+    def __call__(
+        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         for at, values in enumerate((world_run, counts, p, dp)):
             self._put(at, values)
         self._command.launch()

@@ -67,15 +67,31 @@ def limited_current(command: FLOAT, v: FLOAT, volt: FLOAT, emf: FLOAT, ohm: FLOA
 
 
 @wp.func
-def acceleration(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, world: wp.int32, constants: FLOATS, run: wp.int32):
-    i, _slope = limited_current(command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE])
+def acceleration(
+    q: FLOAT,
+    v: FLOAT,
+    command: FLOAT,
+    extra: FLOAT,
+    p: FLOATS,
+    world: wp.int32,
+    constants: FLOATS,
+    run: wp.int32,
+):
+    i, _slope = limited_current(
+        command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE]
+    )
     motor = p[world, TORQUE_CONSTANT] * i
     dry = p[world, COULOMB] + p[world, LOAD_FRICTION] * wp.abs(motor)
     if p[world, STRIBECK_VELOCITY] > FLOAT(0.0):
         slow = v / p[world, STRIBECK_VELOCITY]
         dry = dry * (FLOAT(1.0) + p[world, STRIBECK] * wp.exp(-slow * slow))
     friction = dry * wp.tanh(v / constants[run, FRICTION_VELOCITY]) + p[world, VISCOUS] * v
-    load = p[world, GRAVITY_COS] * wp.cos(q) + p[world, GRAVITY_SIN] * wp.sin(q) + p[world, GRAVITY_CONSTANT] + extra
+    load = (
+        p[world, GRAVITY_COS] * wp.cos(q)
+        + p[world, GRAVITY_SIN] * wp.sin(q)
+        + p[world, GRAVITY_CONSTANT]
+        + extra
+    )
     return (motor - friction - load) / p[world, INERTIA]
 
 
@@ -104,7 +120,9 @@ def linearised_acceleration(directions: int, stribeck: bool) -> Any:
         r: wp.int32,
     ):
         """``gc`` is the load that neither angle nor speed changes."""
-        i, slope = limited_current(command, v, constants[r, VOLTAGE], constants[r, BACK_EMF], constants[r, RESISTANCE])
+        i, slope = limited_current(
+            command, v, constants[r, VOLTAGE], constants[r, BACK_EMF], constants[r, RESISTANCE]
+        )
         vs = constants[r, FRICTION_VELOCITY]
         ga = p[w, GRAVITY_COS]
         gb = p[w, GRAVITY_SIN]
@@ -135,14 +153,23 @@ def linearised_acceleration(directions: int, stribeck: bool) -> Any:
             total = total - (level * side) * dp[w, COULOMB] - v * dp[w, VISCOUS]
             total = total - (load * level * side) * dp[w, LOAD_FRICTION]
             total = total - (dry * bump * side) * dp[w, STRIBECK]
-            total = total - (FLOAT(2.0) * dry * rise * bump * slow * slow / width * side) * dp[w, STRIBECK_VELOCITY]
+            total = (
+                total
+                - (FLOAT(2.0) * dry * rise * bump * slow * slow / width * side)
+                * dp[w, STRIBECK_VELOCITY]
+            )
         else:
             a = (motor - (fc + fl * load) * side - fv * v - ga * c - gb * s - gc) * inverse
             gain = FLOAT(1.0) - fl * wp.sign(motor) * side
             by_q = ga * s - gb * c
             by_v = gain * kt * slope - (fc + fl * load) * (FLOAT(1.0) - side * side) / vs - fv
             total = by_q * dq + by_v * dv + (gain * i) * dp[w, TORQUE_CONSTANT]
-            total = total - side * dp[w, COULOMB] - v * dp[w, VISCOUS] - (load * side) * dp[w, LOAD_FRICTION]
+            total = (
+                total
+                - side * dp[w, COULOMB]
+                - v * dp[w, VISCOUS]
+                - (load * side) * dp[w, LOAD_FRICTION]
+            )
         total = total - c * dp[w, GRAVITY_COS] - s * dp[w, GRAVITY_SIN] - d_gc - a * dp[w, INERTIA]
         return a, inverse * total
 
@@ -155,7 +182,9 @@ def standstill(state: Any, data_type: Any) -> Any:
 
     @wp.func
     def still(y: state, k: state, data: data_type, r: wp.int32, step: FLOAT):
-        return wp.abs(y[1]) < FLOAT(20.0) * data.constants[r, FRICTION_VELOCITY] + wp.abs(k[1]) * step
+        return (
+            wp.abs(y[1]) < FLOAT(20.0) * data.constants[r, FRICTION_VELOCITY] + wp.abs(k[1]) * step
+        )
 
     return still
 
@@ -189,7 +218,20 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
             out.q[w, k] = y[0]
             out.dq[w, k] = dy[0]
 
-    return Law(directions, VEC2, VEC3, mat, data_type, Out, DELAY, start, rates, moved, standstill(VEC2, data_type), record)
+    return Law(
+        directions,
+        VEC2,
+        VEC3,
+        mat,
+        data_type,
+        Out,
+        DELAY,
+        start,
+        rates,
+        moved,
+        standstill(VEC2, data_type),
+        record,
+    )
 
 
 @cache
@@ -200,10 +242,21 @@ def joint_law(directions: int, stribeck: bool) -> Law:
     linearised = linearised_acceleration(directions, stribeck)
 
     @wp.func
-    def rates(y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: JointData, r: wp.int32):
+    def rates(
+        y: VEC2,
+        dy: mat,
+        u: VEC3,
+        p: FLOATS,
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: JointData,
+        r: wp.int32,
+    ):
         load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
-        a, da = linearised(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)
+        a, da = linearised(
+            y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r
+        )
         return VEC2(y[1], a), wp.matrix_from_rows(dy[1], da)
 
     return one_joint_law(directions, JointData, rates)

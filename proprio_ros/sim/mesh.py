@@ -22,11 +22,13 @@ from scipy.sparse.csgraph import connected_components
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.reading import path_problem
 
-MAX_CELLS = 64  # cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed
+# cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed
+MAX_CELLS = 64
 MIN_QUALITY = 0.05
 """Smallest mean ratio of a tetrahedron (1 is regular, 0 is flat); a cell of a box has 0.84 where it is a cube."""
 _FLAT = 1e-6  # of the length: nodes that near to an end belong to it
-_TET_CORNERS = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])  # faces of a tetrahedron, outward
+# faces of a tetrahedron, outward
+_TET_CORNERS = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 
 
 @dataclass(frozen=True)
@@ -39,26 +41,44 @@ class TetMesh:
     cells: np.ndarray
 
     def __post_init__(self) -> None:
-        points, tets = self.points, self.tets
+        points = self.points
+        tets = self.tets
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ConfigurationError("the mesh's points must be finite numbers in rows of x, y, z")
-        if tets.ndim != 2 or tets.shape[1] != 4 or len(tets) == 0 or self.cells.shape != (len(tets),):
-            raise ConfigurationError("the mesh needs tetrahedra: rows of four node numbers, and one cell number for each")
+        if (
+            tets.ndim != 2
+            or tets.shape[1] != 4
+            or len(tets) == 0
+            or self.cells.shape != (len(tets),)
+        ):
+            raise ConfigurationError(
+                "the mesh needs tetrahedra: rows of four node numbers, and one cell number for each"
+            )
         if tets.min() < 0 or tets.max() >= len(points):
-            raise ConfigurationError(f"a tetrahedron has a corner that is no node: numbers go from 0 to {len(points) - 1}")
+            raise ConfigurationError(
+                f"a tetrahedron has a corner that is no node: numbers go from 0 to {len(points) - 1}"
+            )
         unused = len(points) - len(np.unique(tets))
         if unused:
-            raise ConfigurationError(f"{unused} nodes of the mesh belong to no tetrahedron: remove them")
+            raise ConfigurationError(
+                f"{unused} nodes of the mesh belong to no tetrahedron: remove them"
+            )
         worst = int(np.argmin(self.quality))
         if not self.quality[worst] >= MIN_QUALITY:
             raise ConfigurationError(
                 f"tetrahedron {worst} is inside out, or flatter than can be computed with (quality "
                 f"{self.quality[worst]:.2g}, at least {MIN_QUALITY} is needed): mesh the block anew with more regular elements"
             )
-        if len(np.unique(np.round(points / (_FLAT * self.length)).astype(np.int64), axis=0)) < len(points):
-            raise ConfigurationError("two nodes of the mesh lie in the same place, a crack: merge duplicate nodes")
+        if len(np.unique(np.round(points / (_FLAT * self.length)).astype(np.int64), axis=0)) < len(
+            points
+        ):
+            raise ConfigurationError(
+                "two nodes of the mesh lie in the same place, a crack: merge duplicate nodes"
+            )
         if self._faces[1].max() > 2:
-            raise ConfigurationError("a face of the mesh belongs to more than two tetrahedra: tetrahedra overlap")
+            raise ConfigurationError(
+                "a face of the mesh belongs to more than two tetrahedra: tetrahedra overlap"
+            )
         edges = tets[:, [0, 1, 2]].ravel(), tets[:, [1, 2, 3]].ravel()
         graph = coo_matrix((np.ones(len(edges[0])), edges), shape=(len(points), len(points)))
         pieces = connected_components(graph, directed=False)[0]
@@ -120,7 +140,9 @@ class TetMesh:
     def _faces(self) -> tuple[np.ndarray, np.ndarray]:
         """Each triangle once, counter-clockwise seen from one of its tetrahedra, and how many it has."""
         faces = self.tets[:, _TET_CORNERS].reshape(-1, 3)
-        _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        _, first, counts = np.unique(
+            np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+        )
         return faces[first], counts
 
     @cached_property
@@ -161,9 +183,13 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
     """
     size = np.asarray(size, dtype=np.float64)
     if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0.0).any():
-        raise ConfigurationError(f"block.size={size.tolist()} is no box: give three edges above zero, in metres")
+        raise ConfigurationError(
+            f"block.size={size.tolist()} is no box: give three edges above zero, in metres"
+        )
     if len(cells) != 3 or any(int(n) != n or not 1 <= n <= MAX_CELLS for n in cells):
-        raise ConfigurationError(f"a block cannot have {list(cells)} cells: give three whole numbers from 1 to {MAX_CELLS}")
+        raise ConfigurationError(
+            f"a block cannot have {list(cells)} cells: give three whole numbers from 1 to {MAX_CELLS}"
+        )
     corner = -0.5 * size if corner is None else np.asarray(corner, dtype=np.float64)
     nodes = np.array([int(n) + 1 for n in cells])
     index, origins = (np.array(list(product(*map(range, counts)))) for counts in (nodes, nodes - 1))
@@ -177,9 +203,15 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
         even = corners.sum(axis=1) % 2 == parity
         split = [corners[even]]
         for tip in corners[~even]:
-            split.append(np.array([tip, *(np.where(np.arange(3) == axis, 1 - tip, tip) for axis in range(3))]))
+            split.append(
+                np.array(
+                    [tip, *(np.where(np.arange(3) == axis, 1 - tip, tip) for axis in range(3))]
+                )
+            )
         tets[mine] = (origins[mine][:, None, None, :] + np.array(split)) @ strides
-    return TetMesh(points, _oriented(points, tets.reshape(-1, 4)), np.repeat(np.arange(len(origins)), 5))
+    return TetMesh(
+        points, _oriented(points, tets.reshape(-1, 4)), np.repeat(np.arange(len(origins)), 5)
+    )
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
@@ -202,25 +234,33 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
     try:
         with redirect_stdout(printed), redirect_stderr(printed):
             found = meshio.read(path)
-    except (Exception, SystemExit) as error:  # what a reader raises over a broken file is the reader's own choice
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # what a reader raises over a broken file is the reader's own choice
         why = printed.getvalue().strip().split("\n")[0] or error or type(error).__name__
         raise ConfigurationError(f"{path}: meshio cannot read this mesh ({why})") from error
     tets = [block.data for block in found.cells if block.type == "tetra"]
     if not tets:
         kinds = ", ".join(sorted({block.type for block in found.cells})) or "nothing"
-        raise ConfigurationError(f"{path}: holds no tetrahedra (but {kinds}): mesh the block's inside, with first order")
+        raise ConfigurationError(
+            f"{path}: holds no tetrahedra (but {kinds}): mesh the block's inside, with first order"
+        )
     corners = np.concatenate(tets).astype(np.int64)
     if corners.min() < 0 or corners.max() >= len(found.points):
         raise ConfigurationError(
             f"{path}: a tetrahedron has a corner that is no node: numbers go from 0 to {len(found.points) - 1}"
         )
     used, numbers = np.unique(corners, return_inverse=True)
-    points, corners = scale * np.asarray(found.points, dtype=np.float64)[used], numbers.reshape(corners.shape)
+    points = scale * np.asarray(found.points, dtype=np.float64)[used]
+    corners = numbers.reshape(corners.shape)
     try:
         mesh = TetMesh(points, _oriented(points, corners), np.arange(len(corners)))
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
     for high, name in ((False, "lowest"), (True, "highest")):
         if mesh.end_area(high) == 0.0:
-            raise ConfigurationError(f"{path}: has no flat face at its {name} x for a finger to push: turn the block")
+            raise ConfigurationError(
+                f"{path}: has no flat face at its {name} x for a finger to push: turn the block"
+            )
     return mesh

@@ -21,17 +21,24 @@ class MixedSimulator(Generic[_Special]):
     """
 
     def __init__(
-        self, special: _Special, plain: Sequence[JointRun], with_object: Sequence[bool] | np.ndarray, integrator: str = "rk4"
+        self,
+        special: _Special,
+        plain: Sequence[JointRun],
+        with_object: Sequence[bool] | np.ndarray,
+        integrator: str = "rk4",
     ) -> None:
         self.special = special
         self.plain = JointSimulator(plain, integrator) if plain else None
         self.with_object = np.asarray(with_object, dtype=bool)
         self.parameters = special.parameters
-        own, others = iter(special.runs), iter(plain)
+        own = iter(special.runs)
+        others = iter(plain)
         self.runs = tuple(next(own) if has else next(others) for has in self.with_object)
         has = self.with_object
         self._local = np.where(has, np.cumsum(has), np.cumsum(~has)).astype(np.int32) - 1
-        self.sample_counts = np.array([len(run.sample_times_s) for run in self.runs], dtype=np.int32)
+        self.sample_counts = np.array(
+            [len(run.sample_times_s) for run in self.runs], dtype=np.int32
+        )
         self.sample_counts.setflags(write=False)
 
     def windows(self, fraction: float) -> np.ndarray:
@@ -49,7 +56,9 @@ class MixedSimulator(Generic[_Special]):
             return self.special.jacobian(world_run, p, dp, counts)
         counts = self.sample_counts if counts is None else counts
         shape = (len(world_run), int(self.sample_counts.max()))
-        q, v, dq = np.zeros(shape), np.zeros(shape), np.zeros((*shape, dp.shape[2]))
+        q = np.zeros(shape)
+        v = np.zeros(shape)
+        dq = np.zeros((*shape, dp.shape[2]))
         for part, mine in self._parts():
             rows = np.flatnonzero(mine[world_run])
             if len(rows):
@@ -58,8 +67,12 @@ class MixedSimulator(Generic[_Special]):
                 # an empty hand has fewer parameters than what moves in another: it is looked at along its own, and then chained
                 chained = part is self.plain and dp.shape[2] > width
                 given = np.tile(np.eye(width), (len(rows), 1, 1)) if chained else along
-                *states, slopes = part.jacobian(self._local[world_run[rows]], p[rows, :width], given, counts[mine])
-                for whole, own in zip((q, v, dq), (*states, slopes @ along if chained else slopes), strict=True):
+                *states, slopes = part.jacobian(
+                    self._local[world_run[rows]], p[rows, :width], given, counts[mine]
+                )
+                for whole, own in zip(
+                    (q, v, dq), (*states, slopes @ along if chained else slopes), strict=True
+                ):
                     whole[rows, : own.shape[1]] = own
         return q, v, dq
 

@@ -17,7 +17,12 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 
-_FORMS = {"sphere": ("its diameter", 1), "cube": ("its edge", 1), "box": ("[x, y, z]", 3), "cylinder": ("[diameter, length]", 2)}
+_FORMS = {
+    "sphere": ("its diameter", 1),
+    "cube": ("its edge", 1),
+    "box": ("[x, y, z]", 3),
+    "cylinder": ("[diameter, length]", 2),
+}
 """What is stated of a solid of each shape, and how many numbers that are."""
 SHAPES = ("point", *_FORMS)
 _SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -38,7 +43,9 @@ class PayloadShape:
         Raises `ConfigurationError`: Unknown shape, or a size that does not fit it.
         """
         if shape not in SHAPES:
-            raise ConfigurationError(f"payload.shape={shape!r} is unknown: choose one of {', '.join(SHAPES)}")
+            raise ConfigurationError(
+                f"payload.shape={shape!r} is unknown: choose one of {', '.join(SHAPES)}"
+            )
         if shape == "point":
             return cls(np.zeros((3, 3)), "a point mass")
         form, wanted = _FORMS[shape]
@@ -47,13 +54,19 @@ class PayloadShape:
         except (TypeError, ValueError):
             numbers = np.array([])
         if len(numbers) != wanted or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
-            raise ConfigurationError(f"payload.size={size!r} does not fit a {shape}: give {form} in m, e.g. 0.03 for 30 mm")
+            raise ConfigurationError(
+                f"payload.size={size!r} does not fit a {shape}: give {form} in m, e.g. 0.03 for 30 mm"
+            )
         if np.any(numbers > 1.0):
-            raise ConfigurationError(f"payload.size={size!r} is over 1 m: lengths are in m, so 30 mm is 0.03")
+            raise ConfigurationError(
+                f"payload.size={size!r} is over 1 m: lengths are in m, so 30 mm is 0.03"
+            )
         if shape == "box":
             spread = numbers**2 / 12.0
         elif shape == "cylinder":
-            spread = np.array([numbers[0] ** 2 / 16.0, numbers[0] ** 2 / 16.0, numbers[1] ** 2 / 12.0])
+            spread = np.array(
+                [numbers[0] ** 2 / 16.0, numbers[0] ** 2 / 16.0, numbers[1] ** 2 / 12.0]
+            )
         else:
             spread = np.full(3, numbers[0] ** 2 / (20.0 if shape == "sphere" else 12.0))
         text = " x ".join(f"{1e3 * n:g}" for n in numbers)
@@ -66,8 +79,11 @@ class PayloadShape:
         if shape == "sphere":
             spread = side**2 / 12.0
         elif shape == "cylinder":
-            radius, length = side[0] / 2.0, side[2]
-            mantle, lids = 2.0 * radius * length, 2.0 * radius**2  # areas over pi
+            radius = side[0] / 2.0
+            length = side[2]
+            # areas over pi
+            mantle = 2.0 * radius * length
+            lids = 2.0 * radius**2
             across = (mantle * radius**2 / 2.0 + lids * radius**2 / 4.0) / (mantle + lids)
             along = (mantle * length**2 / 12.0 + lids * length**2 / 4.0) / (mantle + lids)
             spread = np.array([across, across, along])
@@ -90,12 +106,16 @@ class PayloadShape:
         """
         numbers = np.asarray(values, dtype=np.float64).ravel()
         if numbers.shape != (6,) or not np.all(np.isfinite(numbers)):
-            raise ConfigurationError("payload.inertia_per_mass needs [ixx, iyy, izz, ixy, ixz, iyz] in m^2")
+            raise ConfigurationError(
+                "payload.inertia_per_mass needs [ixx, iyy, izz, ixy, ixz, iyz] in m^2"
+            )
         xx, yy, zz, xy, xz, yz = numbers
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         spread = 0.5 * np.trace(inertia) * np.eye(3) - inertia
         if np.linalg.eigvalsh(spread)[0] < -1e-9 * max(np.trace(inertia), 1e-12):
-            raise ConfigurationError("payload.inertia_per_mass belongs to no physical body (triangle inequality)")
+            raise ConfigurationError(
+                "payload.inertia_per_mass belongs to no physical body (triangle inequality)"
+            )
         return cls(spread, "the inertia per mass that was given")
 
 
@@ -103,11 +123,14 @@ class PayloadShape:
 class PayloadFacts:
     """What is stated about the object before its mass is known (``config/probes/payload.yaml`` and ``--set``)."""
 
-    com: np.ndarray = field(default_factory=lambda: np.zeros(3))  # centre of mass in the payload frame [m], shape (3,)
+    # centre of mass in the payload frame [m], shape (3,)
+    com: np.ndarray = field(default_factory=lambda: np.zeros(3))
     # how far the true centre may lie from it [m], shape (3,); 0 means known
     com_std: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    shape: PayloadShape = field(default_factory=lambda: PayloadShape.of("point", None))  # spread of the mass
-    shape_std_relative: float = 0.0  # relative uncertainty of that spread (a guessed size is not a measured one)
+    # spread of the mass
+    shape: PayloadShape = field(default_factory=lambda: PayloadShape.of("point", None))
+    # relative uncertainty of that spread (a guessed size is not a measured one)
+    shape_std_relative: float = 0.0
     com_guessed: bool = False  # whether nobody stated where it is
 
     @property
@@ -116,7 +139,9 @@ class PayloadFacts:
         return payload_parameters(np.array(1.0), self.com, self.shape.second_moment_per_mass)
 
 
-def payload_parameters(mass: np.ndarray, com: np.ndarray, second_moment_per_mass: np.ndarray) -> np.ndarray:
+def payload_parameters(
+    mass: np.ndarray, com: np.ndarray, second_moment_per_mass: np.ndarray
+) -> np.ndarray:
     """The ten inertial parameters (m, m c, second moments) of payloads, linear in the mass [kg], shape (...,).
 
     Centres of mass are (..., 3) [m], second moments (3, 3) [m^2] about them.
@@ -154,7 +179,9 @@ def pseudo_inertia_basis() -> np.ndarray:
     return basis
 
 
-def joint_coefficients(pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+def joint_coefficients(
+    pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, gravity: np.ndarray
+) -> np.ndarray:
     """Inertia and gravity load that a body puts on the one joint it moves with (``joint.py``'s first four parameters).
 
     With h the first moment, a the axis and g gravity in the joint's frame at q = 0, the torque that holds a revolute joint is
@@ -174,7 +201,9 @@ def joint_coefficients(pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, 
         return out
     second = pseudo_inertia[..., :3, :3]
     first = pseudo_inertia[..., :3, 3]
-    out[..., 0] = np.trace(second, axis1=-2, axis2=-1) - np.einsum("i,...ij,j->...", axis, second, axis)
+    out[..., 0] = np.trace(second, axis1=-2, axis2=-1) - np.einsum(
+        "i,...ij,j->...", axis, second, axis
+    )
     x, y, z = axis
     # a x v is v @ turned; what the part along the axis adds to the triple products is nothing
     turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

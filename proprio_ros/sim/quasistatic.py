@@ -33,7 +33,14 @@ from scipy.sparse import csc_matrix, csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.sim.energies import LEAST_J, bulk_energy, check_law, check_material, shear_energy, volume
+from proprio_ros.sim.energies import (
+    LEAST_J,
+    bulk_energy,
+    check_law,
+    check_material,
+    shear_energy,
+    volume,
+)
 from proprio_ros.sim.mesh import TetMesh
 
 CONTACTS = ("bonded", "frictionless")
@@ -54,7 +61,11 @@ class Elastic:
         self._share = mesh.volumes / self._cell_volumes[mesh.cells]
         self._unknowns = 3 * len(mesh.points)
         # of the entries of F by the twelve coordinates of a tetrahedron, (M, 9, 12)
-        self._by_corner = np.einsum("ab,mkc->macbk", np.eye(3), mesh.gradients).swapaxes(3, 4).reshape(count, 9, 12)
+        self._by_corner = (
+            np.einsum("ab,mkc->macbk", np.eye(3), mesh.gradients)
+            .swapaxes(3, 4)
+            .reshape(count, 9, 12)
+        )
         self._rows = (3 * tets[:, :, None] + np.arange(3)).reshape(count, 12)
         pairs = np.repeat(self._rows, 12, axis=1) * self._unknowns + np.tile(self._rows, (1, 12))
         unique, self._slots = np.unique(pairs, return_inverse=True)
@@ -84,7 +95,9 @@ class Elastic:
         by_lambda = (self.mesh.volumes * first)[:, None] * j_by_f
         return np.stack([self._gather(by_mu), self._gather(by_lambda)])
 
-    def linearised(self, points: np.ndarray, mu: float, lam: float) -> tuple[float, np.ndarray, csc_matrix]:
+    def linearised(
+        self, points: np.ndarray, mu: float, lam: float
+    ) -> tuple[float, np.ndarray, csc_matrix]:
         """Energy [J], dE/dx (N, 3) [N] and its derivative (3N, 3N) [N/m]."""
         f = self.deformation(points)
         w, by_f, tangent = shear_energy(self.law, f)
@@ -101,7 +114,10 @@ class Elastic:
         stiffness = csc_matrix((values, self._indices, self._pointers), shape=shape)
         # and lambda V_c u'' grad j_c (x) grad j_c of the cells
         slope = (self._share[:, None] * j_by_f)[:, None, :] @ self._by_corner
-        by_x = csr_matrix((slope.ravel(), (self._cell_rows, self._rows.ravel())), (len(self._cell_volumes), shape[0]))
+        by_x = csr_matrix(
+            (slope.ravel(), (self._cell_rows, self._rows.ravel())),
+            (len(self._cell_volumes), shape[0]),
+        )
         weights = lam * second * self._cell_volumes
         return energy, force, (stiffness + by_x.T @ by_x.multiply(weights[:, None]).tocsr()).tocsc()
 
@@ -114,7 +130,9 @@ class Elastic:
 
     def _gather(self, by_f: np.ndarray) -> np.ndarray:
         by_corner = np.einsum("mi,mij->mj", by_f, self._by_corner)
-        return np.bincount(self._rows.ravel(), by_corner.ravel(), minlength=self._unknowns).reshape(-1, 3)
+        return np.bincount(self._rows.ravel(), by_corner.ravel(), minlength=self._unknowns).reshape(
+            -1, 3
+        )
 
 
 @dataclass(frozen=True)
@@ -122,7 +140,8 @@ class SqueezeCurve:
     """Equilibria at K squeezes; all shapes are (K,) but for the nodes' positions."""
 
     squeeze: np.ndarray  # how far the faces were moved together [m]
-    force: np.ndarray  # that the block pushes each finger with [N], and its derivatives [N/m, N/Pa, N/Pa]
+    # that the block pushes each finger with [N], and its derivatives [N/m, N/Pa, N/Pa]
+    force: np.ndarray
     by_squeeze: np.ndarray
     by_mu: np.ndarray
     by_lambda: np.ndarray
@@ -138,12 +157,17 @@ class QuasiStatic:
     Squeeze and force are still those of the whole block.
     """
 
-    def __init__(self, mesh: TetMesh, law: str = "log", contact: str = "bonded", octant: bool = False) -> None:
+    def __init__(
+        self, mesh: TetMesh, law: str = "log", contact: str = "bonded", octant: bool = False
+    ) -> None:
         if contact not in CONTACTS:
-            raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
+            raise SimulationError(
+                f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}"
+            )
         self.mesh = mesh
         self.elastic = Elastic(mesh, law)
-        low, high = mesh.end(0, False), mesh.end(0, True)
+        low = mesh.end(0, False)
+        high = mesh.end(0, True)
         held = np.zeros((len(mesh.points), 3), dtype=bool)
         held[low, 0] = held[high, 0] = True
         if contact == "bonded":
@@ -170,13 +194,18 @@ class QuasiStatic:
         check_material(self.elastic.law, mu, lam)
         squeeze = np.asarray(squeeze, dtype=np.float64)
         if squeeze.ndim != 1 or not np.isfinite(squeeze).all() or (squeeze >= self._length).any():
-            raise SimulationError(f"a block of {1e3 * self._length:g} mm cannot be squeezed by that much: give less, in metres")
+            raise SimulationError(
+                f"a block of {1e3 * self._length:g} mm cannot be squeezed by that much: give less, in metres"
+            )
         unit = abs(mu) + abs(lam)
         soft = (mu / unit, lam / unit)
         scales = np.array([unit, unit * self._travel, 1.0, 1.0])
-        results, least_j = np.zeros((4, len(squeeze))), np.zeros(len(squeeze))
+        results = np.zeros((4, len(squeeze)))
+        least_j = np.zeros(len(squeeze))
         places = np.zeros((len(squeeze), *self.mesh.points.shape))
-        points, at, iterations = self.mesh.points.copy(), 0.0, 0
+        points = self.mesh.points.copy()
+        at = 0.0
+        iterations = 0
         derivatives, slope = self._sensitivities(points, soft)
         for k, goal in enumerate(self._travel * squeeze):
             increment = goal - at
@@ -192,7 +221,8 @@ class QuasiStatic:
                             "squeeze less, or take a coarser mesh or another law"
                         )
                     continue
-                points, at = found, end
+                points = found
+                at = end
                 derivatives, slope = self._sensitivities(points, soft)
             results[:, k] = self._fold * scales * derivatives
             least_j[k] = self.elastic.least_j(points)
@@ -203,9 +233,13 @@ class QuasiStatic:
                     f"{100 * least_j[k]:.3g} % of its volume: squeeze less"
                 )
         force, by_squeeze, by_mu, by_lambda = results
-        return SqueezeCurve(squeeze, force, by_squeeze, by_mu, by_lambda, places, least_j, iterations)
+        return SqueezeCurve(
+            squeeze, force, by_squeeze, by_mu, by_lambda, places, least_j, iterations
+        )
 
-    def _equilibrium(self, points: np.ndarray, soft: tuple[float, float]) -> tuple[np.ndarray | None, int]:
+    def _equilibrium(
+        self, points: np.ndarray, soft: tuple[float, float]
+    ) -> tuple[np.ndarray | None, int]:
         """The free nodes' places at these places of the held ones, and the number of iterations; None where not found."""
         free = self._free
         limit = TOLERANCE * self.mesh.area
@@ -224,7 +258,10 @@ class QuasiStatic:
             for halvings in range(12):
                 moved = points.copy()
                 moved.ravel()[free] += 0.5**halvings * step
-                if self.elastic.energies(moved) @ soft <= energy + 1e-4 * 0.5**halvings * slope + rounding:
+                if (
+                    self.elastic.energies(moved) @ soft
+                    <= energy + 1e-4 * 0.5**halvings * slope + rounding
+                ):
                     break
             else:
                 return None, iteration
@@ -235,26 +272,38 @@ class QuasiStatic:
     def _descent(self, stiffness: csc_matrix, residual: np.ndarray) -> np.ndarray:
         shift = 0.0
         while True:
-            shifted = stiffness + shift * identity(len(residual), format="csc") if shift else stiffness
+            shifted = (
+                stiffness + shift * identity(len(residual), format="csc") if shift else stiffness
+            )
             step = -_factor(shifted).solve(residual)
             if residual @ step < 0.0:
                 return step
             shift = 10.0 * shift or 1e-3 * float(np.abs(stiffness.diagonal()).mean())
 
-    def _sensitivities(self, points: np.ndarray, soft: tuple[float, float]) -> tuple[tuple[float, float, float, float], np.ndarray]:
+    def _sensitivities(
+        self, points: np.ndarray, soft: tuple[float, float]
+    ) -> tuple[tuple[float, float, float, float], np.ndarray]:
         """Force and its derivatives by the mesh's squeeze, mu and lambda (in units of ``unit``); dx/dd (N, 3)."""
         _, force, stiffness = self.elastic.linearised(points, *soft)
-        free, g = self._free, self._by_squeeze.ravel()
+        free = self._free
+        g = self._by_squeeze.ravel()
         pull = stiffness @ g
         answer = np.zeros_like(g)
         answer[free] = _factor(stiffness[free][:, free]).solve(pull[free])
         by_theta = self.elastic.forces(points).reshape(2, -1) @ (g - answer)
         by_d = float(g @ pull - answer @ pull)
-        return (float(g @ force.ravel()), by_d, float(by_theta[0]), float(by_theta[1])), (g - answer).reshape(-1, 3)
+        return (float(g @ force.ravel()), by_d, float(by_theta[0]), float(by_theta[1])), (
+            g - answer
+        ).reshape(-1, 3)
 
 
 def _factor(stiffness: csc_matrix) -> splu:
-    return splu(stiffness, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+    return splu(
+        stiffness,
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.01,
+        options={"SymmetricMode": True},
+    )
 
 
 def _pin(mesh: TetMesh, held: np.ndarray) -> None:

@@ -36,7 +36,12 @@ CELLS = 6
 """Of the octant, along a mean edge: 12 for the block. Its error of E with bonded faces at 30 % squeeze, against second-order
 elements: 0.2, 0.9, 1.6 % at nu = 0.13, 0.26, 0.40 (0.1, 0.4, 0.9 % at 5 %)."""
 RATIOS = (0.0, 0.48, 13)  # first and last Poisson's ratio of the table, and how many
-SQUEEZES = {"log": (0.0, 0.6, 25), "linear": (0.0, 0.6, 25), "smith": (0.0, 0.3, 13), "warp_compat": (0.0, 0.3, 13)}
+SQUEEZES = {
+    "log": (0.0, 0.6, 25),
+    "linear": (0.0, 0.6, 25),
+    "smith": (0.0, 0.3, 13),
+    "warp_compat": (0.0, 0.3, 13),
+}
 """First and last squeeze of the table relative to the length, and how many; the force of the last two laws peaks and drops."""
 FARTHEST = (0.0, 0.8, 49)
 """The same for the laws that stand it, with frictionless faces, where every element is squeezed alike."""
@@ -65,9 +70,13 @@ class Response:
         (s0, s1), (n0, n1) = self.squeeze[:2], self.ratio[:2]
         return np.array([s0, s1 - s0, n0, n1 - n0])
 
-    def __call__(self, squeeze: ArrayLike, ratio: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def __call__(
+        self, squeeze: ArrayLike, ratio: ArrayLike
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """phi, dphi/ds and dphi/dnu; arguments are broadcast."""
-        s, nu = np.broadcast_arrays(np.asarray(squeeze, dtype=np.float64), np.asarray(ratio, dtype=np.float64))
+        s, nu = np.broadcast_arrays(
+            np.asarray(squeeze, dtype=np.float64), np.asarray(ratio, dtype=np.float64)
+        )
         at_s, rows, by_s, beyond_s = self._place(s, 0)
         at_nu, columns, by_nu, beyond_nu = self._place(nu, 1)
         values = np.zeros((4, *s.shape))
@@ -92,12 +101,21 @@ class Response:
         inside = np.clip(value, first, first + last * step)
         cell = np.minimum(((inside - first) / step).astype(np.int64), last - 1)
         t = (inside - first) / step - cell
-        basis = [[(1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2], [t**2 * (3 - 2 * t), t**2 * (t - 1)]]
+        basis = [
+            [(1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2],
+            [t**2 * (3 - 2 * t), t**2 * (t - 1)],
+        ]
         by_t = [[6 * t * (t - 1), (1 - t) * (1 - 3 * t)], [6 * t * (1 - t), t * (3 * t - 2)]]
         return basis, cell, [[part / step for part in pair] for pair in by_t], value - inside
 
 
-def build(size: np.ndarray, law: str = "log", contact: str = "bonded", cells: int = CELLS, far: bool = False) -> Response:
+def build(
+    size: np.ndarray,
+    law: str = "log",
+    contact: str = "bonded",
+    cells: int = CELLS,
+    far: bool = False,
+) -> Response:
     """Compute a table for a block with such edges [m], x along the squeeze, shape (3,); half a minute for bonded faces.
 
     Only the ratios of the edges matter; cells are of an octant along a mean edge. ``far``: as ``FARTHEST`` says, where
@@ -111,7 +129,9 @@ def build(size: np.ndarray, law: str = "log", contact: str = "bonded", cells: in
     settings = json.loads(made_of)
     edges = np.array([1.0, *settings["sides"]])
     mesh = box(0.5 * edges, tuple(settings["cells"]), corner=np.zeros(3))
-    return _tabulate(QuasiStatic(mesh, law, contact, octant=True), float(edges[1] * edges[2]), 1.0, made_of)
+    return _tabulate(
+        QuasiStatic(mesh, law, contact, octant=True), float(edges[1] * edges[2]), 1.0, made_of
+    )
 
 
 def _tabulate(solver: QuasiStatic, area: float, length: float, made_of: str) -> Response:
@@ -123,22 +143,34 @@ def _tabulate(solver: QuasiStatic, area: float, length: float, made_of: str) -> 
         curve = solver.curve(length * squeeze, *lame_of_small_strain(law, *lame(1.0, nu)))
         by_mu, by_lambda = lame_of_small_strain(law, *lame_by_poissons_ratio(nu))
         by_nu = curve.by_mu * by_mu + curve.by_lambda * by_lambda
-        nodes[:, column, :3] = np.stack([curve.force, length * curve.by_squeeze, by_nu], axis=1) / area
+        nodes[:, column, :3] = (
+            np.stack([curve.force, length * curve.by_squeeze, by_nu], axis=1) / area
+        )
     nodes[..., 3] = CubicSpline(ratio, nodes[..., 1], axis=1)(ratio, 1)
     nodes *= np.array([1.0, squeeze[1], ratio[1] - ratio[0], squeeze[1] * (ratio[1] - ratio[0])])
     return Response(made_of, squeeze, ratio, nodes)
 
 
-def response(size: np.ndarray, law: str = "log", contact: str = "bonded", rebuild: bool = False, far: bool = False) -> Response:
+def response(
+    size: np.ndarray,
+    law: str = "log",
+    contact: str = "bonded",
+    rebuild: bool = False,
+    far: bool = False,
+) -> Response:
     """As ``build``: from the cache, unless it is to be rebuilt, or built and put there."""
     made_of = _made_of(size, law, contact, CELLS, far)
     return _kept(made_of, rebuild, lambda: build(size, law, contact, CELLS, far))
 
 
-def response_of_mesh(mesh: TetMesh, law: str = "log", contact: str = "bonded", rebuild: bool = False) -> Response:
+def response_of_mesh(
+    mesh: TetMesh, law: str = "log", contact: str = "bonded", rebuild: bool = False
+) -> Response:
     """As ``response``, for a whole block that is no box, of ``mesh.length`` and ``mesh.area``; minutes for a thousand nodes."""
     solver = QuasiStatic(mesh, law, contact)
-    content = b"".join(np.ascontiguousarray(part).tobytes() for part in (mesh.points, mesh.tets, mesh.cells))
+    content = b"".join(
+        np.ascontiguousarray(part).tobytes() for part in (mesh.points, mesh.tets, mesh.cells)
+    )
     settings = {"law": law, "contact": contact, "mesh": hashlib.sha256(content).hexdigest()}
     made_of = json.dumps(settings | _common(SQUEEZES[law]), sort_keys=True)
     return _kept(made_of, rebuild, lambda: _tabulate(solver, mesh.area, mesh.length, made_of))
@@ -168,14 +200,18 @@ def _made_of(size: np.ndarray, law: str, contact: str, cells: int, far: bool) ->
         raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
     size = box(size, (1, 1, 1)).size  # refuses what is no box
     if contact == "frictionless":
-        sides, counts = [1.0, 1.0], [1, 1, 1]  # the state is homogeneous: every shape and every mesh says the same
+        # the state is homogeneous: every shape and every mesh says the same
+        sides = [1.0, 1.0]
+        counts = [1, 1, 1]
     else:
         sides = np.round(size[1:] / size[0], 6).tolist()
         edges = np.array([1.0, *sides])
         # even numbers: a block of twice as many cells is then exactly what the octant is an eighth of
         halves = np.round(0.5 * cells * edges / np.prod(edges) ** (1 / 3))
         counts = (2 * np.clip(halves, 1, 2 * cells)).astype(int).tolist()
-    squeezes = FARTHEST if far and contact == "frictionless" and SQUEEZES[law][1] > 0.5 else SQUEEZES[law]
+    squeezes = (
+        FARTHEST if far and contact == "frictionless" and SQUEEZES[law][1] > 0.5 else SQUEEZES[law]
+    )
     settings = {"law": law, "contact": contact, "sides": sides, "cells": counts}
     return json.dumps(settings | _common(squeezes), sort_keys=True)
 
@@ -194,7 +230,9 @@ def _load(path: Path, made_of: str) -> Response | None:
     """None where there is no such file, or it is damaged, or made of something else."""
     try:
         with np.load(path) as stored:
-            table = Response(str(stored["made_of"]), stored["squeeze"], stored["ratio"], stored["nodes"])
+            table = Response(
+                str(stored["made_of"]), stored["squeeze"], stored["ratio"], stored["nodes"]
+            )
             whole = str(stored["digest"]) == _digest(table)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
@@ -202,7 +240,9 @@ def _load(path: Path, made_of: str) -> Response | None:
 
 
 def _digest(table: Response) -> str:
-    content = b"".join(np.ascontiguousarray(part).tobytes() for part in (table.squeeze, table.ratio, table.nodes))
+    content = b"".join(
+        np.ascontiguousarray(part).tobytes() for part in (table.squeeze, table.ratio, table.nodes)
+    )
     return hashlib.sha256(table.made_of.encode() + content).hexdigest()
 
 

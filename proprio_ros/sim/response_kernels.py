@@ -28,7 +28,9 @@ def _basis_slope(t: FLOAT):
 
 
 @wp.func
-def tabulated(s: FLOAT, nu: FLOAT, table: wp.int32, grid: wp.array(dtype=FLOAT), nodes: wp.array3d(dtype=VEC4)):
+def tabulated(
+    s: FLOAT, nu: FLOAT, table: wp.int32, grid: wp.array(dtype=FLOAT), nodes: wp.array3d(dtype=VEC4)
+):
     """phi, dphi/ds and dphi/dnu of one of several tables over the same grid: ``Response.__call__`` for kernels."""
     rows = nodes.shape[1] - 1
     columns = nodes.shape[2] - 1

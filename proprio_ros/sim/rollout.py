@@ -49,12 +49,14 @@ class Law:
     rates: Callable[..., Any]  # (y, dy, u, p, dp, w, data, r) -> their rates
     # (y, dy, z, dz, k, dk, data, r) -> the rates k, dk with those of positions made anew from the velocities in z
     moved: Callable[..., Any]
-    still: Callable[..., Any]  # (y, k, data, r, step) -> whether it is, or may come within a step, near standstill
+    # (y, k, data, r, step) -> whether it is, or may come within a step, near standstill
+    still: Callable[..., Any]
     # (out, w, sample, y, dy, lead, d_lead), which writes a result; ``lead`` is below 0 before the onset [s]
     record: Callable[..., Any]
     # of the outer and the inner stages of RK4, and what their sum is multiplied by
     weights: tuple[float, float, float] = (1.0, 2.0, 1.0 / 6.0)
-    max_unroll: int = 16  # loops with more turns stay loops in the compiled code, the stages of RK4 among them
+    # loops with more turns stay loops in the compiled code, the stages of RK4 among them
+    max_unroll: int = 16
 
 
 @cache
@@ -69,7 +71,9 @@ def rollout(law: Law, integrator: str) -> Any:
     rows = law.state._length_
     stages = 4 if rk4 else 1
 
-    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": law.max_unroll})
+    @wp.kernel(
+        module="unique", enable_backward=False, module_options={"max_unroll": law.max_unroll}
+    )
     def kernel(
         # Run data:
         sample_times: FLOATS,
@@ -94,7 +98,8 @@ def rollout(law: Law, integrator: str) -> Any:
         fine = steps[r, 1]
         y, dy = start(p, dp, w, data, r)
         t = FLOAT(0.0)
-        dt = vec()  # how the present instant moves with each direction: only sample instants move, with the delay
+        # how the present instant moves with each direction: only sample instants move, with the delay
+        dt = vec()
         segment = wp.int32(0)
         segments = input_count[r]
         u = inputs[r, 0]

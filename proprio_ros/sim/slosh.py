@@ -37,7 +37,8 @@ class SloshRun:
     joint: JointRun
     reach: float  # from the joint's axis to the container's along s [m]
     bottom: float  # from the joint's axis to the inside bottom along z [m]
-    gravity_s: np.ndarray  # of gravity along s: constant, cos and sin part as the joint turns [m/s^2], shape (3,)
+    # of gravity along s: constant, cos and sin part as the joint turns [m/s^2], shape (3,)
+    gravity_s: np.ndarray
     gravity_z: np.ndarray  # the same along z
 
 
@@ -45,16 +46,22 @@ class SloshSimulator(JointSimulator):
     """Rolls out many worlds of runs with moving contents; parameter vectors have the order of ``SLOSH_PARAMETERS``."""
 
     parameters = SLOSH_PARAMETERS
-    harmless = np.where(np.arange(len(SLOSH_PARAMETERS)) == STIFFNESS, 1.0, harmless(SLOSH_PARAMETERS))
+    harmless = np.where(
+        np.arange(len(SLOSH_PARAMETERS)) == STIFFNESS, 1.0, harmless(SLOSH_PARAMETERS)
+    )
     tangent_sizes = _SIZES
 
     def __init__(self, runs: Sequence[SloshRun], integrator: str = "rk4") -> None:
         super().__init__([run.joint for run in runs], integrator)
-        self._geometry = self._array(np.array([[run.reach, run.bottom, *run.gravity_s, *run.gravity_z] for run in runs]))
+        self._geometry = self._array(
+            np.array([[run.reach, run.bottom, *run.gravity_s, *run.gravity_z] for run in runs])
+        )
 
     def path(self, world_run: np.ndarray, p: np.ndarray) -> np.ndarray:
         """How far the moving part is from the container's axis at the samples [m], shape (W, T), a copy."""
-        outputs = self._launch(np.asarray(world_run, dtype=np.int32), p, np.zeros((*p.shape, 1)), None)
+        outputs = self._launch(
+            np.asarray(world_run, dtype=np.int32), p, np.zeros((*p.shape, 1)), None
+        )
         return np.array(outputs[3])
 
     def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
@@ -68,7 +75,10 @@ class SloshSimulator(JointSimulator):
 
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
         vec = wp.types.vector(length=size, dtype=FLOAT)
-        return [*super()._outputs(worlds, size), *(self._zeros((worlds, self._width), kind) for kind in (FLOAT, vec))]
+        return [
+            *super()._outputs(worlds, size),
+            *(self._zeros((worlds, self._width), kind) for kind in (FLOAT, vec)),
+        ]
 
 
 def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:

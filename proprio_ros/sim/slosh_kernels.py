@@ -22,12 +22,23 @@ from proprio_ros.sim.joint_kernels import (
 from proprio_ros.sim.rollout import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
-SLOSH_TERMS = ("slosh_mass", "slosh_height", "slosh_stiffness", "slosh_damping", "slosh_friction", "settled", "tilt")
+SLOSH_TERMS = (
+    "slosh_mass",
+    "slosh_height",
+    "slosh_stiffness",
+    "slosh_damping",
+    "slosh_friction",
+    "settled",
+    "tilt",
+)
 """What moving contents add to the parameters of ``joint.py``: kg, m above the bottom, 1/s^2, 1/s, m/s^2, 1, rad. ``tilt`` is how
 much further than its encoder shows the joint has turned the container."""
 SLOSH_PARAMETERS = (*PARAMETERS, *SLOSH_TERMS)
-MASS, HEIGHT, STIFFNESS, DAMPING, FRICTION, SETTLED, TILT = range(len(PARAMETERS), len(SLOSH_PARAMETERS))
-REACH, BOTTOM, G_S, G_Z = 0, 1, 2, 5  # columns of ``SloshData.geometry``; gravity's constant, cos and sin parts
+MASS, HEIGHT, STIFFNESS, DAMPING, FRICTION, SETTLED, TILT = range(
+    len(PARAMETERS), len(SLOSH_PARAMETERS)
+)
+# columns of ``SloshData.geometry``; gravity's constant, cos and sin parts
+REACH, BOTTOM, G_S, G_Z = 0, 1, 2, 5
 GRAVITY = 9.81
 FRICTION_SPEED = 0.02  # over which grains' friction is smoothed [m/s]
 VEC4 = wp.types.vector(length=4, dtype=FLOAT)
@@ -75,13 +86,27 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         x = p[w, SETTLED] * slope * radius
         dx = (-(gs_by + slope * gz_by) / gz * p[w, SETTLED] * radius) * (dp[w, Q0] + dp[w, TILT])
         dx = dx + (slope * radius) * dp[w, SETTLED] - (x / p[w, STIFFNESS]) * dp[w, STIFFNESS]
-        return (VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)), wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx, vec()))
+        return (
+            VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)),
+            wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx, vec()),
+        )
 
     @wp.func
-    def rates(y: VEC4, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32):
+    def rates(
+        y: VEC4,
+        dy: mat,
+        u: VEC3,
+        p: FLOATS,
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: SloshData,
+        r: wp.int32,
+    ):
         load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
-        a, da = linearised(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)
+        a, da = linearised(
+            y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r
+        )
         v = y[1]
         s = y[3]
         m = p[w, MASS]
@@ -106,17 +131,47 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         out = far + slope * high  # N
         d_out = dy[2] + high * d_slope + slope * d_high
         along = gs + slope * gz + v * v * out - slope * bend * s * s - rub  # P
-        d_along = (gs_by + slope * gz_by) * turned + gz * d_slope + (v * v) * d_out + (FLOAT(2.0) * v * out) * dy[1] - d_rub
-        d_along = d_along - (s * s) * (bend * d_slope + slope * d_bend) - (FLOAT(2.0) * slope * bend * s) * dy[3]
+        d_along = (
+            (gs_by + slope * gz_by) * turned
+            + gz * d_slope
+            + (v * v) * d_out
+            + (FLOAT(2.0) * v * out) * dy[1]
+            - d_rub
+        )
+        d_along = (
+            d_along
+            - (s * s) * (bend * d_slope + slope * d_bend)
+            - (FLOAT(2.0) * slope * bend * s) * dy[3]
+        )
         across = slope * gs - gz + bend * s * s - v * v * over - FLOAT(2.0) * v * s * wide  # Q
-        d_across = (slope * gs_by - gz_by) * turned + (gs - FLOAT(4.0) * v * s * slope) * d_slope + (s * s) * d_bend
-        d_across = d_across + FLOAT(2.0) * ((bend * s - v * wide) * dy[3] - (v * over + s * wide) * dy[1]) - (v * v) * d_over
+        d_across = (
+            (slope * gs_by - gz_by) * turned
+            + (gs - FLOAT(4.0) * v * s * slope) * d_slope
+            + (s * s) * d_bend
+        )
+        d_across = (
+            d_across
+            + FLOAT(2.0) * ((bend * s - v * wide) * dy[3] - (v * over + s * wide) * dy[1])
+            - (v * v) * d_over
+        )
         moment = (out * across + over * rub) / wide
-        d_moment = (across * d_out + out * d_across + rub * d_over + over * d_rub - moment * d_wide) / wide
+        d_moment = (
+            across * d_out + out * d_across + rub * d_over + over * d_rub - moment * d_wide
+        ) / wide
         inertia = m * out * out / wide
-        d_inertia = (out * out / wide) * dp[w, MASS] + (FLOAT(2.0) * m * out / wide) * d_out - (inertia / wide) * d_wide
+        d_inertia = (
+            (out * out / wide) * dp[w, MASS]
+            + (FLOAT(2.0) * m * out / wide) * d_out
+            - (inertia / wide) * d_wide
+        )
         b = (a * p[w, INERTIA] + m * moment) / (p[w, INERTIA] + inertia)
-        db = p[w, INERTIA] * da + (a - b) * dp[w, INERTIA] + m * d_moment + moment * dp[w, MASS] - b * d_inertia
+        db = (
+            p[w, INERTIA] * da
+            + (a - b) * dp[w, INERTIA]
+            + m * d_moment
+            + moment * dp[w, MASS]
+            - b * d_inertia
+        )
         db = db / (p[w, INERTIA] + inertia)
         k = (along - b * over) / wide
         dk = (d_along - b * d_over - over * db - k * d_wide) / wide
@@ -137,4 +192,6 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         out.dx[w, k] = dy[2]
 
     still = standstill(VEC4, SloshData)
-    return Law(directions, VEC4, VEC3, mat, SloshData, Out, DELAY, start, rates, moved, still, record)
+    return Law(
+        directions, VEC4, VEC3, mat, SloshData, Out, DELAY, start, rates, moved, still, record
+    )

@@ -30,7 +30,8 @@ from proprio_ros.sim.sphere_kernels import SPHERE_PARAMETERS, SphereData, sphere
 SPHERE_INDEX = {name: row for row, name in enumerate(SPHERE_PARAMETERS)}
 SHAPES = ("box", "cylinder", "sphere")
 LAWS = ("ramped", "paper")
-_SIZES = (1, 8, 16)  # more directions than the last go in several launches: see ``sphere_kernels.py``
+# more directions than the last go in several launches: see ``sphere_kernels.py``
+_SIZES = (1, 8, 16)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class Enclosure:
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
-            raise SimulationError(f"container.shape={self.shape!r} is unknown: choose one of {', '.join(SHAPES)}")
+            raise SimulationError(
+                f"container.shape={self.shape!r} is unknown: choose one of {', '.join(SHAPES)}"
+            )
         if not 0.0 < self.radius < float(np.min(self.inner_size)) / 2.0:
             raise SimulationError(
                 f"a sphere of radius {1e3 * self.radius:g} mm does not fit into {(1e3 * self.inner_size).tolist()} mm"
@@ -68,7 +71,9 @@ class Contact:
     friction: float  # its coefficient
 
     @classmethod
-    def of(cls, frequency: float, damping_ratio: float, friction: float, traction: float = 300.0) -> "Contact":
+    def of(
+        cls, frequency: float, damping_ratio: float, friction: float, traction: float = 300.0
+    ) -> "Contact":
         """From the angular frequency of a sphere on its contact [rad/s] and the ratio of its damping."""
         return cls(frequency**2, 2.0 * damping_ratio * frequency, traction, friction)
 
@@ -83,7 +88,9 @@ class Contact:
         return float(min(bounce / np.sqrt(self.stiffness), slip / slipping))
 
 
-def paper_contact(mass: float, k_e: float = 1000.0, k_d: float = 1.0, k_f: float = 1.0, friction: float = 0.3) -> "Contact":
+def paper_contact(
+    mass: float, k_e: float = 1000.0, k_d: float = 1.0, k_f: float = 1.0, friction: float = 0.3
+) -> "Contact":
     """The paper's constants [N/m, N s/m, N s/m, 1] for a sphere of ``mass`` [kg]."""
     return Contact(k_e / mass, k_d / mass, k_f / mass, friction)
 
@@ -128,16 +135,27 @@ class SphereSimulator(JointSimulator):
     harmless = harmless(SPHERE_PARAMETERS)
     tangent_sizes = _SIZES
 
-    def __init__(self, runs: Sequence[SphereRun], enclosure: Enclosure, law: str = "ramped", integrator: str = "rk4") -> None:
+    def __init__(
+        self,
+        runs: Sequence[SphereRun],
+        enclosure: Enclosure,
+        law: str = "ramped",
+        integrator: str = "rk4",
+    ) -> None:
         if law not in LAWS:
-            raise SimulationError(f"unknown law of contact {law!r}: choose one of {', '.join(LAWS)}")
+            raise SimulationError(
+                f"unknown law of contact {law!r}: choose one of {', '.join(LAWS)}"
+            )
         super().__init__([run.joint for run in runs], integrator)
         self.sphere_runs = tuple(runs)
         self.enclosure = enclosure
         self.law = law
         sphere = [enclosure.radius, enclosure.inertia_factor, enclosure.ramp_depth]
         inside = [*(0.5 * np.asarray(enclosure.inner_size, dtype=np.float64)), *sphere]
-        places = [[*run.axis, *run.joint_origin, run.kind == "revolute", *np.ravel(run.gravity_terms())] for run in runs]
+        places = [
+            [*run.axis, *run.joint_origin, run.kind == "revolute", *np.ravel(run.gravity_terms())]
+            for run in runs
+        ]
         self._geometry = self._array(np.array([[*place, *inside] for place in places]))
         self._last: tuple[np.ndarray, ...] = ()
 
@@ -145,7 +163,9 @@ class SphereSimulator(JointSimulator):
         """Where the sphere was in the last ``jacobian``: x (W, T, 3) [m], dx (W, T, 3, D); overwritten by the next."""
         return self._last[3], self._last[4][..., :directions]
 
-    def path(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def path(
+        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Where the sphere's centre is in the container at the sample instants, as for ``jacobian``.
 
         Returns: x (W, T, 3) [m], dx (W, T, 3, D), copies.
@@ -154,7 +174,9 @@ class SphereSimulator(JointSimulator):
         x, dx = self.last_path(dp.shape[2])
         return x.copy(), dx.copy()
 
-    def _launch(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None) -> tuple[np.ndarray, ...]:
+    def _launch(
+        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
+    ) -> tuple[np.ndarray, ...]:
         most = self.tangent_sizes[-1]
         if dp.shape[2] <= most:
             self._last = super()._launch(world_run, p, dp, counts)
@@ -185,7 +207,9 @@ class SphereSimulator(JointSimulator):
         return [*super()._outputs(worlds, size), self._zeros(shape, VEC3), self._zeros(shape, mat)]
 
 
-def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "rk4", *, rises: bool = True) -> None:
+def compile_kernels(
+    shape: str = "box", law: str = "ramped", integrator: str = "rk4", *, rises: bool = True
+) -> None:
     """As ``joint.compile_kernels``, for fits with a sphere in a container of one shape and a law of contact."""
     # of the two launches with all directions either may have that of the rise
     kinds = dict.fromkeys([*kinds_of_kernel(_SIZES, rises), (_SIZES[-2], True)])

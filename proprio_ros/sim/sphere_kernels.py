@@ -28,7 +28,17 @@ from proprio_ros.sim.joint_kernels import (
 from proprio_ros.sim.rollout import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
-SPHERE_TERMS = ("sphere_mass", "start_x", "start_y", "start_z", "stiffness", "damping", "traction", "friction", "tilt")
+SPHERE_TERMS = (
+    "sphere_mass",
+    "start_x",
+    "start_y",
+    "start_z",
+    "stiffness",
+    "damping",
+    "traction",
+    "friction",
+    "tilt",
+)
 """What a sphere adds to the parameters of ``joint.py``: kg, m (three, in the container's frame), 1/s^2, 1/s, 1/s, 1, rad. ``tilt``
 is how much further than its encoder shows the joint has turned the container."""
 SPHERE_PARAMETERS = (*PARAMETERS, *SPHERE_TERMS)
@@ -36,7 +46,8 @@ SPHERE_MASS, START_X, START_Y, START_Z, STIFFNESS, DAMPING, TRACTION, FRICTION, 
     len(PARAMETERS), len(SPHERE_PARAMETERS)
 )
 AXIS, ORIGIN, TURNS, GRAVITY, GRAVITY_BY_COS, GRAVITY_BY_SIN, HALF_SIZE = 0, 3, 6, 7, 10, 13, 16
-RADIUS, INERTIA_FACTOR, RAMP_DEPTH = 19, 20, 21  # columns of ``SphereData.geometry`` where they start
+# columns of ``SphereData.geometry`` where they start
+RADIUS, INERTIA_FACTOR, RAMP_DEPTH = 19, 20, 21
 FACES = {"box": 6, "cylinder": 3, "sphere": 1}
 MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
 STATE = wp.types.vector(length=11, dtype=FLOAT)
@@ -135,7 +146,11 @@ def start_of(p: FLOATS, world: wp.int32, geometry: FLOATS, run: wp.int32):
     axis = triple(geometry, run, AXIS)
     turn = geometry[run, TURNS]
     v = p[world, V0]
-    return x, v * container_velocity(x, axis, triple(geometry, run, ORIGIN), turn), (turn * v) * axis
+    return (
+        x,
+        v * container_velocity(x, axis, triple(geometry, run, ORIGIN), turn),
+        (turn * v) * axis,
+    )
 
 
 @cache
@@ -232,11 +247,17 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
             if bottom > FLOAT(0.0):
                 d_most = mu * d_normal + normal * dp[world, FRICTION]
                 scale = kf * most / bottom
-                d_bottom = ((kf * kf) * (slip @ d_slip) + (kf * slipping) * dp[world, TRACTION] + most * d_most) / bottom
+                d_bottom = (
+                    (kf * kf) * (slip @ d_slip)
+                    + (kf * slipping) * dp[world, TRACTION]
+                    + most * d_most
+                ) / bottom
                 d_scale = (kf * d_most + most * dp[world, TRACTION] - scale * d_bottom) / bottom
         else:
             normal = k * depth - c * v_n
-            d_normal = k * d_depth - c * d_v_n + depth * dp[world, STIFFNESS] - v_n * dp[world, DAMPING]
+            d_normal = (
+                k * d_depth - c * d_v_n + depth * dp[world, STIFFNESS] - v_n * dp[world, DAMPING]
+            )
             speed = wp.length(slip)
             most = mu * wp.abs(normal)
             if kf * speed <= most:
@@ -274,11 +295,15 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         dx = wp.matrix_from_rows(dp[w, START_X], dp[w, START_Y], dp[w, START_Z])
         lever = container_velocity(x, axis, triple(data.geometry, r, ORIGIN), turn)
         du = wp.outer(lever, dv) + (turn * p[w, V0] * _cross_of(axis)) @ dx
-        return joined_state(p[w, Q0], p[w, V0], x, u, s), joined(dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv))
+        return joined_state(p[w, Q0], p[w, V0], x, u, s), joined(
+            dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv)
+        )
 
     @wp.func
     def joined(dq: vec, dv: vec, dx: mat, du: mat, ds: mat):
-        return wp.matrix_from_rows(dq, dv, dx[0], dx[1], dx[2], du[0], du[1], du[2], ds[0], ds[1], ds[2])
+        return wp.matrix_from_rows(
+            dq, dv, dx[0], dx[1], dx[2], du[0], du[1], du[2], ds[0], ds[1], ds[2]
+        )
 
     @wp.func
     def three(dy: whole, row: wp.int32):
@@ -286,7 +311,14 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
 
     @wp.func
     def rates(
-        y: STATE, dy: whole, given: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), world: wp.int32, data: SphereData, run: wp.int32
+        y: STATE,
+        dy: whole,
+        given: VEC3,
+        p: FLOATS,
+        dp: wp.array2d(dtype=vec),
+        world: wp.int32,
+        data: SphereData,
+        run: wp.int32,
     ):
         q = y[0]
         v = y[1]
@@ -326,7 +358,9 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         while face < faces:
             depth, n = wall(face, x, half, radius)
             if depth > FLOAT(0.0):
-                f, df, turned, d_turned, back, d_back = touched(depth, n, x, u, s, v, dx, du, ds, dv, p, dp, world, geometry, run)
+                f, df, turned, d_turned, back, d_back = touched(
+                    depth, n, x, u, s, v, dx, du, ds, dv, p, dp, world, geometry, run
+                )
                 push = push + f
                 d_push = d_push + df
                 spin = spin + turned
@@ -335,14 +369,23 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
                 d_reaction = d_reaction + d_back
             face = face + 1
         mass = p[world, SPHERE_MASS]
-        load = p[world, GRAVITY_CONSTANT] + given[LOAD] + p[world, CARRIED] * given[LOAD_PER_KG] + mass * reaction
+        load = (
+            p[world, GRAVITY_CONSTANT]
+            + given[LOAD]
+            + p[world, CARRIED] * given[LOAD_PER_KG]
+            + mass * reaction
+        )
         d_load = mass * d_reaction + reaction * dp[world, SPHERE_MASS]
         d_load = dp[world, GRAVITY_CONSTANT] + given[LOAD_PER_KG] * dp[world, CARRIED] + d_load
-        a, da = linearised(q, v, dq, dv, given[CURRENT], load, d_load, p, dp, world, data.constants, run)
+        a, da = linearised(
+            q, v, dq, dv, given[CURRENT], load, d_load, p, dp, world, data.constants, run
+        )
         return joined_state(v, a, moving, push, spin), joined(dv, da, d_moving, d_push, d_spin)
 
     @wp.func
-    def moved(y: STATE, dy: whole, z: STATE, dz: whole, k: STATE, dk: whole, data: SphereData, r: wp.int32):
+    def moved(
+        y: STATE, dy: whole, z: STATE, dz: whole, k: STATE, dk: whole, data: SphereData, r: wp.int32
+    ):
         axis = triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
         lever = container_velocity(part(y, 2), axis, triple(data.geometry, r, ORIGIN), turn)

@@ -49,7 +49,12 @@ class SqueezeRun:
     bend: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not (self.length > 0.0 and self.area > 0.0 and np.isfinite(self.travel) and self.travel != 0.0):
+        if not (
+            self.length > 0.0
+            and self.area > 0.0
+            and np.isfinite(self.travel)
+            and self.travel != 0.0
+        ):
             raise SimulationError(
                 f"a block of length {self.length:g} m and face {self.area:g} m^2 between fingers that close by {self.travel:g} m: "
                 "the first two must be above 0, the last not 0"
@@ -71,21 +76,35 @@ class SqueezeSimulator(JointSimulator):
         super().__init__([run.joint for run in runs], integrator)
         self.squeeze_runs = tuple(runs)
         tables = list({run.response.made_of: run.response for run in runs}.values())
-        if any(table.nodes.shape != tables[0].nodes.shape or (table.grid != tables[0].grid).any() for table in tables):
-            raise SimulationError("the runs' tables are over different grids: use one law of elasticity for all runs")
+        if any(
+            table.nodes.shape != tables[0].nodes.shape or (table.grid != tables[0].grid).any()
+            for table in tables
+        ):
+            raise SimulationError(
+                "the runs' tables are over different grids: use one law of elasticity for all runs"
+            )
         which = {table.made_of: row for row, table in enumerate(tables)}
         self._block = self._array(
-            np.array([[run.length, run.area, run.travel, which[run.response.made_of], *run.bend] for run in runs])
+            np.array(
+                [
+                    [run.length, run.area, run.travel, which[run.response.made_of], *run.bend]
+                    for run in runs
+                ]
+            )
         )
         self._grid = self._array(tables[0].grid)
-        self._nodes = wp.array(np.stack([table.nodes for table in tables]), dtype=VEC4, device="cpu")
+        self._nodes = wp.array(
+            np.stack([table.nodes for table in tables]), dtype=VEC4, device="cpu"
+        )
 
     def squeeze(self, world_run: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Squeeze relative to the block's length at joint positions q (W, T): (W, T), below 0 where the block is not touched.
 
         Where it is beyond the table's reach, the law is a guess.
         """
-        length, _, travel, _, second, third = self._block.numpy()[np.asarray(world_run)].T[:, :, None]
+        length, _, travel, _, second, third = self._block.numpy()[np.asarray(world_run)].T[
+            :, :, None
+        ]
         return (q * (travel + q * (second + q * third)) - p[:, GAP : GAP + 1]) / length
 
     def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
@@ -94,7 +113,12 @@ class SqueezeSimulator(JointSimulator):
 
     def _data(self) -> Any:
         data = SqueezeData()
-        data.constants, data.block, data.grid, data.nodes = self._constants, self._block, self._grid, self._nodes
+        data.constants, data.block, data.grid, data.nodes = (
+            self._constants,
+            self._block,
+            self._grid,
+            self._nodes,
+        )
         return data
 
 

@@ -23,7 +23,9 @@ from proprio_ros.sim.runtime import FLOAT, FLOATS
 BLOCK_TERMS = ("youngs_modulus", "poissons_ratio", "block_viscosity", "gap")
 """What a block adds to the parameters of ``joint.py``: Pa, 1, Pa s, m."""
 SQUEEZE_PARAMETERS = (*PARAMETERS, *BLOCK_TERMS)
-YOUNGS_MODULUS, POISSONS_RATIO, BLOCK_VISCOSITY, GAP = range(len(PARAMETERS), len(SQUEEZE_PARAMETERS))
+YOUNGS_MODULUS, POISSONS_RATIO, BLOCK_VISCOSITY, GAP = range(
+    len(PARAMETERS), len(SQUEEZE_PARAMETERS)
+)
 LENGTH, AREA, TRAVEL, TABLE, BEND_2, BEND_3 = range(6)  # columns of ``SqueezeData.block``
 RAMP = 1e-3  # s_r: relative squeeze over which the viscosity sets in
 
@@ -39,14 +41,18 @@ class SqueezeData:
 
 
 @wp.func
-def excitation_of_block(q: FLOAT, v: FLOAT, p: FLOATS, world: wp.int32, data: SqueezeData, run: wp.int32):
+def excitation_of_block(
+    q: FLOAT, v: FLOAT, p: FLOATS, world: wp.int32, data: SqueezeData, run: wp.int32
+):
     """Load of the block on the joint, and its derivatives: by q and v, and by E, nu, eta and gap."""
     zero = FLOAT(0.0)
     block = data.block
     length = block[run, LENGTH]
     area = block[run, AREA]
     closed = q * (block[run, TRAVEL] + q * (block[run, BEND_2] + q * block[run, BEND_3]))
-    travel = block[run, TRAVEL] + q * (FLOAT(2.0) * block[run, BEND_2] + FLOAT(3.0) * q * block[run, BEND_3])
+    travel = block[run, TRAVEL] + q * (
+        FLOAT(2.0) * block[run, BEND_2] + FLOAT(3.0) * q * block[run, BEND_3]
+    )
     bend = FLOAT(2.0) * block[run, BEND_2] + FLOAT(6.0) * q * block[run, BEND_3]
     s = (closed - p[world, GAP]) / length
     load = zero
@@ -56,7 +62,9 @@ def excitation_of_block(q: FLOAT, v: FLOAT, p: FLOATS, world: wp.int32, data: Sq
     if s > zero:
         modulus = p[world, YOUNGS_MODULUS]
         eta = p[world, BLOCK_VISCOSITY]
-        phi, by_s, by_nu = tabulated(s, p[world, POISSONS_RATIO], wp.int32(block[run, TABLE]), data.grid, data.nodes)
+        phi, by_s, by_nu = tabulated(
+            s, p[world, POISSONS_RATIO], wp.int32(block[run, TABLE]), data.grid, data.nodes
+        )
         rate = travel * v / length
         ramp = s / FLOAT(RAMP)
         rise = FLOAT(1.0) / FLOAT(RAMP)
@@ -69,7 +77,12 @@ def excitation_of_block(q: FLOAT, v: FLOAT, p: FLOATS, world: wp.int32, data: Sq
             slope = travel * area * (modulus * by_s + eta * rate * rise) / length
             by_q = slope * travel + bend * (push + travel * area * eta * ramp * v / length)
             by_v = travel * area * eta * ramp * travel / length
-            by_p = VEC4(travel * area * phi, travel * area * modulus * by_nu, travel * area * rate * ramp, -slope)
+            by_p = VEC4(
+                travel * area * phi,
+                travel * area * modulus * by_nu,
+                travel * area * rate * ramp,
+                -slope,
+            )
     return load, by_q, by_v, by_p
 
 
@@ -81,14 +94,25 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
     joint_acceleration = linearised_acceleration(directions, stribeck)
 
     @wp.func
-    def rates(y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SqueezeData, r: wp.int32):
+    def rates(
+        y: VEC2,
+        dy: mat,
+        u: VEC3,
+        p: FLOATS,
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: SqueezeData,
+        r: wp.int32,
+    ):
         load, by_q, by_v, by_p = excitation_of_block(y[0], y[1], p, w, data, r)
         d_load = by_q * dy[0] + by_v * dy[1]
         d_load = d_load + by_p[0] * dp[w, YOUNGS_MODULUS] + by_p[1] * dp[w, POISSONS_RATIO]
         d_load = d_load + by_p[2] * dp[w, BLOCK_VISCOSITY] + by_p[3] * dp[w, GAP]
         load = p[w, GRAVITY_CONSTANT] + (u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]) + load
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED] + d_load
-        a, da = joint_acceleration(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)
+        a, da = joint_acceleration(
+            y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r
+        )
         return VEC2(y[1], a), wp.matrix_from_rows(dy[1], da)
 
     return one_joint_law(directions, SqueezeData, rates)

@@ -63,9 +63,13 @@ class VirtualArm:
         """
         missing = [name for name in robot.drive_trains if name not in truth.joints]
         if missing:
-            raise ConfigurationError(f"truth: says nothing of {', '.join(missing)} of {robot.name}; use Truth.draw(robot, seed)")
+            raise ConfigurationError(
+                f"truth: says nothing of {', '.join(missing)} of {robot.name}; use Truth.draw(robot, seed)"
+            )
         if not 0.0 < control_period_s < math.inf:
-            raise ConfigurationError(f"the control period must be positive, got {control_period_s} s")
+            raise ConfigurationError(
+                f"the control period must be positive, got {control_period_s} s"
+            )
         self.joints = tuple(robot.drive_trains)
         self.object: HandObject | None = None
         self.truth = truth
@@ -75,11 +79,18 @@ class VirtualArm:
         self._substep_s = control_period_s / self._substeps
 
         def columns(*terms: str) -> FloatArray:
-            return np.array([[getattr(truth.joints[name], term) for name in self.joints] for term in terms], float)
+            return np.array(
+                [[getattr(truth.joints[name], term) for name in self.joints] for term in terms],
+                float,
+            )
 
-        self._transmission = np.array([robot.drive_trains[name].transmission for name in self.joints])
+        self._transmission = np.array(
+            [robot.drive_trains[name].transmission for name in self.joints]
+        )
         drives = columns("torque_constant", "coulomb", "load_friction").T
-        encoders = columns("zero_rad", "once_per_turn_sin_rad", "once_per_turn_cos_rad", "encoder_noise_rad").T
+        encoders = columns(
+            "zero_rad", "once_per_turn_sin_rad", "once_per_turn_cos_rad", "encoder_noise_rad"
+        ).T
         # as plain numbers: arrays of a few joints take longer to begin with than to compute
         self._drives, self._encoders = drives.tolist(), encoders.tolist()
         self._drawn: list[list[float]] = []
@@ -105,17 +116,24 @@ class VirtualArm:
             SimulationError: A current, or a velocity after the step, is not finite.
         """
         if len(current_A) != len(self.joints):
-            raise ConfigurationError(f"expected currents of {', '.join(self.joints)}, got {len(current_A)}")
+            raise ConfigurationError(
+                f"expected currents of {', '.join(self.joints)}, got {len(current_A)}"
+            )
         if not math.isfinite(sum(current_A)):
-            raise SimulationError("the virtual arm was given a current that is not finite; check the servos' law")
+            raise SimulationError(
+                "the virtual arm was given a current that is not finite; check the servos' law"
+            )
         force = self._force
-        for current, (constant, coulomb, load), (_, dof, transmission) in zip(current_A, self._drives, self._rows, strict=True):
+        for current, (constant, coulomb, load), (_, dof, transmission) in zip(
+            current_A, self._drives, self._rows, strict=True
+        ):
             torque = constant * current
             force[dof] = torque / transmission
             self._friction[dof] = (coulomb + load * abs(torque)) / transmission
         acting = self.object if self.object is not None and self.object.acts else None
         if acting is not None or self._rises:
-            driven, friction = force.copy(), self._friction[self._dofs]
+            driven = force.copy()
+            friction = self._friction[self._dofs]
             for _ in range(self._substeps):
                 if acting is not None:
                     force[:] = driven
@@ -144,7 +162,8 @@ class VirtualArm:
 
     def sensed(self) -> tuple[list[float], list[float]]:
         """What the encoders read before they round [rad], with fresh noise each time; true velocities of the shafts [rad/s]."""
-        places, velocities = self._qpos.tolist(), self._qvel.tolist()
+        places = self._qpos.tolist()
+        velocities = self._qvel.tolist()
         if not self._drawn:
             self._drawn = self._rng.standard_normal((256, len(self.joints))).tolist()[::-1]
         angles = []
@@ -152,7 +171,9 @@ class VirtualArm:
             self._rows, self._encoders, self._drawn.pop(), strict=True
         ):
             true = places[place] / transmission
-            angles.append(true - zero + sine * math.sin(true) + cosine * math.cos(true) + std * noise)
+            angles.append(
+                true - zero + sine * math.sin(true) + cosine * math.cos(true) + std * noise
+            )
         return angles, [velocities[dof] / transmission for _, dof, transmission in self._rows]
 
     def encoder_rad(self) -> FloatArray:
@@ -170,10 +191,14 @@ class VirtualArm:
         """
         for name, value in position.items():
             if name not in self._place_of:
-                raise ConfigurationError(f"no joint {name!r} can be placed; choose from: {', '.join(self._place_of)}")
+                raise ConfigurationError(
+                    f"no joint {name!r} can be placed; choose from: {', '.join(self._place_of)}"
+                )
             joint = self.robot.model.joint(name)
             if not joint.lower <= value <= joint.upper or not math.isfinite(value):
-                raise ConfigurationError(f"{name} at {value:g}: give a position within {joint.lower:g} .. {joint.upper:g}")
+                raise ConfigurationError(
+                    f"{name} at {value:g}: give a position within {joint.lower:g} .. {joint.upper:g}"
+                )
         for name, value in position.items():
             self.data.qpos[self._place_of[name]] = value
         self._follow()
@@ -189,7 +214,9 @@ class VirtualArm:
         """
         if held is not None:
             held.check(self)
-        before, places, dofs = self.data, self._arm_places, self._arm_dofs
+        before = self.data
+        places = self._arm_places
+        dofs = self._arm_dofs
         self._build(held)
         self.data.time = before.time
         # what hangs in the hand has joints of its own among the arm's; a sphere's come behind them
@@ -206,7 +233,8 @@ class VirtualArm:
 
     def _follow(self) -> None:
         """Put the joints that follow others where they belong."""
-        joints, places = self.robot.model.joint, self.data.qpos
+        joints = self.robot.model.joint
+        places = self.data.qpos
 
         def position(joint: Joint) -> float:
             if joint.mimic is None:
@@ -220,7 +248,8 @@ class VirtualArm:
 
     def _build(self, held: HandObject | None) -> None:
         """Compile the model with what the hand holds; the arm is at zero then."""
-        mujoco, robot = self.mujoco, self.robot
+        mujoco = self.mujoco
+        robot = self.robot
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         spec.option.timestep = self._substep_s
@@ -230,14 +259,20 @@ class VirtualArm:
         # the default counts relative to the mean inertia, which a geared slide of 90 kg makes large: joints would stick
         spec.option.tolerance = SOLVER_TOLERANCE
         # an arm that diverged must not silently begin anew at zero; to look for joints that press on nothing costs a tenth
-        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND)
+        spec.option.disableflags = int(
+            mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
+        )
         links = {link.name: link for link in robot.model.links}
         bodies = {robot.model.root: spec.worldbody.add_body(name=robot.model.root)}
         for joint in robot.model.joints:
             body = bodies[joint.parent].add_body(name=joint.child, pos=joint.origin[:3, 3])
             mujoco.mju_mat2Quat(body.quat, np.ascontiguousarray(joint.origin[:3, :3]).ravel())
             bodies[joint.child] = body
-            self._add_inertia(body, links[joint.child].pseudo_inertia, self.truth.links.get(joint.child, LinkTruth()))
+            self._add_inertia(
+                body,
+                links[joint.child].pseudo_inertia,
+                self.truth.links.get(joint.child, LinkTruth()),
+            )
             if joint.kind != "fixed":
                 self._add_joint(spec, body, joint)
         if held is not None:
@@ -260,12 +295,21 @@ class VirtualArm:
         self._place_of = {joint.name: places[joint.name] for joint in moving if not joint.mimic}
         self._places = np.array([places[name] for name in self.joints])
         self._dofs = np.array([dofs[name] for name in self.joints])
-        self._rows = list(zip(self._places.tolist(), self._dofs.tolist(), self._transmission.tolist(), strict=True))
-        self._arm_places, self._arm_dofs = np.array(list(places.values())), np.array(list(dofs.values()))
+        self._rows = list(
+            zip(
+                self._places.tolist(), self._dofs.tolist(), self._transmission.tolist(), strict=True
+            )
+        )
+        self._arm_places, self._arm_dofs = (
+            np.array(list(places.values())),
+            np.array(list(dofs.values())),
+        )
         slides = [name for name in self.joints if robot.model.joint(name).kind == "prismatic"]
         self._finger_joint = slides[0] if slides else ""
         self.finger = dofs[slides[0]] if slides else None
-        self.fingers = 1 + sum(joint.mimic is not None and joint.mimic[0] == self._finger_joint for joint in moving)
+        self.fingers = 1 + sum(
+            joint.mimic is not None and joint.mimic[0] == self._finger_joint for joint in moving
+        )
 
     def _add_inertia(self, body: Any, pseudo: FloatArray, departure: LinkTruth) -> None:
         mass = float(pseudo[3, 3])
@@ -297,7 +341,8 @@ class VirtualArm:
             made.range = (joint.lower, joint.upper)
         made.solref_limit = LIMIT_SOLREF
         if joint.name in self.truth.joints:
-            drive, transmission = self.truth.joints[joint.name], self.robot.drive_trains[joint.name].transmission
+            drive = self.truth.joints[joint.name]
+            transmission = self.robot.drive_trains[joint.name].transmission
             made.armature = drive.armature / transmission**2
             made.damping[0] = drive.viscous / transmission**2
 
@@ -307,5 +352,7 @@ def import_mujoco() -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise ConfigurationError("a virtual arm needs MuJoCo: install the extra sim, e.g. proprio_ros[sim]") from error
+        raise ConfigurationError(
+            "a virtual arm needs MuJoCo: install the extra sim, e.g. proprio_ros[sim]"
+        ) from error
     return mujoco

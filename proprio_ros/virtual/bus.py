@@ -36,7 +36,8 @@ class Faults:
     corrupt: float = 0.0  # probability that one byte of a status packet is wrong
     corrupt_requests: float = 0.0  # probability that one byte of what the computer sends is wrong
     delay_s: float = 0.0  # added to every reply
-    hang: set[int] = field(default_factory=set)  # ids that neither hear nor answer, as with a loose plug
+    # ids that neither hear nor answer, as with a loose plug
+    hang: set[int] = field(default_factory=set)
     seed: int = 0  # of the chance
 
     def __post_init__(self) -> None:
@@ -80,7 +81,9 @@ class VirtualBus:
     ) -> None:
         ids = [servo.id for servo in servos]
         if len(set(ids)) < len(ids):
-            raise ConfigurationError(f"servo IDs {ids}: every servo on a bus needs its own ID: change the repeated one")
+            raise ConfigurationError(
+                f"servo IDs {ids}: every servo on a bus needs its own ID: change the repeated one"
+            )
         self.servos = tuple(servos)
         self.advance = advance
         self.faults = faults if faults is not None else Faults()
@@ -99,7 +102,8 @@ class VirtualBus:
         self._received_s = now_s
         if data and self.faults.happens(self.faults.corrupt_requests):
             data = self.faults.damaged(data)
-        replies, elapsed_s = [], 0.0
+        replies = []
+        elapsed_s = 0.0
         for packet in self._parser.feed(data):
             self.advance(now_s)
             listeners = [servo for servo in self.servos if self._hears(servo, now_s)]
@@ -110,7 +114,11 @@ class VirtualBus:
                     elapsed_s += sum(servo.return_delay_s for servo in part.speakers)
                 elapsed_s += self._bits_s(len(part.data), part.speakers[0])
                 if not self.faults.happens(self.faults.drop):
-                    answer = self.faults.damaged(part.data) if self.faults.happens(self.faults.corrupt) else part.data
+                    answer = (
+                        self.faults.damaged(part.data)
+                        if self.faults.happens(self.faults.corrupt)
+                        else part.data
+                    )
                     replies.append(Reply(answer, elapsed_s + self.faults.delay_s))
         return replies
 
@@ -124,7 +132,10 @@ class VirtualBus:
         return right_baud and servo.id not in self.faults.hang and servo.awake(now_s)
 
     def _handle(
-        self, packet: protocol.Instruction | protocol.CrcError, listeners: dict[int, VirtualServo], now_s: float
+        self,
+        packet: protocol.Instruction | protocol.CrcError,
+        listeners: dict[int, VirtualServo],
+        now_s: float,
     ) -> Iterator[_Part]:
         """Do what a packet says; the answers in the order of the wire."""
         if isinstance(packet, protocol.CrcError):
@@ -164,7 +175,12 @@ def _answer(servo: VirtualServo, error: int, data: bytes = b"", *, level: int) -
 
 
 def _ping(servo: VirtualServo) -> Iterator[_Part]:
-    return _answer(servo, protocol.Error.NONE, servo.read(0, 2)[1] + bytes([servo["firmware_version"]]), level=0)
+    return _answer(
+        servo,
+        protocol.Error.NONE,
+        servo.read(0, 2)[1] + bytes([servo["firmware_version"]]),
+        level=0,
+    )
 
 
 def _addressed(packet: protocol.Instruction, servo: VirtualServo, now_s: float) -> Iterator[_Part]:
@@ -174,12 +190,21 @@ def _addressed(packet: protocol.Instruction, servo: VirtualServo, now_s: float) 
         yield from _ping(servo)
     elif packet.code == protocol.Code.READ:
         whole = len(params) == 4
-        error, data = servo.read(_word(params, 0), _word(params, 2)) if whole else (protocol.Error.DATA_LENGTH, b"")
+        error, data = (
+            servo.read(_word(params, 0), _word(params, 2))
+            if whole
+            else (protocol.Error.DATA_LENGTH, b"")
+        )
         yield from _answer(servo, error, data, level=1)
     elif packet.code == protocol.Code.WRITE:
         # the level that was valid before the write decides; assumed
-        level, servo_id = servo["status_return_level"], servo.id
-        error = servo.write(_word(params, 0), params[2:], now_s) if len(params) > 2 else protocol.Error.DATA_LENGTH
+        level = servo["status_return_level"]
+        servo_id = servo.id
+        error = (
+            servo.write(_word(params, 0), params[2:], now_s)
+            if len(params) > 2
+            else protocol.Error.DATA_LENGTH
+        )
         if level >= 2:
             yield _Part((servo,), protocol.encode_status(servo_id, servo.status_error(error)))
     elif packet.code == protocol.Code.REBOOT:
@@ -189,7 +214,9 @@ def _addressed(packet: protocol.Instruction, servo: VirtualServo, now_s: float) 
         yield from _answer(servo, protocol.Error.INSTRUCTION, level=2)
 
 
-def _chain(ids: bytes, address: int, length: int, listeners: dict[int, VirtualServo]) -> Iterator[_Part]:
+def _chain(
+    ids: bytes, address: int, length: int, listeners: dict[int, VirtualServo]
+) -> Iterator[_Part]:
     """Each servo speaks after the status packet of the one before; after a silent one nobody does."""
     for servo in map(listeners.get, ids):
         if servo is None or servo["status_return_level"] < 1:
@@ -227,6 +254,7 @@ def _sync_read(params: bytes) -> tuple[int, int, bytes]:
 
 
 def _sync_write(params: bytes) -> Iterator[tuple[int, int, bytes]]:
-    address, length = _word(params, 0), _word(params, 2)
+    address = _word(params, 0)
+    length = _word(params, 2)
     for index in range(4, len(params) - length, length + 1):
         yield params[index], address, params[index + 1 : index + 1 + length]

@@ -25,7 +25,8 @@ from proprio_ros.virtual.robot import LONGEST_PAUSE_S, parked
 from proprio_ros.virtual.truth import Truth
 
 PERIOD_S = 0.001  # of the motors' current controllers, as of the virtual servos'
-UNITS = ("A", "N.m")  # what an effort may be: the motor's current, or current x nominal torque constant (N for a slide)
+# what an effort may be: the motor's current, or current x nominal torque constant (N for a slide)
+UNITS = ("A", "N.m")
 FOREIGN_JOINTS = ("conveyor", "lift")  # joints of other machines on the same topic
 
 
@@ -55,7 +56,9 @@ class EffortDriver:
         self.joints = tuple(joints) or tuple(robot.drive_trains)
         unknown = [name for name in self.joints if name not in robot.drive_trains]
         if unknown:
-            raise ConfigurationError(f"controller_joints: {robot.name} does not drive {', '.join(unknown)}")
+            raise ConfigurationError(
+                f"controller_joints: {robot.name} does not drive {', '.join(unknown)}"
+            )
         start = parked(robot) if position is None else position
         self.arm = VirtualArm(robot, truth, position=start, seed=seed, control_period_s=PERIOD_S)
         self.lock = clock.lock()
@@ -66,7 +69,10 @@ class EffortDriver:
         per_current = np.array([drive.nominal_effort_per_current for drive in drives])
         # without a supply or a resistance stated nothing limits the current at speed
         laws = [(d.supply_voltage_V, d.back_emf_V_s_per_rad, d.resistance_ohm) for d in drives]
-        bounds = [(volt / ohm, emf / ohm) if volt > 0.0 and ohm > 0.0 else (math.inf, 0.0) for volt, emf, ohm in laws]
+        bounds = [
+            (volt / ohm, emf / ohm) if volt > 0.0 and ohm > 0.0 else (math.inf, 0.0)
+            for volt, emf, ohm in laws
+        ]
         self._supply_A, self._per_speed_A = np.array(bounds).T
         self._effort_per_A = np.ones(len(per_current)) if unit == "A" else per_current
         self._columns = [self.arm.joints.index(name) for name in self.joints]
@@ -119,15 +125,29 @@ class EffortDriver:
         """Positions [rad or m], velocities (none is stated) and efforts in the drive's unit, in the order of `broadcast`."""
         with self.lock:
             counts = np.rint(self.arm.encoder_rad() / self._count_rad)
-            position = dict(zip(self.arm.joints, (counts * self._count_rad * self._transmission).tolist(), strict=True))
-            effort = dict(zip(self.arm.joints, (self._current_A * self._effort_per_A).tolist(), strict=True))
+            position = dict(
+                zip(
+                    self.arm.joints,
+                    (counts * self._count_rad * self._transmission).tolist(),
+                    strict=True,
+                )
+            )
+            effort = dict(
+                zip(self.arm.joints, (self._current_A * self._effort_per_A).tolist(), strict=True)
+            )
         positions = [position.get(name, 0.25) for name in self.broadcast]
-        return positions, [math.nan] * len(positions), [effort.get(name, math.nan) for name in self.broadcast]
+        return (
+            positions,
+            [math.nan] * len(positions),
+            [effort.get(name, math.nan) for name in self.broadcast],
+        )
 
     def truth(self) -> tuple[dict[str, float], dict[str, float]]:
         """True joint positions [rad or m] and the currents that flow in the motors [A], by joint."""
         with self.lock:
-            return self.arm.position(), dict(zip(self.arm.joints, self._current_A.tolist(), strict=True))
+            return self.arm.position(), dict(
+                zip(self.arm.joints, self._current_A.tolist(), strict=True)
+            )
 
     def hold(self, thing: HandObject | None) -> None:
         """Put something into the hand, or take it out."""
@@ -138,7 +158,9 @@ class EffortDriver:
     def set_fault(self, text: str) -> None:
         """Refuse a fault: they are those of a servo bus, which is not here."""
         if text:
-            raise ConfigurationError(f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus")
+            raise ConfigurationError(
+                f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus"
+            )
 
     def close(self) -> None:
         """Nothing is open."""
@@ -167,7 +189,9 @@ class PositionDriver(EffortDriver):
         )
         self._step *= PERIOD_S
         drives = [robot.drive_trains[name] for name in self.arm.joints]
-        self._supply_V, self._resistance_ohm = np.array([(d.supply_voltage_V, d.resistance_ohm) for d in drives]).T
+        self._supply_V, self._resistance_ohm = np.array(
+            [(d.supply_voltage_V, d.resistance_ohm) for d in drives]
+        ).T
         # a motor's back EMF is its torque constant
         self._back_emf = np.array([truth.joints[name].torque_constant for name in self.arm.joints])
         self._effort_per_A = np.full(len(drives), math.nan)  # such a servo knows no effort
@@ -184,4 +208,6 @@ class PositionDriver(EffortDriver):
         distance = self._moved - counts * self._count_rad * self._transmission
         distance = np.sign(distance) * np.maximum(np.abs(distance) - self._dead, 0.0)
         duty = np.clip(self._gain * distance, -self._limit, self._limit)
-        return (self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()) / self._resistance_ohm
+        return (
+            self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()
+        ) / self._resistance_ohm

@@ -32,7 +32,8 @@ class HandObject(ABC):
 
     kind: ClassVar[str]  # before the colon, where a user types it
     form: ClassVar[str]  # an example of what he types
-    keys: ClassVar[Mapping[str, tuple[str, int]]]  # key -> field, how many numbers; the first stands behind the colon
+    # key -> field, how many numbers; the first stands behind the colon
+    keys: ClassVar[Mapping[str, tuple[str, int]]]
     acts: ClassVar[bool] = False  # whether it pushes joints by itself: then there is `act`
 
     @property
@@ -63,7 +64,14 @@ class Payload(HandObject):
 
     kind = "payload"
     form = "payload:0.05,size=0.03,com=[0.01,0,0]"
-    keys = MappingProxyType({"mass": ("mass_kg", 1), "size": ("size_m", 1), "com": ("com_m", 3), "inertia": ("inertia_kg_m2", 6)})
+    keys = MappingProxyType(
+        {
+            "mass": ("mass_kg", 1),
+            "size": ("size_m", 1),
+            "com": ("com_m", 3),
+            "inertia": ("inertia_kg_m2", 6),
+        }
+    )
 
     mass_kg: float
     com_m: Vector = (0.0, 0.0, 0.0)  # centre of mass in the payload frame
@@ -106,16 +114,20 @@ def parse_object(text: str, kinds: Iterable[type[HandObject]]) -> HandObject | N
         return None
     name, colon, rest = (part.strip() for part in words.partition(":"))
     if not colon:
-        name, rest = Payload.kind, words
+        name = Payload.kind
+        rest = words
     try:
         if name not in there:
             raise ConfigurationError(f"unknown kind {name!r}")
         make = there[name]
-        first, *others = re.split(r",(?![^\[]*\])", rest)  # a comma inside brackets does not separate
+        # a comma inside brackets does not separate
+        first, *others = re.split(r",(?![^\[]*\])", rest)
         fields: dict[str, Any] = {}
         for key, value in [(next(iter(make.keys)), first), *(_pair(other) for other in others)]:
             if key not in make.keys:
-                raise ConfigurationError(f"unknown key {key!r}, valid keys: {', '.join(list(make.keys)[1:])}")
+                raise ConfigurationError(
+                    f"unknown key {key!r}, valid keys: {', '.join(list(make.keys)[1:])}"
+                )
             field, count = make.keys[key]
             if field in fields:
                 raise ConfigurationError(f"{key} is given twice")
@@ -123,7 +135,9 @@ def parse_object(text: str, kinds: Iterable[type[HandObject]]) -> HandObject | N
         return make(**fields)
     except ConfigurationError as error:
         forms = " | ".join(["none | 0.05", *(kind.form for kind in there.values())])
-        raise ConfigurationError(f"object {one_line(text, 40)!r}: {error}; valid: {forms} (kg, m, Pa)") from error
+        raise ConfigurationError(
+            f"object {one_line(text, 40)!r}: {error}; valid: {forms} (kg, m, Pa)"
+        ) from error
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -149,14 +163,18 @@ def _numbers(key: str, text: str, count: int) -> float | tuple[float, ...]:
 def check_mass(what: str, mass_kg: float) -> None:
     """Raises: ConfigurationError: It is none in kg."""
     if not 0.0 < mass_kg <= HEAVIEST_KG:
-        raise ConfigurationError(f"{what}={mass_kg:g}: masses are in kg, above 0 and at most {HEAVIEST_KG:g}")
+        raise ConfigurationError(
+            f"{what}={mass_kg:g}: masses are in kg, above 0 and at most {HEAVIEST_KG:g}"
+        )
 
 
 def check_lengths(what: str, lengths_m: tuple[float, ...], least_m: float) -> None:
     """Raises: ConfigurationError: One of them is none in metres, or less than the least."""
     if not all(least_m <= length <= LONGEST_M for length in lengths_m):
         shown = ", ".join(f"{length:g}" for length in lengths_m)
-        raise ConfigurationError(f"{what}={shown}: lengths are in m, from {least_m:g} to {LONGEST_M:g}")
+        raise ConfigurationError(
+            f"{what}={shown}: lengths are in m, from {least_m:g} to {LONGEST_M:g}"
+        )
 
 
 def set_inertia(body: Any, mass_kg: float, com_m: Any, inertia: SixOfInertia) -> None:

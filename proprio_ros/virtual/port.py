@@ -64,9 +64,13 @@ class PtyPort:
     Raises `ConfigurationError`: ``link`` exists and is no link.
     """
 
-    def __init__(self, bus: VirtualBus, link: Path | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, bus: VirtualBus, link: Path | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         if link is not None and link.exists() and not link.is_symlink():
-            raise ConfigurationError(f"port link {link}: a file of that name exists: choose another name or remove it")
+            raise ConfigurationError(
+                f"port link {link}: a file of that name exists: choose another name or remove it"
+            )
         self.lock = threading.Lock()
         self._bus = bus
         self._link = link
@@ -142,7 +146,11 @@ class PtyPort:
             return
         for descriptor in self._fds:
             os.close(descriptor)
-        if self._link is not None and self._link.is_symlink() and self._link.readlink() == self._slave_path:
+        if (
+            self._link is not None
+            and self._link.is_symlink()
+            and self._link.readlink() == self._slave_path
+        ):
             self._link.unlink()
         self._fds = self._slave_path = None
         self._outbox.clear()
@@ -162,7 +170,9 @@ class PtyPort:
     def _turn(self) -> None:
         """Wait for bytes, a reply's time or 2 ms; then do what is due."""
         watched = [self._wake_read] if self._fds is None else [self._wake_read, self._fds[0]]
-        ready, _, _ = select.select(watched, [], [], self._outbox.wait_s(self._clock(), _LONGEST_WAIT_S))
+        ready, _, _ = select.select(
+            watched, [], [], self._outbox.wait_s(self._clock(), _LONGEST_WAIT_S)
+        )
         if self._wake_read in ready:
             os.read(self._wake_read, _CHUNK)
         while not self._orders.empty():

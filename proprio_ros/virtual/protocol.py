@@ -107,7 +107,8 @@ def encode_fast_status(parts: Sequence[tuple[int, int, bytes]], servos: int) -> 
         servos: How many were asked: the first one announces the length of all. With fewer parts the packet breaks off.
     """
     length = 1 + servos * (len(parts[0][2]) + 4)
-    packet, crc = b"", 0
+    packet = b""
+    crc = 0
     part = _HEADER + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([Code.STATUS])
     for error, servo_id, data in parts:
         part += bytes([error, servo_id]) + data

@@ -39,14 +39,21 @@ class VirtualRobot:
 
     control_period_s = CONTROL_PERIOD_S  # of each servo
 
-    def __init__(self, robot: Robot, truth: Truth, *, link: Path | None = None, seed: int = 0) -> None:
-        self.arm = VirtualArm(robot, truth, position=parked(robot), seed=seed, control_period_s=self.control_period_s)
+    def __init__(
+        self, robot: Robot, truth: Truth, *, link: Path | None = None, seed: int = 0
+    ) -> None:
+        self.arm = VirtualArm(
+            robot, truth, position=parked(robot), seed=seed, control_period_s=self.control_period_s
+        )
         self.faults = Faults(seed=seed)
         self.servos: dict[str, VirtualServo] = {}
         for name in self.arm.joints:
-            motor, drive = robot.motors[name], robot.drive_trains[name]
+            motor = robot.motors[name]
+            drive = robot.drive_trains[name]
             if motor.id is None:
-                raise ConfigurationError(f"{robot.name}: joints.{name}.motor has no id; a virtual servo needs one, too")
+                raise ConfigurationError(
+                    f"{robot.name}: joints.{name}.motor has no id; a virtual servo needs one, too"
+                )
             servo = VirtualServo(
                 servo_model(motor.model),
                 motor.id,
@@ -75,11 +82,16 @@ class VirtualRobot:
             # this process was not run; what waits on the wire came meanwhile, so no watchdog may count that as silence
             for servo in self._all:
                 servo.heard(now_s)
-        arm, servos, period_s = self.arm, self._all, self.control_period_s
+        arm = self.arm
+        servos = self._all
+        period_s = self.control_period_s
         while self._time_s + period_s <= now_s:
             time_s = self._time_s = self._time_s + period_s
             seen = zip(servos, self._shift, *arm.sensed(), strict=True)
-            current = self._current = [servo.control(time_s, angle + shift, velocity) for servo, shift, angle, velocity in seen]
+            current = self._current = [
+                servo.control(time_s, angle + shift, velocity)
+                for servo, shift, angle, velocity in seen
+            ]
             if self._supported:
                 self._supported = not any(servo["torque_enable"] for servo in servos)
             else:
@@ -121,7 +133,10 @@ class VirtualRobot:
                 )
         with self.port.lock:
             self.faults.drop, self.faults.corrupt = faults["drop"], faults["corrupt"]
-            self.faults.corrupt_requests, self.faults.delay_s = faults["corrupt_requests"], faults["delay"]
+            self.faults.corrupt_requests, self.faults.delay_s = (
+                faults["corrupt_requests"],
+                faults["delay"],
+            )
             self.faults.hang = {self.servos[name].id for name in joints["hang"]}
             for row, (name, servo) in enumerate(self.servos.items()):
                 if name in joints["overheat"]:

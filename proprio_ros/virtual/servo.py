@@ -15,7 +15,8 @@ from types import MappingProxyType
 from proprio_ros.bus import control_table
 from proprio_ros.virtual.protocol import ALERT, Error
 
-CONTROL_PERIOD_S = 0.001  # period of the current controller: `VirtualServo.control` is called once per period [s]
+# period of the current controller: `VirtualServo.control` is called once per period [s]
+CONTROL_PERIOD_S = 0.001
 REBOOT_S = 0.3  # time without an answer after a reboot; assumed [s]
 AMBIENT_C = 30.0
 
@@ -77,13 +78,18 @@ class VirtualServo:
         self._resistance_ohm = resistance_ohm
         self._registers = model.registers
         places = {name: range(register.size) for name, register in self._registers.items()}
-        self._bytes = {self._registers[name].address + k: (name, k) for name, sizes in places.items() for k in sizes}
+        self._bytes = {
+            self._registers[name].address + k: (name, k)
+            for name, sizes in places.items()
+            for k in sizes
+        }
         self._end = max(self._bytes) + 1
         self._values = {name: register.initial for name, register in self._registers.items()}
         self._values.update(model_number=model.number, firmware_version=firmware, id=servo_id)
         self._booted_s, self._silent_until_s, self._heard_s = 0.0, -math.inf, 0.0
         self._velocities: deque[float] = deque(maxlen=_VELOCITY_AVERAGE)
-        self._tuned_V = math.nan  # supply at which `_tune` was called last; not a number: a register has changed since
+        # supply at which `_tune` was called last; not a number: a register has changed since
+        self._tuned_V = math.nan
         self._controlled_s, self._felt_C, self._powered = 0.0, AMBIENT_C, False
         self._unread = False  # whether there are measurements that no register holds yet
         self._goals: Goals | None
@@ -166,7 +172,8 @@ class VirtualServo:
     def _parsed(self, address: int, data: bytes) -> tuple[dict[str, int], Error]:
         """Registers that a write means, and why it is refused."""
         values: dict[str, int] = {}
-        position, end = address, address + len(data)
+        position = address
+        end = address + len(data)
         while position < end:
             name, index = self._bytes.get(position, ("", 0))
             if not name or index:
@@ -174,11 +181,15 @@ class VirtualServo:
             register = self._registers[name]
             if position + register.size > end:
                 return {}, Error.DATA_LENGTH
-            values[name] = register.decode(data[position - address : position - address + register.size])
+            values[name] = register.decode(
+                data[position - address : position - address + register.size]
+            )
             position += register.size
         if not values:
             return {}, Error.DATA_LENGTH
-        error = next(filter(None, (self._refusal(name, value) for name, value in values.items())), Error.NONE)
+        error = next(
+            filter(None, (self._refusal(name, value) for name, value in values.items())), Error.NONE
+        )
         return ({} if error else values), error
 
     def _refusal(self, name: str, value: int) -> Error:
@@ -188,12 +199,18 @@ class VirtualServo:
         tripped = self._values["bus_watchdog"] == control_table.BUS_WATCHDOG_TRIPPED
         if tripped and (name in _GOALS or (name == "bus_watchdog" and value != 0)):
             return Error.DATA_RANGE
-        if not register.lowest <= value <= register.highest or (name == "operating_mode" and value not in set(_MODE)):
+        if not register.lowest <= value <= register.highest or (
+            name == "operating_mode" and value not in set(_MODE)
+        ):
             return Error.DATA_RANGE
         if register.limit is not None and abs(value) > self._values[register.limit]:
             return Error.DATA_LIMIT
         if name == "goal_position" and self._values["operating_mode"] == _MODE.POSITION:
-            if not self._values["min_position_limit"] <= value <= self._values["max_position_limit"]:
+            if (
+                not self._values["min_position_limit"]
+                <= value
+                <= self._values["max_position_limit"]
+            ):
                 return Error.DATA_LIMIT
         if name == "torque_enable" and value and self._shut_down:
             return Error.RESULT_FAIL  # assumed: the manual only says that a reboot is needed
@@ -263,12 +280,19 @@ class VirtualServo:
         """
         if self._tuned_V != self.supply_voltage_V:
             self._tune()
-        values, sign = self._values, self._sign
+        values = self._values
+        sign = self._sign
         velocity_rad_s *= sign
         self._velocities.append(velocity_rad_s)
-        values["present_position"] = self._zero_counts + round(sign * angle_rad / self.model.position_unit_rad)
+        values["present_position"] = self._zero_counts + round(
+            sign * angle_rad / self.model.position_unit_rad
+        )
         self._controlled_s, self._felt_C = now_s, self.temperature_C
-        if self._ailing or self._felt_C > self._hot_C or abs(values["present_current"]) >= self._straining_counts:
+        if (
+            self._ailing
+            or self._felt_C > self._hot_C
+            or abs(values["present_current"]) >= self._straining_counts
+        ):
             self._look_for_trouble()
         else:
             self._overloaded_s = 0.0
@@ -279,20 +303,27 @@ class VirtualServo:
                 self._stop()
         while self._pending and self._pending[0][0] <= now_s:
             self._goals = self._pending.popleft()[1]
-        self._powered = bool(values["torque_enable"]) and self._goals is not None and now_s >= self._silent_until_s
+        self._powered = (
+            bool(values["torque_enable"])
+            and self._goals is not None
+            and now_s >= self._silent_until_s
+        )
         counts = 0
         if self._powered and values["bus_watchdog"] != control_table.BUS_WATCHDOG_TRIPPED:
             counts = self._bounded(self._wanted(velocity_rad_s), velocity_rad_s)
         values["present_current"], self._unread = counts, True
         current_A = counts * self.model.current_unit_A
         # heat of the winding into one thermal mass; assumed values
-        final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * (current_A * current_A)
+        final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * (
+            current_A * current_A
+        )
         self.temperature_C += (final_C - self.temperature_C) * self._warming
         return sign * current_A
 
     def _tune(self) -> None:
         """What follows from registers and from the supply, and is needed in each period."""
-        values, model = self._values, self.model
+        values = self._values
+        model = self.model
         self._tuned_V = self.supply_voltage_V
         self._sign = -1.0 if values["drive_mode"] & _REVERSE else 1.0
         self._zero_counts = model.position_zero + values["homing_offset"]
@@ -300,30 +331,48 @@ class VirtualServo:
         self._d_gain = values["position_d_gain"] / model.position_d_divisor
         self._volt_per_pwm = max(self.supply_voltage_V, 1e-3) / self._highest_pwm
         self._pwm_limit_V = values["pwm_limit"] * self._volt_per_pwm
-        voltage = values["present_input_voltage"] = max(0, round(self.supply_voltage_V / model.voltage_unit_V))
+        voltage = values["present_input_voltage"] = max(
+            0, round(self.supply_voltage_V / model.voltage_unit_V)
+        )
         self._ailing = not values["min_voltage_limit"] <= voltage <= values["max_voltage_limit"]
         self._hot_C = values["temperature_limit"] - 1.0
         # assumed: overload is nearly the highest possible current without motion for some seconds
-        highest_A = min(model.current_A(values["current_limit"]), self._current_at_A(self.supply_voltage_V, 0.0))
+        highest_A = min(
+            model.current_A(values["current_limit"]), self._current_at_A(self.supply_voltage_V, 0.0)
+        )
         self._straining_counts = max(_OVERLOAD_FRACTION * highest_A / model.current_unit_A, 1.0)
 
     def _measure(self) -> None:
         """Registers on which nothing in a period depends, as they were in the last one."""
         self._unread = False
-        values, velocities, model = self._values, self._velocities, self.model
+        values = self._values
+        velocities = self._velocities
+        model = self.model
         speed = round(sum(velocities) / len(velocities) / model.velocity_unit_rad_s)
-        values["present_velocity"], values["moving"] = speed, 1 if abs(speed) > values["moving_threshold"] else 0
+        values["present_velocity"], values["moving"] = (
+            speed,
+            1 if abs(speed) > values["moving_threshold"] else 0,
+        )
         # the small addition keeps a sum of milliseconds from being rounded down
-        values["realtime_tick"] = int((self._controlled_s - self._booted_s) * 1e3 + 1e-6) % _TICK_WRAP
+        values["realtime_tick"] = (
+            int((self._controlled_s - self._booted_s) * 1e3 + 1e-6) % _TICK_WRAP
+        )
         values["present_temperature"] = min(255, max(0, round(self._felt_C)))
-        current_A, back_V = model.current_A(values["present_current"]), self._back_emf_V_s_per_rad * velocities[-1]
-        pwm = round((self._resistance_ohm * current_A + back_V) / self._volt_per_pwm) if self._powered else 0
+        current_A = model.current_A(values["present_current"])
+        back_V = self._back_emf_V_s_per_rad * velocities[-1]
+        pwm = (
+            round((self._resistance_ohm * current_A + back_V) / self._volt_per_pwm)
+            if self._powered
+            else 0
+        )
         values["present_pwm"] = max(-32768, min(32767, pwm))  # what its bytes hold
 
     def _wanted(self, velocity_rad_s: float) -> float:
         """Current before any bound [counts]."""
         assert self._goals is not None
-        goals, values, model = self._goals, self._values, self.model
+        goals = self._goals
+        values = self._values
+        model = self.model
         mode = values["operating_mode"]
         if mode == _CURRENT:
             return goals["goal_current"]
@@ -350,7 +399,8 @@ class VirtualServo:
 
     def _bounded(self, wanted: float, velocity_rad_s: float) -> int:
         """Whole counts within Current Limit, and within what the supply can drive at this speed."""
-        unit_A, back_V = self.model.current_unit_A, self._back_emf_V_s_per_rad * velocity_rad_s
+        unit_A = self.model.current_unit_A
+        back_V = self._back_emf_V_s_per_rad * velocity_rad_s
         counts = round(_clip(wanted, self._values["current_limit"]))
         if counts > (highest := (self._pwm_limit_V - back_V) / self._resistance_ohm / unit_A):
             counts = math.floor(highest)
@@ -366,7 +416,9 @@ class VirtualServo:
             self.fail(control_table.HardwareError.INPUT_VOLTAGE)
         if values["present_temperature"] > values["temperature_limit"]:
             self.fail(control_table.HardwareError.OVERHEATING)
-        straining = abs(values["present_current"]) >= self._straining_counts and not values["moving"]
+        straining = (
+            abs(values["present_current"]) >= self._straining_counts and not values["moving"]
+        )
         self._overloaded_s = self._overloaded_s + self._period_s if straining else 0.0
         if self._overloaded_s > _OVERLOAD_S:
             self.fail(control_table.HardwareError.OVERLOAD)

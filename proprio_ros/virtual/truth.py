@@ -15,7 +15,9 @@ from proprio_ros.robot import DriveTrain, Robot
 ALIKE, OFF_TOGETHER = 0.03, 0.3
 """Torque constants of servos of one type, in one arm, differ by the first from each other; and all together from the robot file by
 that share of what it leaves open, which allows for other gears and supplies, too."""
-FASTEST_LATENCY_S, SLOWEST_LATENCY_S = 0.002, 0.006  # from a command on the bus to the motor's torque
+# from a command on the bus to the motor's torque
+FASTEST_LATENCY_S = 0.002
+SLOWEST_LATENCY_S = 0.006
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,8 @@ class JointTruth:
     zero_rad: float = 0.0  # true position minus reading
     stribeck: float = 0.0  # by how much of itself dry friction is greater at rest
     stribeck_velocity: float = 0.1  # speed at which 1/e of that is left [rad/s]
-    once_per_turn_sin_rad: float = 0.0  # the reading is too large by this times the sine of the position
+    # the reading is too large by this times the sine of the position
+    once_per_turn_sin_rad: float = 0.0
     once_per_turn_cos_rad: float = 0.0  # and by this times its cosine
     encoder_noise_rad: float = 0.0  # standard deviation of a reading before rounding
 
@@ -40,7 +43,8 @@ class LinkTruth:
     """How one link departs from the URDF."""
 
     mass: float = 0.0  # relative, its inertia with it: 0.01 is one per cent too heavy
-    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # shift of the centre of mass in the link's frame
+    # shift of the centre of mass in the link's frame
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inertia: float = 0.0  # relative, about the centre of mass, beyond that of the mass
 
 
@@ -51,7 +55,8 @@ class Truth:
     joints: Mapping[str, JointTruth]  # by driven joint
     latency_s: float = 0.0  # from a command to its torque; the servos apply it, the arm does not
     arm_scale: float = 1.0  # all masses of the URDF times this
-    links: Mapping[str, LinkTruth] = field(default_factory=dict)  # those not named are as in the URDF
+    # those not named are as in the URDF
+    links: Mapping[str, LinkTruth] = field(default_factory=dict)
 
     @classmethod
     def nominal(cls, robot: Robot) -> Truth:
@@ -59,7 +64,9 @@ class Truth:
         joints = {}
         for name, drive in robot.drive_trains.items():
             terms = {term: getattr(drive, term).value for term in _TERMS}
-            joints[name] = JointTruth(**terms, zero_rad=drive.zero.value, encoder_noise_rad=drive.encoder_noise)
+            joints[name] = JointTruth(
+                **terms, zero_rad=drive.zero.value, encoder_noise_rad=drive.encoder_noise
+            )
         return cls(joints, max(robot.delay.value, 0.0), robot.arm_scale.value)
 
     @classmethod
@@ -85,10 +92,14 @@ class Truth:
                     return max(float(motors.normal(quantity.value, quantity.std)), 0.0)
                 return float(motors.uniform(low, high)) * float(quantity.std)
 
-            constant, armature = drive.torque_constant, drive.armature
+            constant = drive.torque_constant
+            armature = drive.armature
             excess_part = abs(float(excess.normal(drive.stribeck.value, drive.stribeck.std)))
-            excess_velocity = float(excess.normal(drive.stribeck_velocity.value, drive.stribeck_velocity.std))
-            mean, std = constant.value, constant.std
+            excess_velocity = float(
+                excess.normal(drive.stribeck_velocity.value, drive.stribeck_velocity.std)
+            )
+            mean = constant.value
+            std = constant.std
             if drive.driven_by is not None:
                 mean, std = max(mean + OFF_TOGETHER * together * std, 0.5 * mean), ALIKE * mean
             joints[name] = JointTruth(
@@ -96,7 +107,9 @@ class Truth:
                 coulomb=friction("coulomb", 0.3, 0.9),
                 viscous=friction("viscous", 0.1, 0.6),
                 load_friction=friction("load_friction", 0.0, 0.6),
-                armature=max(float(motors.normal(armature.value, armature.std)), 0.4 * armature.value),
+                armature=max(
+                    float(motors.normal(armature.value, armature.std)), 0.4 * armature.value
+                ),
                 zero_rad=float(motors.normal(drive.zero.value, drive.zero.std)),
                 stribeck=excess_part if stribeck else 0.0,
                 stribeck_velocity=max(excess_velocity, 0.3 * drive.stribeck_velocity.value),
@@ -130,11 +143,22 @@ class Truth:
             given: dict[str, Any] = json.loads(text)
             joints = {name: JointTruth(**values) for name, values in given.pop("joints").items()}
             links = {
-                name: LinkTruth(**{**values, "com_m": tuple(values["com_m"])}) for name, values in given.pop("links", {}).items()
+                name: LinkTruth(**{**values, "com_m": tuple(values["com_m"])})
+                for name, values in given.pop("links", {}).items()
             }
             return cls(joints=joints, links=links, **given)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ConfigurationError(f"truth: {error}; write such a file with Truth.draw(robot, seed).as_json()") from error
+            raise ConfigurationError(
+                f"truth: {error}; write such a file with Truth.draw(robot, seed).as_json()"
+            ) from error
 
 
-_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")
+_TERMS = (
+    "torque_constant",
+    "coulomb",
+    "viscous",
+    "load_friction",
+    "armature",
+    "stribeck",
+    "stribeck_velocity",
+)

@@ -22,18 +22,22 @@ from proprio_ros.batch.rows import COLUMNS, Job, source_name
 from proprio_ros.batch.store import Store
 from proprio_ros.pipeline.request import Options
 
-COUNT, SOURCES = 10_000, ("/data/line_1", "/data/line_2", "/data/pick <b>cubes")
+COUNT = 10_000
+SOURCES = ("/data/line_1", "/data/line_2", "/data/pick <b>cubes")
 HOUR_NS = 3600 * 10**9
 EMPTY: dict[str, Any] = {"text": "", "texts": [], "integer": None, "number": None}
 
 
 def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
     """Rows of weeks of work: most accepted, some far off, some of each way to be refused."""
-    rng, rows = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    rows = []
     for n in range(count):
-        source, kind = SOURCES[n % 3], rng.random()
+        source = SOURCES[n % 3]
+        kind = rng.random()
         dated = n % 3 < 2
-        mass, std = 0.05 * rng.integers(1, 5) + 4e-4 * rng.standard_normal(), float(rng.uniform(3e-4, 6e-4))
+        mass = 0.05 * rng.integers(1, 5) + 4e-4 * rng.standard_normal()
+        std = float(rng.uniform(3e-4, 6e-4))
         row = {name: EMPTY[form] for name, form in COLUMNS.items()} | {
             "source_name": source_name(source), "source": source, "episode": f"{n:05d}" if dated else str(n),
             "episode_index": None if dated else n, "segment": 0, "segments": 1, "kind": "episode", "samples": 600,
@@ -48,7 +52,14 @@ def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
             row |= {"value": mass + 0.6, "low": mass + 0.599, "high": mass + 0.601}
         elif kind < 0.06:
             wide = f"anything from 0 .. {rng.integers(100, 400)} g explains the recording: record more runs"
-            row |= {"verdict": "too_wide", "std": 0.08, "low": 0.0, "high": 0.3, "reasons": [wide], "reason_codes": ["too_wide"]}
+            row |= {
+                "verdict": "too_wide",
+                "std": 0.08,
+                "low": 0.0,
+                "high": 0.3,
+                "reasons": [wide],
+                "reason_codes": ["too_wide"],
+            }
         elif kind < 0.08:
             moved = f"{source.rsplit('/')[-1]}/{n:05d}: joint3 moved only {rng.random():.3f} rad: probe with more current"
             row |= {"verdict": "not_identifiable", "reasons": [moved], "reason_codes": ["stuck"]}
@@ -56,20 +67,36 @@ def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
         elif kind < 0.09:
             place = f"{source}{'/' if dated else '#'}{row['episode']}"
             cut = f"{place}: not readable as a ROS 2 bag (ends after {rng.integers(1000)} bytes); record it again"
-            row |= {"verdict": "failed", "kind": "failed", "reasons": [cut], "reason_codes": ["unreadable"], "joints": []}
+            row |= {
+                "verdict": "failed",
+                "kind": "failed",
+                "reasons": [cut],
+                "reason_codes": ["unreadable"],
+                "joints": [],
+            }
             row |= dict.fromkeys(("value", "std", "low", "high", "recorded_ns", "start_s", "end_s"))
         rows.append(row)
     return rows
 
 
-def page_of(folder: Path, rows: list[dict[str, Any]], options: Options | None = None, **more: Any) -> Path:
+def page_of(
+    folder: Path, rows: list[dict[str, Any]], options: Options | None = None, **more: Any
+) -> Path:
     """The page of a folder with such rows."""
     store = Store(folder, Job(options or Options()))
     for source in SOURCES:
         if own := [row for row in rows if row["source"] == source]:
             store.write(own, "0")
     read = store.read(COLUMNS)
-    write_batch_page(read, folder / "batch.html", "proprio batch /data --out out", {}, Drift(()), options=options, **more)
+    write_batch_page(
+        read,
+        folder / "batch.html",
+        "proprio batch /data --out out",
+        {},
+        Drift(()),
+        options=options,
+        **more,
+    )
     store.close()
     return folder / "batch.html"
 
@@ -106,7 +133,9 @@ return {
 )
 
 
-def opened(look: Look, page: Path, script: str, width: int = 1400, *more: str, printed: bool = False) -> Any:
+def opened(
+    look: Look, page: Path, script: str, width: int = 1400, *more: str, printed: bool = False
+) -> Any:
     """What a script says on the page, which lets it in."""
 
     return look(page, script, width, *more, style=on_paper if printed else str)
@@ -122,7 +151,12 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_is_wider_than_the_window(page: Path, look: Look, width: int) -> None:
     seen = opened(look, page, MEASURE, width)
-    assert seen["width"] == width and seen["scroll"] <= width and seen["beyond"] == [] and seen["clipped"] == 0
+    assert (
+        seen["width"] == width
+        and seen["scroll"] <= width
+        and seen["beyond"] == []
+        and seen["clipped"] == 0
+    )
     assert seen["title"] == "Many recordings" and seen["details"] == 1
     assert seen["bars"][0] > 0.8 * min(width, 900) and min(seen["bars"]) > 5.0, "bars have a length"
 
@@ -165,13 +199,19 @@ return found;
     assert seen["elements"] < 3000, "a page with all rows in it would take seconds to show"
     stuck = [row for row in rows if row["reason_codes"] == ["stuck"]]
     of_one = sum(row["source"] == SOURCES[0] for row in stuck)
-    assert seen["search"] == f"{of_one} of {COUNT}" and set(seen["stuck"]) == {"not identifiable: stuck"}
+    assert seen["search"] == f"{of_one} of {COUNT}" and set(seen["stuck"]) == {
+        "not identifiable: stuck"
+    }
     far = [row for row in rows if row["verdict"] == "accepted" and row["value"] > 0.6]
     assert seen["far"] == f"{len(far)} of {COUNT}" and len(far) > 5
     falling = [float(value) for value in seen["falling"]]
-    assert falling == sorted(falling, reverse=True) and falling[0] == pytest.approx(1e3 * max(r["value"] for r in far), abs=0.1)
+    assert falling == sorted(falling, reverse=True) and falling[0] == pytest.approx(
+        1e3 * max(r["value"] for r in far), abs=0.1
+    )
     failed = [row for row in rows if row["kind"] == "failed"]
-    assert seen["unreadable"].startswith(f"{len(failed)} of") and seen["source"] == ["pick <b>cubes"]
+    assert seen["unreadable"].startswith(f"{len(failed)} of") and seen["source"] == [
+        "pick <b>cubes"
+    ]
     assert seen["jumped"] == [f"{len(stuck)} of {COUNT}", "not identifiable: stuck"]
     assert seen["none"] > 0, "what was typed is text"
 
@@ -197,12 +237,18 @@ chart.dispatchEvent(new MouseEvent("click", about));
 return { failed, far, detail, shown: names().map((each) => each.textContent), value: column("value"), open: all(".detail").length,
   axis: place.textContent, figure: place.querySelector("figcaption").textContent };
 """)  # fmt: skip
-    assert "not readable as a ROS 2 bag" in seen["failed"] and "proprio check /data/line_1/" in seen["failed"]
+    assert (
+        "not readable as a ROS 2 bag" in seen["failed"]
+        and "proprio check /data/line_1/" in seen["failed"]
+    )
     assert (
         f"proprio replay /data/line_1/{seen['far']} --calibration arm.yaml --set 'payload.com=[0, 0, 0.01]' --report"
         in seen["detail"]
     )
-    assert "guessed, not stated: payload.com" in seen["detail"] and "0 to 12 s; joint1, joint2, joint3" in seen["detail"]
+    assert (
+        "guessed, not stated: payload.com" in seen["detail"]
+        and "0 to 12 s; joint1, joint2, joint3" in seen["detail"]
+    )
     highest = max((row for row in rows_like(COUNT) if seen["figure"].startswith(row["source"].split("/")[-1])
                    and row["verdict"] == "accepted"), key=lambda row: row["value"])  # fmt: skip
     assert seen["shown"] == [highest["episode"]] and seen["open"] == 1
@@ -211,11 +257,19 @@ return { failed, far, detail, shown: names().map((each) => each.textContent), va
 
 
 @pytest.mark.long
-def test_the_policy_lets_both_scripts_of_the_page_run_and_no_other(page: Path, look: Look, tmp_path: Path) -> None:
+def test_the_policy_lets_both_scripts_of_the_page_run_and_no_other(
+    page: Path, look: Look, tmp_path: Path
+) -> None:
     copy = tmp_path / "copy.html"
-    copy.write_text(page.read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1))
+    copy.write_text(
+        page.read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1)
+    )
     shown = look.shown(copy)
-    assert 'class="tip"' in shown and f"{COUNT} of {COUNT}" in shown and "<title>run</title>" not in shown
+    assert (
+        'class="tip"' in shown
+        and f"{COUNT} of {COUNT}" in shown
+        and "<title>run</title>" not in shown
+    )
 
 
 def test_causes_have_counts_and_what_to_do(tmp_path: Path) -> None:
@@ -225,8 +279,15 @@ def test_causes_have_counts_and_what_to_do(tmp_path: Path) -> None:
     for code, count in (("too wide", "too_wide"), ("stuck", "stuck"), ("unreadable", "unreadable")):
         own = sum(row["verdict"] != "accepted" and row["reason_codes"] == [count] for row in rows)
         assert f"{code}: {own} ({100 * own / 400:.1f} %)" in html.unescape(words)
-    assert "What to do: Push with more current" in words and "proprio check " in words and "says what is in it" in words
-    assert "<b>cubes" not in page and "</script><script>" not in page[: page.rindex("</script><script>")]
+    assert (
+        "What to do: Push with more current" in words
+        and "proprio check " in words
+        and "says what is in it" in words
+    )
+    assert (
+        "<b>cubes" not in page
+        and "</script><script>" not in page[: page.rindex("</script><script>")]
+    )
 
 
 @pytest.mark.parametrize(("step_ns", "axis"), [
@@ -236,7 +297,9 @@ def test_causes_have_counts_and_what_to_do(tmp_path: Path) -> None:
 def test_the_time_axis_suits_what_it_shows(tmp_path: Path, step_ns: int, axis: str) -> None:
     rows = [row for row in rows_like(60) if row["source"] == SOURCES[0]]
     for n, row in enumerate(rows):
-        row["recorded_ns"] = None if row["kind"] == "failed" else 1_780_000_000_000_000_000 + n * step_ns
+        row["recorded_ns"] = (
+            None if row["kind"] == "failed" else 1_780_000_000_000_000_000 + n * step_ns
+        )
     assert axis in page_of(tmp_path, rows).read_text()
 
 
@@ -244,7 +307,9 @@ def test_what_to_look_at_is_what_is_far_off_and_then_each_cause_in_turn() -> Non
     rows = rows_like(3000)
     found = odd(rows)
     far = [row for row in found if row["verdict"] == "accepted"]
-    assert found[: len(far)] == far and {row["episode"] for row in far} == {r["episode"] for r in rows if (r["value"] or 0) > 0.6}
+    assert found[: len(far)] == far and {row["episode"] for row in far} == {
+        r["episode"] for r in rows if (r["value"] or 0) > 0.6
+    }
     assert [row["reason_codes"][0] for row in found[len(far) : len(far) + 4]] in (
         ["too_wide", "stuck"] * 2,
         ["stuck", "too_wide"] * 2,
@@ -255,4 +320,7 @@ def test_what_to_look_at_is_what_is_far_off_and_then_each_cause_in_turn() -> Non
 def test_a_batch_without_an_answer_has_a_page(tmp_path: Path, rows: int) -> None:
     only = [row for row in rows_like(400) if row["kind"] == "failed"][:rows]
     page = page_of(tmp_path, only).read_text()
-    assert f"0 of {rows} accepted" in page and json.loads(re.findall(r"id=data>(.*?)</script>", page)[0])["rows"].__len__() == rows
+    assert (
+        f"0 of {rows} accepted" in page
+        and json.loads(re.findall(r"id=data>(.*?)</script>", page)[0])["rows"].__len__() == rows
+    )

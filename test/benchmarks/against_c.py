@@ -36,18 +36,33 @@ class CPass:
     def __init__(self, run: JointRun, p: np.ndarray, dp: np.ndarray, folder: str) -> None:
         library = Path(folder) / f"joint_pass_{dp.shape[2]}.so"
         if not library.exists():
-            command = ["gcc", *FLAGS, f"-DD={dp.shape[2]}", "-shared", "-fPIC", str(SOURCE), "-o", str(library), "-lm"]
+            command = [
+                "gcc",
+                *FLAGS,
+                f"-DD={dp.shape[2]}",
+                "-shared",
+                "-fPIC",
+                str(SOURCE),
+                "-o",
+                str(library),
+                "-lm",
+            ]
             subprocess.run(command, check=True)
         self._function = ctypes.CDLL(str(library)).joint_pass
         self._function.restype = None
-        constants = np.array([*run.supply, run.friction_velocity, run.step_s, min(run.fine_step_s, run.step_s)])
-        worlds, samples = len(p), len(run.sample_times_s)
+        constants = np.array(
+            [*run.supply, run.friction_velocity, run.step_s, min(run.fine_step_s, run.step_s)]
+        )
+        worlds = len(p)
+        samples = len(run.sample_times_s)
         self.out: Arrays = (
             np.zeros((worlds, samples)), np.zeros((worlds, samples)), np.zeros((worlds, samples, dp.shape[2])),
         )  # fmt: skip
         given = [run.sample_times_s, run.input_times_s, run.input_current_A, constants, p, dp]
         self._arrays = [np.ascontiguousarray(values, dtype=np.float64) for values in given]
-        times, switches, currents, constants, p, dp = (self._pointer(values) for values in self._arrays)
+        times, switches, currents, constants, p, dp = (
+            self._pointer(values) for values in self._arrays
+        )
         self._arguments = (
             ctypes.c_int(worlds), ctypes.c_int(samples), times, ctypes.c_int(len(run.input_times_s)), switches, currents,
             constants, p, dp, *(self._pointer(values) for values in self.out),
@@ -76,8 +91,14 @@ def hard_run(run: JointRun) -> JointRun:
 
 def hard_parameters(p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Friction and a delay, and a direction along the delay."""
-    p, dp = p.copy(), dp.copy()
-    for name, value in (("coulomb", 0.03), ("viscous", 0.01), ("load_friction", 0.05), ("delay", 0.004)):
+    p = p.copy()
+    dp = dp.copy()
+    for name, value in (
+        ("coulomb", 0.03),
+        ("viscous", 0.01),
+        ("load_friction", 0.05),
+        ("delay", 0.004),
+    ):
         p[:, INDEX[name]] = value
     dp[:, INDEX["delay"], 2] = 0.01
     dp[:, INDEX["coulomb"], 0] = 0.1
@@ -86,7 +107,9 @@ def hard_parameters(p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def difference(ours: Arrays, theirs: Arrays) -> float:
     """Largest difference, relative to the largest number of each array."""
-    return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(ours, theirs, strict=True))
+    return max(
+        float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(ours, theirs, strict=True)
+    )
 
 
 def launcher(simulator: JointSimulator, p: np.ndarray, dp: np.ndarray) -> Callable[[], object]:
@@ -105,7 +128,12 @@ def rows(case: Case) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         return [
             *_pair("the recording", easy_run, *easy, folder),
-            *_pair("with friction, delay, supply limit", hard_run(easy_run), *hard_parameters(*easy), folder),
+            *_pair(
+                "with friction, delay, supply limit",
+                hard_run(easy_run),
+                *hard_parameters(*easy),
+                folder,
+            ),
         ]
 
 
@@ -122,7 +150,9 @@ def _pair(name: str, run: JointRun, p: np.ndarray, dp: np.ndarray, folder: str) 
     if not apart <= EQUAL:
         return [Row(what, None, "void", False, f"results differ by {apart:.1e}")]
     contestants = (plain, launcher(simulator, p, dp), call)
-    theirs, kernel, whole = measure_in_turn(contestants, repeats=15, calls=(100, 100, 100), warm_up=20)
+    theirs, kernel, whole = measure_in_turn(
+        contestants, repeats=15, calls=(100, 100, 100), warm_up=20
+    )
     return [
         Row(what, theirs, note=f"same numbers to {apart:.0e}"),
         _beside_c("  our kernel", kernel, theirs),

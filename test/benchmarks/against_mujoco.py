@@ -25,4 +25,11 @@ def rows(case: Case) -> list[Row]:
     if not hasattr(sysid, "optimize"):
         return [Row(what, note="skipped: needs the extra, pip install 'mujoco[sysid]>=4'")]
     logging.set_verbosity(logging.ERROR)  # it warns of a light start near its bound
-    return [compare(f"{what} (MuJoCo {mujoco.__version__}, RK4)", sysid_search(case, case.step_s), GOAL, case)]
+    return [
+        compare(
+            f"{what} (MuJoCo {mujoco.__version__}, RK4)",
+            sysid_search(case, case.step_s),
+            GOAL,
+            case,
+        )
+    ]

@@ -17,15 +17,18 @@ from scipy.optimize import least_squares
 from proprio_ros.sim.joint import INDEX
 
 GOAL = 30.0
-RTOL, ATOL = 1e-8, 1e-10
+RTOL = 1e-8
+ATOL = 1e-10
 
 
 def identify(case: Case, method: str = "DOP853") -> Callable[[], tuple[np.ndarray, float]]:
     """A function that identifies from five starts and returns where they end and the best [kg]."""
-    prepared, coordinates = case.prepared, case.problem.coordinates
+    prepared = case.prepared
+    coordinates = case.problem.coordinates
     current = float(case.run.input_current_A[0])
     empty, per_kg = case.parameters(np.array([0.0]))
-    empty, per_kg = empty[0], per_kg[0, :, 0]
+    empty = empty[0]
+    per_kg = per_kg[0, :, 0]
     torque = empty[INDEX["torque_constant"]] * current
     delay = empty[INDEX["delay"]]
     volt = case.problem.simulator.runs[0].supply[0]
@@ -43,11 +46,15 @@ def identify(case: Case, method: str = "DOP853") -> Callable[[], tuple[np.ndarra
             return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
 
         rolled = solve_ivp(law, (0.0, end), (q0, v0), method, times, rtol=RTOL, atol=ATOL)
-        prior = (np.array([mass, q0, v0]) - coordinates.prior_mean) * np.sqrt(np.diag(coordinates.prior_precision))
+        prior = (np.array([mass, q0, v0]) - coordinates.prior_mean) * np.sqrt(
+            np.diag(coordinates.prior_precision)
+        )
         return np.append((rolled.y[0] - prepared.position) / prepared.sigma, prior[1:])
 
     def solve() -> tuple[np.ndarray, float]:
-        ends = [least_squares(residual, start, x_scale=coordinates.natural) for start in case.starts]
+        ends = [
+            least_squares(residual, start, x_scale=coordinates.natural) for start in case.starts
+        ]
         masses = case.masses(np.array([end.x for end in ends]))
         return masses, float(masses[int(np.argmin([end.cost for end in ends]))])
 

@@ -23,7 +23,8 @@ from proprio_ros.sim.runtime import FLOAT
 
 GOAL = 50.0
 SUBSTEPS = 64
-PAPER_ITERATIONS, RATE_KG = 50, 0.01
+PAPER_ITERATIONS = 50
+RATE_KG = 0.01
 SCHEDULES = (PAPER_ITERATIONS, 75, 100, 150, 200)
 EQUAL = 1e-9
 
@@ -43,7 +44,12 @@ def _step(
     w = wp.tid()
     m = mass[w]
     q = q_in[w]
-    load = (empty[1] + m * per_kg[1]) * wp.cos(q) + (empty[2] + m * per_kg[2]) * wp.sin(q) + empty[3] + m * per_kg[3]
+    load = (
+        (empty[1] + m * per_kg[1]) * wp.cos(q)
+        + (empty[2] + m * per_kg[2]) * wp.sin(q)
+        + empty[3]
+        + m * per_kg[3]
+    )
     v = v_in[w] + h * (torque - load) / (empty[0] + m * per_kg[0])
     v_out[w] = v
     q_out[w] = q + h * v
@@ -76,8 +82,14 @@ class PerSubstep:
         self.mass = wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True)
         steps = frames * substeps
         self._step_s = FRAME_S / substeps
-        self._q = [wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True) for _ in range(steps + 1)]
-        self._v = [wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True) for _ in range(steps + 1)]
+        self._q = [
+            wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True)
+            for _ in range(steps + 1)
+        ]
+        self._v = [
+            wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True)
+            for _ in range(steps + 1)
+        ]
         self._q[0].fill_(float(p[0, INDEX["q0"]]))
         self._loss = wp.zeros(1, dtype=FLOAT, device="cpu", requires_grad=True)
 
@@ -91,11 +103,25 @@ class PerSubstep:
                 wp.launch(
                     _step,
                     dim=len(mass),
-                    inputs=[self.mass, self._empty, self._per_kg, self._torque, self._step_s, self._q[n], self._v[n]],
+                    inputs=[
+                        self.mass,
+                        self._empty,
+                        self._per_kg,
+                        self._torque,
+                        self._step_s,
+                        self._q[n],
+                        self._v[n],
+                    ],
                     outputs=[self._q[n + 1], self._v[n + 1]],
                     device="cpu",
                 )
-            wp.launch(_squared_error, dim=len(mass), inputs=[self._target, self._q[-1]], outputs=[self._loss], device="cpu")
+            wp.launch(
+                _squared_error,
+                dim=len(mass),
+                inputs=[self._target, self._q[-1]],
+                outputs=[self._loss],
+                device="cpu",
+            )
         tape.backward(loss=self._loss)
         gradient = self.mass.grad.numpy().copy()[:, None]
         tape.zero()
@@ -109,7 +135,13 @@ class OneLaunch:
         run = case.problem.simulator.runs[0]
         step = FRAME_S / substeps
         last = JointRun(
-            np.array([frames * FRAME_S]), run.input_times_s, run.input_current_A, run.supply, run.friction_velocity, step, step
+            np.array([frames * FRAME_S]),
+            run.input_times_s,
+            run.input_current_A,
+            run.supply,
+            run.friction_velocity,
+            step,
+            step,
         )
         self._simulator = JointSimulator([last], "semi_implicit")
         self._target = target
@@ -120,7 +152,9 @@ class OneLaunch:
 
     def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) and gradient (S, 1) at masses (S, 1)."""
-        q, _, dq = self._simulator.jacobian(self._worlds, self._p + mass * self._dp[:, :, 0], self._dp)
+        q, _, dq = self._simulator.jacobian(
+            self._worlds, self._p + mass * self._dp[:, :, 0], self._dp
+        )
         error = q[:, :1] - self._target
         return error[:, 0] ** 2, 2.0 * error * dq[:, 0]
 
@@ -138,7 +172,8 @@ def rows(case: Case) -> list[Row]:
     substeps = 16 if cases.once else SUBSTEPS
     theirs, same = (way(case, frames, target, substeps) for way in (PerSubstep, OneLaunch))
     starts = np.array(STARTS_KG)[:, None]
-    a, b = theirs(starts), same(starts)
+    a = theirs(starts)
+    b = same(starts)
     apart = max(float(np.abs(x - y).max() / np.abs(y).max()) for x, y in zip(a, b, strict=True))
     what = f"one launch per substep + wp.Tape, {substeps} Euler steps a frame"
     if not apart <= EQUAL:
@@ -146,12 +181,20 @@ def rows(case: Case) -> list[Row]:
     p, dp = case.parameters(np.array(STARTS_KG))
     worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
     slow, fused, real = measure_in_turn(
-        (lambda: theirs(starts), lambda: same(starts), lambda: case.problem.simulator.jacobian(worlds, p, dp)),
+        (
+            lambda: theirs(starts),
+            lambda: same(starts),
+            lambda: case.problem.simulator.jacobian(worlds, p, dp),
+        ),
         repeats=9,
         calls=(1, 20, 50),
     )
     found = [
-        Row(f"{what}, one gradient of five starts", slow, note=f"same numbers as ours to {apart:.0e}"),
+        Row(
+            f"{what}, one gradient of five starts",
+            slow,
+            note=f"same numbers as ours to {apart:.0e}",
+        ),
         _faster("  our kernel, the same substeps", fused, slow),
         _faster("  our kernel as used (RK4, all samples, three unknowns)", real, slow),
     ]
@@ -160,7 +203,13 @@ def rows(case: Case) -> list[Row]:
     iterations = agreeing[0] if agreeing else PAPER_ITERATIONS
     row = compare(f"  Adam {iterations}, five starts", lambda: adam(theirs, iterations), GOAL, case)
     stop = 1e3 * stops[PAPER_ITERATIONS]
-    return [*found, replace(row, note=f"{row.note}; the paper's {PAPER_ITERATIONS} iterations stop {stop:+.2f} g from ours")]
+    return [
+        *found,
+        replace(
+            row,
+            note=f"{row.note}; the paper's {PAPER_ITERATIONS} iterations stop {stop:+.2f} g from ours",
+        ),
+    ]
 
 
 def _faster(what: str, ours: Timing, theirs: Timing) -> Row:

@@ -33,11 +33,16 @@ def answer(arguments: list[str]) -> dict[str, Any]:
     """What the command line prints for ``arguments``, its exit code, and its last word where it refuses."""
     from proprio_ros.cli import main
 
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([*arguments, "--json"])
     text = out.getvalue()
-    return {"code": code, "said": json.loads(text) if text else None, "error": err.getvalue() if code == 2 else ""}
+    return {
+        "code": code,
+        "said": json.loads(text) if text else None,
+        "error": err.getvalue() if code == 2 else "",
+    }
 
 
 def bag_of(folder: Path) -> str:
@@ -46,7 +51,11 @@ def bag_of(folder: Path) -> str:
 
 def setting(**facts: Any) -> list[str]:
     """``--set`` words."""
-    return [word for key, value in facts.items() for word in ("--set", f"{key.replace('__', '.')}={json.dumps(value)}")]
+    return [
+        word
+        for key, value in facts.items()
+        for word in ("--set", f"{key.replace('__', '.')}={json.dumps(value)}")
+    ]
 
 
 def facts_of(folder: Path) -> list[str]:
@@ -65,7 +74,8 @@ def facts_of(folder: Path) -> list[str]:
     if not payload or payload["mass"] == 0.0:
         return setting(payload__shape="point")
     return setting(
-        payload__com=payload["offset"], payload__inertia_per_mass=[value / payload["mass"] for value in payload["inertia"]]
+        payload__com=payload["offset"],
+        payload__inertia_per_mass=[value / payload["mass"] for value in payload["inertia"]],
     )
 
 
@@ -74,7 +84,8 @@ def robots(root: Path) -> Iterator[tuple[str, list[Path]]]:
     found: dict[str, list[Path]] = {}
     for truth in sorted(root.rglob("truth.json")):
         folder = truth.parent
-        if session := json.loads(truth.read_text()).get("session"):  # a container and what is in it: contents.py asks
+        # a container and what is in it: contents.py asks
+        if session := json.loads(truth.read_text()).get("session"):
             found.setdefault(session, []).append(folder)
     yield from found.items()
 
@@ -87,18 +98,30 @@ def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
             stem = {folder: folder.name.removeprefix(f"{session}_") for folder in folders}
             pick = {
                 kind: [folder for folder in folders if stem[folder].startswith(kind)]
-                for kind in ("empty_", "squeeze_empty_", "fixed_", "container_no_sphere", "container_sphere", "squeeze_")
+                for kind in (
+                    "empty_",
+                    "squeeze_empty_",
+                    "fixed_",
+                    "container_no_sphere",
+                    "container_sphere",
+                    "squeeze_",
+                )
             }
             with tempfile.TemporaryDirectory() as scratch:
                 calibration = str(Path(scratch) / "calibration.yaml")
                 empty = [bag_of(folder) for folder in (*pick["empty_"], *pick["squeeze_empty_"])]
                 calibrated: list[str] = []
                 if len(empty) > 3:
-                    yield f"{here}/calibrate", answer(["calibrate", *empty, "--output", calibration])
+                    yield (
+                        f"{here}/calibrate",
+                        answer(["calibrate", *empty, "--output", calibration]),
+                    )
                     if Path(calibration).exists():
                         calibrated = ["--calibration", calibration]
                         # its first lines name the date
-                        text = re.sub(r"^#.*\n", "", Path(calibration).read_text(), flags=re.MULTILINE)
+                        text = re.sub(
+                            r"^#.*\n", "", Path(calibration).read_text(), flags=re.MULTILINE
+                        )
                         yield f"{here}/calibration file", {"text": text.replace(scratch, "")}
                 for folder in (*pick["fixed_"], *pick["empty_"]):
                     words = ["replay", bag_of(folder), "--probe", "payload", *facts_of(folder)]
@@ -107,19 +130,43 @@ def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
                         yield f"{here}/{stem[folder]} calibrated", answer([*words, *calibrated])
                 pooled = [folder for folder in pick["fixed_"] if "heavy_ball" in folder.name]
                 if len(pooled) > 1:
-                    words = ["replay", *map(bag_of, pooled), "--probe", "payload", *facts_of(pooled[0]), *calibrated]
+                    words = [
+                        "replay",
+                        *map(bag_of, pooled),
+                        "--probe",
+                        "payload",
+                        *facts_of(pooled[0]),
+                        *calibrated,
+                    ]
                     yield f"{here}/heavy balls together", answer(words)
                 baseline = [bag_of(folder) for folder in pick["container_no_sphere"]]
                 for folder in pick["container_sphere"]:
-                    words = ["replay", bag_of(folder), "--probe", "container", *facts_of(folder), *calibrated]
+                    words = [
+                        "replay",
+                        bag_of(folder),
+                        "--probe",
+                        "container",
+                        *facts_of(folder),
+                        *calibrated,
+                    ]
                     yield f"{here}/{stem[folder]}", answer([*words, "--baseline", *baseline])
                 for folder in pick["squeeze_"]:
                     if folder not in pick["squeeze_empty_"] and stem[folder] != "squeeze_empty":
-                        words = ["replay", bag_of(folder), "--probe", "softness", *facts_of(folder), *calibrated]
+                        words = [
+                            "replay",
+                            bag_of(folder),
+                            "--probe",
+                            "softness",
+                            *facts_of(folder),
+                            *calibrated,
+                        ]
                         yield f"{here}/{stem[folder]}", answer(words)
         text = root / "paper_heavy_ball"
         for profile in ("default", "paper") if text.is_dir() else ():
-            yield (f"{root.name}/{text.name} {profile}", answer(["replay", str(text), "--probe", "payload", "--profile", profile]))
+            yield (
+                f"{root.name}/{text.name} {profile}",
+                answer(["replay", str(text), "--probe", "payload", "--profile", profile]),
+            )
 
 
 def write(path: Path, roots: list[Path]) -> None:
@@ -133,10 +180,14 @@ def write(path: Path, roots: list[Path]) -> None:
     print(f"{len(kept)} answers in {path}")
 
 
-def differences(old: Any, new: Any, where: str, unshared: set[str], left_out: set[str]) -> Iterator[str]:
+def differences(
+    old: Any, new: Any, where: str, unshared: set[str], left_out: set[str]
+) -> Iterator[str]:
     """Where two answers differ; keys that only one of them has go to ``unshared``."""
     if isinstance(old, dict) and isinstance(new, dict):
-        unshared |= {f"{where.split('/')[-1].split(' ')[-1]}.{key}" for key in old.keys() ^ new.keys()}
+        unshared |= {
+            f"{where.split('/')[-1].split(' ')[-1]}.{key}" for key in old.keys() ^ new.keys()
+        }
         for key in sorted(old.keys() & new.keys() - left_out):
             yield from differences(old[key], new[key], f"{where}: {key}", unshared, left_out)
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
@@ -148,12 +199,19 @@ def differences(old: Any, new: Any, where: str, unshared: set[str], left_out: se
 
 def compare(old: Path, new: Path, numbers: bool) -> int:
     """Print every difference; 1 if there is any."""
-    before, after = json.loads(old.read_text()), json.loads(new.read_text())
+    before = json.loads(old.read_text())
+    after = json.loads(new.read_text())
     unshared: set[str] = set()
     found = [
         line
         for name in sorted(before.keys() & after.keys())
-        for line in differences(before[name], after[name], name, unshared, NOT_COMPARED | (SENTENCES if numbers else set()))
+        for line in differences(
+            before[name],
+            after[name],
+            name,
+            unshared,
+            NOT_COMPARED | (SENTENCES if numbers else set()),
+        )
     ]
     found += [f"{name}: only in one of them" for name in sorted(before.keys() ^ after.keys())]
     print("\n".join(found) if found else f"identical: {len(before)} answers")
@@ -163,11 +221,15 @@ def compare(old: Path, new: Path, numbers: bool) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(required=True, dest="command")
     writing = commands.add_parser("write")
     writing.add_argument("file", type=Path)
-    writing.add_argument("folders", type=Path, nargs="*", default=[folder for folder in FOLDERS if folder.is_dir()])
+    writing.add_argument(
+        "folders", type=Path, nargs="*", default=[folder for folder in FOLDERS if folder.is_dir()]
+    )
     comparing = commands.add_parser("compare")
     comparing.add_argument("files", type=Path, nargs=2)
     comparing.add_argument("--numbers", action="store_true", help="sentences may differ")

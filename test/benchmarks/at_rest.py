@@ -30,8 +30,14 @@ from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.probes import probe_at_work
 
-ASKED_KG, KNOWN_KG, HELD_S, ARRIVES_S, RATE_HZ = (0.0, 0.1, 0.3, 0.6, 0.9), 0.15, 3.0, 0.5, 30.0
-STANDS, WHOLE, STIFFER = "two poses", "and the way there", "servos of twice the gain"
+ASKED_KG = (0.0, 0.1, 0.3, 0.6, 0.9)
+KNOWN_KG = 0.15
+HELD_S = 3.0
+ARRIVES_S = 0.5
+RATE_HZ = 30.0
+STANDS = "two poses"
+WHOLE = "and the way there"
+STIFFER = "servos of twice the gain"
 STILL = "put into a still hand"
 
 
@@ -47,29 +53,37 @@ class Sticky(Arm):
         self, load_kg: float, random: np.random.Generator, poses: int = 2
     ) -> tuple[dict[str, np.ndarray], list[dict[str, np.ndarray]]]:
         """On the way to poses at random, and in them; the whole, and what was recorded of each pose."""
-        goals_at, goals = [0.0], [MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))]
+        goals_at = [0.0]
+        goals = [MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))]
         for _ in range(poses):
             there_s = goals_at[-1] + random.uniform(1.0, 2.0)
             goals_at += [there_s, there_s + HELD_S]
             goals += [MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))] * 2
         dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
         rows = self.followed(load_kg, random, RATE_HZ, goals_at[-1], dry, goals_at, goals)
-        of_poses = [(rows["t"] >= there_s - ARRIVES_S) & (rows["t"] <= there_s + HELD_S) for there_s in goals_at[1::2]]
+        of_poses = [
+            (rows["t"] >= there_s - ARRIVES_S) & (rows["t"] <= there_s + HELD_S)
+            for there_s in goals_at[1::2]
+        ]
         return rows, [{name: values[of] for name, values in rows.items()} for of in of_poses]
 
 
-def put_in(arm: Sticky, kg: float, random: np.random.Generator, output: Path) -> Estimate | OnlineEstimate | str:
+def put_in(
+    arm: Sticky, kg: float, random: np.random.Generator, output: Path
+) -> Estimate | OnlineEstimate | str:
     """What the running estimate says of a hand that was empty, and holds something since 2 s, of an arm that stands."""
     request = request_of(Options(calibration=output, settings=SETTINGS))
     feed = OnlineFeed(probe_at_work(), request.robot, request.facts, request.locked)
-    pose, dry, told = (
-        MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS)),
-        arm.coulomb * random.normal(1.0, 0.05, len(JOINTS)),
-        None,
-    )
+    pose = MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))
+    dry = arm.coulomb * random.normal(1.0, 0.05, len(JOINTS))
+    told = None
     for begins_s, load_kg in ((0.0, 0.0), (HELD_S, kg)):
-        rows = arm.followed(load_kg, random, RATE_HZ, HELD_S - begins_s / 3.0, dry, [0.0, HELD_S], [pose, pose])
-        for t, goal, position in zip(rows["t"] + begins_s, rows["goal"], rows["position"], strict=True):
+        rows = arm.followed(
+            load_kg, random, RATE_HZ, HELD_S - begins_s / 3.0, dry, [0.0, HELD_S], [pose, pose]
+        )
+        for t, goal, position in zip(
+            rows["t"] + begins_s, rows["goal"], rows["position"], strict=True
+        ):
             feed.stall.hear_goals(float(t), JOINTS, goal.tolist())
             told = feed.add(float(t), JOINTS, position.tolist(), [], "") or told
     return told or "nothing is said"
@@ -91,12 +105,17 @@ def weighed(
         output = folder / "calibrated.yaml"
         empty = [write(folder / label, arm.moved(0.0, random, RATE_HZ, seconds)) for label in "ab"]
         known = write(folder / "known", arm.moved(KNOWN_KG, random, RATE_HZ, seconds))
-        learnt = calibrate_from_bags(empty, {known: KNOWN_KG}, Options(robot="so101", settings=SETTINGS), output)
+        learnt = calibrate_from_bags(
+            empty, {known: KNOWN_KG}, Options(robot="so101", settings=SETTINGS), output
+        )
         if learnt.verdict is not Verdict.ACCEPTED:
             raise ProprioError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
 
         def ask(what: str, kg: float, *recorded: dict[str, np.ndarray]) -> None:
-            bags = [write(folder / f"{what} {kg} {number}", rows) for number, rows in enumerate(recorded)]
+            bags = [
+                write(folder / f"{what} {kg} {number}", rows)
+                for number, rows in enumerate(recorded)
+            ]
             answer: Estimate | str
             try:
                 answer = replay(bags, Options(calibration=output, settings=SETTINGS))
@@ -108,7 +127,9 @@ def weighed(
             whole, of_poses = arm.stood(kg, random)
             ask(STANDS, kg, *of_poses)
             ask(WHOLE, kg, whole)
-            found.append((STILL, kg, put_in(arm, kg, np.random.default_rng([seed, round(1e3 * kg)]), output)))
+            found.append(
+                (STILL, kg, put_in(arm, kg, np.random.default_rng([seed, round(1e3 * kg)]), output))
+            )
         arm.gain = 2.0 * GAIN
         ask(STIFFER, asked_kg[-1], *arm.stood(asked_kg[-1], random)[1])
     return found
@@ -119,7 +140,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--arms", type=int, default=12)
     parser.add_argument("--first", type=int, default=500, help="first seed")
     parser.add_argument("--masses", type=float, nargs="*", default=ASKED_KG, help="[kg]")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each motion that calibrates")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="of each motion that calibrates"
+    )
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     found: list[tuple[str, float, Estimate | OnlineEstimate | str]] = []
@@ -130,7 +153,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"arm {seed}: {error}")
         for what, kg, answer in found[-3 * len(options.masses) - 1 :]:
             told = (
-                f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}" if isinstance(answer, Estimate) else str(answer)
+                f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}"
+                if isinstance(answer, Estimate)
+                else str(answer)
             )
             print(f"arm {seed}, {what}, {1e3 * kg:.0f} g: {told}"[:220])
     results.table(
@@ -148,15 +173,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     for what in (STANDS, WHOLE, STILL, STIFFER):
         mine = [(kg, answer) for of, kg, answer in found if of == what]
-        groups = [(f"{1e3 * kg:.0f} g" if kg else "nothing", {kg}) for kg in dict.fromkeys(kg for kg, _ in mine)]
+        groups = [
+            (f"{1e3 * kg:.0f} g" if kg else "nothing", {kg})
+            for kg in dict.fromkeys(kg for kg, _ in mine)
+        ]
         for held, kgs in (*groups, *([("all", set(options.masses))] if len(groups) > 1 else [])):
             row(results, what, held, [(kg, answer) for kg, answer in mine if kg in kgs])
     results.keep()
 
 
-def row(results: Results, what: str, held: str, answers: Sequence[tuple[float, Estimate | OnlineEstimate | str]]) -> None:
+def row(
+    results: Results,
+    what: str,
+    held: str,
+    answers: Sequence[tuple[float, Estimate | OnlineEstimate | str]],
+) -> None:
     """Figures of some answers."""
-    accepted, numbers = 0, []
+    accepted = 0
+    numbers = []
     for kg, answer in answers:
         if isinstance(answer, OnlineEstimate) and answer.resting_since_s is None:
             continue  # it has not come to rest yet

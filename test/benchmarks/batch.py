@@ -38,7 +38,9 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
 
-SECONDS, BAGS_SHARE, BROKEN = 12.0, 0.1, 10
+SECONDS = 12.0
+BAGS_SHARE = 0.1
+BROKEN = 10
 MASSES_KG = [0.005 * n for n in range(41)]
 COMMAND = [sys.executable, "-m", "proprio_ros.cli", "batch"]
 
@@ -46,12 +48,26 @@ COMMAND = [sys.executable, "-m", "proprio_ros.cli", "batch"]
 def options(folder: Path) -> list[str]:
     """Of the command line."""
     said = [f"{key}={json.dumps(value)}" for key, value in SETTINGS.items()]
-    return ["--calibration", str(folder / "arm.yaml"), "--effort-unit", "N.m", "--driver", "lerobot_any.yaml", "--set", *said]
+    return [
+        "--calibration",
+        str(folder / "arm.yaml"),
+        "--effort-unit",
+        "N.m",
+        "--driver",
+        "lerobot_any.yaml",
+        "--set",
+        *said,
+    ]
 
 
 def asked(folder: Path) -> Options:
     """The same for `replay`."""
-    return Options(calibration=folder / "arm.yaml", effort_unit="N.m", settings=SETTINGS, driver=folder / "lerobot_any.yaml")
+    return Options(
+        calibration=folder / "arm.yaml",
+        effort_unit="N.m",
+        settings=SETTINGS,
+        driver=folder / "lerobot_any.yaml",
+    )
 
 
 def make(folder: Path, count: int, jobs: int, seconds: float = SECONDS) -> None:
@@ -59,29 +75,42 @@ def make(folder: Path, count: int, jobs: int, seconds: float = SECONDS) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "data" / "bags").mkdir(parents=True)
     # joint states of bags under their usual name, and a data set's columns: one profile reads both
-    (folder / "lerobot_any.yaml").write_text("title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n")
-    arm, robot = Arm(3), write_robot(folder, build=FOUR)
+    (folder / "lerobot_any.yaml").write_text(
+        "title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n"
+    )
+    arm = Arm(3)
+    robot = write_robot(folder, build=FOUR)
     empty = [write_bag(folder / f"empty_{n}", arm.record(10**6 + n, 20.0)) for n in range(3)]
     plain = Options(robot=str(robot), effort_unit="N.m")
     calibrate_from_bags(empty, {}, plain, folder / "arm.yaml", lambda words: None)
     masses = [float(mass) for mass in np.random.default_rng(1).choice(MASSES_KG, count)]
     edges = [round(count * n / jobs) for n in range(jobs + 1)]
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        shares = [(folder, f"set_{n}", a, masses[a:b], seconds) for n, (a, b) in enumerate(pairwise(edges))]
+        shares = [
+            (folder, f"set_{n}", a, masses[a:b], seconds)
+            for n, (a, b) in enumerate(pairwise(edges))
+        ]
         truth = [row for rows in pool.map(make_share, *zip(*shares, strict=True)) for row in rows]
-    broken = [Path(path) for path, _ in truth if "#" not in path][: max(2, BROKEN * count // 10_000)]
+    broken = [Path(path) for path, _ in truth if "#" not in path][
+        : max(2, BROKEN * count // 10_000)
+    ]
     for bag in broken:
         storage = next(bag.glob("*.mcap"))
         storage.write_bytes(storage.read_bytes()[:5000])
     with open(folder / "truth.csv", "w", newline="") as stream:
         csv.writer(stream).writerows([["path", "mass_kg"], *truth])
     bags = sum("#" not in path for path, _ in truth)
-    print(f"{count} episodes of {seconds:g} s: {bags} bags, {count - bags} in {jobs} LeRobot v3 data sets")
+    print(
+        f"{count} episodes of {seconds:g} s: {bags} bags, {count - bags} in {jobs} LeRobot v3 data sets"
+    )
 
 
-def make_share(folder: Path, name: str, first: int, masses: Sequence[float], seconds: float) -> list[tuple[str, float]]:
+def make_share(
+    folder: Path, name: str, first: int, masses: Sequence[float], seconds: float
+) -> list[tuple[str, float]]:
     """Some of the episodes: a tenth as bags, the rest as a data set; paths and masses."""
-    arm, bags = Arm(3), round(BAGS_SHARE * len(masses))
+    arm = Arm(3)
+    bags = round(BAGS_SHARE * len(masses))
     motions = (arm.record(first + n, seconds, mass) for n, mass in enumerate(masses))
     truth = []
     for n in range(bags):
@@ -106,18 +135,27 @@ def compare(folder: Path, out: Path, replayed: int = 60) -> None:
     joined = np.where(rows["episode_index"].notna(), "#", "/")
     rows["path"] = rows["source"].astype(str) + joined + rows["episode"].astype(str)
     twice = int(rows.duplicated(["path", "segment"]).sum())
-    print(f"{len(rows)} rows of {len(truth)} episodes, {twice} twice, {len(set(truth) - set(rows['path']))} lost")
+    print(
+        f"{len(rows)} rows of {len(truth)} episodes, {twice} twice, {len(set(truth) - set(rows['path']))} lost"
+    )
     print(rows["verdict"].value_counts().to_dict())
     good = rows[rows["verdict"] == "accepted"]
     error = good["value"] - good["path"].map(truth)
     held = (good["low"] <= good["path"].map(truth)) & (good["path"].map(truth) <= good["high"])
-    print(f"rms error {1e3 * np.sqrt(np.mean(error**2)):.2f} g, the 95 % interval holds the mass in {100 * held.mean():.1f} %")
+    print(
+        f"rms error {1e3 * np.sqrt(np.mean(error**2)):.2f} g, the 95 % interval holds the mass in {100 * held.mean():.1f} %"
+    )
     chosen = good.sample(min(replayed, len(good)), random_state=1)
     other = 0
     for _, row in chosen.iterrows():
         value = replay(row["path"], asked(folder)).values[0]
         assert value.ci95 is not None
-        other += (value.value, value.std, *value.ci95) != (row["value"], row["std"], row["low"], row["high"])
+        other += (value.value, value.std, *value.ci95) != (
+            row["value"],
+            row["std"],
+            row["low"],
+            row["high"],
+        )
     print(f"{len(chosen)} of them by `replay` one by one: {other} differ in any bit")
 
 
@@ -128,7 +166,9 @@ def cluster(workers: int) -> Iterator[str]:
 
     # Ray makes its workers nicer than all else, by 15: beside other work they would not be served
     os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_worker_niceness="0")
-    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": workers, "include_dashboard": False})
+    nodes = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": workers, "include_dashboard": False}
+    )
     try:
         yield str(nodes.address)
     finally:
@@ -137,7 +177,9 @@ def cluster(workers: int) -> Iterator[str]:
 
 def batch(folder: Path, sources: list[str], out: Path, *more: str) -> subprocess.Popen[bytes]:
     """Start the command."""
-    return subprocess.Popen([*COMMAND, *sources, "--out", str(out), *options(folder), *more], cwd=folder)
+    return subprocess.Popen(
+        [*COMMAND, *sources, "--out", str(out), *options(folder), *more], cwd=folder
+    )
 
 
 def descendants() -> dict[int, list[int]]:
@@ -145,10 +187,13 @@ def descendants() -> dict[int, list[int]]:
     stats: dict[int, list[int]] = {}
     for place in Path("/proc").glob("[0-9]*"):
         try:
-            stats[int(place.name)] = [int(word) for word in (place / "stat").read_text().rpartition(")")[2].split()[1:16]]
+            stats[int(place.name)] = [
+                int(word) for word in (place / "stat").read_text().rpartition(")")[2].split()[1:16]
+            ]
         except (OSError, ValueError):
             continue
-    mine, grown = {os.getpid()}, True
+    mine = {os.getpid()}
+    grown = True
     while grown:
         more = {process for process, words in stats.items() if words[0] in mine} - mine
         mine |= more
@@ -192,16 +237,24 @@ def run_ray(folder: Path) -> None:
             while count_done(out) < at and job.poll() is None:
                 time.sleep(0.2)
             victims = busy_workers()
-            print(f"{time.monotonic() - begun:.0f} s, {count_done(out)} files: killing worker {victims[:1]}", flush=True)
+            print(
+                f"{time.monotonic() - begun:.0f} s, {count_done(out)} files: killing worker {victims[:1]}",
+                flush=True,
+            )
             for process in victims[:1]:
                 os.kill(process, signal.SIGKILL)
         while count_done(out) < 0.6 * files and job.poll() is None:
             time.sleep(0.2)
-        print(f"{time.monotonic() - begun:.0f} s, {count_done(out)} files: killing the driver", flush=True)
+        print(
+            f"{time.monotonic() - begun:.0f} s, {count_done(out)} files: killing the driver",
+            flush=True,
+        )
         job.kill()
         job.wait()
         time.sleep(5.0)
-        code = batch(folder, [str(folder / "data")], out, "--engine", "ray", "--address", address).wait()
+        code = batch(
+            folder, [str(folder / "data")], out, "--engine", "ray", "--address", address
+        ).wait()
         print(f"resumed: exit code {code}, {time.monotonic() - begun:.0f} s in all")
     compare(folder, out)
 
@@ -219,13 +272,23 @@ def throughput(folder: Path, engine: str, source: str) -> None:
         shutil.rmtree(out, ignore_errors=True)
         with cluster(workers) if engine == "ray" else nullcontext("") as address:
             time.sleep(5.0)  # Ray starts workers ahead
-            more = ["--engine", "ray", "--address", address] if engine == "ray" else ["--jobs", str(workers)]
-            begun, before = time.time(), spent_s()
+            more = (
+                ["--engine", "ray", "--address", address]
+                if engine == "ray"
+                else ["--jobs", str(workers)]
+            )
+            begun = time.time()
+            before = spent_s()
             batch(folder, [str(folder / source)], out, *more).wait()
-            wall_s, used_s = time.time() - begun, spent_s() - before
-        files = sorted((file.stat().st_mtime, len(rows_of_file(file))) for file in (out / "rows").glob("*/*.parquet"))
+            wall_s = time.time() - begun
+            used_s = spent_s() - before
+        files = sorted(
+            (file.stat().st_mtime, len(rows_of_file(file)))
+            for file in (out / "rows").glob("*/*.parquet")
+        )
         # what was there with the first file was done before it
-        running_s, after = files[-1][0] - files[0][0], sum(size for _, size in files[1:])
+        running_s = files[-1][0] - files[0][0]
+        after = sum(size for _, size in files[1:])
         rates.append((count / wall_s, after / running_s))
         print(
             f"{workers} workers: {count} episodes in {wall_s:.1f} s, {rates[-1][0]:.1f} per second, {rates[-1][1]:.1f} between the "
@@ -250,7 +313,8 @@ def cost(folder: Path) -> None:
     """Seconds of a processor per episode against its length, by the function that the engines call; the middle of five."""
     print("| length, s | samples | bag, s | data set, s |")
     print("|---|---|---|---|")
-    arm, job = Arm(3), Job(asked(folder))
+    arm = Arm(3)
+    job = Job(asked(folder))
     for seconds in (12.0, 30.0, 60.0, 120.0, 600.0):
         place = folder / "cost"
         shutil.rmtree(place, ignore_errors=True)
@@ -267,7 +331,9 @@ def cost(folder: Path) -> None:
                 times.append(time.process_time() - begun)
                 assert row["verdict"] == "accepted", row["reasons"]
             spent.append(float(np.median(times[1:])))
-        print(f"| {seconds:g} | {len(motion.times_s)} | {spent[0]:.3f} | {spent[1]:.3f} |", flush=True)
+        print(
+            f"| {seconds:g} | {len(motion.times_s)} | {spent[0]:.3f} | {spent[1]:.3f} |", flush=True
+        )
 
 
 def memory(folder: Path, sizes: Sequence[int] = (1_000, 10_000, 100_000, 1_000_000)) -> None:
@@ -275,7 +341,8 @@ def memory(folder: Path, sizes: Sequence[int] = (1_000, 10_000, 100_000, 1_000_0
     print("| samples | minutes at 50 Hz | rows | s of a processor | MB at most |")
     print("|---|---|---|---|---|")
     for samples in sizes:
-        path, out = folder / f"long_{samples}", folder / f"out_long_{samples}"
+        path = folder / f"long_{samples}"
+        out = folder / f"out_long_{samples}"
         for old in (path, out):
             shutil.rmtree(old, ignore_errors=True)
         made = multiprocessing.get_context("spawn").Process(target=write_long, args=(path, samples))
@@ -301,14 +368,22 @@ def write_long(path: Path, samples: int) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Do one part."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("part", choices=("make", "ray", "compare", "throughput", "cost", "memory"))
     parser.add_argument("folder", type=Path)
     parser.add_argument("--episodes", type=int)
     parser.add_argument("--samples", type=int, help="of the part memory: this many alone")
     parser.add_argument("--jobs", type=int, default=2, help="processes that make episodes")
-    parser.add_argument("--engine", default="ray", choices=("ray", "local"), help="of the part throughput")
-    parser.add_argument("--source", default="data", help="of the part throughput: below the folder, such as data/set_0")
+    parser.add_argument(
+        "--engine", default="ray", choices=("ray", "local"), help="of the part throughput"
+    )
+    parser.add_argument(
+        "--source",
+        default="data",
+        help="of the part throughput: below the folder, such as data/set_0",
+    )
     given = parser.parse_args(arguments)
     folder = given.folder.resolve()
     if given.part == "make":

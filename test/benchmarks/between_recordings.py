@@ -43,7 +43,16 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.stats import binomtest
 from servos import FILE, KNOWN_KG, POINT, Servo
 from support.arm_in_motion import FOUR, SIX, THREE, Twin, write_robot
-from support.differing import FRICTION, SPREAD_M2, ZERO_RAD, DifferingArm, Pendulum, differs, louder, pendulum_in
+from support.differing import (
+    FRICTION,
+    SPREAD_M2,
+    ZERO_RAD,
+    DifferingArm,
+    Pendulum,
+    differs,
+    louder,
+    pendulum_in,
+)
 from support.machines import REAL, pendulum_urdf
 from support.servo_bag import write
 
@@ -65,7 +74,10 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 ARM_SECONDS = 12.0
 WARMER = (1.03, 1.05, 1.1)
-DISC: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [SPREAD_M2 + 5e-5] * 3 + [0.0] * 3}
+DISC: dict[str, Any] = {
+    "payload.com": [0.0, 0.0, 0.0],
+    "payload.inertia_per_mass": [SPREAD_M2 + 5e-5] * 3 + [0.0] * 3,
+}
 """The discs of the STS3215, as `real.py` states them."""
 NOTHING_OFF = ("accepted", "too_wide")
 
@@ -125,7 +137,9 @@ def said(row: str, truth: float, ask: Callable[[], Estimate], asked: str = "") -
     return Answer(row, truth, value, low, high, estimate.verdict.value, code, words)
 
 
-def _learnt(robot: Robot, empty: Sequence[Motion], known: Sequence[tuple[Motion, float]] = ()) -> Robot:
+def _learnt(
+    robot: Robot, empty: Sequence[Motion], known: Sequence[tuple[Motion, float]] = ()
+) -> Robot:
     """The robot with a calibration.
 
     Raises:
@@ -145,7 +159,10 @@ def arm_answers(seed: int) -> list[Answer]:
     with tempfile.TemporaryDirectory() as folder:
         robot = load_robot(write_robot(Path(folder), build=build))
     empty = [arm.recorded(f"empty {n}") for n in range(3)]
-    known = [(arm.recorded(f"known {n}", held), held[0]) for n, held in enumerate(arm.held() for _ in range(3))]
+    known = [
+        (arm.recorded(f"known {n}", held), held[0])
+        for n, held in enumerate(arm.held() for _ in range(3))
+    ]
     load = arm.held()
     asked = {
         "": (load[0], arm.recorded("asked", load)),
@@ -165,7 +182,9 @@ def arm_answers(seed: int) -> list[Answer]:
         except ProprioError as error:
             calibrated = error
         for words, (truth, motion) in asked.items():
-            answers.append(said(f"arm, {name}{words}", truth, _of_motion(calibrated, motion), f"arm {seed}"))
+            answers.append(
+                said(f"arm, {name}{words}", truth, _of_motion(calibrated, motion), f"arm {seed}")
+            )
     alike = [arm.recorded("before", alike=True), arm.recorded("later", load, alike=True)]
     for by in WARMER:
         row = f"arm, as a minute later, efforts {by:g} times"
@@ -173,7 +192,9 @@ def arm_answers(seed: int) -> list[Answer]:
             said(
                 row,
                 load[0],
-                lambda by=by: identify_in_motion(robot, [louder(alike[1], by)], alike[:1], PayloadFacts()),
+                lambda by=by: identify_in_motion(
+                    robot, [louder(alike[1], by)], alike[:1], PayloadFacts()
+                ),
                 f"arm {seed}",
             )
         )
@@ -187,7 +208,9 @@ def place_answers(seed: int) -> list[Answer]:
         robot = load_robot(write_robot(Path(folder), build=THREE))
 
     def recorded(name: str, load_kg: float, away_rad: float) -> Motion:
-        own = replace(differs(rng, arm), elsewhere=away_rad * rng.choice((-1.0, 1.0), len(THREE.axes)))
+        own = replace(
+            differs(rng, arm), elsewhere=away_rad * rng.choice((-1.0, 1.0), len(THREE.axes))
+        )
         held = (load_kg, np.array([THREE.held_m, 0.0, 0.0])) if load_kg else None
         return arm.record(name, ARM_SECONDS, held, differs=own)
 
@@ -235,28 +258,52 @@ def servo_answers(seed: int) -> list[Answer]:
         folder = Path(name)
         pendulum_urdf(folder, "servo", 0.01, 0.1)
         (folder / "servo.yaml").write_text(FILE)
-        known = {write(folder / f"known{n}", moved(kg)): kg for n, kg in enumerate((*KNOWN_KG, *KNOWN_KG))}
-        options, output = Options(robot=str(folder / "servo.yaml"), settings=POINT), folder / "known.yaml"
+        known = {
+            write(folder / f"known{n}", moved(kg)): kg
+            for n, kg in enumerate((*KNOWN_KG, *KNOWN_KG))
+        }
+        options = Options(robot=str(folder / "servo.yaml"), settings=POINT)
+        output = folder / "known.yaml"
         learnt = _calibrated(known, options, output)
         answers = []
         for number, kg in enumerate(random.uniform(0.2, 1.2, 3)):
             bag = write(folder / f"asked{number}", moved(float(kg)))
-            answers.append(said("servo, 6 motions with 3 loads known", float(kg), _of_bag(learnt, bag, POINT), f"servo {seed}"))
+            answers.append(
+                said(
+                    "servo, 6 motions with 3 loads known",
+                    float(kg),
+                    _of_bag(learnt, bag, POINT),
+                    f"servo {seed}",
+                )
+            )
     return answers
 
 
-def _calibrated(known: Mapping[Path, float], options: Options, output: Path, empty: Sequence[Path] = ()) -> Path | str:
+def _calibrated(
+    known: Mapping[Path, float], options: Options, output: Path, empty: Sequence[Path] = ()
+) -> Path | str:
     """The file, or why there is none."""
     if output.is_file():
         return output
     try:
-        learnt = calibrate_from_bags([str(bag) for bag in empty], {str(bag): kg for bag, kg in known.items()}, options, output)
+        learnt = calibrate_from_bags(
+            [str(bag) for bag in empty],
+            {str(bag): kg for bag, kg in known.items()},
+            options,
+            output,
+        )
     except ProprioError as error:
         return str(error)
-    return output if output.is_file() else f"calibration {learnt.verdict.value}: {'; '.join(learnt.reasons)}"
+    return (
+        output
+        if output.is_file()
+        else f"calibration {learnt.verdict.value}: {'; '.join(learnt.reasons)}"
+    )
 
 
-def _of_bag(learnt: Path | str, bag: Path, settings: Mapping[str, Any] | None = None, **more: Any) -> Callable[[], Estimate]:
+def _of_bag(
+    learnt: Path | str, bag: Path, settings: Mapping[str, Any] | None = None, **more: Any
+) -> Callable[[], Estimate]:
     def ask() -> Estimate:
         if isinstance(learnt, str):
             raise ProprioError(learnt)
@@ -275,7 +322,10 @@ def pendulum_answers(seed: int) -> list[Answer]:
     while abs(masses[0] - masses[1]) < 0.2:
         masses[:2] = machine.rng.uniform(0.45, 1.3, 2)
     first, second, third = map(float, masses)
-    known = [LoadedRun(machine.released(f"known {kg:.3f}", kg), KnownLoad(kg, facts)) for kg in (first, second)]
+    known = [
+        LoadedRun(machine.released(f"known {kg:.3f}", kg), KnownLoad(kg, facts))
+        for kg in (first, second)
+    ]
     learnt = calibrate(robot, known)
     answers = []
     for row, horn in (("pendulum, 2 loads known", False), ("pendulum, the horn put on anew", True)):
@@ -293,18 +343,25 @@ def pendulum_answers(seed: int) -> list[Answer]:
 # --- recordings of real machines --------------------------------------------------------------------------------------
 
 
-def bent(bag: Path, folder: Path, effort: float = 1.0, zero_rad: float = 0.0, joint: str = "") -> Path:
+def bent(
+    bag: Path, folder: Path, effort: float = 1.0, zero_rad: float = 0.0, joint: str = ""
+) -> Path:
     """A bag with every effort so many times as large, and positions so much larger: every one, or those of a joint."""
     if folder.is_dir():
         return folder
     types = get_typestore(Stores.ROS2_JAZZY)
     with AnyReader([bag], default_typestore=types) as reader, Writer(folder, version=9) as writer:
-        topics = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=types) for c in reader.connections}
+        topics = {
+            c.id: writer.add_connection(c.topic, c.msgtype, typestore=types)
+            for c in reader.connections
+        }
         for connection, time_ns, raw in reader.messages():
             if connection.msgtype.endswith("JointState"):
                 message = types.deserialize_cdr(raw, connection.msgtype)
                 message.effort = effort * message.effort
-                message.position = message.position + zero_rad * np.array([joint in ("", name) for name in message.name])
+                message.position = message.position + zero_rad * np.array(
+                    [joint in ("", name) for name in message.name]
+                )
                 raw = bytes(types.serialize_cdr(message, connection.msgtype))
             writer.write(topics[connection.id], time_ns, raw)
     return folder
@@ -324,7 +381,9 @@ def real_swings(real: Path, folder: Path, every: int = 1) -> Iterator[Answer]:
         output = folder / f"{which}_{'_'.join(map(str, known))}.yaml"
         return _calibrated(bags, Options(robot=str(robot), settings=DISC), output)
 
-    first, again, other = "sts3215_release", "sts3215_release_again", "sts3250_release"
+    first = "sts3215_release"
+    again = "sts3215_release_again"
+    other = "sts3250_release"
     sets = [known for count in (2, 3) for known in itertools.combinations(STS_KG, count)]
     for known in sets[::every]:
         for kg in sorted(set(STS_KG) - set(known)):
@@ -340,23 +399,34 @@ def real_swings(real: Path, folder: Path, every: int = 1) -> Iterator[Answer]:
     for kg in STS_KG[1:3]:
         for by, asked in ((first, other), (other, first)):
             bag = real / f"{asked}_{kg:.3f}kg"
-            yield said("real, let go, known is another servo and arm", kg, _of_bag(learnt(by, known), bag, DISC), asked)
+            yield said(
+                "real, let go, known is another servo and arm",
+                kg,
+                _of_bag(learnt(by, known), bag, DISC),
+                asked,
+            )
         for number, zero in enumerate((-0.17, -0.1, 0.1, 0.17)):
             bag = bent(real / f"{first}_{kg:.3f}kg", folder / f"horn_{kg}_{number}", zero_rad=zero)
             row = "real STS3215 let go, the horn put on anew"
-            yield said(row, kg, _of_bag(learnt(first, known), bag, DISC), f"{kg} kg, {zero:+.2f} rad")
+            yield said(
+                row, kg, _of_bag(learnt(first, known), bag, DISC), f"{kg} kg, {zero:+.2f} rad"
+            )
 
 
 def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
     """By each of three empty recordings, one after the other."""
-    robot, unit = str(ur10e_file(real, folder)), {"effort_unit": "A"}
+    robot = str(ur10e_file(real, folder))
+    unit = {"effort_unit": "A"}
     empty = {n: real / f"ur10e_empty_{n}" for n in (12, 14, 15)}
     loaded = {n: real / f"ur10e_loaded_{n}" for n in (14, 15)}
 
     def baseline(bag: Path, by: Path) -> Callable[[], Estimate]:
         return lambda: replay(bag, Options(robot=robot, baseline=[str(by)], **unit))  # type: ignore[arg-type]
 
-    pieces = {n: [cut(bag, folder / f"piece_{n}_{k}", 15.0 * k, 15.0 * k + 15.0) for k in range(3)] for n, bag in loaded.items()}
+    pieces = {
+        n: [cut(bag, folder / f"piece_{n}_{k}", 15.0 * k, 15.0 * k + 15.0) for k in range(3)]
+        for n, bag in loaded.items()
+    }
     for n, by in empty.items():
         for bag in [*loaded.values(), *pieces[14], *pieces[15]]:
             yield said("real UR10e, 1 empty", UR10E_KG, baseline(bag, by), f"{bag.name} by {n}")
@@ -366,8 +436,15 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
         for k, bag in loaded.items():
             for by_times in (0.9, 0.95, 0.97, *WARMER):
                 wrong = bent(bag, folder / f"louder_{k}_{by_times}", effort=by_times)
-                yield said("real UR10e, efforts 3, 5, 10 % off", UR10E_KG, baseline(wrong, by), f"{k} by {n}, {by_times}")
-            for joint, zero in itertools.product(("shoulder_lift_joint", "elbow_joint"), (0.02, -0.15, 0.3)):
+                yield said(
+                    "real UR10e, efforts 3, 5, 10 % off",
+                    UR10E_KG,
+                    baseline(wrong, by),
+                    f"{k} by {n}, {by_times}",
+                )
+            for joint, zero in itertools.product(
+                ("shoulder_lift_joint", "elbow_joint"), (0.02, -0.15, 0.3)
+            ):
                 wrong = bent(bag, folder / f"{joint}_{k}_{zero}", zero_rad=zero, joint=joint)
                 row = "real UR10e, a joint's zero 0.02, 0.15, 0.3 rad off"
                 yield said(row, UR10E_KG, baseline(wrong, by), f"{k} by {n}, {joint} {zero:+g}")
@@ -376,18 +453,34 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
             learnt = _calibrated({loaded[k]: UR10E_KG}, Options(robot=robot, **unit), file, [by])  # type: ignore[arg-type]
             for bag in (loaded[other], *pieces[other]):
                 row = "real UR10e, 1 empty, 1 load"
-                yield said(row, UR10E_KG, _of_bag(learnt, bag, **unit), f"{bag.name} by empty {n}, loaded {k}")
+                yield said(
+                    row,
+                    UR10E_KG,
+                    _of_bag(learnt, bag, **unit),
+                    f"{bag.name} by empty {n}, loaded {k}",
+                )
 
 
 def real_kuka(real: Path, folder: Path) -> Iterator[Answer]:
     """As it comes, and with the last joint struck from the file."""
     names = [f"lwr_{n}_joint" for n in range(7)]
-    for row, joints in (("real KUKA LWR4+, nothing", names), ("real KUKA LWR4+, nothing, without its last joint", names[:-1])):
-        lines = ["name: kuka", f"urdf: {real / 'models' / 'kuka_lwr4.urdf'}", "payload_frame: lwr_7_link", "joints:"]
+    for row, joints in (
+        ("real KUKA LWR4+, nothing", names),
+        ("real KUKA LWR4+, nothing, without its last joint", names[:-1]),
+    ):
+        lines = [
+            "name: kuka",
+            f"urdf: {real / 'models' / 'kuka_lwr4.urdf'}",
+            "payload_frame: lwr_7_link",
+            "joints:",
+        ]
         for joint in joints:
             motor = "nominal_torque_constant_N_m_per_A: 1.0, encoder_resolution_rad: 1.0e-5, encoder_noise_rad: 1.0e-5"
             lines += [f"  {joint}:", f"    motor: {{{motor}, current_limit_A: 300.0}}"]
-            lines += ["    drive_train: {torque_constant_N_m_per_A: 1.0}", "    usable_velocity_rad_s: 5.0"]
+            lines += [
+                "    drive_train: {torque_constant_N_m_per_A: 1.0}",
+                "    usable_velocity_rad_s: 5.0",
+            ]
         robot = folder / f"kuka{len(joints)}.yaml"
         robot.write_text("\n".join(lines) + "\n")
         for asked, by in ((1, 3), (3, 1)):
@@ -396,13 +489,17 @@ def real_kuka(real: Path, folder: Path) -> Iterator[Answer]:
                 settings={} if len(joints) == 7 else {f"held.{names[-1]}": 0.0},
             )  # fmt: skip
             bag = real / f"kuka_lwr4_empty_{asked}"
-            yield said(row, 0.0, lambda options=options, bag=bag: replay(bag, options), f"{asked} by {by}")
+            yield said(
+                row, 0.0, lambda options=options, bag=bag: replay(bag, options), f"{asked} by {by}"
+            )
 
 
 MACHINES = {each.__name__: each for each in (real_swings, real_ur10e, real_kuka)}
 
 
-def real_answers(name: str, recordings: Path, at_most: int | None = None, **of_it: int) -> list[Answer]:
+def real_answers(
+    name: str, recordings: Path, at_most: int | None = None, **of_it: int
+) -> list[Answer]:
     # of a machine each recording is asked of many times
     with tempfile.TemporaryDirectory() as folder, once_each():
         return list(itertools.islice(MACHINES[name](recordings, Path(folder), **of_it), at_most))
@@ -415,11 +512,15 @@ def figures(row: str, answers: Sequence[Answer]) -> dict[str, Any]:
     """Numbers of a row."""
     given = [answer for answer in answers if answer.given]
     held = sum(answer.holds for answer in given)
-    low, high = binomtest(held, len(given)).proportion_ci(method="wilson") if given else (None, None)
+    low, high = (
+        binomtest(held, len(given)).proportion_ci(method="wilson") if given else (None, None)
+    )
     sigmas = np.array([answer.sigmas for answer in given])
     of_nothing = not any(answer.truth for answer in answers)
     halves = [
-        (a.high - a.value) * 1e3 if of_nothing else 100.0 * max(a.high - a.value, a.value - a.low) / a.truth
+        (a.high - a.value) * 1e3
+        if of_nothing
+        else 100.0 * max(a.high - a.value, a.value - a.low) / a.truth
         for a in given
         if a.value is not None and (of_nothing or a.truth)
     ]
@@ -437,7 +538,9 @@ def figures(row: str, answers: Sequence[Answer]) -> dict[str, Any]:
         "too_wide": sum(answer.verdict == "too_wide" for answer in given),
         "hold": held,
         "given": len(given),
-        "share": f"{100.0 * held / len(given):.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})" if given else None,
+        "share": f"{100.0 * held / len(given):.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
+        if given
+        else None,
         "rms": float(np.sqrt(np.mean(sigmas**2))) if given else None,
         "worst": float(sigmas.max()) if given else None,
         "error": f"{np.sqrt(np.mean(np.square(errors))):.3g} {unit}" if errors else None,
@@ -467,7 +570,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--servos", type=int, default=12)
     parser.add_argument("--pendulums", type=int, default=16)
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--real", nargs="*", default=list(MACHINES), choices=list(MACHINES), help="default: all")
+    parser.add_argument(
+        "--real", nargs="*", default=list(MACHINES), choices=list(MACHINES), help="default: all"
+    )
     parser.add_argument("--recordings", type=Path, default=REAL)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--answers", action="store_true", help="list every answer")
@@ -476,7 +581,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tasks: list[tuple[str, Any]] = []
     if options.recordings.is_dir():
         tasks += [("real", (name, options.recordings)) for name in options.real]
-    for kind, count in (("arm", options.arms), ("place", options.arms), ("servo", options.servos), ("pendulum", options.pendulums)):
+    for kind, count in (
+        ("arm", options.arms),
+        ("place", options.arms),
+        ("servo", options.servos),
+        ("pendulum", options.pendulums),
+    ):
         tasks += [(kind, seed) for seed in range(options.first, options.first + count)]
     with get_context("spawn").Pool(options.jobs) as pool:
         found = list(itertools.chain(*pool.map(answers_of, tasks, chunksize=1)))
@@ -500,7 +610,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         of_row = [answer for answer in found if answer.row == row]
         results.row("between", **figures(row, of_row))
         for answer in of_row if options.answers else ():
-            told = "-" if answer.value is None else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
+            told = (
+                "-"
+                if answer.value is None
+                else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
+            )
             print(f"    {answer.truth:.4f}: {told}, {answer.verdict}; {answer.asked}"[:400])
     results.row("between", **figures("all", found))
     results.keep()

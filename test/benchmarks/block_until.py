@@ -68,10 +68,13 @@ class Case:
     decided_s: tuple[float, ...]
 
 
-def squeezed(robot: Robot, hand: Hand, sequence: ExcitationSequence) -> tuple[list[Run], Decision, list[float], float]:
+def squeezed(
+    robot: Robot, hand: Hand, sequence: ExcitationSequence
+) -> tuple[list[Run], Decision, list[float], float]:
     """The runs of a block that is squeezed until sure, how it ended, what deciding took, and how long it lasted [s]."""
     chooser = probe_named("softness").chooser(robot, SoftnessJob(FACTS, SqueezeOptions()), sequence)
-    began, decided = hand.time_s, []
+    began = hand.time_s
+    decided = []
     runs = list(made(replace(sequence, until=None), hand)[1])
     while True:
         before = time.process_time()
@@ -97,7 +100,8 @@ def one_robot(job: tuple[int, Until]) -> list[Case]:
     sequence = replace(load_sequence("block_until", ROBOT), until=until)
     cases = []
     for _ in range(BLOCKS):
-        modulus, ratio = float(np.exp(rng.uniform(np.log(4e3), np.log(2e5)))), float(rng.uniform(0.1, 0.4))
+        modulus = float(np.exp(rng.uniform(np.log(4e3), np.log(2e5))))
+        ratio = float(rng.uniform(0.1, 0.4))
         block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
         runs, decision, decided, time_s = squeezed(robot, Hand(seed, block), sequence)
         estimate = find_softness(robot, runs, FACTS)
@@ -106,11 +110,30 @@ def one_robot(job: tuple[int, Until]) -> list[Case]:
         answered = estimate.verdict.value == "accepted" and isinstance(told.value, float)
         name = f"robot {seed}, {1e-3 * modulus:.0f} kPa"
         if not answered or not isinstance(told.value, float):
-            print(f"{name}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", file=sys.stderr)
+            print(
+                f"{name}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", file=sys.stderr
+            )
             nan = float("nan")
-            cases.append(Case(modulus, "refused", nan, nan, False, False, len(runs), time_s, nan, False, tuple(decided)))
+            cases.append(
+                Case(
+                    modulus,
+                    "refused",
+                    nan,
+                    nan,
+                    False,
+                    False,
+                    len(runs),
+                    time_s,
+                    nan,
+                    False,
+                    tuple(decided),
+                )
+            )
             continue
-        other, fixed, fixed_runs, reached = Hand(seed, block), load_sequence("softness", ROBOT), list[Run](), False
+        other = Hand(seed, block)
+        fixed = load_sequence("softness", ROBOT)
+        fixed_runs = list[Run]()
+        reached = False
         began = other.time_s
         fixed_s = float("nan")
         while not reached and len(fixed_runs) < FIXED_AT_MOST:
@@ -139,7 +162,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=12)
     parser.add_argument("--first", type=int, default=200, help="first seed")
-    parser.add_argument("--half", type=float, default=0.2, help="half interval asked for, as a share of the modulus")
+    parser.add_argument(
+        "--half", type=float, default=0.2, help="half interval asked for, as a share of the modulus"
+    )
     parser.add_argument("--at-most", type=float, default=30.0, help="[s]")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     options = parser.parse_args(arguments)
@@ -147,7 +172,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     until = Until(options.half, "1", options.at_most)
     seeds = range(options.first, options.first + options.robots)
     with Pool(options.jobs) as pool:
-        cases = [case for found in pool.imap(one_robot, [(seed, until) for seed in seeds]) for case in found]
+        cases = [
+            case
+            for found in pool.imap(one_robot, [(seed, until) for seed in seeds])
+            for case in found
+        ]
     answered = [case for case in cases if case.ended_by != "refused"]
     results.table(
         "block_until",

@@ -49,7 +49,9 @@ def connected(port: Path, fast: bool) -> ArmDriver:
         SystemExit: It cannot.
     """
     robot = load_robot("open_manipulator_x")
-    driver = ArmDriver(robot, DynamixelBus(str(port), servos_of(robot), fast_sync_read=fast), DriverSettings())
+    driver = ArmDriver(
+        robot, DynamixelBus(str(port), servos_of(robot), fast_sync_read=fast), DriverSettings()
+    )
     driver.cycle()
     if driver.state is not BusState.RUNNING or driver.bus.fast is not fast:
         raise SystemExit(f"the driver does not run: {driver.reason}")
@@ -106,7 +108,11 @@ def rows(case: Case | None = None, duration_s: float = DURATION_S) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         port = Path(folder) / "arm"
         world = subprocess.Popen(
-            [sys.executable, "-c", WORLD, str(port)], cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", WORLD, str(port)],
+            cwd=REPOSITORY,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         assert world.stdin is not None and world.stdout is not None
         try:
@@ -116,7 +122,10 @@ def rows(case: Case | None = None, duration_s: float = DURATION_S) -> list[Row]:
             with ThreadPoolExecutor(1) as loop:
                 granted = loop.submit(run_in_real_time).result()
                 found = [loop.submit(free_running, port, fast).result() for fast in (False, True)]
-                found += [loop.submit(paced, port, rate_Hz, duration_s).result() for rate_Hz in (40.0, 100.0)]
+                found += [
+                    loop.submit(paced, port, rate_Hz, duration_s).result()
+                    for rate_Hz in (40.0, 100.0)
+                ]
         finally:
             world.stdin.close()
             world.wait(timeout=10)

@@ -23,13 +23,17 @@ from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
-CALIBRATION_S, WEIGHING_S, GOAL = 5.0, 0.1, 20.0
+CALIBRATION_S = 5.0
+WEIGHING_S = 0.1
+GOAL = 20.0
 
 
 def empty_runs(robot: Robot) -> list[LoadedRun]:
     """The sixteen empty-hand runs that come with the package."""
     folders = sorted(BAGS.glob("realistic_s00_empty_*"))
-    return [LoadedRun(run) for path in folders for run in bag_runs(path / "bag_mcap", Request(robot))]
+    return [
+        LoadedRun(run) for path in folders for run in bag_runs(path / "bag_mcap", Request(robot))
+    ]
 
 
 def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
@@ -53,7 +57,13 @@ def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
 
     def solve() -> None:
         nonlocal found
-        found = least_squares(residual, start, x_scale=coordinates.natural, bounds=bounds, max_nfev=2 if cases.once else 60)
+        found = least_squares(
+            residual,
+            start,
+            x_scale=coordinates.natural,
+            bounds=bounds,
+            max_nfev=2 if cases.once else 60,
+        )
 
     seconds = measure(solve, repeats=1, warm_up=0).median
     assert found is not None
@@ -69,7 +79,9 @@ def rows(case: Case) -> list[Row]:
     estimate = calibrate(robot, known)
     assert estimate.calibration is not None
     calibrated = robot.with_calibration(estimate.calibration)
-    (run,) = bag_runs(BAGS / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot))
+    (run,) = bag_runs(
+        BAGS / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot)
+    )
     weighing = measure(lambda: weigh(calibrated, [run]), repeats=20, warm_up=2)
     prepared = [prepare_run(robot, loaded.run, loaded.load) for loaded in known]
     once = measure(lambda: fit(robot, prepared), repeats=3, warm_up=0)

@@ -28,7 +28,13 @@ from proprio_ros.sim.payload import PayloadFacts
 REPOSITORY = Path(__file__).resolve().parents[2]
 BAG = REPOSITORY / "bags" / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
 STARTS_KG = (0.005, 0.016, 0.05, 0.16, 0.5)
-BALL = {"com": [0.0, 0.0, 0.0], "com_std": [0.0, 0.0, 0.0], "shape": "sphere", "size": 0.04, "size_std_relative": 1.0}
+BALL = {
+    "com": [0.0, 0.0, 0.0],
+    "com_std": [0.0, 0.0, 0.0],
+    "shape": "sphere",
+    "size": 0.04,
+    "size_std_relative": 1.0,
+}
 """The probe file's ball, 40 mm: the same mass distribution for everybody."""
 AGREEMENT_KG = 3e-4
 """Methods that find masses further apart than this do not solve the same problem, and their times are not compared."""
@@ -46,7 +52,9 @@ class Timing:
     repeats: int
 
 
-def measure(function: Callable[[], Any], repeats: int = REPEATS, calls: int = 1, warm_up: int = 1) -> Timing:
+def measure(
+    function: Callable[[], Any], repeats: int = REPEATS, calls: int = 1, warm_up: int = 1
+) -> Timing:
     """Time a function.
 
     Args:
@@ -55,7 +63,9 @@ def measure(function: Callable[[], Any], repeats: int = REPEATS, calls: int = 1,
         warm_up: calls before the first.
     """
     if once:
-        repeats, calls, warm_up = 1, 1, 0
+        repeats = 1
+        calls = 1
+        warm_up = 0
     for _ in range(warm_up):
         function()
     times = []
@@ -78,7 +88,9 @@ class Kept:
         self.answer = self._function()
 
 
-def measure_in_turn(functions: Sequence[Callable[[], Any]], repeats: int, calls: Sequence[int], warm_up: int = 1) -> list[Timing]:
+def measure_in_turn(
+    functions: Sequence[Callable[[], Any]], repeats: int, calls: Sequence[int], warm_up: int = 1
+) -> list[Timing]:
     """Time functions by turns, so that whatever else the machine does slows all of them alike.
 
     Args:
@@ -86,10 +98,16 @@ def measure_in_turn(functions: Sequence[Callable[[], Any]], repeats: int, calls:
         warm_up: calls in each turn that are not timed.
     """
     turns = [
-        [measure(f, repeats=1, calls=n, warm_up=warm_up).median for f, n in zip(functions, calls, strict=True)]
+        [
+            measure(f, repeats=1, calls=n, warm_up=warm_up).median
+            for f, n in zip(functions, calls, strict=True)
+        ]
         for _ in range(1 if once else repeats)
     ]
-    return [Timing(statistics.median(times), min(times), len(turns)) for times in zip(*turns, strict=True)]
+    return [
+        Timing(statistics.median(times), min(times), len(turns))
+        for times in zip(*turns, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -163,20 +181,29 @@ def load() -> Case:
     joints = list(robot.drive_trains)
     recording = read_recording(
         BAG,
-        nominal_torque_constants={name: robot.drive_trains[name].nominal_torque_constant for name in joints},
+        nominal_torque_constants={
+            name: robot.drive_trains[name].nominal_torque_constant for name in joints
+        },
         joint_order=joints,
     )
     (run,) = cut_runs(recording, joints=joints)
     facts = payload_facts(Settings({}), BALL)
     prepared = prepare_run(robot, run)
     if len(run.input_times_s) != 1 or any(
-        getattr(prepared.drive, term).value != 0.0 for term in ("coulomb", "viscous", "load_friction")
+        getattr(prepared.drive, term).value != 0.0
+        for term in ("coulomb", "viscous", "load_friction")
     ):
-        raise SystemExit(f"{BAG}: the comparison wants one constant current, and a robot file without friction")
-    problem = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
+        raise SystemExit(
+            f"{BAG}: the comparison wants one constant current, and a robot file without friction"
+        )
+    problem = Problem(
+        robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05)
+    )
     names = [problem.unknowns[row].name for row in problem.free]
     if names != ["payload_mass", "q0[0]", "v0[0]"]:
-        raise SystemExit(f"the comparison wants mass, start position and start velocity unknown, not {', '.join(names)}")
+        raise SystemExit(
+            f"the comparison wants mass, start position and start velocity unknown, not {', '.join(names)}"
+        )
     physical = np.tile(problem.coordinates.prior_mean, (len(STARTS_KG), 1))
     physical[:, 0] = STARTS_KG
     starts = problem.coordinates.internal(physical)
@@ -184,7 +211,13 @@ def load() -> Case:
     return replace(case, answer=case.solve())
 
 
-def compare(what: str, solve: Callable[[], tuple[np.ndarray, float]], goal: float, case: Case, repeats: int = 5) -> Row:
+def compare(
+    what: str,
+    solve: Callable[[], tuple[np.ndarray, float]],
+    goal: float,
+    case: Case,
+    repeats: int = 5,
+) -> Row:
     """Time another method's whole identification beside ours; void unless it found our mass.
 
     Args:

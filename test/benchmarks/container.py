@@ -30,26 +30,46 @@ from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import DEFAULT_ROBOT, Request
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import find_sphere
-from proprio_ros.probes.container.problem import ContainerFacts, ContainerProblem, container_unknowns, sphere_run, start_prior
+from proprio_ros.probes.container.problem import (
+    ContainerFacts,
+    ContainerProblem,
+    container_unknowns,
+    sphere_run,
+    start_prior,
+)
 from proprio_ros.probes.container.search import ContainerOptions
 from proprio_ros.probes.payload.paper import FRAME_S
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.joint import JointRun
-from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, SphereRun, SphereSimulator, paper_contact
+from proprio_ros.sim.sphere import (
+    SPHERE_INDEX,
+    Contact,
+    Enclosure,
+    SphereRun,
+    SphereSimulator,
+    paper_contact,
+)
 
-C_GOAL, MUJOCO_GOAL = 1.5, 20.0
+C_GOAL = 1.5
+MUJOCO_GOAL = 20.0
 EQUAL = 1e-9
 AGREEMENT = 0.05
 """A fit that misses the truth by more than this share is void, however fast."""
 FLAGS = ("-O3", "-march=native")
 SOURCE = Path(__file__).with_name("sphere_pass.c")
 
-SPHERE_KG, SHELL_KG = 0.012, 0.03
-FRICTION, DAMPING_RATIO = 0.35, 0.4
-JOINT, HELD = "joint4", {"joint1": 0.0, "joint2": -0.6, "joint3": -0.2, "gripper_left_joint": 0.0}
-START_RAD, CURRENT_A, DURATION_S, RATE_HZ = 0.4, -0.07, 0.6, 40.0
+SPHERE_KG = 0.012
+SHELL_KG = 0.03
+FRICTION = 0.35
+DAMPING_RATIO = 0.4
+JOINT = "joint4"
+HELD = {"joint1": 0.0, "joint2": -0.6, "joint3": -0.2, "gripper_left_joint": 0.0}
+START_RAD = 0.4
+CURRENT_A = -0.07
+DURATION_S = 0.6
+RATE_HZ = 40.0
 TRUTH_STEP_S = 2.5e-5
 MUJOCO_SETTINGS = (("RK4", 2.5e-3), ("EULER", 5e-4))
 """The first is the one that the goal counts for."""
@@ -69,7 +89,14 @@ class MujocoBox:
         step_s, integrator: its time step, and ``"EULER"`` or ``"RK4"``.
     """
 
-    def __init__(self, run: SphereRun, p: np.ndarray, facts: ContainerFacts, step_s: float, integrator: str = "EULER") -> None:
+    def __init__(
+        self,
+        run: SphereRun,
+        p: np.ndarray,
+        facts: ContainerFacts,
+        step_s: float,
+        integrator: str = "EULER",
+    ) -> None:
         import mujoco
 
         self._mujoco = mujoco
@@ -81,7 +108,9 @@ class MujocoBox:
         spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
         spec.option.gravity = run.gravity
         hand = spec.worldbody.add_body(name="hand")
-        hand.add_joint(name="hinge", type=mujoco.mjtJoint.mjJNT_HINGE, axis=run.axis, pos=run.joint_origin)
+        hand.add_joint(
+            name="hinge", type=mujoco.mjtJoint.mjJNT_HINGE, axis=run.axis, pos=run.joint_origin
+        )
         hand.explicitinertial = True
         inertia, by_cos, by_sin, _constant = p[:4]
         across = run.gravity - run.axis * (run.axis @ run.gravity)
@@ -89,39 +118,65 @@ class MujocoBox:
         arm = (by_cos * np.cross(run.axis, run.gravity) + by_sin * across) / (across @ across)
         hand.mass, hand.ipos, hand.inertia = 1.0, run.joint_origin + arm, np.full(3, 1e-6)
         spec.joint("hinge").armature = float(inertia - arm @ arm - 1e-6)
-        frequency, ratio = facts.contact_frequency, facts.damping_ratio.value
-        contact = {"solref": [1.0 / (frequency * ratio), ratio], "friction": [facts.friction.value, 0.0, 0.0]}
+        frequency = facts.contact_frequency
+        ratio = facts.damping_ratio.value
+        contact = {
+            "solref": [1.0 / (frequency * ratio), ratio],
+            "friction": [facts.friction.value, 0.0, 0.0],
+        }
         half = 0.5 * np.asarray(facts.enclosure.inner_size)
         for axis in range(3):
             for side in (-1.0, 1.0):
-                size, place = half + 0.01, np.zeros(3)
+                size = half + 0.01
+                place = np.zeros(3)
                 size[axis], place[axis] = 0.01, side * (half[axis] + 0.01)
-                hand.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, condim=3, **contact)
+                hand.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, condim=3, **contact
+                )
         sphere = spec.worldbody.add_body(name="sphere")
         sphere.add_freejoint()
-        sphere.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[self._radius, 0, 0], mass=0.01, condim=3, **contact)
+        sphere.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[self._radius, 0, 0],
+            mass=0.01,
+            condim=3,
+            **contact,
+        )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
 
-    def positions(self, mass: float, start: np.ndarray, q0: float, v0: float, current_A: float, times_s: np.ndarray) -> np.ndarray:
+    def positions(
+        self,
+        mass: float,
+        start: np.ndarray,
+        q0: float,
+        v0: float,
+        current_A: float,
+        times_s: np.ndarray,
+    ) -> np.ndarray:
         """Where the joint is at multiples of the step [rad], shape (T,).
 
         Args:
             mass: of the sphere [kg]; start: of its centre in the container's frame [m], shape (3,).
         """
-        mujoco, model, data = self._mujoco, self._model, self._data
+        mujoco = self._mujoco
+        model = self._model
+        data = self._data
         model.body_mass[2] = mass
         model.body_inertia[2] = 0.4 * mass * self._radius**2
         mujoco.mj_setConst(model, data)
         mujoco.mj_resetData(model, data)
-        turn, place, axis = np.zeros(4), np.zeros(3), self._run.axis
+        turn = np.zeros(4)
+        place = np.zeros(3)
+        axis = self._run.axis
         mujoco.mju_axisAngle2Quat(turn, axis, q0)
         mujoco.mju_rotVecQuat(place, start - self._run.joint_origin, turn)
         data.qpos[0], data.qvel[0] = q0, v0
         data.qpos[1:4], data.qpos[4:8] = self._run.joint_origin + place, turn
         data.qvel[1:4], data.qvel[4:7] = v0 * np.cross(axis, place), v0 * axis
         data.qfrc_applied[0] = self._torque_constant * current_A
-        shown, done = np.empty(len(times_s)), 0
+        shown = np.empty(len(times_s))
+        done = 0
         for row, step in enumerate(np.rint(times_s / self._step_s).astype(int)):
             if step > done:
                 mujoco.mj_step(model, data, nstep=int(step - done))
@@ -156,7 +211,12 @@ class Boxed:
     def solve(self) -> Solution:
         """Our search: the problem is built and everything is warm."""
         return levenberg_marquardt(
-            self.problem, self.starts, self.problem.simulator.windows, window_iterations=3, iterations=12, tolerance=0.03
+            self.problem,
+            self.starts,
+            self.problem.simulator.windows,
+            window_iterations=3,
+            iterations=12,
+            tolerance=0.03,
         )
 
     def masses(self, internal: np.ndarray) -> np.ndarray:
@@ -209,16 +269,24 @@ def _pose(robot: Robot, facts: ContainerFacts, run: Run, mass_alone: bool = Fals
     if mass_alone:
         unknowns = [u if u.name == "sphere_mass" else u.at_role(Role.FROZEN) for u in unknowns]
     options = ContainerOptions()
-    problem = ContainerProblem(robot, [prepared], facts, [True], unknowns, options.integrator, options.step_s)
+    problem = ContainerProblem(
+        robot, [prepared], facts, [True], unknowns, options.integrator, options.step_s
+    )
     if len(prior.guesses) != 1:
-        raise SystemExit("the comparison wants a start whose place is known but for a little: five starts, not more")
+        raise SystemExit(
+            "the comparison wants a start whose place is known but for a little: five starts, not more"
+        )
     values = np.tile(problem.base, (len(STARTS_KG), 1))
     values[:, problem.index["sphere_mass"]] = STARTS_KG
     starts = problem.coordinates.internal(values[:, list(problem.free)])
     return Boxed(robot, facts, problem, starts)
 
 
-def pose(record: Callable[[Boxed, np.ndarray], np.ndarray] | None = None, seed: int = 0, mass_alone: bool = False) -> Boxed:
+def pose(
+    record: Callable[[Boxed, np.ndarray], np.ndarray] | None = None,
+    seed: int = 0,
+    mass_alone: bool = False,
+) -> Boxed:
     """The problem of a recording.
 
     Args:
@@ -226,7 +294,8 @@ def pose(record: Callable[[Boxed, np.ndarray], np.ndarray] | None = None, seed: 
         seed: of the encoder's noise.
         mass_alone: everything but the sphere's mass is held at what is expected of it.
     """
-    robot, facts = load_robot(DEFAULT_ROBOT), facts_of_the_box()
+    robot = load_robot(DEFAULT_ROBOT)
+    facts = facts_of_the_box()
     times_s = np.arange(round(DURATION_S * RATE_HZ) + 1) / RATE_HZ
     before = np.full(10, START_RAD)
     blank = _pose(robot, facts, _recorded(times_s, np.full(len(times_s), START_RAD), before))
@@ -239,7 +308,9 @@ def pose(record: Callable[[Boxed, np.ndarray], np.ndarray] | None = None, seed: 
         noisy = true + draw.normal(0.0, drive.encoder_noise, len(true))
         return drive.encoder_resolution * np.rint(noisy / drive.encoder_resolution)
 
-    return _pose(robot, facts, _recorded(times_s, read(record(blank, times_s)), read(before)), mass_alone)
+    return _pose(
+        robot, facts, _recorded(times_s, read(record(blank, times_s)), read(before)), mass_alone
+    )
 
 
 def by_mujoco(box: Boxed, times_s: np.ndarray) -> np.ndarray:
@@ -250,13 +321,16 @@ def by_mujoco(box: Boxed, times_s: np.ndarray) -> np.ndarray:
     return mujoco_box.positions(SPHERE_KG, start, START_RAD + 4e-4, 0.0, CURRENT_A, times_s)
 
 
-def mujoco_fit(box: Boxed, step_s: float, integrator: str) -> Callable[[], tuple[np.ndarray, np.ndarray, int]]:
+def mujoco_fit(
+    box: Boxed, step_s: float, integrator: str
+) -> Callable[[], tuple[np.ndarray, np.ndarray, int]]:
     """A function that fits MuJoCo to the recording with scipy's ``least_squares`` and its 2-point differences.
 
     Same unknowns, priors, weights and first guesses as ours; the mass as its logarithm, the others in standard deviations of their
     prior. It returns where the starts end [kg], their costs, and how many rollouts it took.
     """
-    problem, prepared = box.problem, box.problem.runs[0]
+    problem = box.problem
+    prepared = box.problem.runs[0]
     empty, _ = box.parameters([0.0])
     mujoco_box = MujocoBox(box.run, empty[0], box.facts, step_s, integrator)
     unknowns = [problem.unknowns[row] for row in problem.free]
@@ -277,13 +351,19 @@ def mujoco_fit(box: Boxed, step_s: float, integrator: str) -> Callable[[], tuple
         values[problem.free] = mean + np.where(np.isfinite(std), std, 0.0) * (x - 10.0)
         values[at["sphere_mass"]] = np.exp(x[mass])
         shown = mujoco_box.positions(
-            values[at["sphere_mass"]], values[places], values[at["q0", 0]], values[at["v0", 0]], CURRENT_A, prepared.times_s
+            values[at["sphere_mass"]],
+            values[places],
+            values[at["q0", 0]],
+            values[at["v0", 0]],
+            CURRENT_A,
+            prepared.times_s,
         )
         return np.append((shown - prepared.position) / prepared.sigma, off)
 
     def solve() -> tuple[np.ndarray, np.ndarray, int]:
         nonlocal rollouts
-        rollouts, ends = 0, []
+        rollouts = 0
+        ends = []
         for guess in STARTS_KG:
             start = np.full(len(unknowns), 10.0)
             start[mass] = np.log(guess)
@@ -304,16 +384,31 @@ class SpherePass:
     def __init__(self, simulator: SphereSimulator, p: np.ndarray, folder: str) -> None:
         library = Path(folder) / "sphere_pass.so"
         if not library.exists():
-            subprocess.run(["gcc", *FLAGS, "-shared", "-fPIC", str(SOURCE), "-o", str(library), "-lm"], check=True)
+            subprocess.run(
+                ["gcc", *FLAGS, "-shared", "-fPIC", str(SOURCE), "-o", str(library), "-lm"],
+                check=True,
+            )
         self._function = ctypes.CDLL(str(library)).sphere_pass
         self._function.restype = None
         run = simulator.sphere_runs[0].joint
-        constants = np.array([*run.supply, run.friction_velocity, run.step_s, min(run.fine_step_s, run.step_s)])
-        worlds, samples = len(p), len(run.sample_times_s)
+        constants = np.array(
+            [*run.supply, run.friction_velocity, run.step_s, min(run.fine_step_s, run.step_s)]
+        )
+        worlds = len(p)
+        samples = len(run.sample_times_s)
         self.out = tuple(np.zeros((worlds, samples, *size)) for size in ((), (), (3,), (3,), (3,)))
-        given = [run.sample_times_s, run.input_times_s, run.input_current_A, constants, simulator._geometry.numpy()[0], p]
+        given = [
+            run.sample_times_s,
+            run.input_times_s,
+            run.input_current_A,
+            constants,
+            simulator._geometry.numpy()[0],
+            p,
+        ]
         self._arrays = [np.ascontiguousarray(values, dtype=np.float64) for values in given]
-        times, switches, currents, constants, geometry, p = (self._pointer(values) for values in self._arrays)
+        times, switches, currents, constants, geometry, p = (
+            self._pointer(values) for values in self._arrays
+        )
         self._arguments = (
             ctypes.c_int(worlds), ctypes.c_int(samples), times, ctypes.c_int(len(run.input_times_s)), switches, currents,
             constants, geometry, p, *(self._pointer(values) for values in self.out),
@@ -333,7 +428,14 @@ def easy_and_hard(box: Boxed) -> list[tuple[str, SphereRun, np.ndarray]]:
     """The run as it is, and one with everything that the law of the joint knows; with the five starts' parameters."""
     easy, _ = box.parameters(STARTS_KG)
     hard = easy.copy()
-    terms = {"coulomb": 0.01, "viscous": 0.005, "load_friction": 0.05, "stribeck": 0.2, "delay": 0.004, "tilt": 0.01}
+    terms = {
+        "coulomb": 0.01,
+        "viscous": 0.005,
+        "load_friction": 0.05,
+        "stribeck": 0.2,
+        "delay": 0.004,
+        "tilt": 0.01,
+    }
     for name, value in terms.items():
         hard[:, SPHERE_INDEX[name]] = value
     hard[:, SPHERE_INDEX["start_y"]] = 0.004
@@ -344,12 +446,17 @@ def easy_and_hard(box: Boxed) -> list[tuple[str, SphereRun, np.ndarray]]:
         supply=(12.0, 2.49, 5.22),
         fine_step_s=box.run.joint.step_s / 4.0,
     )
-    return [("the recording", box.run, easy), ("with friction, delay, switches", replace(box.run, joint=joint), hard)]
+    return [
+        ("the recording", box.run, easy),
+        ("with friction, delay, switches", replace(box.run, joint=joint), hard),
+    ]
 
 
 def apart(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray]) -> float:
     """Largest difference, relative to the largest number of each array."""
-    return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(ours, theirs, strict=True))
+    return max(
+        float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(ours, theirs, strict=True)
+    )
 
 
 def share_in_contact(simulator: SphereSimulator, p: np.ndarray) -> float:
@@ -372,7 +479,10 @@ def moved_run(
     start_rad, currents, lasting_s = probe
     switches = lasting_s * np.arange(round(DURATION_S / lasting_s))
     joint = replace(
-        box.run.joint, input_times_s=switches, input_current_A=np.resize(currents, len(switches)), supply=(0.0, 0.0, 1.0)
+        box.run.joint,
+        input_times_s=switches,
+        input_current_A=np.resize(currents, len(switches)),
+        supply=(0.0, 0.0, 1.0),
     )
     run = replace(box.run, joint=joint)
     p = box.parameters([mass])[0][0]
@@ -380,14 +490,21 @@ def moved_run(
     start = np.sign(gravity) * (box.facts.enclosure.room + np.abs(gravity) / contact.stiffness)
     start[np.abs(gravity) < 1e-9] = 0.0
     told = {"q0": start_rad, "start_x": start[0], "start_y": start[1], "start_z": start[2]}
-    told |= {name: getattr(contact, name) for name in ("stiffness", "damping", "traction", "friction")}
+    told |= {
+        name: getattr(contact, name) for name in ("stiffness", "damping", "traction", "friction")
+    }
     for name, value in told.items():
         p[SPHERE_INDEX[name]] = value
     return run, p
 
 
 def bias_of_steps(
-    box: Boxed, probe: tuple[float, tuple[float, ...], float], contact: Contact, law: str, integrator: str, step_s: float
+    box: Boxed,
+    probe: tuple[float, tuple[float, ...], float],
+    contact: Contact,
+    law: str,
+    integrator: str,
+    step_s: float,
 ) -> float:
     """How far off the mass is that fits the same law at a fine step, relative to it."""
     run, p = moved_run(box, probe, contact, SPHERE_KG)
@@ -396,15 +513,19 @@ def bias_of_steps(
         joint = replace(run.joint, step_s=step_s, fine_step_s=step_s)
         return SphereSimulator([replace(run, joint=joint)], box.facts.enclosure, law, integrator)
 
-    world, row = np.zeros(1, dtype=np.int32), SPHERE_INDEX["sphere_mass"]
+    world = np.zeros(1, dtype=np.int32)
+    row = SPHERE_INDEX["sphere_mass"]
     by_mass = np.zeros((1, len(p), 1))
     by_mass[0, row] = 1.0
     true = stepped("rk4", FINE_STEP_S).jacobian(world, p[None], by_mass)[0][0].copy()
-    simulator, found = stepped(integrator, step_s), p.copy()
+    simulator = stepped(integrator, step_s)
+    found = p.copy()
     for _ in range(15):
         q, _, dq = simulator.jacobian(world, found[None], by_mass)
         slope = dq[0, :, 0]
-        found[row] += np.clip(slope @ (true - q[0]) / (slope @ slope), -0.2 * SPHERE_KG, 0.2 * SPHERE_KG)
+        found[row] += np.clip(
+            slope @ (true - q[0]) / (slope @ slope), -0.2 * SPHERE_KG, 0.2 * SPHERE_KG
+        )
     return float(found[row] / SPHERE_KG - 1.0)
 
 
@@ -423,11 +544,20 @@ def _forward_rows(box: Boxed) -> list[Row]:
             if not off <= EQUAL:
                 rows.append(Row(what, None, "void", False, f"results differ by {off:.1e}"))
                 continue
-            theirs, ours = measure_in_turn((plain, launch.launch), repeats=25, calls=(20, 20), warm_up=5)
+            theirs, ours = measure_in_turn(
+                (plain, launch.launch), repeats=25, calls=(20, 20), warm_up=5
+            )
         ratio = ours.median / theirs.median
         touching = f"in contact in {100 * share_in_contact(simulator, p):.0f} % of the samples"
         rows.append(Row(what, theirs, note=f"same numbers to {off:.0e}, {touching}"))
-        rows.append(Row("  our recorded launch", ours, f"{ratio:.2f}x C (goal <= {C_GOAL:g}x)", ratio <= C_GOAL))
+        rows.append(
+            Row(
+                "  our recorded launch",
+                ours,
+                f"{ratio:.2f}x C (goal <= {C_GOAL:g}x)",
+                ratio <= C_GOAL,
+            )
+        )
     return rows
 
 
@@ -445,10 +575,17 @@ def _tangent_rows(box: Boxed) -> list[Row]:
 
     sizes = simulator.tangent_sizes[:3]
     base, *passes = measure_in_turn(
-        (forward.launch, *(passing(size) for size in sizes)), repeats=15, calls=(10,) * (1 + len(sizes)), warm_up=3
+        (forward.launch, *(passing(size) for size in sizes)),
+        repeats=15,
+        calls=(10,) * (1 + len(sizes)),
+        warm_up=3,
     )
     return [
-        Row(f"ours: tangent pass, five worlds, {size} directions", timing, f"{timing.median / base.median:.1f}x forward")
+        Row(
+            f"ours: tangent pass, five worlds, {size} directions",
+            timing,
+            f"{timing.median / base.median:.1f}x forward",
+        )
         for size, timing in zip(sizes, passes, strict=True)
     ]
 
@@ -464,12 +601,16 @@ def _fit_rows(what: str, mass_alone: bool, fuller: Timing | None = None) -> list
     rows: list[Row] = []
     for integrator, step_s in MUJOCO_SETTINGS:
         solve = Kept(mujoco_fit(box, step_s, integrator))
-        theirs, ours = measure_in_turn((solve, box.solve), 9 if mass_alone else 3, (1, 5), warm_up=0)
+        theirs, ours = measure_in_turn(
+            (solve, box.solve), 9 if mass_alone else 3, (1, 5), warm_up=0
+        )
         their_masses, costs, rollouts = solve.answer
         their_best = their_masses[int(np.argmin(costs))]
         if not rows:
             ending = _ending(masses, best, f"{answer.iterations} iterations")
-            rows.append(Row(f"ours: sphere in a box, five starts, unknown {what}", ours, note=ending))
+            rows.append(
+                Row(f"ours: sphere in a box, five starts, unknown {what}", ours, note=ending)
+            )
         effort = f"{rollouts} rollouts"
         if fuller is not None:
             effort += f"; {theirs.median / fuller.median:.0f}x our fit of all"
@@ -483,7 +624,9 @@ def _fit_rows(what: str, mass_alone: bool, fuller: Timing | None = None) -> list
         if not max(abs(best / SPHERE_KG - 1.0), abs(their_best / SPHERE_KG - 1.0)) <= AGREEMENT:
             row = replace(row, ratio="void", passed=False)
         elif len(rows) == 1:
-            row = replace(row, ratio=f"{row.ratio} (goal >= {MUJOCO_GOAL:g}x)", passed=ratio >= MUJOCO_GOAL)
+            row = replace(
+                row, ratio=f"{row.ratio} (goal >= {MUJOCO_GOAL:g}x)", passed=ratio >= MUJOCO_GOAL
+            )
         rows.append(row)
     return rows
 
@@ -509,14 +652,21 @@ def _whole_rows() -> list[Row]:
     timing = measure(lambda: find_sphere(robot, [run], facts, None, baseline), repeats=REPEATS)
     estimate = find_sphere(robot, [run], facts, None, baseline)
     value = estimate.value("sphere_mass")
-    found = f"{1e3 * value.value:.1f} +- {1e3 * value.std:.1f} g" if value.value is not None else value.reason
+    found = (
+        f"{1e3 * value.value:.1f} +- {1e3 * value.std:.1f} g"
+        if value.value is not None
+        else value.reason
+    )
     what = f"ours: find_sphere() in total, one run and {len(baseline)} of the empty container"
-    return [Row(what, timing, note=f"{estimate.verdict.value}: {found}, truth 12 g; calibrated robot")]
+    return [
+        Row(what, timing, note=f"{estimate.verdict.value}: {found}, truth 12 g; calibrated robot")
+    ]
 
 
 def _bias_rows(box: Boxed) -> list[Row]:
     """What the step does to the mass, each law against itself at a fine step."""
-    ours, paper = box.facts.contact, paper_contact(SPHERE_KG)
+    ours = box.facts.contact
+    paper = paper_contact(SPHERE_KG)
     rows = []
     for law, contact in (("ramped", ours), ("paper", paper)):
         schemes = [
@@ -530,12 +680,21 @@ def _bias_rows(box: Boxed) -> list[Row]:
             }
             run, p = moved_run(box, LOWERED, contact, SPHERE_KG)
             joint = replace(run.joint, step_s=step_s, fine_step_s=step_s)
-            simulator = SphereSimulator([replace(run, joint=joint)], box.facts.enclosure, law, integrator)
-            worlds, p = np.zeros(len(STARTS_KG), dtype=np.int32), np.tile(p, (len(STARTS_KG), 1))
+            simulator = SphereSimulator(
+                [replace(run, joint=joint)], box.facts.enclosure, law, integrator
+            )
+            worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
+            p = np.tile(p, (len(STARTS_KG), 1))
             _, forward = record_forward(simulator, worlds, p)
             timing = measure(forward.launch, repeats=15, calls=10, warm_up=3)
             biases = ", ".join(f"{name} {100.0 * off:+.4f} %" for name, off in offs.items())
-            rows.append(Row(f"ours: forward pass, law {law}, {steps}", timing, note=f"bias of the mass: {biases}"))
+            rows.append(
+                Row(
+                    f"ours: forward pass, law {law}, {steps}",
+                    timing,
+                    note=f"bias of the mass: {biases}",
+                )
+            )
     return rows
 
 
@@ -544,7 +703,9 @@ def rows(case: Case) -> list[Row]:
     box = pose()
     found = [*_forward_rows(box), *_tangent_rows(box), *_bias_rows(box)]
     if find_spec("mujoco") is None:
-        found.append(Row("MuJoCo, sphere in a box, five starts", note="skipped: needs pip install mujoco"))
+        found.append(
+            Row("MuJoCo, sphere in a box, five starts", note="skipped: needs pip install mujoco")
+        )
     else:
         full = _fit_rows("mass, place, q0 and v0", mass_alone=False)
         found += [*full, *_fit_rows("mass alone", mass_alone=True, fuller=full[0].timing)]

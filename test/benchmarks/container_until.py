@@ -81,8 +81,13 @@ class Case:
 
 def answer_of(estimate: Estimate, mass: float) -> tuple[float, float]:
     """Error and half interval of an accepted answer [kg]."""
-    value, half = estimate.value("sphere_mass").value, half_of(estimate)
-    return (value - mass, half) if isinstance(value, float) and half is not None else (float("nan"), float("nan"))
+    value = estimate.value("sphere_mass").value
+    half = half_of(estimate)
+    return (
+        (value - mass, half)
+        if isinstance(value, float) and half is not None
+        else (float("nan"), float("nan"))
+    )
 
 
 def one_case(
@@ -107,7 +112,9 @@ def one_case(
         return found[len(runs)]
 
     bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass), 2]))
-    chooser = SphereUntilSure(robot, FACTS, options, sequence, baseline, lambda runs: half_of(find(runs)))
+    chooser = SphereUntilSure(
+        robot, FACTS, options, sequence, baseline, lambda runs: half_of(find(runs))
+    )
     runs: list[Run] = []
     decided: list[float] = []
     while True:
@@ -150,7 +157,16 @@ def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
     cases = []
     for held in (sphere, box()) if seed % EMPTY_EVERY == 0 else (sphere,):
         try:
-            case = one_case(robot, hidden, baseline, held, reference, until, seed, held is sphere and seed % fixed_every == 0)
+            case = one_case(
+                robot,
+                hidden,
+                baseline,
+                held,
+                reference,
+                until,
+                seed,
+                held is sphere and seed % fixed_every == 0,
+            )
             cases.append(case)
             print(
                 f"seed {seed}, {1e3 * case.mass:.1f} g, {reference}: {case.verdict}, off by {1e3 * case.error:+.2f} +- "
@@ -159,7 +175,9 @@ def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
                 file=sys.stderr, flush=True,
             )  # fmt: skip
         except ProprioError as error:
-            print(f"seed {seed}, {1e3 * held.sphere_kg:.1f} g: {error}", file=sys.stderr, flush=True)
+            print(
+                f"seed {seed}, {1e3 * held.sphere_kg:.1f} g: {error}", file=sys.stderr, flush=True
+            )
     return cases
 
 
@@ -208,7 +226,11 @@ def table(results: Results, cases: Sequence[Case], references: Sequence[str]) ->
     for reference in references:
         mine = [case for case in cases if case.reference == reference]
         row(results, f"reference {reference}", [case for case in mine if case.mass > 0.0])
-        row(results, f"reference {reference}, empty box", [case for case in mine if case.mass == 0.0])
+        row(
+            results,
+            f"reference {reference}, empty box",
+            [case for case in mine if case.mass == 0.0],
+        )
     results.keep()
 
 
@@ -217,21 +239,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=9000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--reference", nargs="+", default=["none", "shipped"], choices=["none", "shipped"])
+    parser.add_argument(
+        "--reference", nargs="+", default=["none", "shipped"], choices=["none", "shipped"]
+    )
     parser.add_argument("--half", type=float, default=2e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
-    parser.add_argument("--fixed-every", type=int, default=1, help="make the fixed sequence with every so manieth robot")
+    parser.add_argument(
+        "--fixed-every",
+        type=int,
+        default=1,
+        help="make the fixed sequence with every so manieth robot",
+    )
     parser.add_argument("--save", type=Path, help="append each case to this file, as JSON")
-    parser.add_argument("--table", type=Path, help="print the table of such a file, and simulate nothing")
+    parser.add_argument(
+        "--table", type=Path, help="print the table of such a file, and simulate nothing"
+    )
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     if options.table:
-        table(results, [Case(**json.loads(row)) for row in options.table.read_text().splitlines()], options.reference)
+        table(
+            results,
+            [Case(**json.loads(row)) for row in options.table.read_text().splitlines()],
+            options.reference,
+        )
         return
     until = Until(options.half, "kg", options.at_most)
     cases: list[Case] = []
     seeds = range(options.first, options.first + options.robots)
-    jobs = [(seed, reference, until, options.fixed_every) for seed in seeds for reference in options.reference]
+    jobs = [
+        (seed, reference, until, options.fixed_every)
+        for seed in seeds
+        for reference in options.reference
+    ]
     with Pool(options.jobs) as pool:
         for found in pool.imap_unordered(one_robot, jobs):
             cases += found

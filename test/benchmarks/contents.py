@@ -79,7 +79,9 @@ class Answer:
     @property
     def said(self) -> str | None:
         """The kind, where one is said."""
-        return next((kind for kind in KINDS if (self.number(f"{kind}_inside") or 0.0) >= SAID), None)
+        return next(
+            (kind for kind in KINDS if (self.number(f"{kind}_inside") or 0.0) >= SAID), None
+        )
 
     @property
     def said_moving(self) -> bool | None:
@@ -103,24 +105,38 @@ def answer(folder: Path, truth: dict[str, Any]) -> Answer:
         learnt = calibrate_from_bags(sorted(folder.glob("empty_*")), {}, output=file)
         if not file.exists():
             return Answer(truth, {}, learnt.verdict.value, "not calibrated")
-        options = Options(probe="contents", settings=settings, calibration=file, baseline=sorted(folder.glob("baseline_*")))
+        options = Options(
+            probe="contents",
+            settings=settings,
+            calibration=file,
+            baseline=sorted(folder.glob("baseline_*")),
+        )
         runs = sorted(folder.glob("run_*"))
         nats = allowed(runs, options, truth) if truth["kind"] == "liquid" else 0.0
         try:
             said = replay(runs, options).as_json()
         except ProprioError as error:
             return Answer(truth, {}, "error", str(error), nats)
-    why = "" if said["verdict"] == "accepted" else str((said["reason_codes"] or said["reasons"] or [""])[0])
-    return Answer(truth, {value["name"]: value for value in said["estimates"]}, said["verdict"], why, nats)
+    why = (
+        ""
+        if said["verdict"] == "accepted"
+        else str((said["reason_codes"] or said["reasons"] or [""])[0])
+    )
+    return Answer(
+        truth, {value["name"]: value for value in said["estimates"]}, said["verdict"], why, nats
+    )
 
 
 def allowed(bags: Sequence[Path], options: Options, truth: dict[str, Any]) -> float:
     """How many nats the best rigid thing falls short of the liquid that is in the container, at best."""
     request = request_of(options.for_recordings(bags))
     robot, recorded = read_for(request, bags)
-    facts, inside = request.facts, truth["contents"]
+    facts = request.facts
+    inside = truth["contents"]
     assert isinstance(facts, ContentsFacts)
-    runs = [prepare_run(robot, run, None, facts.shell) for run in (*recorded.runs, *recorded.baseline)]
+    runs = [
+        prepare_run(robot, run, None, facts.shell) for run in (*recorded.runs, *recorded.baseline)
+    ]
     filled = [True] * len(recorded.runs) + [False] * len(recorded.baseline)
     problem = ContentsProblem(robot, runs, facts, filled, "liquid")
     values = problem.base.copy()
@@ -155,14 +171,20 @@ def judged(results: Results, found: Sequence[Answer]) -> None:
             results.row("contents", kind=kind, **_figures(of_kind))
     dummies_ = [each for each in found if each.kind == "rigid"]
     wrong = sum((each.number("liquid_inside") or 0.0) > SAID for each in dummies_)
-    results.table("dummies", {"rigid dummies": "{rigid}", "called liquid with more than 0.95": "{liquid}"})
+    results.table(
+        "dummies", {"rigid dummies": "{rigid}", "called liquid with more than 0.95": "{liquid}"}
+    )
     results.row("dummies", rigid=len(dummies_), liquid=wrong)
 
 
 def _figures(found: Sequence[Answer]) -> dict[str, Any]:
-    errors, halves, hold, near = [], [], 0, 0
+    errors = []
+    halves = []
+    hold = 0
+    near = 0
     for each in found:
-        value, truth = each.number("contents_mass"), each.truth["contents"]["mass"]
+        value = each.number("contents_mass")
+        truth = each.truth["contents"]["mass"]
         if value is not None and each.values["contents_mass"].get("ci95"):
             low, high = each.values["contents_mass"]["ci95"]
             errors.append(1e3 * (value - truth))
@@ -172,7 +194,10 @@ def _figures(found: Sequence[Answer]) -> dict[str, Any]:
     moved = [each for each in found if each.said_moving is not None]
     said = [each for each in found if each.said is not None]
     shallow = [
-        each for each in found if each.kind == "liquid" and each.truth["contents"]["fill"] < each.truth["container"]["radius"]
+        each
+        for each in found
+        if each.kind == "liquid"
+        and each.truth["contents"]["fill"] < each.truth["container"]["radius"]
     ]
     filled = [each for each in shallow if each.number("fill") is not None]
     off = [abs((each.number("fill") or 0.0) - each.truth["contents"]["fill"]) for each in filled]
@@ -206,11 +231,15 @@ def particles(results: Results, most: int | None) -> None:
             "finer": "{finer_damping:.3f}",
         },
     )
-    picked = [(n, fill, v) for n, fills in enumerate(FILLS_M) for fill in fills[1:2] for v in VISCOSITIES]
+    picked = [
+        (n, fill, v) for n, fills in enumerate(FILLS_M) for fill in fills[1:2] for v in VISCOSITIES
+    ]
     for number, fill, viscosity in picked[:most]:
         container = CONTAINERS[number]
         hz, damping = sloshing(container.cylinder, fill, viscosity, container.layers, EXCHANGE_S)
-        finer = sloshing(container.cylinder, fill, viscosity, round(FINER * container.layers), EXCHANGE_S)
+        finer = sloshing(
+            container.cylinder, fill, viscosity, round(FINER * container.layers), EXCHANGE_S
+        )
         results.row(
             "particles", radius_mm=1e3 * container.radius, fill_mm=1e3 * fill, mPas=1e3 * viscosity,
             theory=theory_hz(container.radius, fill), hz=hz, finer_hz=finer[0], apart=100.0 * (finer[0] / hz - 1.0),
@@ -220,8 +249,12 @@ def particles(results: Results, most: int | None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("folder", nargs="?", type=Path, help="with recordings; none: nothing is judged")
-    parser.add_argument("--make", type=int, default=0, help="so many recordings, unless they are there")
+    parser.add_argument(
+        "folder", nargs="?", type=Path, help="with recordings; none: nothing is judged"
+    )
+    parser.add_argument(
+        "--make", type=int, default=0, help="so many recordings, unless they are there"
+    )
     parser.add_argument("--rigid", type=int, default=0, help="so many rigid dummies more")
     parser.add_argument("--first", type=int, default=500, help="first seed of what is made")
     parser.add_argument("--at-most", type=int, help="so many are judged; default: all")
@@ -237,7 +270,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for each in answers(options.folder, options.at_most, options.jobs):
             found.append(each)
             mass = each.values.get("contents_mass", {}).get("ci95"), each.truth["contents"]["mass"]
-            print(each.truth["name"], each.verdict, each.why, each.said, each.moving, f"{each.nats:.1f} nats", *mass, flush=True)
+            print(
+                each.truth["name"],
+                each.verdict,
+                each.why,
+                each.said,
+                each.moving,
+                f"{each.nats:.1f} nats",
+                *mass,
+                flush=True,
+            )
         judged(results, found)
     if options.particles:
         particles(results, options.at_most)

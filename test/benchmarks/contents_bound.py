@@ -30,7 +30,8 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
-RADII_M, MASSES_KG = (0.02, 0.035, 0.05), (0.05, 0.15, 0.5)
+RADII_M = (0.02, 0.035, 0.05)
+MASSES_KG = (0.05, 0.15, 0.5)
 WATER = 1e-6  # kinematic viscosity [m^2/s]
 SETS = ("pushes", "and shaken")
 COLUMNS = {
@@ -76,7 +77,11 @@ def open_manipulator() -> Arm:
 
     def push(joint: str, three: Sequence[float], *rest: float) -> Push:
         names = ("joint2", "joint3", "joint4")
-        return Push(joint, {"joint1": 0.0, "gripper_left_joint": 0.0, **dict(zip(names, three, strict=True))}, *rest)
+        return Push(
+            joint,
+            {"joint1": 0.0, "gripper_left_joint": 0.0, **dict(zip(names, three, strict=True))},
+            *rest,
+        )
 
     pushes = (
         push("joint3", (-0.9, 0.3, 0.6), -0.6),
@@ -126,7 +131,8 @@ def bare(arm: Arm, push: Push, hz: float, current_A: float) -> Run:
     currents = current_A + push.shake_A * np.where(np.arange(len(switches)) % 2, -1.0, 1.0)
     times_s = np.arange(1, int(push.duration_s * arm.rate)) / arm.rate
     held = {name: at for name, at in push.start.items() if name != push.joint}
-    at, before_s = push.start[push.joint], -np.arange(40, 0, -1) / arm.rate
+    at = push.start[push.joint]
+    before_s = -np.arange(40, 0, -1) / arm.rate
     still = dict.fromkeys(held, 0.0)
     moving = at + push.travel * (times_s / push.duration_s) ** 2
     return Run(
@@ -143,17 +149,26 @@ def truth_of(problem: ContentsProblem, kg: float, fill: float, facts: ContentsFa
     return values
 
 
-def driven(arm: Arm, push: Push, facts: ContentsFacts, kg: float, fill: float) -> PreparedRun | None:
+def driven(
+    arm: Arm, push: Push, facts: ContentsFacts, kg: float, fill: float
+) -> PreparedRun | None:
     """The push with the current that moves the contents as far as it says; None where 10 A do not."""
     hz = float(np.sqrt(Slosh.of(facts.radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
-    low, high, period_s = -10.0, 10.0, shake_period_s(hz) if push.shake_A else 1e-3
+    low = -10.0
+    high = 10.0
+    period_s = shake_period_s(hz) if push.shake_A else 1e-3
     for _ in range(22):
         current = 0.5 * (low + high)
         run = prepare_run(arm.robot, bare(arm, push, hz, current), None, facts.shell)
         problem = ContentsProblem(arm.robot, [run], facts, [True], "liquid")
-        shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.free[:1])[0][0, 0]
+        shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.free[:1])[0][
+            0, 0
+        ]
         # of a shaken one where it is on average in the end
-        moved = float(shown[: run.used][run.times_s > run.times_s[-1] - period_s].mean()) - push.start[push.joint]
+        moved = (
+            float(shown[: run.used][run.times_s > run.times_s[-1] - period_s].mean())
+            - push.start[push.joint]
+        )
         low, high = (current, high) if moved < push.travel else (low, current)
     if abs(moved - push.travel) > 0.25:
         return None
@@ -199,7 +214,9 @@ def short_of(problem: ContentsProblem, values: np.ndarray, model: str) -> float:
     start = other.base.copy()
     for name in ("contents_mass", "payload_mass"):
         start[other.index[name]] = values[problem.index[name]]
-    ends = solvers.levenberg_marquardt(other, other.coordinates.internal(start[None, other.free]), None, iterations=40)
+    ends = solvers.levenberg_marquardt(
+        other, other.coordinates.internal(start[None, other.free]), None, iterations=40
+    )
     return float(ends.cost.min())
 
 

@@ -59,7 +59,12 @@ MASSES_KG = (0.01, 0.02, 0.05, 0.1)
 REFERENCE_KG = 0.1
 DIAMETER_M = 0.03
 ALWAYS = ("quantised", "encoder_noise")
-MATCHED = Spread(torque_constant=(0.0, 0.05), link_mass=(0.02, 0.01), armature=(0.004, 0.024), once_per_turn=(0.0, 0.002))
+MATCHED = Spread(
+    torque_constant=(0.0, 0.05),
+    link_mass=(0.02, 0.01),
+    armature=(0.004, 0.024),
+    once_per_turn=(0.0, 0.002),
+)
 """Robots drawn as the robot file says that they differ; friction and delay are uniform inside what it allows."""
 
 
@@ -89,7 +94,9 @@ def robot_knowing(effects: Collection[str]) -> Robot:
     for effect, keys in OPEN_OF_ALL.items():
         if effect not in effects:
             for key in keys:
-                changes[key] = 0.0 if key.endswith(("std", "std_m", "jitter_s", "N_m")) else {"std": 0.0}
+                changes[key] = (
+                    0.0 if key.endswith(("std", "std_m", "jitter_s", "N_m")) else {"std": 0.0}
+                )
     for joint in JOINTS:
         for effect, key in OPEN.items():
             if effect not in effects:
@@ -115,28 +122,42 @@ class Answer:
 
 
 def run_of(probe: Probe, hidden: HiddenRobot, load: Load | None, rng: np.random.Generator) -> Run:
-    recording = record(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, rng)
+    recording = record(
+        hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, rng
+    )
     return cut_runs(recording, joints=[*JOINTS, GRIPPER])[0]
 
 
 def facts_of(load: Load) -> PayloadFacts:
-    return PayloadFacts(com=np.array(load.offset), shape=PayloadShape.from_inertia_per_mass([v / load.mass for v in load.inertia]))
+    return PayloadFacts(
+        com=np.array(load.offset),
+        shape=PayloadShape.from_inertia_per_mass([v / load.mass for v in load.inertia]),
+    )
 
 
 def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarray:
     """The simulator's numbers for every unknown; what differs from run to run stays at its mean."""
     values = problem.base.copy()
     for row, unknown in enumerate(problem.unknowns):
-        kind, owner = unknown.kind, unknown.scope
+        kind = unknown.kind
+        owner = unknown.scope
         if owner in JOINTS:
             j = JOINTS.index(owner)
             wave = hidden.once_per_turn[j]
-            truth = {"ripple_cos": wave * np.sin(hidden.phase[j]), "ripple_sin": wave * np.cos(hidden.phase[j])}
+            truth = {
+                "ripple_cos": wave * np.sin(hidden.phase[j]),
+                "ripple_sin": wave * np.cos(hidden.phase[j]),
+            }
             values[row] = truth[kind] if kind in truth else getattr(hidden, kind)[j]
         elif owner in LINKS:
             n = LINKS.index(owner)
-            shift = dict(zip(("link_com_x", "link_com_y", "link_com_z"), hidden.link_com[n], strict=True))
-            truth = {"link_mass": hidden.link_mass_scale[n] - 1.0, "link_inertia": hidden.link_inertia_scale[n] - 1.0}
+            shift = dict(
+                zip(("link_com_x", "link_com_y", "link_com_z"), hidden.link_com[n], strict=True)
+            )
+            truth = {
+                "link_mass": hidden.link_mass_scale[n] - 1.0,
+                "link_inertia": hidden.link_inertia_scale[n] - 1.0,
+            }
             values[row] = {**truth, **shift}[kind]
         elif kind == "payload_mass":
             values[row] = mass
@@ -145,7 +166,14 @@ def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarra
     return np.clip(values, [u.lower for u in problem.unknowns], [u.upper for u in problem.unknowns])
 
 
-def cramer_rao(robot: Robot, hidden: HiddenRobot, known: Sequence[PreparedRun], run: Run, load: Load, jitter_s: float) -> float:
+def cramer_rao(
+    robot: Robot,
+    hidden: HiddenRobot,
+    known: Sequence[PreparedRun],
+    run: Run,
+    load: Load,
+    jitter_s: float,
+) -> float:
     """Smallest standard deviation that any unbiased use of these runs and priors can have [kg]."""
     facts = facts_of(load)
     runs = [*known, prepare_run(robot, run, None, facts)]
@@ -157,7 +185,9 @@ def cramer_rao(robot: Robot, hidden: HiddenRobot, known: Sequence[PreparedRun], 
     rows = (dq[0] / sigma[..., None])[problem.weight > 0.0]
     information = rows.T @ rows + problem.coordinates.prior_precision
     scale = 1.0 / np.sqrt(np.diag(information))
-    inverse = np.linalg.pinv(information * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
+    inverse = np.linalg.pinv(
+        information * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True
+    )
     return float(np.sqrt(inverse[0, 0]) * scale[0])
 
 
@@ -176,7 +206,9 @@ def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], i
         known += [LoadedRun(run_of(probe, hidden, weight, rng), load) for probe in probes]
     answers: list[Answer] = []
     if set(effects).isdisjoint({*OPEN, *OPEN_OF_ALL, "once_per_turn"} - {"run_torque", "onset"}):
-        calibrated, kept = robot, []  # nothing about this robot is open
+        # nothing about this robot is open
+        calibrated = robot
+        kept = []
     else:
         learnt = calibrate(robot, known)
         if learnt.calibration is None or learnt.verdict.value != "accepted":
@@ -199,15 +231,31 @@ def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], i
             continue
         bound = cramer_rao(robot, hidden, kept, run, load, hidden.stamp_jitter_s)
         low, high = value.ci95
-        answers.append(Answer(mass, probe.joint, reference, value.value - mass, value.std, bound, bool(low <= mass <= high)))
+        answers.append(
+            Answer(
+                mass,
+                probe.joint,
+                reference,
+                value.value - mass,
+                value.std,
+                bound,
+                bool(low <= mass <= high),
+            )
+        )
     return answers, refused, len(MASSES_KG)
 
 
-def survey(results: Results, name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread) -> list[Answer]:
+def survey(
+    results: Results, name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread
+) -> list[Answer]:
     """Weigh with many robots; one row on all of them."""
     with Pool(jobs) as pool:
-        found_of = pool.imap_unordered(one_robot, [(seed, tuple(effects), spread) for seed in seeds], chunksize=2)
-        answers, refused, asked = [], 0, 0
+        found_of = pool.imap_unordered(
+            one_robot, [(seed, tuple(effects), spread) for seed in seeds], chunksize=2
+        )
+        answers = []
+        refused = 0
+        asked = 0
         for done, (found, no, of) in enumerate(found_of, start=1):
             answers += found
             refused += no
@@ -238,11 +286,17 @@ def row(results: Results, name: str, answers: Sequence[Answer], asked: int | Non
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("--robots", type=int, default=500, help="with all effects; 0 leaves them out")
-    parser.add_argument("--per-effect", type=int, default=60, help="with each effect alone; 0 leaves them out")
+    parser.add_argument(
+        "--robots", type=int, default=500, help="with all effects; 0 leaves them out"
+    )
+    parser.add_argument(
+        "--per-effect", type=int, default=60, help="with each effect alone; 0 leaves them out"
+    )
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--gentle", action="store_true", help="robots that differ less than the robot file allows")
+    parser.add_argument(
+        "--gentle", action="store_true", help="robots that differ less than the robot file allows"
+    )
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     spread = SPREAD if options.gentle else MATCHED
@@ -260,9 +314,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     if options.robots:
         seeds = range(options.first, options.first + options.robots)
-        answers = survey(results, f"{options.robots}, all effects", seeds, EFFECTS, options.jobs, spread)
+        answers = survey(
+            results, f"{options.robots}, all effects", seeds, EFFECTS, options.jobs, spread
+        )
         for reference in (False, True):
-            words = f"with a {1e3 * REFERENCE_KG:.0f} g reference" if reference else "without a reference"
+            words = (
+                f"with a {1e3 * REFERENCE_KG:.0f} g reference"
+                if reference
+                else "without a reference"
+            )
             row(results, words, [a for a in answers if a.reference == reference])
         for mass in MASSES_KG:
             row(results, f"{1e3 * mass:.0f} g", [a for a in answers if a.mass == mass])
@@ -270,7 +330,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             row(results, joint, [a for a in answers if a.joint == joint])
     for effect in EFFECTS if options.per_effect else ():
         if effect not in ALWAYS:
-            survey(results, effect, range(options.per_effect), (*ALWAYS, effect), options.jobs, spread)
+            survey(
+                results, effect, range(options.per_effect), (*ALWAYS, effect), options.jobs, spread
+            )
     results.keep()
 
 

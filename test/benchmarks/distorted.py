@@ -32,7 +32,8 @@ from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
 Distortion = Callable[[Motion, np.random.Generator], Motion]
-LIFT, ELBOW = 1, 2
+LIFT = 1
+ELBOW = 2
 
 
 def currents(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Distortion:
@@ -63,7 +64,10 @@ def of_joint(joint: int, change: Callable[[np.ndarray], np.ndarray]) -> Callable
 def every(step: int) -> Distortion:
     """Only some samples are left."""
     return lambda motion, _: replace(
-        motion, times_s=motion.times_s[::step], position=motion.position[::step], current_A=motion.current_A[::step]
+        motion,
+        times_s=motion.times_s[::step],
+        position=motion.position[::step],
+        current_A=motion.current_A[::step],
     )
 
 
@@ -80,12 +84,17 @@ def smoothed(columns: np.ndarray, cutoff_Hz: float) -> np.ndarray:
 
 def jittered(stamps_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Later by up to some milliseconds, and still in order."""
-    return np.maximum.accumulate(stamps_s + rng.normal(0.0, 5e-3, len(stamps_s))) + 1e-9 * np.arange(len(stamps_s))
+    return np.maximum.accumulate(
+        stamps_s + rng.normal(0.0, 5e-3, len(stamps_s))
+    ) + 1e-9 * np.arange(len(stamps_s))
 
 
 DISTORTIONS: dict[str, Distortion] = {
     "nothing": lambda motion, _: motion,
-    **{f"currents x {k:g}": currents(lambda c, _, k=k: k * c) for k in (0.5, 0.8, 0.9, 1.1, 1.2, 2.0)},
+    **{
+        f"currents x {k:g}": currents(lambda c, _, k=k: k * c)
+        for k in (0.5, 0.8, 0.9, 1.1, 1.2, 2.0)
+    },
     **{
         f"currents of {name} x {k:g}": currents(of_joint(j, lambda c, k=k: k * c))
         for j, name in ((LIFT, "the shoulder"), (ELBOW, "the elbow"), (3, "wrist 1"))
@@ -103,8 +112,12 @@ DISTORTIONS: dict[str, Distortion] = {
     "currents of 8 A at most": currents(lambda c, _: np.clip(c, -8.0, 8.0)),
     "currents 1 A noisy": currents(lambda c, rng: c + rng.normal(0.0, 1.0, c.shape)),
     "currents read ten times a second": currents(lambda c, _: held(c, 10)),
-    "shoulder drifts by 1 A": currents(of_joint(LIFT, lambda c: c + np.linspace(-1.0, 1.0, len(c)))),
-    "shoulder drifts by 3 A": currents(of_joint(LIFT, lambda c: c + np.linspace(-3.0, 3.0, len(c)))),
+    "shoulder drifts by 1 A": currents(
+        of_joint(LIFT, lambda c: c + np.linspace(-1.0, 1.0, len(c)))
+    ),
+    "shoulder drifts by 3 A": currents(
+        of_joint(LIFT, lambda c: c + np.linspace(-3.0, 3.0, len(c)))
+    ),
     "shoulder's zero 0.1 rad off": positions(of_joint(LIFT, lambda p: p + 0.1)),
     "elbow's zero 0.3 rad off": positions(of_joint(ELBOW, lambda p: p + 0.3)),
     "positions x 1.05": positions(lambda p, _: 1.05 * p),
@@ -122,14 +135,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """One row for each distortion."""
     parser = parser_of((__doc__ or "").splitlines()[0])
     parser.add_argument("--recordings", type=Path, default=REAL)
-    parser.add_argument("--only", nargs="+", default=list(DISTORTIONS), choices=list(DISTORTIONS), help="default: all")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=list(DISTORTIONS),
+        choices=list(DISTORTIONS),
+        help="default: all",
+    )
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     with tempfile.TemporaryDirectory() as folder:
         path = ur10e_file(options.recordings, Path(folder))
         robot = load_robot(path)
         loaded, empty, other = (
-            bag_motion(options.recordings / bag, Request(robot, Options(robot=str(path), effort_unit="A")))
+            bag_motion(
+                options.recordings / bag, Request(robot, Options(robot=str(path), effort_unit="A"))
+            )
             for bag in ("ur10e_loaded_14", "ur10e_empty_14", "ur10e_empty_15")
         )
     calibrated = replace(robot, motion_calibration=fit_empty(robot, [empty]))
@@ -143,11 +164,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "refused because": "{codes}",
         },
     )
-    given, kept, farthest = 0, 0, 0.0
+    given = 0
+    kept = 0
+    farthest = 0.0
     for name in options.only:
         distortion = DISTORTIONS[name]
         rng = np.random.default_rng(1)
-        wrong, wrong_empty, wrong_other = (distortion(motion, rng) for motion in (loaded, empty, other))
+        wrong, wrong_empty, wrong_other = (
+            distortion(motion, rng) for motion in (loaded, empty, other)
+        )
         questions = [
             (UR10E_KG, robot, wrong, [empty]),
             (UR10E_KG, calibrated, wrong, []),
@@ -156,7 +181,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             (0.0, calibrated, wrong_other, []),
             (0.0, robot, wrong_other, [wrong_empty]),
         ]
-        sigmas, codes = [], []
+        sigmas = []
+        codes = []
         with once_each():
             for truth, arm, motion, baseline in questions:
                 said = answer(arm, motion, baseline, truth)
@@ -166,8 +192,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "distorted", distortion=name, answered=len(sigmas), asked=len(questions), hold=holding,
             farthest=max(sigmas, default=None), codes=", ".join(sorted(set(codes))),
         )  # fmt: skip
-        given, kept, farthest = given + len(sigmas), kept + holding, max([farthest, *sigmas])
-    results.row("distorted", distortion="all", answered=given, asked=6 * len(options.only), hold=kept, farthest=farthest, codes="")
+        given = given + len(sigmas)
+        kept = kept + holding
+        farthest = max([farthest, *sigmas])
+    results.row(
+        "distorted",
+        distortion="all",
+        answered=given,
+        asked=6 * len(options.only),
+        hold=kept,
+        farthest=farthest,
+        codes="",
+    )
     results.keep()
 
 

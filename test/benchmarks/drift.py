@@ -39,9 +39,13 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
 MASSES_KG = (0.01, 0.02, 0.05, 0.1)
-MADE_S, WARM_C = 1.7e9, 35.0
+MADE_S = 1.7e9
+WARM_C = 35.0
 REFRESH_S = 30.0
-FRESH, STALE, AGED, REFRESHED = "no drift", "as if nothing had changed", "aged", "after a refresh"
+FRESH = "no drift"
+STALE = "as if nothing had changed"
+AGED = "aged"
+REFRESHED = "after a refresh"
 
 
 @dataclass(frozen=True)
@@ -54,23 +58,37 @@ class Case:
     holds: bool
 
 
-def drifted(hidden: HiddenRobot, drift: Drift, hours: float, warmer_K: Sequence[float], rng: np.random.Generator) -> HiddenRobot:
+def drifted(
+    hidden: HiddenRobot,
+    drift: Drift,
+    hours: float,
+    warmer_K: Sequence[float],
+    rng: np.random.Generator,
+) -> HiddenRobot:
     """The robot some time later."""
 
     def factors(name: str, common: bool) -> np.ndarray:
-        by_time, by_warmth = drift.of(name, hours, 0.0), [drift.of(name, 0.0, k) * np.sign(k) for k in warmer_K]
+        by_time = drift.of(name, hours, 0.0)
+        by_warmth = [drift.of(name, 0.0, k) * np.sign(k) for k in warmer_K]
         own = rng.standard_normal(4) * by_time + rng.standard_normal(4) * by_warmth
         if not common:
             return np.maximum(1.0 + own, 0.1)
         shared = rng.standard_normal() * by_time + rng.standard_normal() * np.array(by_warmth)
         return 1.0 + np.sqrt(0.5) * (own + shared)
 
-    changed = {name: tuple(np.array(getattr(hidden, name)) * factors("friction", False)) for name in FRICTION}
-    changed["torque_constant"] = tuple(np.array(hidden.torque_constant) * factors("torque_constant", True))
+    changed = {
+        name: tuple(np.array(getattr(hidden, name)) * factors("friction", False))
+        for name in FRICTION
+    }
+    changed["torque_constant"] = tuple(
+        np.array(hidden.torque_constant) * factors("torque_constant", True)
+    )
     return replace(hidden, **changed)
 
 
-def weighings(hidden: HiddenRobot, robots: dict[str, Robot], masses: Sequence[float], seed: int) -> list[Case]:
+def weighings(
+    hidden: HiddenRobot, robots: dict[str, Robot], masses: Sequence[float], seed: int
+) -> list[Case]:
     """Objects weighed by the same pushes with several states of the calibration."""
     cases = []
     for mass in masses:
@@ -90,7 +108,9 @@ def weighings(hidden: HiddenRobot, robots: dict[str, Robot], masses: Sequence[fl
     return cases
 
 
-def one_robot(job: tuple[int, str, float, float, float, Sequence[float]]) -> tuple[list[Case], float, int, str]:
+def one_robot(
+    job: tuple[int, str, float, float, float, Sequence[float]],
+) -> tuple[list[Case], float, int, str]:
     seed, reference, hours, warm_K, times, masses = job
     rng = np.random.default_rng(seed)
     hidden = draw_robot(rng, EFFECTS_DEFAULT, SPREAD)
@@ -99,7 +119,9 @@ def one_robot(job: tuple[int, str, float, float, float, Sequence[float]]) -> tup
         return [], 0.0, 0, "not calibrated"
     warmer_K = rng.standard_normal(4) * warm_K
     made = Moment(MADE_S, dict.fromkeys(JOINTS, WARM_C))
-    now = Moment(MADE_S + 3600.0 * hours, {j: WARM_C + k for j, k in zip(JOINTS, warmer_K, strict=True)})
+    now = Moment(
+        MADE_S + 3600.0 * hours, {j: WARM_C + k for j, k in zip(JOINTS, warmer_K, strict=True)}
+    )
     stale = fresh.with_calibration(replace(fresh.calibration, made=made))
     stated = stale.drift
     truth = Drift(**{name: times * value for name, value in vars(stated).items()})
@@ -109,8 +131,14 @@ def one_robot(job: tuple[int, str, float, float, float, Sequence[float]]) -> tup
     sequence = load_sequence("empty_hand", fresh)
     bench = Bench(later, sequence, rng)
     pushes, _, _ = chosen_refresh(stale, old, REFRESH_S, sequence)
-    learnt = refresh(old, [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)]) if pushes else None
-    said = "nothing to do" if learnt is None else f"{learnt.verdict.value} {'; '.join(learnt.reasons)}"
+    learnt = (
+        refresh(old, [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)])
+        if pushes
+        else None
+    )
+    said = (
+        "nothing to do" if learnt is None else f"{learnt.verdict.value} {'; '.join(learnt.reasons)}"
+    )
     if learnt is None:
         robots[REFRESHED] = old
     elif learnt.calibration is not None and learnt.verdict.value == "accepted":
@@ -129,18 +157,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=3000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--warmer", type=float, default=0.0, help="rms of the motors' temperature change, which is known [K]")
-    parser.add_argument("--times", type=float, default=1.0, help="the true drift is so many times what the robot file states")
+    parser.add_argument(
+        "--warmer",
+        type=float,
+        default=0.0,
+        help="rms of the motors' temperature change, which is known [K]",
+    )
+    parser.add_argument(
+        "--times",
+        type=float,
+        default=1.0,
+        help="the true drift is so many times what the robot file states",
+    )
     parser.add_argument("--reference", choices=["none", "shipped"], default="shipped")
     parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
     o = parser.parse_args(arguments)
     results = Results(__file__, o.json, arguments)
-    jobs = [(s, o.reference, o.hours, o.warmer, o.times, o.masses) for s in range(o.first, o.first + o.robots)]
+    jobs = [
+        (s, o.reference, o.hours, o.warmer, o.times, o.masses)
+        for s in range(o.first, o.first + o.robots)
+    ]
     cases: list[Case] = []
-    times, counts = [], []
+    times = []
+    counts = []
     with Pool(o.jobs) as pool:
-        for seed, (found, time_s, count, said) in zip(range(o.first, o.first + o.robots), pool.imap(one_robot, jobs), strict=True):
-            print(f"  {seed}: refresh {count} pushes, {time_s:.0f} s, {said}", file=sys.stderr, flush=True)
+        for seed, (found, time_s, count, said) in zip(
+            range(o.first, o.first + o.robots), pool.imap(one_robot, jobs), strict=True
+        ):
+            print(
+                f"  {seed}: refresh {count} pushes, {time_s:.0f} s, {said}",
+                file=sys.stderr,
+                flush=True,
+            )
             cases += found
             if found:
                 times.append(time_s)

@@ -27,7 +27,8 @@ from proprio_ros.excitation.plans import Until, load_sequence
 from proprio_ros.experiment_design.until import UntilSure
 from proprio_ros.records import Run
 
-EARLIEST_S, STEP_S = 0.2, 0.1
+EARLIEST_S = 0.2
+STEP_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class Case:
 
 def cut(run: Run, end_s: float) -> Run:
     """The run, had its current ended earlier."""
-    kept, begun = run.times_s <= end_s, run.input_times_s < end_s
+    kept = run.times_s <= end_s
+    begun = run.input_times_s < end_s
     count = len(run.before_times_s) + int(kept.sum())
     return replace(
         run,
@@ -72,7 +74,9 @@ def one_robot(job: tuple[int, Until, Sequence[float]]) -> list[Case]:
         bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass)]))
         chooser = UntilSure(robot, facts_of(load), sequence)
         runs: list[Run] = []
-        states, ends, times = [chooser.known], [], []
+        states = [chooser.known]
+        ends = []
+        times = []
         while (decision := chooser.next(runs, bench.pose, bench.time_s)).run is not None:
             if runs:
                 states.append(chooser.known)
@@ -110,9 +114,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results = Results(__file__, options.json, arguments)
     until = Until(options.half, "kg", options.at_most)
     with Pool(options.jobs) as pool:
-        jobs = [(seed, until, options.masses) for seed in range(options.first, options.first + options.robots)]
+        jobs = [
+            (seed, until, options.masses)
+            for seed in range(options.first, options.first + options.robots)
+        ]
         cases = [case for found in pool.imap(one_robot, jobs) for case in found]
-    time_s, driven_s, saved_s = (np.array([getattr(c, n) for c in cases]) for n in ("time_s", "driven_s", "saved_s"))
+    time_s, driven_s, saved_s = (
+        np.array([getattr(c, n) for c in cases]) for n in ("time_s", "driven_s", "saved_s")
+    )
     results.table(
         "early_end",
         {

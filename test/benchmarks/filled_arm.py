@@ -65,8 +65,10 @@ class Container:
 
     def moments(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Mass, centre and inertia about the bottom's middle: a thin skin, as thick everywhere."""
-        r, h = self.radius, self.height
-        side, end = 2.0 * np.pi * r * h, np.pi * r**2
+        r = self.radius
+        h = self.height
+        side = 2.0 * np.pi * r * h
+        end = np.pi * r**2
         each = self.mass / (side + 2.0 * end)
         across = each * (side * (r**2 / 2.0 + h**2 / 3.0) + end * (r**2 / 2.0 + h**2))
         along = each * (side * r**2 + end * r**2)
@@ -80,7 +82,11 @@ CONTAINERS = (
 )
 FILLS_M = ((0.015, 0.03, 0.045, 0.06), (0.015, 0.03, 0.045, 0.06), (0.015, 0.025, 0.035, 0.045))
 VISCOSITIES = (0.001, 0.1, 1.0)
-GRAINS_M = ((0.006, (0.02, 0.035, 0.05)), (0.008, (0.02, 0.035, 0.05)), (0.008, (0.015, 0.022, 0.03)))
+GRAINS_M = (
+    (0.006, (0.02, 0.035, 0.05)),
+    (0.008, (0.02, 0.035, 0.05)),
+    (0.008, (0.015, 0.022, 0.03)),
+)
 """Diameter, and fills."""
 GRAIN_KG_M3 = (1200.0, 1400.0, 2500.0)
 
@@ -97,20 +103,31 @@ class Case:
     @property
     def name(self) -> str:
         thick = "" if self.viscosity is None else f"_{1e3 * self.viscosity:g}mPas"
-        return f"{self.kind}_r{1e3 * CONTAINERS[self.container].radius:g}_h{1e3 * self.fill:g}{thick}"
+        return (
+            f"{self.kind}_r{1e3 * CONTAINERS[self.container].radius:g}_h{1e3 * self.fill:g}{thick}"
+        )
 
 
 def cases() -> list[Case]:
     """The 61, mixed so that the first ones have some of each."""
-    many = [Case("liquid", c, fill, v) for c in range(3) for fill in FILLS_M[c] for v in VISCOSITIES]
+    many = [
+        Case("liquid", c, fill, v) for c in range(3) for fill in FILLS_M[c] for v in VISCOSITIES
+    ]
     many += [Case("granular", c, fill) for c in range(3) for fill in GRAINS_M[c][1]]
     many += [Case("rigid", c, fill) for c in range(3) for fill in FILLS_M[c]]
     many += [Case("nothing", c) for c in (0, 1, 2, 1)]
-    kinds = {kind: [case for case in many if case.kind == kind] for kind in ("liquid", "granular", "rigid", "nothing")}
-    rng, mixed = np.random.default_rng(31), []
+    kinds = {
+        kind: [case for case in many if case.kind == kind]
+        for kind in ("liquid", "granular", "rigid", "nothing")
+    }
+    rng = np.random.default_rng(31)
+    mixed = []
     for kind, found in kinds.items():
         order = rng.permutation(len(found))
-        mixed += [((rank + 0.5 * rng.random()) / len(found), kind, found[at]) for rank, at in enumerate(order)]
+        mixed += [
+            ((rank + 0.5 * rng.random()) / len(found), kind, found[at])
+            for rank, at in enumerate(order)
+        ]
     return [case for _, _, case in sorted(mixed, key=lambda each: each[0])]
 
 
@@ -167,14 +184,19 @@ class Filled(Load):
         moving = np.zeros(6)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, at, moving, 0)
         turn = data.xmat[at].reshape(3, 3).copy()
-        omega, velocity = moving[:3].copy(), moving[3:] + np.cross(moving[:3], turn @ self.bottom)
+        omega = moving[:3].copy()
+        velocity = moving[3:] + np.cross(moving[:3], turn @ self.bottom)
         if state["last"] is not None:
-            told, before = state["told"], state["last"]
+            told = state["told"]
+            before = state["last"]
             told[:] = [told[1], self._beside_frozen(before, (turn, omega, velocity))]
             wrench = 2.0 * told[1] - told[0]
-            force, moment = turn @ wrench[:3], turn @ wrench[3:]
+            force = turn @ wrench[:3]
+            moment = turn @ wrench[3:]
             data.xfrc_applied[at, :3] = force
-            data.xfrc_applied[at, 3:] = moment + np.cross(turn @ (np.array(self.bottom) - self.offset), force)
+            data.xfrc_applied[at, 3:] = moment + np.cross(
+                turn @ (np.array(self.bottom) - self.offset), force
+            )
         state["last"] = turn, omega, velocity
 
     def _beside_frozen(self, before: Any, now: Any) -> np.ndarray:
@@ -188,7 +210,9 @@ class Filled(Load):
         mass, centre, inertia = self.frozen
         pull = gravity - acceleration
         force = mass * (pull - np.cross(angular, centre) - np.cross(omega, np.cross(omega, centre)))
-        moment = mass * np.cross(centre, pull) - inertia @ angular - np.cross(omega, inertia @ omega)
+        moment = (
+            mass * np.cross(centre, pull) - inertia @ angular - np.cross(omega, inertia @ omega)
+        )
         result: np.ndarray = wrench - np.concatenate([force, moment])
         return result
 
@@ -197,17 +221,21 @@ def filled(case: Case, moving: bool = True, exchange_s: float = EXCHANGE_S) -> F
     """The container with its contents; ``moving`` False freezes them."""
     container = CONTAINERS[case.container]
     mass, centre, about = container.moments()
-    contents, frozen = poured(case), None
+    contents = poured(case)
+    frozen = None
     if contents is not None:
         inner, inertia = contents.moments()
         frozen = contents.kg, inner, inertia
         centre = (mass * centre + contents.kg * inner) / (mass + contents.kg)
-        mass, about = mass + contents.kg, about + inertia
+        mass = mass + contents.kg
+        about = about + inertia
     about = about - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     offset = np.array(container.bottom) + centre
     xx, yy, zz = (float(about[n, n]) for n in range(3))
     six = (xx, yy, zz, float(about[0, 1]), float(about[0, 2]), float(about[1, 2]))
-    pour = functools.partial(poured, case) if moving and case.kind in ("liquid", "granular") else None
+    pour = (
+        functools.partial(poured, case) if moving and case.kind in ("liquid", "granular") else None
+    )
     place = (float(offset[0]), float(offset[1]), float(offset[2]))
     return Filled(mass, place, six, container.bottom, pour, frozen, exchange_s)
 
@@ -235,36 +263,66 @@ PUSHES = (
 """The container stands upright at each start."""
 
 
-def probe_of(push: Push, hidden: HiddenRobot, load: Load, shake: tuple[float, float] = (0.0, 1.0)) -> Probe:
+def probe_of(
+    push: Push, hidden: HiddenRobot, load: Load, shake: tuple[float, float] = (0.0, 1.0)
+) -> Probe:
     """The run, with the current that a person finds by trying."""
     start = {**dict(zip(JOINTS, (0.0, *push.start), strict=True)), GRIPPER: 0.0}
     column = JOINTS.index(push.joint)
 
     def travel(current: float) -> float:
-        made = simulate(hidden, push.joint, start, current, push.duration_s, load, shake=shake, braked_s=0.0)
+        made = simulate(
+            hidden, push.joint, start, current, push.duration_s, load, shake=shake, braked_s=0.0
+        )
         moved = made.position[:, column]
         # of a shaken one where it is on average in the end
-        return float(moved[-round(shake[1] / STEP_S) :].mean() - moved[0]) if shake[0] else float(moved[-1] - moved[0])
+        return (
+            float(moved[-round(shake[1] / STEP_S) :].mean() - moved[0])
+            if shake[0]
+            else float(moved[-1] - moved[0])
+        )
 
     # more current, more travel: between currents that lift and lower
-    low, high = -1.6, 0.6
+    low = -1.6
+    high = 0.6
     for _ in range(9):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if travel(middle) > push.travel else (middle, high)
     return Probe(push.joint, start, 0.5 * (low + high), push.duration_s)
 
 
-def recorded(folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, float]]) -> dict[str, Any]:
+def recorded(
+    folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, float]]
+) -> dict[str, Any]:
     """Make one folder: ``empty_NN`` (bare hand), ``baseline_N`` (empty container), ``run_N`` and ``truth.json``."""
     rng = np.random.default_rng([seed, 3131])
     hidden = draw_robot(rng, EFFECTS, MATCHED)
-    container, load = CONTAINERS[case.container], filled(case)
+    container = CONTAINERS[case.container]
+    load = filled(case)
     folder.mkdir(parents=True)
 
-    def write(name: str, probe: Probe, held: Load | None, shake: tuple[float, float], after: float) -> dict[str, Any]:
-        made = record(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, held, rng, shake, after)
-        joints, inputs = (replace(part, times_ns=part.times_ns + ONSET_NS) for part in (made.joints, made.inputs))
-        write_recording(folder / name, replace(made, joints=joints, inputs=inputs), effort_per_A=NOMINAL_TORQUE_CONSTANT)
+    def write(
+        name: str, probe: Probe, held: Load | None, shake: tuple[float, float], after: float
+    ) -> dict[str, Any]:
+        made = record(
+            hidden,
+            probe.joint,
+            probe.start,
+            probe.current_A,
+            probe.duration_s,
+            held,
+            rng,
+            shake,
+            after,
+        )
+        joints, inputs = (
+            replace(part, times_ns=part.times_ns + ONSET_NS) for part in (made.joints, made.inputs)
+        )
+        write_recording(
+            folder / name,
+            replace(made, joints=joints, inputs=inputs),
+            effort_per_A=NOMINAL_TORQUE_CONSTANT,
+        )
         at = made.joints.column(probe.joint)
         reached = float(np.ptp(made.joints.position[:, at]))
         return {"joint": probe.joint, "start": dict(probe.start), "current_A": probe.current_A, "shake": shake,
@@ -272,12 +330,15 @@ def recorded(folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, 
 
     for n, probe in enumerate(EMPTY_PROBES):
         write(f"empty_{n:02d}", probe, None, (0.0, 1.0), 0.15)
-    runs, bare = {}, filled(Case("nothing", case.container))
+    runs = {}
+    bare = filled(Case("nothing", case.container))
     hz = theory_hz(container.radius, max(case.fill, 0.02))
     for n, push in enumerate(PUSHES):
         shake = (push.shake_A, shake_period_s(hz)) if push.shake_A else (0.0, 1.0)
         for kind, held in (("baseline", bare), ("run", load)):
-            probe = probe_of(push, hidden, filled(case, moving=False) if kind == "run" else bare, shake)
+            probe = probe_of(
+                push, hidden, filled(case, moving=False) if kind == "run" else bare, shake
+            )
             runs[f"{kind}_{n}"] = write(f"{kind}_{n}", probe, held, shake, AFTER_S)
     truth = {
         "kind": case.kind, "name": case.name, "seed": seed,
@@ -298,7 +359,9 @@ def _truth(case: Case, rings: dict[str, tuple[float, float]]) -> dict[str, Any]:
     elif case.kind == "liquid":
         container = CONTAINERS[case.container]
         if case.name not in rings:
-            rings[case.name] = sloshing(container.cylinder, case.fill, case.viscosity or 0.0, container.layers, EXCHANGE_S)
+            rings[case.name] = sloshing(
+                container.cylinder, case.fill, case.viscosity or 0.0, container.layers, EXCHANGE_S
+            )
         hz, damping = rings[case.name]
         found |= {"viscosity": case.viscosity, "slosh_hz": hz, "damping_ratio": damping,
                   "theory_hz": theory_hz(container.radius, case.fill)}  # fmt: skip
@@ -308,7 +371,10 @@ def _truth(case: Case, rings: dict[str, tuple[float, float]]) -> dict[str, Any]:
 def dummies(count: int, seed: int) -> list[Case]:
     """So many rigid things more, as heavy as a liquid that fills a container to anywhere."""
     rng = np.random.default_rng([seed, 62])
-    return [Case("rigid", int(rng.integers(3)), round(float(rng.uniform(0.01, 0.06)), 4)) for _ in range(count)]
+    return [
+        Case("rigid", int(rng.integers(3)), round(float(rng.uniform(0.01, 0.06)), 4))
+        for _ in range(count)
+    ]
 
 
 def all_recorded(root: Path, first_seed: int, made: Sequence[Case]) -> Iterator[dict[str, Any]]:

@@ -17,21 +17,41 @@ from pathlib import Path
 from results import REPOSITORY, Results, parser_of
 
 EXTRAS = ("", "[ros]", "[ros,sim,test]")
-INSTALL_GOAL_S, DEMO_GOAL_S = 60.0, 45.0
-COLUMNS = {"what": "{what}", "wall, s": "{wall_s:.0f}", "of processors, s": "{cpu_s:.0f}", "on disk, MB": "{disk_mb:.0f}"}
+INSTALL_GOAL_S = 60.0
+DEMO_GOAL_S = 45.0
+COLUMNS = {
+    "what": "{what}",
+    "wall, s": "{wall_s:.0f}",
+    "of processors, s": "{cpu_s:.0f}",
+    "on disk, MB": "{disk_mb:.0f}",
+}
 
 
 def timed(command: list[str], **environment: str) -> dict[str, float]:
     """Seconds on the wall and of all processors."""
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
-    subprocess.run(command, cwd=REPOSITORY, env={**os.environ, **environment}, check=True, stdout=subprocess.DEVNULL)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    began = time.monotonic()
+    subprocess.run(
+        command,
+        cwd=REPOSITORY,
+        env={**os.environ, **environment},
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu_s = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
     return {"wall_s": time.monotonic() - began, "cpu_s": cpu_s}
 
 
 def megabytes(folder: Path) -> float:
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file() and not path.is_symlink()) / 1e6
+    return (
+        sum(
+            path.stat().st_size
+            for path in folder.rglob("*")
+            if path.is_file() and not path.is_symlink()
+        )
+        / 1e6
+    )
 
 
 def main() -> int:
@@ -44,12 +64,26 @@ def main() -> int:
         folder = Path(place)
         for extra in EXTRAS:
             own = folder / f"venv{extra.count(',') + bool(extra)}"
-            pip = [str(own / "bin" / "python"), "-m", "pip", "install", "--quiet", "--no-cache-dir", "-e", f".{extra}"]
+            pip = [
+                str(own / "bin" / "python"),
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                "--no-cache-dir",
+                "-e",
+                f".{extra}",
+            ]
             made = timed([sys.executable, "-m", "venv", str(own)])
             spent = timed(pip, PYTHONPATH="")
             both = {key: made[key] + spent[key] for key in made}
             slow += both["cpu_s"] > INSTALL_GOAL_S
-            results.row("first", what=f"`python3 -m venv` and `pip install -e '.{extra}'`", **both, disk_mb=megabytes(own))
+            results.row(
+                "first",
+                what=f"`python3 -m venv` and `pip install -e '.{extra}'`",
+                **both,
+                disk_mb=megabytes(own),
+            )
         demo = [str(own / "bin" / "proprio"), "demo", "--output", str(folder / "demo")]
         cache = folder / "kernels"
         for words in ("the first `proprio demo`, nothing compiled", "the next one"):

@@ -22,14 +22,18 @@ MASSES_KG = (0.02, 0.2, 1.0)
 
 
 def asked(
-    once: Callable[[str, float], bool], newest: Callable[[], Mapping[str, str]], masses_kg: Sequence[float]
+    once: Callable[[str, float], bool],
+    newest: Callable[[], Mapping[str, str]],
+    masses_kg: Sequence[float],
 ) -> dict[str, Any]:
     """How often one arm was asked to calibrate itself and to weigh, and the answers; ``once`` asks for one with a mass [kg]."""
 
     def often(what: str, kg: float) -> tuple[bool, int]:
-        count, known = 0, False
+        count = 0
+        known = False
         while not known and count < ASKED:
-            count, known = count + 1, once(what, kg)
+            count = count + 1
+            known = once(what, kg)
         return known, count
 
     learnt, count = often("robot", 0.0)
@@ -40,7 +44,12 @@ def asked(
         if known:
             final = newest()
             low, high = json.loads(final["payload_mass.ci95"])
-            one |= {"value": float(final["payload_mass"]), "std": float(final["payload_mass.std"]), "low": low, "high": high}
+            one |= {
+                "value": float(final["payload_mass"]),
+                "std": float(final["payload_mass.std"]),
+                "low": low,
+                "high": high,
+            }
         told["masses"].append(one)
     return told
 
@@ -51,7 +60,9 @@ def about(seed: int, goals: bool, rate_hz: float, busy: Any) -> dict[str, Any]:
     return {"seed": seed, "goals": goals, "rate_hz": rate_hz, **delays_ms}
 
 
-def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Sequence[float]) -> dict[str, Any]:
+def weighed(
+    seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Sequence[float]
+) -> dict[str, Any]:
     """What came of one arm: how often it was asked to calibrate itself, and of each mass the answer and how often it was asked."""
     from support.foreign_live import foreign
 
@@ -70,7 +81,11 @@ def weighed(seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Seq
         busy = arm.busy
         log = "\n".join(f"{at:.2f} {name}: {text}" for at, name, _, text in client.world.graph.log)
     (folder / "excitation.log").write_text(log)
-    return {**about(seed, goals, rate_hz, busy), **told, "cpu_s": round(time.process_time() - begun, 1)}
+    return {
+        **about(seed, goals, rate_hz, busy),
+        **told,
+        "cpu_s": round(time.process_time() - begun, 1),
+    }
 
 
 def again(asked: int) -> str:
@@ -93,22 +108,40 @@ def cell(masses: Sequence[dict[str, Any]], kg: float) -> str:
 def held(known: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """How many intervals hold, and how far off the farthest answer is, in its standard deviations."""
     farthest = max((abs(one["value"] - one["kg"]) / one["std"] for one in known), default=0.0)
-    return {"hold": sum(one["low"] <= one["kg"] <= one["high"] for one in known), "farthest": farthest}
+    return {
+        "hold": sum(one["low"] <= one["kg"] <= one["high"] for one in known),
+        "farthest": farthest,
+    }
 
 
-def tell(found: Sequence[dict[str, Any]], script: str, kept: Path | None, arguments: Sequence[str] | None) -> None:
+def tell(
+    found: Sequence[dict[str, Any]], script: str, kept: Path | None, arguments: Sequence[str] | None
+) -> None:
     """Tables of what came of some arms."""
     results = Results(script, kept, arguments)
     masses_kg = list(dict.fromkeys(one["kg"] for each in found for one in each["masses"]))
-    columns = {"seed": "{seed}", "efforts come late by": "{delay_ms:.0f} +- {jitter_ms:.0f} ms", "calibrated": "{calibrated}"}
-    results.table("arms", {**columns, **{f"{1e3 * kg:g} g": f"{{m{number}}}" for number, kg in enumerate(masses_kg)}})
+    columns = {
+        "seed": "{seed}",
+        "efforts come late by": "{delay_ms:.0f} +- {jitter_ms:.0f} ms",
+        "calibrated": "{calibrated}",
+    }
+    results.table(
+        "arms",
+        {**columns, **{f"{1e3 * kg:g} g": f"{{m{number}}}" for number, kg in enumerate(masses_kg)}},
+    )
     for each in sorted(found, key=lambda each: each["delay_ms"]):
-        row = {name: each[name] for name in ("seed", "delay_ms")} | {"jitter_ms": 0.5 * each["jitter_ms"]}
+        row = {name: each[name] for name in ("seed", "delay_ms")} | {
+            "jitter_ms": 0.5 * each["jitter_ms"]
+        }
         calibrated = ("yes" if each["robot"] else "no") + again(each["asked"])
         cells = {f"m{number}": cell(each["masses"], kg) for number, kg in enumerate(masses_kg)}
         results.row("arms", **row, calibrated=calibrated, **cells)
     known = [one for each in found for one in each["masses"] if one["known"]]
-    whole = {"arms": len(found), "calibrated": sum(each["robot"] for each in found), "answers": len(known)}
+    whole = {
+        "arms": len(found),
+        "calibrated": sum(each["robot"] for each in found),
+        "answers": len(known),
+    }
     whole["asked"] = len(found) * len(masses_kg)
     whole |= held(known)
     results.table("all", {
@@ -121,7 +154,12 @@ def tell(found: Sequence[dict[str, Any]], script: str, kept: Path | None, argume
 
 def logged(paths: Sequence[Path]) -> list[dict[str, Any]]:
     """What came of the arms that some logs tell of."""
-    lines = [line for path in paths for line in path.read_text().splitlines() if line.startswith('{"seed"')]
+    lines = [
+        line
+        for path in paths
+        for line in path.read_text().splitlines()
+        if line.startswith('{"seed"')
+    ]
     return list(map(json.loads, lines))
 
 

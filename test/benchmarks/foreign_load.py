@@ -37,17 +37,22 @@ def busy(count: int) -> Iterator[None]:
             program.wait()
 
 
-def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, masses_kg: Sequence[float]) -> dict[str, Any]:
+def weighed(
+    seed: int, folder: Path, load: int, goals: bool, rate_hz: float, masses_kg: Sequence[float]
+) -> dict[str, Any]:
     """As `foreign_controller.weighed`, in real time."""
     from std_msgs.msg import Float64
     from support.foreign_arm import Busy
     from support.foreign_live import REFERENCE_KG, nodes_of
     from support.live import running
 
-    begun, nodes = time.monotonic(), nodes_of(folder, goals, data_directory=folder / "data", report=False)
+    begun = time.monotonic()
+    nodes = nodes_of(folder, goals, data_directory=folder / "data", report=False)
     words = ["--seed", str(seed), "--rate", str(rate_hz), *(["--goals"] if goals else [])]
     with contextlib.ExitStack() as ends:
-        arm = subprocess.Popen([sys.executable, str(Path(__file__).with_name("foreign_process.py")), *words])
+        arm = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("foreign_process.py")), *words]
+        )
         ends.callback(arm.wait)
         ends.callback(arm.kill)
         ends.enter_context(busy(load))
@@ -70,7 +75,11 @@ def weighed(seed: int, folder: Path, load: int, goals: bool, rate_hz: float, mas
             return bool(answer.success) and client.wait_for(client.final)
 
         told = asked(once, lambda: client.estimates[-1], masses_kg)
-    return {**about(seed, goals, rate_hz, Busy.draw(seed)), **told, "cpu_s": round(time.monotonic() - begun, 1)}
+    return {
+        **about(seed, goals, rate_hz, Busy.draw(seed)),
+        **told,
+        "cpu_s": round(time.monotonic() - begun, 1),
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,10 +31,16 @@ def main() -> None:
     given = parser.parse_args()
     _leave_shared_memory()
     rclpy.init()
-    node, arm, lock = rclpy.create_node("foreign_arm"), ForeignArm(given.seed, given.goals), threading.Lock()
+    node, arm, lock = (
+        rclpy.create_node("foreign_arm"),
+        ForeignArm(given.seed, given.goals),
+        threading.Lock(),
+    )
     best = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     states = node.create_publisher(JointState, "/joint_states", best)
-    topic = "/position_controller/commands" if given.goals else "/forward_effort_controller/commands"
+    topic = (
+        "/position_controller/commands" if given.goals else "/forward_effort_controller/commands"
+    )
 
     def take(message: Float64MultiArray) -> None:
         time.sleep(max(0.0, arm.stalled(time.monotonic(), "commands") - time.monotonic()))
@@ -49,11 +55,14 @@ def main() -> None:
             time.sleep(max(0.0, arm.stalled(time.monotonic(), "states") - time.monotonic()))
             with lock:
                 # both are of one instant, as `update` of a controller has them
-                now_s, stamp = time.monotonic(), node.get_clock().now().to_msg()
+                now_s = time.monotonic()
+                stamp = node.get_clock().now().to_msg()
                 arm.advance(now_s)
                 places = arm.positions()
             nothing = [math.nan] * len(places)
-            message = JointState(name=list(BROADCAST), position=places, velocity=nothing, effort=nothing)
+            message = JointState(
+                name=list(BROADCAST), position=places, velocity=nothing, effort=nothing
+            )
             message.header.stamp = stamp
             states.publish(message)
 

@@ -25,10 +25,13 @@ KINDS = ("coulomb", "viscous", "armature")
 
 def recorded(seed: int) -> tuple[virtual.Hand, Recording]:
     """An arm, and its joint states while the sequence is made, with the stretches in which no current was commanded."""
-    arm, machine = virtual.Hand(seed, None), ExcitationMachine(virtual.ROBOT)
+    arm = virtual.Hand(seed, None)
+    machine = ExcitationMachine(virtual.ROBOT)
     sample = arm.sample()
     machine.start(load_sequence("free_swing", virtual.ROBOT), sample)
-    stamps, rows, limp = [], [], []
+    stamps = []
+    rows = []
+    limp = []
     while machine.busy:
         command = machine.tick(arm.time_s, sample)
         stamps.append(round(1e9 * arm.time_s))
@@ -37,7 +40,9 @@ def recorded(seed: int) -> tuple[virtual.Hand, Recording]:
         sample = arm.step(command)
     edges = np.flatnonzero(np.diff([False, *limp, False])).reshape(-1, 2).tolist()
     off = tuple((stamps[begin], stamps[end]) for begin, end in edges)
-    return arm, Recording(f"arm {seed}", JointRecord(np.array(stamps), virtual.JOINTS, np.array(rows)), None, (), off)
+    return arm, Recording(
+        f"arm {seed}", JointRecord(np.array(stamps), virtual.JOINTS, np.array(rows)), None, (), off
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -64,7 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if row.scope == WRIST and row.kind in KINDS:
                 true = getattr(truth, row.kind)
                 off = (row.value - true) / row.std
-                print(f"; {row.kind} {row.value:.4f} +- {row.std:.4f}, true {true:.4f}, {off:+.1f} sd", end="")
+                print(
+                    f"; {row.kind} {row.value:.4f} +- {row.std:.4f}, true {true:.4f}, {off:+.1f} sd",
+                    end="",
+                )
                 if learnt.verdict.value == "accepted":
                     found[row.kind].append((off, row.std))
         print(flush=True)

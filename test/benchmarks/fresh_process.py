@@ -34,7 +34,13 @@ def python(*arguments: str) -> str:
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
     # a user's second call finds our modules compiled, as it finds the kernels
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    done = subprocess.run([sys.executable, *arguments], cwd=REPOSITORY, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=REPOSITORY,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     # 3: an answer with a verdict other than "accepted"; that of a robot without a calibration is too wide
     if done.returncode not in (0, 3):
         raise SystemExit(f"python {' '.join(arguments[:3])} failed: {done.stderr.strip()}")
@@ -47,7 +53,15 @@ def rows(case: Case, repeats: int = 9) -> list[Row]:
     answer = json.loads(python(*COMMAND))
     mass = answer["estimates"][0]["value"]
     if mass is None or abs(mass - case.mass) > AGREEMENT_KG:
-        return [Row("proprio replay, fresh process", None, "void", False, f"{answer['verdict']}, {mass} kg")]
+        return [
+            Row(
+                "proprio replay, fresh process",
+                None,
+                "void",
+                False,
+                f"{answer['verdict']}, {mass} kg",
+            )
+        ]
     whole = measure(lambda: python(*COMMAND), repeats=repeats)
     bare = measure(lambda: python("-c", "import numpy"), repeats=repeats)
     parts = [json.loads(python("-c", PARTS)) for _ in range(repeats)]

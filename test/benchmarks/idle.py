@@ -41,7 +41,10 @@ def main() -> None:
         with running(Path(folder), driver={"rate": given.rate}) as (graph, _):
             ready_s = time.monotonic() - began_s
             time.sleep(3.0)
-            before = {name: (cpu_s(process.pid), time.monotonic()) for name, process in graph.processes.items()}
+            before = {
+                name: (cpu_s(process.pid), time.monotonic())
+                for name, process in graph.processes.items()
+            }
             time.sleep(given.seconds)
             for name, (then_s, at_s) in before.items():
                 core = (cpu_s(graph.processes[name].pid) - then_s) / (time.monotonic() - at_s)

@@ -24,13 +24,22 @@ from results import Results, parser_of
 
 BUS = ("virtual", "driver", "excitation", "identifier")
 TOPICS = ("virtual", "excitation", "identifier")
-FIVE_KG, HEAVIER_KG, SO101_KG = (0.01, 0.02, 0.023, 0.05, 0.1), (0.02, 0.05, 0.08, 0.12, 0.15), (0.0, 0.05, 0.1, 0.2)
+FIVE_KG = (0.01, 0.02, 0.023, 0.05, 0.1)
+HEAVIER_KG = (0.02, 0.05, 0.08, 0.12, 0.15)
+SO101_KG = (0.0, 0.05, 0.1, 0.2)
 STATED = ["payload.com=[0,0,0]", "payload.shape=point"]
 REFERENCE = {"reference_mass": 0.1, "reference_wait": 1.0, "reference_settings": STATED}
 ORDER = ["joint3", "gripper_left_joint", "joint1", "joint4", "joint2"]
 SO101 = {
     "robot": "so101",
-    "controller_joints": ["gripper", "elbow_flex", "shoulder_pan", "wrist_roll", "wrist_flex", "shoulder_lift"],
+    "controller_joints": [
+        "gripper",
+        "elbow_flex",
+        "shoulder_pan",
+        "wrist_roll",
+        "wrist_flex",
+        "shoulder_lift",
+    ],
 }
 
 
@@ -75,7 +84,11 @@ def weighed(way: Way, seed: int, folder: Path) -> dict[str, Any]:
     from support.simulated_live import running
 
     facts = {"settings": STATED, "live_period": 0.0, "report": False, **way.identifier}
-    parameters = {"virtual": {"seed": seed, **way.virtual}, "excitation": dict(way.excitation), "identifier": facts}
+    parameters = {
+        "virtual": {"seed": seed, **way.virtual},
+        "excitation": dict(way.excitation),
+        "identifier": facts,
+    }
     with running(folder, *way.nodes, **parameters) as client:
         client.hear_less()
 
@@ -112,7 +125,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for seed in range(first, first + count):
             with tempfile.TemporaryDirectory() as folder:
                 told = weighed(how, seed, Path(folder))
-            print(f"{way}, arm {seed}: {'' if told['robot'] else 'not '}calibrated, asked {told['asked']} times", flush=True)
+            print(
+                f"{way}, arm {seed}: {'' if told['robot'] else 'not '}calibrated, asked {told['asked']} times",
+                flush=True,
+            )
             unasked = [{"kg": kg, "asked": 0, "known": False} for kg in how.masses_kg]
             found.setdefault(way, []).extend(told["masses"] or unasked)
     results.table(
@@ -130,7 +146,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     for way, answers in found.items():
         for kg in WAYS[way].masses_kg:
-            row(results, way, f"{1e3 * kg:g} g" if kg else "nothing", [one for one in answers if one["kg"] == kg])
+            row(
+                results,
+                way,
+                f"{1e3 * kg:g} g" if kg else "nothing",
+                [one for one in answers if one["kg"] == kg],
+            )
         row(results, way, "all", answers)
     results.keep()
     return 0

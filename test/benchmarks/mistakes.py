@@ -52,7 +52,8 @@ class Question:
     words: tuple[str, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
     references: tuple[tuple[Path, float], ...] = ()
-    calibrated_with: tuple[str, ...] | None = None  # settings of the calibration, where they are others
+    # settings of the calibration, where they are others
+    calibrated_with: tuple[str, ...] | None = None
     joint: str = ""  # that is bent where one is
 
 
@@ -74,7 +75,9 @@ def columns(quantity: str, factor: float, only: bool = False) -> Callable[[Quest
         def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
             if hasattr(message, "name") and len(getattr(message, quantity)):
                 column = np.array([not only or name == question.joint for name in message.name])
-                setattr(message, quantity, np.where(column, factor, 1.0) * getattr(message, quantity))
+                setattr(
+                    message, quantity, np.where(column, factor, 1.0) * getattr(message, quantity)
+                )
             elif quantity == "effort" and hasattr(message, "layout"):
                 labels = [label for dim in message.layout.dim for label in dim.label.split(",")]
                 if len(labels) != len(message.data):
@@ -93,7 +96,9 @@ def renamed(_: Question) -> Bend:
         if hasattr(message, "name"):
             message.name = [f"left_{name}" for name in message.name]
         for dim in getattr(getattr(message, "layout", None), "dim", ()):
-            dim.label = ",".join(f"left_{name}" for name in dim.label.split(",")) if dim.label else ""
+            dim.label = (
+                ",".join(f"left_{name}" for name in dim.label.split(",")) if dim.label else ""
+            )
         return time_ns, message
 
     return bend
@@ -108,7 +113,9 @@ def stamped(factor: float, recorder: bool = False) -> Callable[[Question], Bend]
             if hasattr(message, "header"):
                 stamp = message.header.stamp
                 whole = stamp.sec * 10**9 + stamp.nanosec
-                stamp.sec, stamp.nanosec = divmod(first[0] + round((whole - first[0]) * factor), 10**9)
+                stamp.sec, stamp.nanosec = divmod(
+                    first[0] + round((whole - first[0]) * factor), 10**9
+                )
             return first[0] + round((time_ns - first[0]) * factor) if recorder else time_ns, message
 
         return bend
@@ -132,7 +139,9 @@ def other_arm(question: Question, folder: Path) -> Question | None:
 
 
 def off_centre(question: Question, folder: Path) -> Question:
-    centre = np.array(question.settings.get("payload.com", [0.0, 0.0, 0.0])) + np.array([0.1, 0.0, 0.0])
+    centre = np.array(question.settings.get("payload.com", [0.0, 0.0, 0.0])) + np.array(
+        [0.1, 0.0, 0.0]
+    )
     return replace(question, settings={**question.settings, "payload.com": centre.tolist()})
 
 
@@ -140,7 +149,9 @@ def reference_times(factor: float) -> Callable[[Question, Path], Question | None
     def asked(question: Question, folder: Path) -> Question | None:
         if not question.references:
             return None
-        return replace(question, references=tuple((bag, factor * kg) for bag, kg in question.references))
+        return replace(
+            question, references=tuple((bag, factor * kg) for bag, kg in question.references)
+        )
 
     return asked
 
@@ -162,7 +173,9 @@ MISTAKES = (
     Mistake("effort / 1000", r"\bunit", columns("effort", 0.001)),
     Mistake("effort of one joint x 2", r"\bunit|torque constant", columns("effort", 2.0, True)),
     Mistake("positions in degrees", "degree", columns("position", 180.0 / np.pi)),
-    Mistake("position, sign of one joint", r"\bsign|axis|direction", columns("position", -1.0, True)),
+    Mistake(
+        "position, sign of one joint", r"\bsign|axis|direction", columns("position", -1.0, True)
+    ),
     Mistake("velocities in deg/s", "velocit", columns("velocity", 180.0 / np.pi)),
     Mistake("names prefixed", "prefix", renamed),
     Mistake("header stamps x 1000", "stamp|clock", stamped(1000.0)),
@@ -171,11 +184,20 @@ MISTAKES = (
     Mistake("all times / 1000", "stamp|clock|Hz|period", stamped(0.001, True)),
     Mistake("base rolled by 45 degrees", "gravity|base", asked=rolled, everywhere=(True,)),
     Mistake("another arm's file", "URDF|another arm", asked=other_arm, everywhere=(True,)),
-    Mistake("payload.com off by 0.1 m", r"payload\.com|centre", asked=off_centre, everywhere=(False,)),
+    Mistake(
+        "payload.com off by 0.1 m", r"payload\.com|centre", asked=off_centre, everywhere=(False,)
+    ),
     Mistake("reference stated x 1.2", "reference", asked=reference_times(1.2), everywhere=(False,)),
     Mistake("reference stated x 2", "reference", asked=reference_times(2.0), everywhere=(False,)),
-    Mistake("reference stated x 1000", "reference", asked=reference_times(1000.0), everywhere=(False,)),
-    Mistake("empty and loaded swapped", "mixed up|swapped|lighter|in the hand", asked=swapped, everywhere=(False,)),
+    Mistake(
+        "reference stated x 1000", "reference", asked=reference_times(1000.0), everywhere=(False,)
+    ),
+    Mistake(
+        "empty and loaded swapped",
+        "mixed up|swapped|lighter|in the hand",
+        asked=swapped,
+        everywhere=(False,),
+    ),
 )
 
 
@@ -191,7 +213,8 @@ OUTCOMES = {
 
 def said(words: list[str]) -> tuple[int, dict[str, Any], str]:
     """Exit code, what --json prints, and what goes to stderr."""
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = proprio([*words, "--json"])
     return code, json.loads(out.getvalue() or "{}"), err.getvalue()
@@ -206,10 +229,14 @@ def calibrated(*words: str) -> tuple[int, str, str]:
 
 
 def setting(settings: dict[str, Any]) -> list[str]:
-    return [word for key, value in settings.items() for word in ("--set", f"{key}={json.dumps(value)}")]
+    return [
+        word for key, value in settings.items() for word in ("--set", f"{key}={json.dumps(value)}")
+    ]
 
 
-def answer(question: Question, folder: Path) -> tuple[str, float | None, tuple[float, float] | None, str]:
+def answer(
+    question: Question, folder: Path
+) -> tuple[str, float | None, tuple[float, float] | None, str]:
     """Verdict, mass, interval and all that was said."""
     common = [*question.words, *setting(question.settings)]
     robot = ["--robot", question.robot] if question.robot else []
@@ -223,7 +250,9 @@ def answer(question: Question, folder: Path) -> tuple[str, float | None, tuple[f
         references = [f"{bag}={kg}" for bag, kg in question.references]
         own = common if question.calibrated_with is None else list(question.calibrated_with)
         calibrate = ["calibrate", *map(str, question.empty), *robot, *own]
-        code, text, file = calibrated(*calibrate, *(["--reference", *references] if references else []))
+        code, text, file = calibrated(
+            *calibrate, *(["--reference", *references] if references else [])
+        )
         if code:
             return "refused" if code == 3 else "bad input", None, None, f"calibrate: {text}"
         words += ["--calibration", file]
@@ -262,43 +291,63 @@ def made(question: Question, mistake: Mistake, everywhere: bool, folder: Path) -
     if question.way == "alone":
         return None
     references = tuple((changed(bag), kg) for bag, kg in question.references)
-    return replace(question, loaded=loaded, empty=tuple(map(changed, question.empty)), references=references)
+    return replace(
+        question, loaded=loaded, empty=tuple(map(changed, question.empty)), references=references
+    )
 
 
 def pushes(shared: Path) -> Iterator[Question]:
     for level in ("realistic_s00",):
         root = shared / "recordings" / level
         empty = tuple(bag_in(folder) for folder in sorted(root.glob("empty_*")))
-        weights = [root / f"fixed_reference_100g_{name}" for name in ("joint3_x1", "joint2_x2", "joint2_x3")]
+        weights = [
+            root / f"fixed_reference_100g_{name}"
+            for name in ("joint3_x1", "joint2_x2", "joint2_x3")
+        ]
         weights = [folder for folder in weights if folder.is_dir()]
         known = tuple((bag_in(folder), 0.1) for folder in weights)
         for name in ("fixed_heavy_cube_23g_joint3_x0", "fixed_heavy_ball_50g_joint3_x1"):
             if not (root / name).is_dir():
                 continue
             truth = truth_of(root / name)
-            mass, facts = truth["payload"]["mass"], stated(truth)
+            mass = truth["payload"]["mass"]
+            facts = stated(truth)
             joint = "joint3" if "joint3" in name else "joint2"
-            asked = Question(f"push {level}", "alone", bag_in(root / name), (), mass, settings=facts, joint=joint)
+            asked = Question(
+                f"push {level}", "alone", bag_in(root / name), (), mass, settings=facts, joint=joint
+            )
             yield asked
             own: tuple[str, ...] = ()
             yield replace(asked, way="calibrated", empty=empty, calibrated_with=own)
             facts = stated(truth_of(weights[0])) if weights else {}
             own = tuple(setting(facts))
             if known:
-                yield replace(asked, way="referenced", empty=empty, references=known, calibrated_with=own)
+                yield replace(
+                    asked, way="referenced", empty=empty, references=known, calibrated_with=own
+                )
 
 
 def motions(shared: Path, folder: Path) -> Iterator[Question]:
     """Simulated arms of six and seven joints, and the UR10e."""
-    arms = {"ur5e": ("tool0", 2.0, 1.0, [0.0, -1.2, 1.4, -0.5, 0.5, 0.0]), "openarm": ("", 0.6, 0.3, None)}
+    arms = {
+        "ur5e": ("tool0", 2.0, 1.0, [0.0, -1.2, 1.4, -0.5, 0.5, 0.0]),
+        "openarm": ("", 0.6, 0.3, None),
+    }
     for name, (hand, kg, reference_kg, middle) in arms.items():
         robot = load_robot(name)
         hand = hand or robot.payload_frame
-        joints = [each for each in robot.drive_trains if robot.model.joint(each).kind != "prismatic"]
+        joints = [
+            each for each in robot.drive_trains if robot.model.joint(each).kind != "prismatic"
+        ]
         for unit in ("N.m", "A") if name == "ur5e" else ("N.m",):
-            constants = {each: 1.0 if unit == "N.m" else robot.drive_trains[each].torque_constant.value for each in joints}
+            constants = {
+                each: 1.0 if unit == "N.m" else robot.drive_trains[each].torque_constant.value
+                for each in joints
+            }
             bags = {}
-            for number, (what, load) in enumerate((("empty", 0.0), ("loaded", kg), ("reference", reference_kg))):
+            for number, (what, load) in enumerate(
+                (("empty", 0.0), ("loaded", kg), ("reference", reference_kg))
+            ):
                 bags[what] = record_arm(
                     folder / f"{name}_{unit}_{what}", URDFS / f"{name}.urdf", constants, hand, load, number, robot_seed=3,
                     middle=middle, friction_N_m=0.5 if name == "ur5e" else 0.1, rotor_kg_m2=0.05 if name == "ur5e" else 0.01,
@@ -307,33 +356,61 @@ def motions(shared: Path, folder: Path) -> Iterator[Question]:
                 words = ("--effort-unit", unit, "--set", f"payload.frame={hand}")
                 bare = " (URDF)" if file.endswith(".urdf") else ""
                 asked = Question(
-                    f"{name} {unit}{bare}", "baseline", bags["loaded"], (bags["empty"],), kg, file, words, joint=joints[1]
+                    f"{name} {unit}{bare}",
+                    "baseline",
+                    bags["loaded"],
+                    (bags["empty"],),
+                    kg,
+                    file,
+                    words,
+                    joint=joints[1],
                 )
                 yield asked
-                yield replace(asked, way="referenced", references=((bags["reference"], reference_kg),))
+                yield replace(
+                    asked, way="referenced", references=((bags["reference"], reference_kg),)
+                )
     real = shared / "recordings_real"
-    bags = {name: cut(real / f"ur10e_{name}_14", folder / f"ur10e_{name}", 0.0, 25.0) for name in ("loaded", "empty")}
+    bags = {
+        name: cut(real / f"ur10e_{name}_14", folder / f"ur10e_{name}", 0.0, 25.0)
+        for name in ("loaded", "empty")
+    }
     words = ("--effort-unit", "A")
     file = str(ur10e_file(real, folder))
-    asked = Question("UR10e", "baseline", bags["loaded"], (bags["empty"],), UR10E_KG, file, words, joint="shoulder_lift_joint")
+    asked = Question(
+        "UR10e",
+        "baseline",
+        bags["loaded"],
+        (bags["empty"],),
+        UR10E_KG,
+        file,
+        words,
+        joint="shoulder_lift_joint",
+    )
     yield asked
 
 
 def swings(shared: Path, folder: Path) -> Iterator[Question]:
     real = shared / "recordings_real"
     for servo, known in (("sts3215", (0.741, 1.168)), ("sts3250", (0.741, 1.168))):
-        robot = str(pendulum(folder, servo, 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.5}"))
+        robot = str(
+            pendulum(folder, servo, 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.5}")
+        )
         loads = tuple((real / f"{servo}_release_{kg:.3f}kg", kg) for kg in known)
-        facts = {key: json.loads(value) for key, value in (word.split("=") for word in STS_OBJECT[1::2])}
+        facts = {
+            key: json.loads(value) for key, value in (word.split("=") for word in STS_OBJECT[1::2])
+        }
         loaded = real / f"{servo}_release_0.969kg"
-        yield Question(servo, "referenced", loaded, (), 0.969, robot, (), facts, loads, joint="pendulum")
+        yield Question(
+            servo, "referenced", loaded, (), 0.969, robot, (), facts, loads, joint="pendulum"
+        )
 
 
 def asked_of(arms: str, options: argparse.Namespace) -> list[tuple[str, str]]:
     """What each mistake came to, on all recordings of some kind."""
     found = []
     with tempfile.TemporaryDirectory() as made_in:
-        root, shared = Path(made_in), options.recordings
+        root = Path(made_in)
+        shared = options.recordings
         kinds: dict[str, Callable[[], Iterator[Question]]] = {
             "pushes": lambda: pushes(shared),
             "motions": lambda: motions(shared, root),
@@ -353,21 +430,38 @@ def asked_of(arms: str, options: argparse.Namespace) -> list[tuple[str, str]]:
                 outcome = judged(mistake, asked.truth_kg, verdict, interval, text)
                 found.append((mistake.name, outcome))
                 if options.all or outcome.startswith("wrong"):
-                    grams = "" if value is None else f" {1e3 * value:.1f} for {1e3 * asked.truth_kg:.1f} g"
-                    print(f"{outcome:12s} {name}: {verdict}{grams}; {text.replace(scratch, '')[:1200]}", flush=True)
+                    grams = (
+                        ""
+                        if value is None
+                        else f" {1e3 * value:.1f} for {1e3 * asked.truth_kg:.1f} g"
+                    )
+                    print(
+                        f"{outcome:12s} {name}: {verdict}{grams}; {text.replace(scratch, '')[:1200]}",
+                        flush=True,
+                    )
     return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--arms", nargs="+", choices=("pushes", "motions", "swings"), default=["pushes", "motions", "swings"])
-    parser.add_argument("--recordings", type=Path, default=Path(__file__).resolve().parents[3] / "shared")
+    parser.add_argument(
+        "--arms",
+        nargs="+",
+        choices=("pushes", "motions", "swings"),
+        default=["pushes", "motions", "swings"],
+    )
+    parser.add_argument(
+        "--recordings", type=Path, default=Path(__file__).resolve().parents[3] / "shared"
+    )
     parser.add_argument("--only", default="*", help="arm, way and mistake, as a pattern")
     parser.add_argument("--all", action="store_true", help="print every answer")
     parser.add_argument("--jobs", type=int, default=2, help="processes: one for each kind of arm")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    results.table("mistakes", {"mistake": "{mistake}", **{title: f"{{{key}}}" for key, title in OUTCOMES.items()}})
+    results.table(
+        "mistakes",
+        {"mistake": "{mistake}", **{title: f"{{{key}}}" for key, title in OUTCOMES.items()}},
+    )
     counts = {mistake.name: dict.fromkeys(OUTCOMES, 0) for mistake in MISTAKES}
     with ProcessPoolExecutor(min(options.jobs, len(options.arms))) as pool:
         for found in pool.map(partial(asked_of, options=options), options.arms):

@@ -55,16 +55,24 @@ def _times_inertia(v: np.ndarray) -> np.ndarray:
 
 
 def torque_of_bodies(
-    arm: Twin, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, gravity: np.ndarray = GRAVITY
+    arm: Twin,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    gravity: np.ndarray = GRAVITY,
 ) -> np.ndarray:
     """Torque at every joint per unit of the ten parameters of the payload and of every link, shape (T, n, 10 (1 + n)).
 
     Parameters of a body: mass, first moments, inertia about its frame's origin (xx, xy, xz, yy, yz, zz).
     """
     count, joints = position.shape
-    turn, spin, spin_rate = np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3))
-    origin, fall = np.zeros((count, 3)), np.zeros((count, 3)) - gravity
-    axes, origins = [], []
+    turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+    spin = np.zeros((count, 3))
+    spin_rate = np.zeros((count, 3))
+    origin = np.zeros((count, 3))
+    fall = np.zeros((count, 3)) - gravity
+    axes = []
+    origins = []
     result = np.zeros((count, joints, 10 * (1 + joints)))
     for body in range(joints + 1):
         place = arm.build.origins[body] if body < joints else arm.build.grip
@@ -73,9 +81,12 @@ def torque_of_bodies(
         origin = origin + arm_of
         if body < joints:
             direction = _numbers(arm.build.axes[body])
-            axis, cross = turn @ direction, _cross(direction)
+            axis = turn @ direction
+            cross = _cross(direction)
             angle = position[:, body, None, None]
-            turn = turn @ (np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+            turn = turn @ (
+                np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+            )
             rate = axis * velocity[:, body, None]
             spin_rate = spin_rate + axis * acceleration[:, body, None] + np.cross(spin, rate)
             spin = spin + rate
@@ -89,7 +100,8 @@ def torque_of_bodies(
         force[:, :, 1:4] = _cross(dw) + _cross(w) @ _cross(w)
         moment[:, :, 1:4] = -_cross(a)
         moment[:, :, 4:] = _times_inertia(dw) + _cross(w) @ _times_inertia(w)
-        force, moment = turn @ force, turn @ moment
+        force = turn @ force
+        moment = turn @ moment
         at = 10 * (body + 1) if body < joints else 0
         for joint in range(len(axes)):
             about = moment + _cross(origin - origins[joint]) @ force
@@ -121,10 +133,12 @@ class Model:
     payload: np.ndarray
 
     def __post_init__(self) -> None:
-        arm, joints = self.arm, len(self.arm.build.axes)
+        arm = self.arm
+        joints = len(self.arm.build.axes)
         self.joints = joints
         self.regressors = [
-            torque_of_bodies(arm, motion.position, motion.velocity, motion.acceleration) for motion, _ in self.motions
+            torque_of_bodies(arm, motion.position, motion.velocity, motion.acceleration)
+            for motion, _ in self.motions
         ]
         self.truth = np.concatenate(
             [
@@ -137,9 +151,12 @@ class Model:
 
     def bodies(self, unknowns: np.ndarray) -> np.ndarray:
         """Parameters of payload and links, shape (10 (1 + n),)."""
-        arm, off = self.arm, unknowns[10 : 10 + 5 * self.joints].reshape(self.joints, 5)
+        arm = self.arm
+        off = unknowns[10 : 10 + 5 * self.joints].reshape(self.joints, 5)
         links = [
-            parameters(arm.masses[n] * (1.0 + o[0]), arm.coms[n] + o[1:4], arm.inertias[n] * (1.0 + o[4]))
+            parameters(
+                arm.masses[n] * (1.0 + o[0]), arm.coms[n] + o[1:4], arm.inertias[n] * (1.0 + o[4])
+            )
             for n, o in enumerate(off)
         ]
         return np.concatenate([unknowns[:10], *links])
@@ -150,13 +167,18 @@ class Model:
 
     def _motors(self, unknowns: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
         """Of each motion: torque that passes the gears, by how much it follows what bodies need, and slip."""
-        of, bodies = self._by_joint(unknowns), self.bodies(unknowns)
+        of = self._by_joint(unknowns)
+        bodies = self.bodies(unknowns)
         for number, (motion, loaded) in enumerate(self.motions):
             held = bodies.copy()
             held[:10] *= loaded
             slip = np.tanh(motion.velocity / 0.01)
             coulomb = of["coulomb"][number] * (1.0 + of["place"] * self.arm.wave(motion.position))
-            needed = self.regressors[number] @ held + of["armature"] * motion.acceleration + coulomb * slip
+            needed = (
+                self.regressors[number] @ held
+                + of["armature"] * motion.acceleration
+                + coulomb * slip
+            )
             gain = 1.0 / (1.0 - of["gears"] * slip * np.sign(needed))
             yield gain * needed, gain, slip
 
@@ -165,19 +187,27 @@ class Model:
         of = self._by_joint(unknowns)
         return [
             (passed + of["viscous"] * motion.velocity) / (1.0 + of["delta"])
-            for (motion, _), (passed, _, _) in zip(self.motions, self._motors(unknowns), strict=True)
+            for (motion, _), (passed, _, _) in zip(
+                self.motions, self._motors(unknowns), strict=True
+            )
         ]
 
     def slopes(self) -> list[np.ndarray]:
         """Of `read` by every unknown at the truth, each of shape (T n, U)."""
-        joints, of, step, start = self.joints, self._by_joint(self.truth), 1e-6, 10 + 5 * self.joints
+        joints = self.joints
+        of = self._by_joint(self.truth)
+        step = 1e-6
+        start = 10 + 5 * self.joints
         steps = step * np.eye(len(self.truth))[:start]
-        by_bodies = np.array([self.bodies(self.truth + d) - self.bodies(self.truth - d) for d in steps]).T / (2.0 * step)
+        by_bodies = np.array(
+            [self.bodies(self.truth + d) - self.bodies(self.truth - d) for d in steps]
+        ).T / (2.0 * step)
         result = []
         for number, ((motion, loaded), (passed, gain, slip), read) in enumerate(
             zip(self.motions, self._motors(self.truth), self.read(self.truth), strict=True)
         ):
-            wave, coulomb = self.arm.wave(motion.position), of["coulomb"][number]
+            wave = self.arm.wave(motion.position)
+            coulomb = of["coulomb"][number]
             rows = np.zeros((len(wave), joints, len(self.truth)))
             rows[:, :, :start] = gain[..., None] * (self.regressors[number] @ by_bodies)
             rows[:, :, :10] *= loaded
@@ -188,7 +218,10 @@ class Model:
                 "place": gain * slip * coulomb * wave,
                 "delta": -read,
             }
-            own = [*(columns[kind] for kind in JOINT_KINDS), *(np.zeros_like(wave) for _ in self.motions)]
+            own = [
+                *(columns[kind] for kind in JOINT_KINDS),
+                *(np.zeros_like(wave) for _ in self.motions),
+            ]
             own[len(JOINT_KINDS) + number] = gain * slip * (1.0 + of["place"] * wave)
             for kind, column in enumerate(own):
                 for joint in range(joints):
@@ -199,10 +232,17 @@ class Model:
 
     def prior_precision(self, payload_std: np.ndarray, torque_std: float = 0.01) -> np.ndarray:
         """Inverse covariance of the unknowns before any motion, shape (U, U)."""
-        joints, build = self.joints, self.arm.build
+        joints = self.joints
+        build = self.arm.build
         links = np.tile([build.link_share, *[build.shift_m] * 3, 0.1], joints)
         # load friction, rotor and viscous friction as `write_robot` states them, place as `Twin` draws it
-        by_joint = {"armature": 0.2, "gears": 0.05, "viscous": 2.0, "place": 0.2 / np.sqrt(12.0), "delta": torque_std}
+        by_joint = {
+            "armature": 0.2,
+            "gears": 0.05,
+            "viscous": 2.0,
+            "place": 0.2 / np.sqrt(12.0),
+            "delta": torque_std,
+        }
         each = [np.full(joints, by_joint[kind]) for kind in JOINT_KINDS]
         start = 10 + 5 * joints + len(JOINT_KINDS) * joints
         precision = np.zeros((len(self.truth), len(self.truth)))
@@ -225,19 +265,29 @@ class Model:
 
         An acceleration from positions is their second difference, and its noise a torque by the joints' inertia matrix.
         """
-        motion, joints = self.motions[number][0], self.joints
-        count, period_s = len(motion.position), 1.0 / RATE_HZ
+        motion = self.motions[number][0]
+        joints = self.joints
+        count = len(motion.position)
+        period_s = 1.0 / RATE_HZ
         inertia = np.zeros((count, joints, joints))
         held = self.bodies(self.truth)
         held[:10] *= self.motions[number][1]
         still = np.zeros_like(motion.position)
         for joint in range(joints):
             unit = still + np.eye(joints)[joint]
-            inertia[:, :, joint] = torque_of_bodies(self.arm, motion.position, still, unit, 0.0 * GRAVITY) @ held
+            inertia[:, :, joint] = (
+                torque_of_bodies(self.arm, motion.position, still, unit, 0.0 * GRAVITY) @ held
+            )
         inertia += np.diag(self.arm.armature)
         band = np.zeros((3 * joints, count * joints))
         for lag, share in enumerate((6.0, -4.0, 1.0)):
-            block = POSITION_NOISE_RAD**2 / period_s**4 * share * inertia[lag:] @ np.swapaxes(inertia[: count - lag], 1, 2)
+            block = (
+                POSITION_NOISE_RAD**2
+                / period_s**4
+                * share
+                * inertia[lag:]
+                @ np.swapaxes(inertia[: count - lag], 1, 2)
+            )
             for i in range(joints):
                 for j in range(joints):
                     if (below := lag * joints + i - j) >= 0:
@@ -257,7 +307,9 @@ class Model:
             white = np.tile(self.noise**-2.0, len(rows) // self.joints)[:, None] * rows
             information += rows.T @ (self._with_positions(number, rows) if positions else white)
         build = self.arm.build
-        length_m = WITHIN * sum(np.linalg.norm(_numbers(words)) for words in (*build.origins[1:], build.grip))
+        length_m = WITHIN * sum(
+            np.linalg.norm(_numbers(words)) for words in (*build.origins[1:], build.grip)
+        )
         size = np.array([*[length_m] * 3, *[length_m**2] * 6])
         heavy_kg = self.payload[0]
         for _ in range(5):
@@ -272,7 +324,13 @@ class Model:
 
 
 def bound(
-    arm: Twin, without: Truth, loaded: Truth, mass: float, centre: np.ndarray, positions: bool = False, more: Sequence[Truth] = ()
+    arm: Twin,
+    without: Truth,
+    loaded: Truth,
+    mass: float,
+    centre: np.ndarray,
+    positions: bool = False,
+    more: Sequence[Truth] = (),
 ) -> float:
     """Smallest standard deviation of the mass [kg] that motions of an arm allow, one with a ball in the hand, the others empty."""
     ball = parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2))

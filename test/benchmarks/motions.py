@@ -48,29 +48,43 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--arms", type=int, default=60)
     parser.add_argument("--first", type=int, default=100, help="seed of the first arm")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each motion")
-    parser.add_argument("--loaded-seconds", type=float, help="of the motion that is weighed, where it is shorter")
+    parser.add_argument(
+        "--loaded-seconds", type=float, help="of the motion that is weighed, where it is shorter"
+    )
     parser.add_argument("--joints", type=int, choices=(4, 6), default=6)
-    parser.add_argument("--teeth", action="store_true", help="friction goes with the place by a law of gears, see `Twin`")
-    parser.add_argument("--baseline", action="store_true", help="one more empty motion counts in the weighing")
-    parser.add_argument("--empty", action="store_true", help="weigh a third motion, with nothing in the hand")
+    parser.add_argument(
+        "--teeth",
+        action="store_true",
+        help="friction goes with the place by a law of gears, see `Twin`",
+    )
+    parser.add_argument(
+        "--baseline", action="store_true", help="one more empty motion counts in the weighing"
+    )
+    parser.add_argument(
+        "--empty", action="store_true", help="weigh a third motion, with nothing in the hand"
+    )
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     build = SIX if options.joints == 6 else FOUR
     with tempfile.TemporaryDirectory() as folder:
         robot = load_robot(write_robot(Path(folder), build=build))
     loaded_s = options.loaded_seconds or options.seconds
-    rows, seconds = [], []
+    rows = []
+    seconds = []
     for seed in range(options.first, options.first + options.arms):
         arm = Twin(seed, build, teeth=options.teeth)
         mass, centre = held = arm.payload(np.random.default_rng(10_000 + seed))
-        empty, loaded = arm.record("empty", options.seconds), arm.record("loaded", loaded_s, held)
+        empty = arm.record("empty", options.seconds)
+        loaded = arm.record("loaded", loaded_s, held)
         if options.empty:
-            mass, loaded = 0.0, arm.record("empty again", loaded_s)
+            mass = 0.0
+            loaded = arm.record("empty again", loaded_s)
         more = [arm.record("baseline", loaded_s)] if options.baseline else []
         begun_s = time.process_time()
         fit = fit_payload(robot, [loaded], fit_empty(robot, [empty]), empty=more)
         seconds.append(time.process_time() - begun_s)
-        error, half = float(fit.values[0]) - mass, fit.quantile * float(fit.std[0])
+        error = float(fit.values[0]) - mass
+        half = fit.quantile * float(fit.std[0])
         truths = [arm.truths[motion.name] for motion in (empty, loaded, *more)]
         least = bound(arm, truths[0], truths[1], mass, centre, more=truths[2:])
         rows.append((mass, error, half, least))

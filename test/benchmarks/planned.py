@@ -24,10 +24,24 @@ def rows(case: Case) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         seven = Path(folder) / "seven.yaml"
         urdf = seven_joints.write(Path(folder))
-        python("-m", "proprio_ros.cli", "robot", "new", str(urdf), "--effort-unit", "N.m", "--output", str(seven))
+        python(
+            "-m",
+            "proprio_ros.cli",
+            "robot",
+            "new",
+            str(urdf),
+            "--effort-unit",
+            "N.m",
+            "--output",
+            str(seven),
+        )
         return [
             row
-            for robot, words in (("open_manipulator_x", "four joints"), ("so101", "six"), (str(seven), "seven"))
+            for robot, words in (
+                ("open_manipulator_x", "four joints"),
+                ("so101", "six"),
+                (str(seven), "seven"),
+            )
             for row in _searches(robot, words)
         ]
 
@@ -36,15 +50,31 @@ def _searches(robot: str, words: str) -> list[Row]:
     found = []
     for seconds in SECONDS[:1] if cases.once else SECONDS:
         limits = "--count", "1", "--seconds", str(seconds)
-        command = ("-m", "proprio_ros.cli", "plan", "--mass", str(MASS_KG), "--robot", robot, *limits, "--json")
+        command = (
+            "-m",
+            "proprio_ros.cli",
+            "plan",
+            "--mass",
+            str(MASS_KG),
+            "--robot",
+            robot,
+            *limits,
+            "--json",
+        )
         outputs: list[str] = []
         first = seconds == 0.0
         before = _cpu_s()
-        timing = measure(lambda: outputs.append(python(*command)), repeats=3 if first else 1, warm_up=0)  # noqa: B023
+        timing = measure(
+            lambda: outputs.append(python(*command)),  # noqa: B023
+            repeats=3 if first else 1,
+            warm_up=0,
+        )
         cpu_s = (_cpu_s() - before) / timing.repeats
         (plan,) = json.loads(outputs[-1])["plans"]
         goal = f"{cpu_s:.1f} s of CPU" + f" (goal <= {GOAL_S:g} s)" * first
-        what = f"proprio plan, fresh process, {words}: " + ("first plan" if first else f"--seconds {seconds:g}")
+        what = f"proprio plan, fresh process, {words}: " + (
+            "first plan" if first else f"--seconds {seconds:g}"
+        )
         note = f"{plan['joint']} {plan['kind']}, +-{1e3 * Z95 * plan['std_kg'][0]:.1f} g at 50 g"
         found.append(Row(what, timing, goal, cpu_s <= GOAL_S if first else None, note))
     return found

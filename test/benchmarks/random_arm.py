@@ -56,10 +56,13 @@ NOMINAL_ARMATURE = 0.012  # kg m^2
 COUNT_A = 0.00269
 COUNT_RAD = 2.0 * math.pi / 4096
 GRIPPER_M_PER_RAD = 0.01149
-SUPPLY_V, BACK_EMF_V_S, RESISTANCE_OHM = 12.0, 2.49, 5.22
+SUPPLY_V = 12.0
+BACK_EMF_V_S = 2.49
+RESISTANCE_OHM = 5.22
 
 RATE_HZ = 40.0
-BEFORE_S, BRAKED_S = 0.25, 0.15
+BEFORE_S = 0.25
+BRAKED_S = 0.15
 STEP_S = 0.0005
 
 HOLD_A_PER_RAD, HOLD_A_S_PER_RAD = 10.6, 0.48
@@ -153,7 +156,9 @@ class HiddenRobot:
 
     def reading_error(self, positions: FloatArray) -> FloatArray:
         """Reading minus true position, without noise [rad], shape (..., 4)."""
-        turning: FloatArray = np.array(self.once_per_turn) * np.sin(positions + np.array(self.phase))
+        turning: FloatArray = np.array(self.once_per_turn) * np.sin(
+            positions + np.array(self.phase)
+        )
         return turning - np.array(self.zero)
 
 
@@ -169,7 +174,9 @@ FIELDS_OF = {
 """Fields that an effect sets; other effects set the field of their name."""
 
 
-def draw_robot(rng: np.random.Generator, effects: Collection[str] = EFFECTS_DEFAULT, spread: Spread = SPREAD) -> HiddenRobot:
+def draw_robot(
+    rng: np.random.Generator, effects: Collection[str] = EFFECTS_DEFAULT, spread: Spread = SPREAD
+) -> HiddenRobot:
     """Draw a robot; what is not among the effects is nominal. The same seed gives the same numbers for every set of effects.
 
     Raises:
@@ -187,7 +194,9 @@ def draw_robot(rng: np.random.Generator, effects: Collection[str] = EFFECTS_DEFA
         return tuple((1.0 + common * _gaussian(rng, 1)[0] + own * _gaussian(rng, count)).tolist())
 
     drawn = HiddenRobot(
-        torque_constant=tuple(NOMINAL_TORQUE_CONSTANT * scale for scale in scales(spread.torque_constant, 4)),
+        torque_constant=tuple(
+            NOMINAL_TORQUE_CONSTANT * scale for scale in scales(spread.torque_constant, 4)
+        ),
         link_mass_scale=scales(spread.link_mass, len(LINKS)),
         zero=tuple((spread.zero * _gaussian(rng, 4)).tolist()),
         armature=uniform(spread.armature),
@@ -211,7 +220,9 @@ def draw_robot(rng: np.random.Generator, effects: Collection[str] = EFFECTS_DEFA
         link_inertia_scale=tuple((1.0 + spread.link_inertia * _gaussian(rng, len(LINKS))).tolist()),
     )
     kept = {name for effect in effects for name in FIELDS_OF.get(effect, (effect,))}
-    return HiddenRobot(**{field.name: getattr(drawn, field.name) for field in fields(drawn) if field.name in kept})
+    return HiddenRobot(
+        **{field.name: getattr(drawn, field.name) for field in fields(drawn) if field.name in kept}
+    )
 
 
 def _gaussian(rng: np.random.Generator, count: int) -> FloatArray:
@@ -252,7 +263,9 @@ class Load:
         """Before each step: what acts on the hand beside the body's own weight and inertia."""
 
 
-def ball(mass: float, diameter: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Load:
+def ball(
+    mass: float, diameter: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Load:
     """A solid ball [kg, m]."""
     inertia = 0.1 * mass * diameter**2
     return Load(mass, offset, (inertia, inertia, inertia, 0.0, 0.0, 0.0))
@@ -281,7 +294,9 @@ class Motion:
     hit: tuple[str, ...]
 
 
-def _model(robot: HiddenRobot, driven: int, opening: float, load: Load | None, step_s: float) -> Any:
+def _model(
+    robot: HiddenRobot, driven: int, opening: float, load: Load | None, step_s: float
+) -> Any:
     """Compiled model; a servo on every joint, so that a motor's torque is the actuator's force."""
     import mujoco
 
@@ -298,7 +313,9 @@ def _model(robot: HiddenRobot, driven: int, opening: float, load: Load | None, s
         spec.delete(spec.joint(f"{finger}_joint"))
         body = spec.body(f"{finger}_link")
         body.pos[1] += direction * opening
-    shapes = zip(LINKS, robot.link_mass_scale, robot.link_com, robot.link_inertia_scale, strict=True)
+    shapes = zip(
+        LINKS, robot.link_mass_scale, robot.link_com, robot.link_inertia_scale, strict=True
+    )
     for name, scale, shift, inertia in shapes:
         body = spec.body(name)
         body.mass *= scale
@@ -363,29 +380,43 @@ def simulate(
 
     free = np.full(4, robot.compliance)
     free[driven] = True
-    coulomb, part = free * robot.coulomb, free * robot.load_friction
-    rise, width = np.array(robot.stribeck), np.array(robot.stribeck_velocity)
-    rubs, rises = bool((coulomb + part).any()), bool(rise.any())
+    coulomb = free * robot.coulomb
+    part = free * robot.load_friction
+    rise = np.array(robot.stribeck)
+    width = np.array(robot.stribeck_velocity)
+    rubs = bool((coulomb + part).any())
+    rises = bool(rise.any())
     reach_V = SUPPLY_V if robot.back_emf else math.inf
     driven_steps = round(duration_s / step_s)
     data.qfrc_applied[driven] = extra_torque
     steps = driven_steps + math.ceil(braked_s / step_s)
-    positions, currents = np.empty((steps + 1, 4)), np.zeros(steps + 1)
+    positions = np.empty((steps + 1, 4))
+    currents = np.zeros(steps + 1)
     # views, looked up once: the loop is all that takes time
-    step, qpos, qvel, ctrl = mujoco.mj_step, data.qpos[:4], data.qvel[:4], data.ctrl
-    friction, torque, before = model.dof_frictionloss[:4], data.actuator_force, np.zeros(4)
+    step = mujoco.mj_step
+    qpos = data.qpos[:4]
+    qvel = data.qvel[:4]
+    ctrl = data.ctrl
+    friction = model.dof_frictionloss[:4]
+    torque = data.actuator_force
+    before = np.zeros(4)
     for k in range(steps):
         positions[k] = qpos
         if k < driven_steps:
             # the speed amid the step, or a constant over it would make the method first order
             induced_V = BACK_EMF_V_S * (1.5 * qvel[driven] - 0.5 * before[driven])
-            most, least = (reach_V - induced_V) / RESISTANCE_OHM, (-reach_V - induced_V) / RESISTANCE_OHM
-            wanted_A = current_A + (shake[0] if (k * step_s + 1e-9) % shake[1] < 0.5 * shake[1] else -shake[0])
+            most = (reach_V - induced_V) / RESISTANCE_OHM
+            least = (-reach_V - induced_V) / RESISTANCE_OHM
+            wanted_A = current_A + (
+                shake[0] if (k * step_s + 1e-9) % shake[1] < 0.5 * shake[1] else -shake[0]
+            )
             currents[k] = current = min(max(wanted_A, least), most)
             ctrl[driven] = constant * current
         elif k == driven_steps:
             data.qfrc_applied[driven] = 0.0
-            model.actuator_gainprm[driven, 0], model.actuator_biasprm[driven, :3] = _servo(robot, driven)
+            model.actuator_gainprm[driven, 0], model.actuator_biasprm[driven, :3] = _servo(
+                robot, driven
+            )
             ctrl[driven] = qpos[driven] + data.qfrc_bias[driven] / model.actuator_gainprm[driven, 0]
         if rubs:
             np.abs(torque, out=friction)
@@ -437,17 +468,25 @@ def record(
     extra = robot.run_torque * float(rng.standard_normal())
     late_s = robot.onset_s * float(rng.standard_normal())
     step_s = STEP_S if load is None else load.step_s
-    motion = simulate(robot, joint, start, current_A, duration_s, load, step_s, extra, shake, braked_s)
+    motion = simulate(
+        robot, joint, start, current_A, duration_s, load, step_s, extra, shake, braked_s
+    )
     period_s = 1.0 / RATE_HZ
-    first, last = -round(BEFORE_S / period_s), round((duration_s + braked_s) / period_s)
+    first = -round(BEFORE_S / period_s)
+    last = round((duration_s + braked_s) / period_s)
     cycles_s = period_s * np.arange(first, last + 1, dtype=np.float64)
     instants_s = cycles_s + robot.sampling_jitter_s * _gaussian(rng, len(cycles_s))
     stamps_s = instants_s + robot.stamp_jitter_s * _gaussian(rng, len(cycles_s))
     since_torque_s = instants_s - robot.delay_s - late_s
 
-    true = np.stack([np.interp(since_torque_s, motion.times_s, column) for column in motion.position.T], axis=1)
+    true = np.stack(
+        [np.interp(since_torque_s, motion.times_s, column) for column in motion.position.T], axis=1
+    )
     shafts = np.column_stack(
-        [true + robot.reading_error(true), np.full(len(cycles_s), start.get(GRIPPER, 0.0) / GRIPPER_M_PER_RAD)]
+        [
+            true + robot.reading_error(true),
+            np.full(len(cycles_s), start.get(GRIPPER, 0.0) / GRIPPER_M_PER_RAD),
+        ]
     )
     shafts += robot.encoder_noise * rng.standard_normal(shafts.shape)
     currents = np.zeros_like(shafts)
@@ -466,7 +505,14 @@ def record(
     names = (*JOINTS, GRIPPER)
     return Recording(
         name=f"{joint} {1e3 * current_A:+.0f} mA",
-        joints=JointRecord(_ns(stamps_s), names, positions, effort=efforts, current=currents, reported_effort=efforts),
+        joints=JointRecord(
+            _ns(stamps_s),
+            names,
+            positions,
+            effort=efforts,
+            current=currents,
+            reported_effort=efforts,
+        ),
         inputs=InputRecord(_ns(cycles_s), names, commands, source="/current_command"),
         notes=tuple(f"{name} touched the end of its range" for name in motion.hit),
     )
@@ -488,7 +534,11 @@ class Probe:
 
 
 def _probe(joint: str, joint2: float, joint3: float, joint4: float, current_A: float) -> Probe:
-    return Probe(joint, {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0}, current_A)
+    return Probe(
+        joint,
+        {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0},
+        current_A,
+    )
 
 
 # Starts that are recommended for this arm. Some currents are higher than recommended, or many robots would stick.
@@ -511,7 +561,8 @@ LOADED_PROBES = (
     _probe("joint3", -1.4, 0.8, 0.0, -0.40),  # lifts up to 100 g, half of the robots
     _probe("joint3", -0.6, -0.6, 0.0, -0.04),  # lowers
     _probe("joint2", 0.1, -1.0, 0.0, -0.40),  # lifts up to 50 g
-    _probe("joint2", 0.0, -1.0, 0.0, -0.36),  # lifts up to 100 g; some robots reach the joint's end with 20 g or less
+    # lifts up to 100 g; some robots reach the joint's end with 20 g or less
+    _probe("joint2", 0.0, -1.0, 0.0, -0.36),
     _probe("joint2", 0.0, -1.0, 0.0, -0.12),  # lowers
 )
 
@@ -519,10 +570,15 @@ LOADED_PROBES = (
 def main(robots: int = 5) -> None:
     """Print what a run costs, how far it moves, and how exact the step is; then how far a stuck joint creeps."""
     rng = np.random.default_rng(1)
-    cases = [(probe, None) for probe in EMPTY_PROBES[::3]] + [(probe, ball(0.05, 0.043)) for probe in LOADED_PROBES[::2]]
+    cases = [(probe, None) for probe in EMPTY_PROBES[::3]] + [
+        (probe, ball(0.05, 0.043)) for probe in LOADED_PROBES[::2]
+    ]
     simulate(HiddenRobot(), "joint3", {}, 0.0, 0.01)  # importing MuJoCo is none of the costs
-    print(f"steps of {1e3 * STEP_S:g} ms against a fifth of it: rms over the driven time of the joint that differs most")
-    worst, costs = 0.0, []
+    print(
+        f"steps of {1e3 * STEP_S:g} ms against a fifth of it: rms over the driven time of the joint that differs most"
+    )
+    worst = 0.0
+    costs = []
     for number in range(robots):
         effects = EFFECTS if number == 4 else EFFECTS_DEFAULT
         robot = draw_robot(rng, effects)
@@ -531,18 +587,24 @@ def main(robots: int = 5) -> None:
             started = time.process_time()
             record(*arguments, rng)
             costs.append(1e3 * (time.process_time() - started))
-            coarse, fine = simulate(*arguments), simulate(*arguments, step_s=STEP_S / 5)
+            coarse = simulate(*arguments)
+            fine = simulate(*arguments, step_s=STEP_S / 5)
             rows = coarse.times_s <= probe.duration_s
             apart = coarse.position[rows] - fine.position[::5][: len(coarse.times_s)][rows]
             rms = 1e3 * float(np.sqrt((apart**2).mean(axis=0)).max())
             worst = max(worst, rms)
-            moved = coarse.position[rows][-1, JOINTS.index(probe.joint)] - coarse.position[0, JOINTS.index(probe.joint)]
+            moved = (
+                coarse.position[rows][-1, JOINTS.index(probe.joint)]
+                - coarse.position[0, JOINTS.index(probe.joint)]
+            )
             print(
                 f"robot {number}{' (Stribeck)' if 'stribeck' in effects else ''}, {probe.joint} {probe.current_A:+.2f} A,"
                 f" {'empty' if load is None else f'{1e3 * load.mass:.0f} g'}: {costs[-1]:.0f} ms of CPU,"
                 f" travel {moved:+.3f} rad, {rms:.4f} mrad apart{', at the end of a range' if coarse.hit else ''}"
             )
-    print(f"median {np.median(costs):.0f} ms, slowest {max(costs):.0f} ms; at most {worst:.4f} mrad apart")
+    print(
+        f"median {np.median(costs):.0f} ms, slowest {max(costs):.0f} ms; at most {worst:.4f} mrad apart"
+    )
     sticky = HiddenRobot(coulomb=(0.5,) * 4, compliance=True)  # holds the arm without current
     stuck = simulate(sticky, "joint3", LOADED_PROBES[0].start, 0.0, 0.6, ball(0.05, 0.043))
     print(f"a stuck joint creeps {1e3 * np.ptp(stuck.position, axis=0).max():.4f} mrad")

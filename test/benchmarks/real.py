@@ -31,7 +31,12 @@ from proprio_ros.quantity import Z95
 
 UR10E_KG = 2.805
 STS_KG = (0.535, 0.741, 0.969, 1.168)
-STS_OBJECT = ("--set", "payload.com=[0,0,0]", "--set", "payload.inertia_per_mass=[0.00255,0.00255,0.00255,0,0,0]")
+STS_OBJECT = (
+    "--set",
+    "payload.com=[0,0,0]",
+    "--set",
+    "payload.inertia_per_mass=[0.00255,0.00255,0.00255,0,0,0]",
+)
 DFKI_LENGTH_M = 0.1495 / 0.3055
 XL330_KG = 0.490
 
@@ -63,7 +68,9 @@ class Answer:
 
     @property
     def holds(self) -> bool:
-        return self.low is not None and self.high is not None and self.low <= self.truth <= self.high
+        return (
+            self.low is not None and self.high is not None and self.low <= self.truth <= self.high
+        )
 
     @property
     def sigmas(self) -> float:
@@ -75,16 +82,21 @@ class Answer:
 
 def said(words: Sequence[str]) -> dict[str, Any]:
     """What the command line prints with --json; its error where there is one."""
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = proprio([*words, "--json"])
     answer: dict[str, Any] = json.loads(out.getvalue() or "{}")
     return {"exit": code, **answer}
 
 
-def asked(row: str, question: str, truth: float, words: Sequence[str], name: str = "payload_mass") -> Answer:
+def asked(
+    row: str, question: str, truth: float, words: Sequence[str], name: str = "payload_mass"
+) -> Answer:
     answer = said(["replay", *words, "--probe", "payload"])
-    value = next((each for each in answer.get("estimates", []) if each["name"] == name), {"value": None})
+    value = next(
+        (each for each in answer.get("estimates", []) if each["name"] == name), {"value": None}
+    )
     # how a load swings is an answer of its own, whatever is said of the mass
     told = name != "payload_mass" and value["value"] is not None
     verdict = "accepted" if told else answer.get("verdict") or f"exit {answer['exit']}"
@@ -96,7 +108,10 @@ def cut(bag: Path, folder: Path, begin_s: float, end_s: float) -> Path:
     """The messages of a bag between two times since its first."""
     types = get_typestore(Stores.ROS2_JAZZY)
     with AnyReader([bag], default_typestore=types) as reader, Writer(folder, version=9) as writer:
-        topics = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=types) for c in reader.connections}
+        topics = {
+            c.id: writer.add_connection(c.topic, c.msgtype, typestore=types)
+            for c in reader.connections
+        }
         first, last = (reader.start_time + int(1e9 * s) for s in (begin_s, end_s))
         for connection, time_ns, raw in reader.messages(start=first, stop=last):
             writer.write(topics[connection.id], time_ns, raw)
@@ -108,7 +123,9 @@ def seconds_of(bag: Path) -> float:
         return 1e-9 * reader.duration
 
 
-def pendulum(folder: Path, name: str, rod_kg: float, length_m: float, drive: str, nominal: float = 1.0) -> Path:
+def pendulum(
+    folder: Path, name: str, rod_kg: float, length_m: float, drive: str, nominal: float = 1.0
+) -> Path:
     pendulum_urdf(folder, name, rod_kg, length_m)
     path = folder / f"{name}.yaml"
     path.write_text(
@@ -121,11 +138,19 @@ def pendulum(folder: Path, name: str, rod_kg: float, length_m: float, drive: str
 
 def ur10e_file(real: Path, folder: Path) -> Path:
     """The robot file that a user writes of the URDF and the torque constants."""
-    lines = ["name: ur10e", f"urdf: {real / 'models' / 'ur10e.urdf'}", "payload_frame: wrist_3_link", "joints:"]
+    lines = [
+        "name: ur10e",
+        f"urdf: {real / 'models' / 'ur10e.urdf'}",
+        "payload_frame: wrist_3_link",
+        "joints:",
+    ]
     for joint, constant in UR10E_N_M_PER_A.items():
         motor = f"nominal_torque_constant_N_m_per_A: {constant}, encoder_resolution_rad: 1.0e-5, encoder_noise_rad: 1.0e-5"
         lines += [f"  {joint}:", f"    motor: {{{motor}, current_limit_A: 20.0}}"]
-        lines += [f"    drive_train: {{torque_constant_N_m_per_A: {constant}}}", "    usable_velocity_rad_s: 5.0"]
+        lines += [
+            f"    drive_train: {{torque_constant_N_m_per_A: {constant}}}",
+            "    usable_velocity_rad_s: 5.0",
+        ]
     robot = folder / "ur10e.yaml"
     robot.write_text("\n".join(lines) + "\n")
     return robot
@@ -134,26 +159,47 @@ def ur10e_file(real: Path, folder: Path) -> Path:
 def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
     robot = ur10e_file(real, folder)
     unit = ("--effort-unit", "A")
-    loaded, empty = real / "ur10e_loaded_14", [real / f"ur10e_empty_{n}" for n in (12, 14, 15)]
+    loaded = real / "ur10e_loaded_14"
+    empty = [real / f"ur10e_empty_{n}" for n in (12, 14, 15)]
     lasts_s = seconds_of(loaded)
-    cuts = [cut(loaded, folder / f"cut_{n}", b, b + 15.0) for n, b in enumerate((0.0, 10.0, 20.0, 30.0, lasts_s - 15.0))]
+    cuts = [
+        cut(loaded, folder / f"cut_{n}", b, b + 15.0)
+        for n, b in enumerate((0.0, 10.0, 20.0, 30.0, lasts_s - 15.0))
+    ]
     for baseline in empty:
         words = ("--robot", str(robot), *unit, "--baseline", str(baseline))
         yield asked("UR10e, 2.805 kg, `--baseline`", baseline.name, UR10E_KG, [str(loaded), *words])
         for bag in cuts:
-            yield asked("the same, 15 s", f"{bag.name}, {baseline.name}", UR10E_KG, [str(bag), *words])
+            yield asked(
+                "the same, 15 s", f"{bag.name}, {baseline.name}", UR10E_KG, [str(bag), *words]
+            )
         for other in empty:
             if other != baseline:
-                yield asked("UR10e, nothing, `--baseline`", f"{other.name}, {baseline.name}", 0.0, [str(other), *words])
+                yield asked(
+                    "UR10e, nothing, `--baseline`",
+                    f"{other.name}, {baseline.name}",
+                    0.0,
+                    [str(other), *words],
+                )
         file = folder / f"{baseline.name}.yaml"
         said(["calibrate", str(baseline), "--robot", str(robot), *unit, "--output", str(file)])
         words = ("--calibration", str(file), *unit)
         yield asked("UR10e, 2.805 kg, calibrated", baseline.name, UR10E_KG, [str(loaded), *words])
         for bag in cuts:
-            yield asked("the same, 15 s, calibrated", f"{bag.name}, {baseline.name}", UR10E_KG, [str(bag), *words])
+            yield asked(
+                "the same, 15 s, calibrated",
+                f"{bag.name}, {baseline.name}",
+                UR10E_KG,
+                [str(bag), *words],
+            )
         for other in empty:
             if other != baseline:
-                yield asked("UR10e, nothing, calibrated", f"{other.name}, {baseline.name}", 0.0, [str(other), *words])
+                yield asked(
+                    "UR10e, nothing, calibrated",
+                    f"{other.name}, {baseline.name}",
+                    0.0,
+                    [str(other), *words],
+                )
 
 
 def open_manipulator(real: Path, folder: Path) -> Iterator[Answer]:
@@ -169,34 +215,65 @@ def open_manipulator(real: Path, folder: Path) -> Iterator[Answer]:
 
 
 def swings(real: Path, folder: Path) -> Iterator[Answer]:
-    robot = pendulum(folder, "sts3215", 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.5}")
+    robot = pendulum(
+        folder, "sts3215", 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.5}"
+    )
     bags = [real / f"sts3215_release_{mass:.3f}kg" for mass in STS_KG]
     for count in (2, 3):
         for known in itertools.combinations(range(len(bags)), count):
             file = folder / f"sts_{'_'.join(map(str, known))}.yaml"
             references = [f"{bags[n]}={STS_KG[n]}" for n in known]
-            said(["calibrate", "--reference", *references, "--robot", str(robot), *STS_OBJECT, "--output", str(file)])
+            said(
+                [
+                    "calibrate",
+                    "--reference",
+                    *references,
+                    "--robot",
+                    str(robot),
+                    *STS_OBJECT,
+                    "--output",
+                    str(file),
+                ]
+            )
             for number in set(range(len(bags))) - set(known):
                 words = [str(bags[number]), "--calibration", str(file), *STS_OBJECT]
-                yield asked(f"STS3215 let go, {count} loads known", f"{number} by {known}", STS_KG[number], words)
+                yield asked(
+                    f"STS3215 let go, {count} loads known",
+                    f"{number} by {known}",
+                    STS_KG[number],
+                    words,
+                )
 
 
 def controllers(real: Path, folder: Path) -> Iterator[Answer]:
     robot = pendulum(folder, "dfki", 0.13, 0.5, "torque_constant_N_m_per_A: 1.0")
     for name in ("ddp", "direct_collocation", "pd", "energy_shaping", "sac"):
         words = [str(real / f"dfki_{name}"), "--robot", str(robot), "--effort-unit", "N.m"]
-        yield asked("AK80-6, length of the pendulum", name, DFKI_LENGTH_M, words, "equivalent_pendulum_length")
+        yield asked(
+            "AK80-6, length of the pendulum",
+            name,
+            DFKI_LENGTH_M,
+            words,
+            "equivalent_pendulum_length",
+        )
         yield asked("AK80-6, mass", name, 0.546, words)
     servo = pendulum(folder, "servo", 0.01, 0.1, "torque_constant_N_m_per_A: 0.36", nominal=0.36)
     for unit in ("raw", "mA", "A", "N.m"):
         for bag in sorted(real.glob("xl330_*")):
             words = [str(bag), "--robot", str(servo), "--effort-unit", unit]
-            yield asked("XL330, effort is a duty cycle, as any unit", f"{bag.name} {unit}", XL330_KG, words)
+            yield asked(
+                "XL330, effort is a duty cycle, as any unit", f"{bag.name} {unit}", XL330_KG, words
+            )
         for bag in sorted(real.glob("sts3215_*kg")):
             if "release" not in bag.name:
                 words = [str(bag), "--robot", str(servo), "--effort-unit", unit]
                 truth = float(bag.name.rpartition("_")[2].removesuffix("kg"))
-                yield asked("STS3215 driven, effort has no sign, as any unit", f"{bag.name} {unit}", truth, words)
+                yield asked(
+                    "STS3215 driven, effort has no sign, as any unit",
+                    f"{bag.name} {unit}",
+                    truth,
+                    words,
+                )
 
 
 XL330_DRIVE = "{kind: duty_cycle, per_count: 0.00112994}"
@@ -221,10 +298,17 @@ def by_voltage(real: Path, folder: Path) -> Iterator[Answer]:
             if "release" not in bag.name and "lift" not in bag.name:
                 rest = bag.name.partition("_")[2]
                 setup, motion = rest.split("_", 1) if name == "xl330" else rest.rsplit("_", 1)[::-1]
-                bags[bag] = (setup, motion, XL330_KG if name == "xl330" else float(setup.removesuffix("kg")))
+                bags[bag] = (
+                    setup,
+                    motion,
+                    XL330_KG if name == "xl330" else float(setup.removesuffix("kg")),
+                )
         other = "another gain" if name == "xl330" else "another load"
         for row, known_by in (
-            (f"{name.upper()} driven, motions under {other} known", lambda one, two: one[0] != two[0]),
+            (
+                f"{name.upper()} driven, motions under {other} known",
+                lambda one, two: one[0] != two[0],
+            ),
             (f"{name.upper()} driven, other motions known", lambda one, two: one[1] != two[1]),
             (f"{name.upper()} driven, all others known", lambda one, two: one != two),
         ):
@@ -233,18 +317,33 @@ def by_voltage(real: Path, folder: Path) -> Iterator[Answer]:
                 known = tuple(each for each, its in bags.items() if known_by(what, its))
                 if known not in written:
                     written[known] = folder / f"{name}_{len(written)}_{len(known)}.yaml"
-                    references = [word for each in known for word in ("--reference", f"{each}={bags[each][2]}")]
-                    words = ["--robot", str(robot), *object_is, "--output", str(written[known]), "--force"]
+                    references = [
+                        word
+                        for each in known
+                        for word in ("--reference", f"{each}={bags[each][2]}")
+                    ]
+                    words = [
+                        "--robot",
+                        str(robot),
+                        *object_is,
+                        "--output",
+                        str(written[known]),
+                        "--force",
+                    ]
                     said(["calibrate", *references, *words])
                 words = [str(bag), "--calibration", str(written[known]), *object_is]
                 yield asked(row, f"{bag.name} by {len(known)}", what[2], words)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    machines = {each.__name__: each for each in (ur10e, open_manipulator, swings, controllers, by_voltage)}
+    machines = {
+        each.__name__: each for each in (ur10e, open_manipulator, swings, controllers, by_voltage)
+    }
     parser = parser_of((__doc__ or "").splitlines()[0])
     parser.add_argument("--recordings", type=Path, default=REAL)
-    parser.add_argument("--machines", nargs="+", default=list(machines), choices=list(machines), help="default: all")
+    parser.add_argument(
+        "--machines", nargs="+", default=list(machines), choices=list(machines), help="default: all"
+    )
     parser.add_argument("--bags", action="store_true", help="list every answer")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
@@ -268,10 +367,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for answer in machines[name](options.recordings, Path(folder)):
                 of_machine.append(answer)
                 if options.bags:
-                    shown = "-" if answer.value is None else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
-                    print(f"{answer.row}: {answer.asked}: {shown} for {answer.truth:.4f}, {answer.verdict}", file=sys.stderr)
+                    shown = (
+                        "-"
+                        if answer.value is None
+                        else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
+                    )
+                    print(
+                        f"{answer.row}: {answer.asked}: {shown} for {answer.truth:.4f}, {answer.verdict}",
+                        file=sys.stderr,
+                    )
             for row in dict.fromkeys(answer.row for answer in of_machine):
-                results.row("real", **_figures(row, [answer for answer in of_machine if answer.row == row]))
+                results.row(
+                    "real", **_figures(row, [answer for answer in of_machine if answer.row == row])
+                )
             answers += of_machine
     results.row("real", **_figures("all", answers))
     results.keep()
@@ -283,7 +391,8 @@ def _figures(name: str, answers: Sequence[Answer]) -> dict[str, Any]:
     wide = sum(answer.verdict == "too_wide" for answer in given)
     relative = all(answer.truth for answer in answers)
     same = relative or not any(answer.truth for answer in answers)
-    errors, halves = [], []
+    errors = []
+    halves = []
     for answer in given if same else ():
         assert answer.value is not None and answer.low is not None and answer.high is not None
         scale = 100.0 / answer.truth if relative else 1e3
@@ -291,7 +400,11 @@ def _figures(name: str, answers: Sequence[Answer]) -> dict[str, Any]:
         halves.append(scale * max(answer.high - answer.value, answer.value - answer.low))
     words = "{:.1f} %" if relative else "{:.0f} g"
     # of the answer that is farthest off in kg (or m)
-    far = max(range(len(errors)), key=lambda row: abs(errors[row] * given[row].truth if relative else errors[row]), default=0)
+    far = max(
+        range(len(errors)),
+        key=lambda row: abs(errors[row] * given[row].truth if relative else errors[row]),
+        default=0,
+    )
     return {
         "asked": name,
         "questions": len(answers),

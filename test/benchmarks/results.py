@@ -27,7 +27,9 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 def parser_of(doc: str | None) -> argparse.ArgumentParser:
     """A benchmark's options, `--json` among them."""
-    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="keep what is found in this file")
     return parser
 
@@ -41,7 +43,9 @@ class Results:
         arguments: Of the benchmark; None: those of the command line.
     """
 
-    def __init__(self, script: str, file: Path | None, arguments: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, script: str, file: Path | None, arguments: Sequence[str] | None = None
+    ) -> None:
         self.file = file
         self.tables: dict[str, dict[str, Any]] = {}
         self._printed = ""
@@ -70,7 +74,11 @@ class Results:
         """Write the file, where one was asked for; a run that ended early keeps none."""
         if self.file is None:
             return
-        kept = {**self._run, "seconds": round(time.monotonic() - self._began), "tables": self.tables}
+        kept = {
+            **self._run,
+            "seconds": round(time.monotonic() - self._began),
+            "tables": self.tables,
+        }
         self.file.parent.mkdir(parents=True, exist_ok=True)
         self.file.write_text(text_of(kept), encoding="utf-8")
 
@@ -78,7 +86,8 @@ class Results:
 def text_of(kept: Mapping[str, Any]) -> str:
     """JSON with a line for each row of a table."""
     tables = {
-        name: {**table, "rows": [f"ROW {name} {n}" for n in range(len(table["rows"]))]} for name, table in kept["tables"].items()
+        name: {**table, "rows": [f"ROW {name} {n}" for n in range(len(table["rows"]))]}
+        for name, table in kept["tables"].items()
     }
     text = json.dumps({**kept, "tables": tables}, indent=1)
     for name, table in kept["tables"].items():
@@ -122,9 +131,13 @@ def _commit() -> str:
     """Short name of the commit; with a `+` where the package or the tests differ from it; empty without git."""
 
     def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(
+            ["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=True
+        ).stdout.strip()
 
     try:
-        return git("rev-parse", "--short", "HEAD") + ("+" if git("status", "--porcelain", "--", "proprio_ros", "config") else "")
+        return git("rev-parse", "--short", "HEAD") + (
+            "+" if git("status", "--porcelain", "--", "proprio_ros", "config") else ""
+        )
     except (OSError, subprocess.CalledProcessError):
         return ""

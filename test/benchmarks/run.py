@@ -51,7 +51,9 @@ PARTS = {
 def our_rows(case: Case) -> list[Row]:
     """Our own times."""
     solve = measure(case.solve, repeats=4 * REPEATS, warm_up=5)
-    whole = measure(lambda: weigh(case.robot, [case.run], case.facts), repeats=2 * REPEATS, warm_up=2)
+    whole = measure(
+        lambda: weigh(case.robot, [case.run], case.facts), repeats=2 * REPEATS, warm_up=2
+    )
     answer = case.solve()
     masses = ", ".join(f"{1e3 * mass:.2f}" for mass in case.masses(answer.internal))
     found = f"found {1e3 * case.mass:.2f} g, starts {masses}; {answer.iterations} iterations"
@@ -96,19 +98,31 @@ def _time(seconds: float) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run and print; 1 when a goal was missed."""
     parser = parser_of(__doc__)
-    parser.add_argument("parts", nargs="*", default=list(PARTS), help=f"default: all of {', '.join(PARTS)}")
-    parser.add_argument("--once", action="store_true", help="time everything by a single call: a look, and no figure")
+    parser.add_argument(
+        "parts", nargs="*", default=list(PARTS), help=f"default: all of {', '.join(PARTS)}"
+    )
+    parser.add_argument(
+        "--once",
+        action="store_true",
+        help="time everything by a single call: a look, and no figure",
+    )
     options = parser.parse_args(arguments)
     cases.once = options.once
     unknown = set(options.parts) - set(PARTS)
     if unknown:
-        raise SystemExit(f"unknown part {', '.join(sorted(unknown))}; choose from: {', '.join(PARTS)}")
+        raise SystemExit(
+            f"unknown part {', '.join(sorted(unknown))}; choose from: {', '.join(PARTS)}"
+        )
     started = time.perf_counter()
     results = Results(__file__, options.json, arguments)
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    print(f"{platform.platform()}, Python {platform.python_version()}, {os.cpu_count()} cores, load {load:.1f}")
+    print(
+        f"{platform.platform()}, Python {platform.python_version()}, {os.cpu_count()} cores, load {load:.1f}"
+    )
     case = cases.load()
-    print(f"{cases.BAG.parent.name}: {case.prepared.used} samples, {case.prepared.times_s[-1]:.2f} s")
+    print(
+        f"{cases.BAG.parent.name}: {case.prepared.used} samples, {case.prepared.times_s[-1]:.2f} s"
+    )
     missed = 0
     for name, rows in (("ours", our_rows), *((name, PARTS[name]) for name in options.parts)):
         results.table(name, COLUMNS)

@@ -32,7 +32,11 @@ from support.virtual_pick_and_place import Worker
 from threadpoolctl import threadpool_limits
 
 from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.identification.regression.online import STEP_SIGMAS, OnlineEstimate, OnlineEstimator
+from proprio_ros.identification.regression.online import (
+    STEP_SIGMAS,
+    OnlineEstimate,
+    OnlineEstimator,
+)
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
@@ -43,7 +47,8 @@ Day = tuple[list[Motion], list[tuple[float, Motion]]]
 
 def work(robot: Robot, seed: int) -> Day:
     """Empty motions, and the parts of a working day with the mass that is held."""
-    arm, rng = Worker(robot, seed), np.random.default_rng(seed)
+    arm = Worker(robot, seed)
+    rng = np.random.default_rng(seed)
     empty = [arm.work(EMPTY_S) for _ in range(2)]
     masses = (0.0, 0.05, 0.0, 0.02 if seed % 2 else 0.1, 0.0)
     return empty, [(mass, arm.work(PART_S + rng.uniform(0.0, 1.0), mass)) for mass in masses]
@@ -53,11 +58,17 @@ def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
     """Mass, error and half interval [kg] in rows; how late each change was noticed [s]; false changes; CPU per second of data."""
     empty, parts = day
     weight = OnlineEstimator(robot, fit_empty(robot, empty), held={"gripper_left_joint": 0.0})
-    rows, late, false, samples, begun_s = [], [], 0, 0, time.process_time()
+    rows = []
+    late = []
+    false = 0
+    samples = 0
+    begun_s = time.process_time()
     before = False
     for number, (mass, part) in enumerate(parts):
         noticed = number == 0
-        for time_s, position, current in zip(part.times_s, part.position, part.current_A, strict=True):
+        for time_s, position, current in zip(
+            part.times_s, part.position, part.current_A, strict=True
+        ):
             samples += 1
             estimate = weight.estimate() if weight.add(float(time_s), position, current) else None
             if estimate is None:
@@ -71,7 +82,13 @@ def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
                 noticed = True
             before = estimate.changed
             if into_s > 3.0:
-                rows.append((mass, estimate.mass_kg - mass, 0.5 * (estimate.ci95_kg[1] - estimate.ci95_kg[0])))
+                rows.append(
+                    (
+                        mass,
+                        estimate.mass_kg - mass,
+                        0.5 * (estimate.ci95_kg[1] - estimate.ci95_kg[0]),
+                    )
+                )
         late += [] if noticed else [np.inf]
     return np.array(rows), late, false, (time.process_time() - begun_s) / (0.01 * samples)
 
@@ -99,10 +116,17 @@ class Sensed:
     cpu: float = 0.0
 
 
-def told_by(weight: OnlineEstimator, motion: Motion, begun_s: float) -> Iterator[tuple[float, OnlineEstimate]]:
+def told_by(
+    weight: OnlineEstimator, motion: Motion, begun_s: float
+) -> Iterator[tuple[float, OnlineEstimate]]:
     """When each estimate came, in seconds of the motion."""
-    for time_s, position, effort in zip(motion.times_s.tolist(), motion.position, motion.current_A, strict=True):
-        if weight.add(begun_s + time_s, position, effort) and (estimate := weight.estimate()) is not None:
+    for time_s, position, effort in zip(
+        motion.times_s.tolist(), motion.position, motion.current_A, strict=True
+    ):
+        if (
+            weight.add(begun_s + time_s, position, effort)
+            and (estimate := weight.estimate()) is not None
+        ):
             yield time_s, estimate
 
 
@@ -117,7 +141,10 @@ def bound_s(arm: SensingArm, mass_kg: float = 0.1) -> float:
         variance = keeps**2 * settled + gains[0]
         settled = variance * arm.noise**2 / (variance + arm.noise**2)
     for per_kg in weight:
-        variance, answer, information, samples = settled, np.zeros(arm.joints), 0.0, 0
+        variance = settled
+        answer = np.zeros(arm.joints)
+        information = 0.0
+        samples = 0
         while samples < 20000 and information <= STEP_SIGMAS**2:
             variance = keeps**2 * variance + gains[0]
             spread = variance + arm.noise**2
@@ -139,14 +166,24 @@ def moving_s(motion: Motion, since_s: float, until_s: float) -> float:
 
 def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
     """One arm, from calibration to the end of its minutes."""
-    shown, joints, rate_Hz = Sensed(), 6 + seed % 2, RATES_HZ[seed % len(RATES_HZ)]
+    shown = Sensed()
+    joints = 6 + seed % 2
+    rate_Hz = RATES_HZ[seed % len(RATES_HZ)]
     with tempfile.TemporaryDirectory() as name:
-        robot, arm = (load_robot(write_sensing_arm(Path(name), joints, seed)), SensingArm(Path(name), joints, seed, rate_Hz))
+        robot = load_robot(write_sensing_arm(Path(name), joints, seed))
+        arm = SensingArm(Path(name), joints, seed, rate_Hz)
         shown.bound_s.append(bound_s(arm))
-        weight = OnlineEstimator(robot, fit_empty(robot, [arm.work(30.0, name=f"empty {n}") for n in range(2)]))
-        begun_s, cpu_s, told_s = 0.0, 0.0, 0.0
+        weight = OnlineEstimator(
+            robot, fit_empty(robot, [arm.work(30.0, name=f"empty {n}") for n in range(2)])
+        )
+        begun_s = 0.0
+        cpu_s = 0.0
+        told_s = 0.0
         loads = [arm.load(mass) for mass in MASSES_KG * 2]
-        schedule = [(stays_s * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None) for n in range(20)]
+        schedule = [
+            (stays_s * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None)
+            for n in range(20)
+        ]
         rest_s = max(60.0 * minutes - stays_s * 22 - 30.0, 20.0)
         parts = [
             (arm.work(stays_s * 22, schedule), schedule, shown.later),
@@ -157,12 +194,17 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
         for motion, changes, rows in parts:
             began = time.process_time()
             events = [(0.0, None), *changes]
-            held, noticed, known, before, last = None, True, True, False, 0.0
+            held = None
+            noticed = True
+            known = True
+            before = False
+            last = 0.0
             for time_s, estimate in told_by(weight, motion, begun_s):
                 while events and time_s >= events[0][0]:
                     (since_s, held), known = events.pop(0), False
                     noticed = since_s == 0.0
-                mass, half = (held[0] if held else 0.0), 0.5 * (estimate.ci95_kg[1] - estimate.ci95_kg[0])
+                mass = held[0] if held else 0.0
+                half = 0.5 * (estimate.ci95_kg[1] - estimate.ci95_kg[0])
                 if estimate.changed and not before:
                     if noticed and time_s > 2.0:
                         shown.false += 1
@@ -196,7 +238,11 @@ def together(every: Sequence[Sensed]) -> Sensed:
             whole.late[mass] += late
         for name in ("soon", "later", "elsewhere", "known_s", "bound_s"):
             getattr(whole, name).extend(getattr(each, name))
-        whole.false, whole.hours, whole.cpu = (whole.false + each.false, whole.hours + each.hours, max(whole.cpu, each.cpu))
+        whole.false, whole.hours, whole.cpu = (
+            whole.false + each.false,
+            whole.hours + each.hours,
+            max(whole.cpu, each.cpu),
+        )
     return whole
 
 
@@ -242,7 +288,15 @@ def sensing(results: Results, options: Namespace) -> None:
         results.row("sensing", arm=name, **sensed_figures(every[-1]))
     whole = together(every)
     results.row("sensing", arm="all", **sensed_figures(whole))
-    results.table("late", {"mass": "{mass:g} kg", "changes": "{changes}", "median": "{median_s:.2f} s", "95 %": "{most_s:.2f} s"})
+    results.table(
+        "late",
+        {
+            "mass": "{mass:g} kg",
+            "changes": "{changes}",
+            "median": "{median_s:.2f} s",
+            "95 %": "{most_s:.2f} s",
+        },
+    )
     for mass, late in whole.late.items():
         seen = np.array(late)
         results.row(
@@ -261,7 +315,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=1, help="seed of the first arm")
     parser.add_argument("--sensing", type=int, default=12, help="arms with torque sensing")
     parser.add_argument("--minutes", type=float, default=5.0, help="that each of them works")
-    parser.add_argument("--stays", type=float, default=5.0, help="how long each holds something, and nothing [s]")
+    parser.add_argument(
+        "--stays", type=float, default=5.0, help="how long each holds something, and nothing [s]"
+    )
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     if options.sensing:

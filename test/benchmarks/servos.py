@@ -29,10 +29,13 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
 
-ARM_M, ROD_KG, GRAVITY = 0.1, 0.01, 9.80665
+ARM_M = 0.1
+ROD_KG = 0.01
+GRAVITY = 9.80665
 KNOWN_KG = (0.3, 0.7, 1.1)
 POINT: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "point"}
-STEP_S, LASTS_S = 0.0005, 10.0
+STEP_S = 0.0005
+LASTS_S = 10.0
 LAW = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_rad_s: 5.215}"
 FILE = f"""name: servo
 urdf: servo.urdf
@@ -72,7 +75,9 @@ class Servo:
         self.supply_V = random.uniform(7.0, 12.6)
         self.source_ohm = random.uniform(0.05, 0.3)
 
-    def moved(self, load_kg: float, random: np.random.Generator, rate_hz: float) -> dict[str, np.ndarray]:
+    def moved(
+        self, load_kg: float, random: np.random.Generator, rate_hz: float
+    ) -> dict[str, np.ndarray]:
         """A motion with a load, as recorded: times, goals, positions and voltage."""
         import mujoco
 
@@ -94,10 +99,12 @@ class Servo:
 
         rows: dict[str, list[float]] = {name: [] for name in ("t", "position", "goal", "voltage")}
         every = round(1.0 / (rate_hz * STEP_S))
-        goal, current = 0.0, 0.0
+        goal = 0.0
+        current = 0.0
         for step in range(round(LASTS_S / STEP_S)):
             t = step * STEP_S
-            angle, speed = float(data.qpos[0]), float(data.qvel[0])
+            angle = float(data.qpos[0])
+            speed = float(data.qvel[0])
             # goals come at 100 Hz and reach the law late
             heard = goal_at(max(np.floor((t - self.delay_s) * 100.0 + 1e-9) / 100.0, 0.0))
             goal += float(np.clip(heard - goal, -5.215 * STEP_S, 5.215 * STEP_S))
@@ -109,7 +116,9 @@ class Servo:
             torque = self.torque_constant * current
             if step % every == 0:
                 rows["t"].append(t)
-                rows["position"].append(round((angle + random.normal(0.0, 3e-4)) / 0.00153398) * 0.00153398)
+                rows["position"].append(
+                    round((angle + random.normal(0.0, 3e-4)) / 0.00153398) * 0.00153398
+                )
                 rows["goal"].append(goal_at(t))
                 rows["voltage"].append(voltage + random.normal(0.0, 0.05))
             # what gears lose grows with what they carry
@@ -119,7 +128,9 @@ class Servo:
         return {name: np.array(values) for name, values in rows.items()}
 
 
-def asked(seed: int, rate_hz: float, questions: int = 3) -> list[tuple[float, float | None, float, tuple[float, float]]]:
+def asked(
+    seed: int, rate_hz: float, questions: int = 3
+) -> list[tuple[float, float | None, float, tuple[float, float]]]:
     """Truth, answer, standard deviation and interval [kg] of some weighings by one servo; no answer where it is refused."""
     random = np.random.default_rng(seed)
     servo = Servo(random)
@@ -132,14 +143,20 @@ def asked(seed: int, rate_hz: float, questions: int = 3) -> list[tuple[float, fl
             for number, kg in enumerate((*KNOWN_KG, *KNOWN_KG))
         }
         options = Options(robot=str(folder / "servo.yaml"), settings=POINT)
-        output, answers = folder / "known.yaml", []
+        output = folder / "known.yaml"
+        answers = []
         truths = random.uniform(0.2, 1.2, questions)
         try:
             learnt = calibrate_from_bags([], references, options, output)
         except ProprioError:
             learnt = None
         for number, kg in enumerate(map(float, truths)):
-            answer: tuple[float, float | None, float, tuple[float, float]] = (kg, None, np.nan, (np.nan, np.nan))
+            answer: tuple[float, float | None, float, tuple[float, float]] = (
+                kg,
+                None,
+                np.nan,
+                (np.nan, np.nan),
+            )
             if learnt is not None and learnt.verdict is Verdict.ACCEPTED:
                 bag = write(folder / f"asked{number}", servo.moved(kg, random, rate_hz))
                 estimate = replay(bag, Options(calibration=output, settings=POINT))

@@ -56,7 +56,11 @@ class Answers:
         """Count an answer, or that there is none."""
         self.asked += 1
         value = estimate.value(name)
-        if isinstance(value.value, float) and isinstance(value.std, float) and value.ci95 is not None:
+        if (
+            isinstance(value.value, float)
+            and isinstance(value.std, float)
+            and value.ci95 is not None
+        ):
             self.errors.append(scale * (value.value - truth))
             self.halves.append(scale * Z95 * value.std)
             self.hold += value.ci95[0] <= truth <= value.ci95[1]
@@ -87,7 +91,9 @@ def weighed(folders: Iterable[Any], robot: Robot | None = None, known: bool = Fa
         if robot is not None:
             estimate = weigh(robot, simulated.runs_of(folder, robot), simulated.facts_of(folder))
         else:
-            estimate = simulated.weighed(folder, simulated.known_drive_train(truth) if known else None)
+            estimate = simulated.weighed(
+                folder, simulated.known_drive_train(truth) if known else None
+            )
         answers.add(estimate, "payload_mass", truth["payload"]["mass"])
     return answers
 
@@ -109,7 +115,9 @@ def weighing(results: Results, levels: Sequence[str]) -> None:
     )
 
     def row(level: str, known: str, answers: Answers) -> None:
-        results.row("weighing", level=level, recordings=LEVELS[level], known=known, **answers.figures())
+        results.row(
+            "weighing", level=level, recordings=LEVELS[level], known=known, **answers.figures()
+        )
 
     for level in levels:
         folders = simulated.fixed(RECORDINGS, level)[:at_most]
@@ -119,11 +127,15 @@ def weighing(results: Results, levels: Sequence[str]) -> None:
         if level == "friction_s00":
             row(level, "its drive train", weighed(folders, known=True))
         else:
-            folders = [f for f in folders if 0.0099 <= simulated.truth_of(f)["payload"]["mass"] <= 0.0501]
+            folders = [
+                f for f in folders if 0.0099 <= simulated.truth_of(f)["payload"]["mass"] <= 0.0501
+            ]
             empty = simulated.empty_runs(RECORDINGS / level, ROBOT)
             row(level, "calibrated on its empty runs", weighed(folders, calibrated_on(empty)))
             reference = simulated.reference_runs(RECORDINGS / level, ROBOT)
-            row(level, "and on three with 100 g", weighed(folders, calibrated_on(empty + reference)))
+            row(
+                level, "and on three with 100 g", weighed(folders, calibrated_on(empty + reference))
+            )
         row(level, "robot file", weighed(simulated.fixed(RECORDINGS, level)[:at_most]))
 
 
@@ -156,7 +168,9 @@ def container(results: Results, levels: Sequence[str]) -> None:
     for level in levels:
         for robot in (calibrated_on(simulated.empty_runs(RECORDINGS / level, ROBOT)), ROBOT):
             boxes = simulated.Boxes(RECORDINGS / level, "", robot)
-            single, empty, together = Answers(), Answers(), Answers()
+            single = Answers()
+            empty = Answers()
+            together = Answers()
             here = {"level": level, "recordings": LEVELS[level]}
             if robot is ROBOT:
                 for folder in boxes.folders("container_sphere_*")[:at_most]:
@@ -195,7 +209,8 @@ def blocks(results: Results, levels: Sequence[str]) -> None:
         closings = simulated.empty_runs(RECORDINGS / level, ROBOT, "squeeze_empty_*")
         robot = calibrated_on([*simulated.empty_runs(RECORDINGS / level, ROBOT), *closings])
         for stated in (False, True) if level == "quantised_s00" else (False,):
-            answers, ratios = Answers(), Answers()
+            answers = Answers()
+            ratios = Answers()
             for block in simulated.BLOCKS:
                 folder = RECORDINGS / level / f"squeeze_{block}"
                 _, modulus, ratio = simulated.cube_of(folder)
@@ -234,7 +249,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tables = {"weighing": weighing, "container": container, "blocks": blocks, "paper": paper}
     parser = parser_of(__doc__)
     parser.add_argument("tables", nargs="*", default=list(tables), help=", ".join(tables))
-    parser.add_argument("--robots", nargs="+", default=list(LEVELS), choices=list(LEVELS), help="default: all")
+    parser.add_argument(
+        "--robots", nargs="+", default=list(LEVELS), choices=list(LEVELS), help="default: all"
+    )
     parser.add_argument("--at-most", type=int, help="of the recordings of each kind; default: all")
     options = parser.parse_args(arguments)
     global at_most

@@ -32,8 +32,12 @@ from proprio_ros.recordings.writer import write_messages
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 MIDDLE = np.array([0.0, -0.3, 0.3, 0.4, 0.0, 0.2])
 REACH = np.array([0.8, 0.7, 0.7, 0.7, 0.8, 0.0])
-ASKED_KG, KNOWN_KG = (0.0, 0.05, 0.1, 0.2), 0.15
-STEP_S, COUNT_RAD, GAIN, RESISTANCE_OHM = 0.001, 2.0 * np.pi / 4096.0, 2.656, 2.68
+ASKED_KG = (0.0, 0.05, 0.1, 0.2)
+KNOWN_KG = 0.15
+STEP_S = 0.001
+COUNT_RAD = 2.0 * np.pi / 4096.0
+GAIN = 2.656
+RESISTANCE_OHM = 2.68
 SETTINGS: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0]}
 
 
@@ -56,10 +60,13 @@ class Arm:
         self.sticks, self.dead_band_rad, self.gain = 0.0, 0.0, GAIN
         """By how much of itself dry friction is greater at rest, where it holds a joint; of the firmware; duty cycle per rad."""
 
-    def moved(self, load_kg: float, random: np.random.Generator, rate_hz: float, seconds: float) -> dict[str, np.ndarray]:
+    def moved(
+        self, load_kg: float, random: np.random.Generator, rate_hz: float, seconds: float
+    ) -> dict[str, np.ndarray]:
         """As it goes from pose to pose, see `followed`."""
         dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
-        goals_at, goals = [0.0], [MIDDLE]
+        goals_at = [0.0]
+        goals = [MIDDLE]
         while goals_at[-1] < seconds:
             goals_at.append(goals_at[-1] + random.uniform(0.8, 2.0))
             goals.append(MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS)))
@@ -80,16 +87,27 @@ class Arm:
 
         spec = mujoco.MjSpec.from_file(str(share_directory() / "urdf" / "so101.urdf"))
         spec.compiler.fusestatic = False
-        spec.option.timestep, spec.option.integrator = STEP_S, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.timestep, spec.option.integrator = (
+            STEP_S,
+            mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+        )
         spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         if load_kg:
             payload = spec.body("grasp_link").add_body(name="payload")
-            payload.explicitinertial, payload.mass, payload.inertia = True, load_kg, [load_kg * 0.03**2 / 6.0] * 3
-        if self.sticks:  # else MuJoCo's dry friction is soft, and a joint creeps until it carries nothing
+            payload.explicitinertial, payload.mass, payload.inertia = (
+                True,
+                load_kg,
+                [load_kg * 0.03**2 / 6.0] * 3,
+            )
+        # else MuJoCo's dry friction is soft, and a joint creeps until it carries nothing
+        if self.sticks:
             spec.option.tolerance = 1e-14
             for name in JOINTS:
                 joint = spec.joint(name)
-                joint.solref_friction, joint.solimp_friction = (0.002, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
+                joint.solref_friction, joint.solimp_friction = (
+                    (0.002, 1.0),
+                    (0.9999, 0.9999, 0.001, 0.5, 2.0),
+                )
         model = spec.compile()
         data = mujoco.MjData(model)
         dofs = np.array([model.joint(name).dofadr[0] for name in JOINTS])
@@ -103,26 +121,35 @@ class Arm:
             """Smooth ways between the poses."""
             k = min(int(np.searchsorted(goals_at, t, side="right")) - 1, len(goals) - 2)
             share = np.clip((t - goals_at[k]) / (goals_at[k + 1] - goals_at[k]), 0.0, 1.0)
-            return goals[k] + (goals[k + 1] - goals[k]) * (10 * share**3 - 15 * share**4 + 6 * share**5)
+            return goals[k] + (goals[k + 1] - goals[k]) * (
+                10 * share**3 - 15 * share**4 + 6 * share**5
+            )
 
         for step in range(round(seconds / STEP_S)):
             t = step * STEP_S
             # goals are sent as often as they are recorded, and the servo hears them late
             heard = goal_at(max(np.floor((t - self.delay_s) * rate_hz + 1e-9) / rate_hz, 0.0))
             moved = moved + np.clip(heard - moved, -5.215 * STEP_S, 5.215 * STEP_S)
-            angle, speed = data.qpos[dofs], data.qvel[dofs]
+            angle = data.qpos[dofs]
+            speed = data.qvel[dofs]
             distance = moved - np.round(angle / COUNT_RAD) * COUNT_RAD
             if self.dead_band_rad:
-                distance = np.sign(distance) * np.maximum(np.abs(distance) - self.dead_band_rad, 0.0)
+                distance = np.sign(distance) * np.maximum(
+                    np.abs(distance) - self.dead_band_rad, 0.0
+                )
             duty = np.clip(self.gain * distance, -0.97, 0.97)
             current = (self.supply_V * duty - self.torque_constant * speed) / RESISTANCE_OHM
             if step % every == 0:
                 rows["t"].append(t)
                 rows["goal"].append(goal_at(t))
-                rows["position"].append(np.round((angle + random.normal(0.0, 3e-4, 6)) / COUNT_RAD) * COUNT_RAD)
+                rows["position"].append(
+                    np.round((angle + random.normal(0.0, 3e-4, 6)) / COUNT_RAD) * COUNT_RAD
+                )
             torque = self.torque_constant * current
             friction = dry + self.lost * np.abs(data.qfrc_bias[dofs])
-            model.dof_frictionloss[dofs] = friction * (1.0 + self.sticks * np.exp(-((speed / 0.05) ** 2)))
+            model.dof_frictionloss[dofs] = friction * (
+                1.0 + self.sticks * np.exp(-((speed / 0.05) ** 2))
+            )
             data.qfrc_applied[dofs] = torque
             mujoco.mj_step(model, data)
         return {name: np.array(values) for name, values in rows.items()}
@@ -131,19 +158,29 @@ class Arm:
 def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
     """A bag of goals and positions."""
     types: Any = message_types()
-    time, header, state = (types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
-    nothing, messages = np.zeros(0), []
+    time, header, state = (
+        types.types[name]
+        for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
+    )
+    nothing = np.zeros(0)
+    messages = []
     for row, t in enumerate(rows["t"]):
         time_ns = 10**9 + round(1e9 * t)
         stamp = header(stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9), frame_id="")
         for topic, name in (("/joint_states", "position"), ("/joint_command", "goal")):
             message = state(stamp, list(JOINTS), rows[name][row], nothing, nothing)
-            messages.append(RawMessage(topic, JOINT_STATE, time_ns, bytes(types.serialize_cdr(message, JOINT_STATE))))
+            messages.append(
+                RawMessage(
+                    topic, JOINT_STATE, time_ns, bytes(types.serialize_cdr(message, JOINT_STATE))
+                )
+            )
     write_messages(folder, messages)
     return folder
 
 
-def weighed(seed: int, rate_hz: float, seconds: float, asked_kg: Sequence[float] = ASKED_KG) -> list[tuple[float, Estimate]]:
+def weighed(
+    seed: int, rate_hz: float, seconds: float, asked_kg: Sequence[float] = ASKED_KG
+) -> list[tuple[float, Estimate]]:
     """Truths [kg] and answers of one arm.
 
     Raises:
@@ -159,11 +196,15 @@ def weighed(seed: int, rate_hz: float, seconds: float, asked_kg: Sequence[float]
 
         output = folder / "calibrated.yaml"
         options = Options(robot="so101", settings=SETTINGS)
-        learnt = calibrate_from_bags([bag("a", 0.0), bag("b", 0.0)], {bag("known", KNOWN_KG): KNOWN_KG}, options, output)
+        learnt = calibrate_from_bags(
+            [bag("a", 0.0), bag("b", 0.0)], {bag("known", KNOWN_KG): KNOWN_KG}, options, output
+        )
         if learnt.verdict is not Verdict.ACCEPTED:
             raise RecordingError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
         options = Options(calibration=output, settings=SETTINGS)
-        return [(kg, replay(bag(f"asked{number}", kg), options)) for number, kg in enumerate(asked_kg)]
+        return [
+            (kg, replay(bag(f"asked{number}", kg), options)) for number, kg in enumerate(asked_kg)
+        ]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -188,7 +229,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 low, high = mass.ci95
                 words = f"{mass.value * 1e3:.1f} g ({low * 1e3:.1f} to {high * 1e3:.1f})"
                 off = mass.value - kg
-                answers[kg].append((off, max(high - mass.value, mass.value - low), low <= kg <= high, off / mass.std))
+                answers[kg].append(
+                    (
+                        off,
+                        max(high - mass.value, mass.value - low),
+                        low <= kg <= high,
+                        off / mass.std,
+                    )
+                )
             print(f"arm {seed}, {kg * 1e3:.0f} g: {estimate.verdict.value}, {words}"[:200])
     results.table(
         "so101",
@@ -201,7 +249,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "farthest, in sd": "{farthest:.1f}",
         },
     )
-    for name, kgs in (*((f"{1e3 * kg:.0f} g" if kg else "nothing", (kg,)) for kg in ASKED_KG), ("all", ASKED_KG)):
+    for name, kgs in (
+        *((f"{1e3 * kg:.0f} g" if kg else "nothing", (kg,)) for kg in ASKED_KG),
+        ("all", ASKED_KG),
+    ):
         of = np.array([answer for kg in kgs for answer in answers[kg]], dtype=float)
         if len(of):
             off, half, holds, pull = of.T

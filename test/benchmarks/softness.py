@@ -20,7 +20,13 @@ from case import Kept, Row, Timing, measure, measure_in_turn
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
 
-from proprio_ros.paper.softbody import FRICTION_VELOCITY, SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRun
+from proprio_ros.paper.softbody import (
+    FRICTION_VELOCITY,
+    SOFT_INDEX,
+    SOFT_PARAMETERS,
+    SoftBody,
+    SoftRun,
+)
 from proprio_ros.paper.softbody_kernels import MAT33, VEC3, _law_functions, frame_kernel
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.joint import JointRun
@@ -30,7 +36,9 @@ from proprio_ros.sim.response import Response, build
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SQUEEZE_PARAMETERS, SqueezeRun, SqueezeSimulator
 
-EDGE, MASS, TRAVEL = 0.03, 0.023, 0.023
+EDGE = 0.03
+MASS = 0.023
+TRAVEL = 0.023
 HEAVY = (5097.6, 5430.4)
 GOALS = {2: 20.0, 4: 5.0}
 FIT_GOAL = 100.0
@@ -126,7 +134,9 @@ def _node_kernel(
         v_out[i] = speed
         x_out[i] = x[i] + h * speed
     else:
-        x_out[i] = VEC3(sides[i] * (constants[0] - half * (travel * angle - p[6])), x[i][1], x[i][2])
+        x_out[i] = VEC3(
+            sides[i] * (constants[0] - half * (travel * angle - p[6])), x[i][1], x[i][2]
+        )
         v_out[i] = VEC3(-half * sides[i] * travel * turn, FLOAT(0.0), FLOAT(0.0))
 
 
@@ -135,11 +145,21 @@ class PerSubstep:
 
     def __init__(self, body: SoftBody, run: SoftRun, p: np.ndarray) -> None:
         self.run, self.body = run, body
-        (self._tets, self._cells, self._shares, self._volumes, self._inverses, self._grams, self._masses, self._sides, _) = (
-            body._block
-        )
+        (
+            self._tets,
+            self._cells,
+            self._shares,
+            self._volumes,
+            self._inverses,
+            self._grams,
+            self._masses,
+            self._sides,
+            _,
+        ) = body._block
         faces = float(body.masses[body._ends].sum())
-        constants = np.array([0.5 * body.mesh.length, body.travel, FRICTION_VELOCITY, faces, run.step_s])
+        constants = np.array(
+            [0.5 * body.mesh.length, body.travel, FRICTION_VELOCITY, faces, run.step_s]
+        )
         self._constants = wp.array(constants, dtype=FLOAT)
         self._p = wp.array(p[0], dtype=FLOAT, requires_grad=True)
         self._start = body._start(p, None)
@@ -147,11 +167,13 @@ class PerSubstep:
 
     def __call__(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions at the end of every frame (K,), and the gradient of their sum by the parameters (P,)."""
-        steps, substeps = len(self._currents), self.run.substeps
+        steps = len(self._currents)
+        substeps = self.run.substeps
         p0 = self._p.numpy()
         x, v = (wp.array(part[0], dtype=VEC3, requires_grad=True) for part in self._start)
         q = wp.array(p0[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]], dtype=FLOAT, requires_grad=True)
-        tets, nodes = self._tets.shape[0], len(self.body.mesh.points)
+        tets = self._tets.shape[0]
+        nodes = len(self.body.mesh.points)
         states = [q]
         tape = wp.Tape()
         with tape:
@@ -163,7 +185,17 @@ class PerSubstep:
                 next_x = wp.empty_like(x)
                 next_v = wp.empty_like(v)
                 wp.launch(
-                    _cell_kernel, dim=tets, inputs=[self._tets, self._cells, self._shares, self._volumes, self._inverses, x, cell_j]
+                    _cell_kernel,
+                    dim=tets,
+                    inputs=[
+                        self._tets,
+                        self._cells,
+                        self._shares,
+                        self._volumes,
+                        self._inverses,
+                        x,
+                        cell_j,
+                    ],
                 )
                 wp.launch(
                     _force_kernel,
@@ -181,7 +213,9 @@ class PerSubstep:
                         force, push, q, x, v, next_q, next_x, next_v,
                     ],
                 )  # fmt: skip
-                q, x, v = next_q, next_x, next_v
+                q = next_q
+                x = next_x
+                v = next_v
                 states.append(q)
         one = wp.array([1.0, 0.0], dtype=FLOAT)
         frames = states[substeps::substeps]
@@ -195,19 +229,28 @@ class OnePerSubstep:
     """Our kernel, one launch per substep on one tape; the states' arrays are there before."""
 
     def __init__(self, body: SoftBody, run: SoftRun, p: np.ndarray) -> None:
-        steps, nodes = run.frames * run.substeps, len(body.mesh.points)
+        steps = run.frames * run.substeps
+        nodes = len(body.mesh.points)
         self._rest = PerSubstep(body, run, p)
         self._p = wp.array(p, dtype=FLOAT, requires_grad=True)
         self._kernel = frame_kernel(body.law, True)
         currents = wp.array(run.currents(), dtype=FLOAT)
         shapes = [((1, steps + 1), FLOAT)] * 2 + [((1, steps + 1, nodes), VEC3)] * 2
-        shapes += [((1, steps, body.mesh.cell_count), FLOAT), ((1, steps, nodes), VEC3), ((1, steps), FLOAT)]
+        shapes += [
+            ((1, steps, body.mesh.cell_count), FLOAT),
+            ((1, steps, nodes), VEC3),
+            ((1, steps), FLOAT),
+        ]
         self._arrays = [wp.zeros(shape, dtype=kind, requires_grad=True) for shape, kind in shapes]
         start = (*p[:, [SOFT_INDEX["q0"], SOFT_INDEX["v0"]]].T, *body._start(p, None))
         for array, value in zip(self._arrays, start, strict=False):
             array.numpy()[:, 0] = value
         self._launches = [
-            [currents[n : n + 1], *(a[:, n : n + 2] for a in self._arrays[:4]), *(a[:, n : n + 1] for a in self._arrays[4:])]
+            [
+                currents[n : n + 1],
+                *(a[:, n : n + 2] for a in self._arrays[:4]),
+                *(a[:, n : n + 1] for a in self._arrays[4:]),
+            ]
             for n in range(steps)
         ]
         self._block = body._block
@@ -227,13 +270,22 @@ class OnePerSubstep:
         self._p.grad.zero_()
         self._arrays[0].grad.numpy()[:, self._substeps :: self._substeps] = 1.0
         tape.backward()
-        return self._arrays[0].numpy()[0, self._substeps :: self._substeps].copy(), self._p.grad.numpy()[0].copy()
+        return self._arrays[0].numpy()[
+            0, self._substeps :: self._substeps
+        ].copy(), self._p.grad.numpy()[0].copy()
 
 
 def explicit_case(cells: int, frames: int = 60) -> tuple[SoftBody, SoftRun, np.ndarray]:
     """A second of the paper's heavy cube under its motor, in touch from the start."""
     body = SoftBody(box(np.full(3, EDGE), (cells, cells, cells)), MASS, TRAVEL)
-    values = {"inertia": 0.005, "torque_constant": 1.0, "coulomb": 0.01, "viscous": 0.01, "v0": 0.01, "gap": -1e-4}
+    values = {
+        "inertia": 0.005,
+        "torque_constant": 1.0,
+        "coulomb": 0.01,
+        "viscous": 0.01,
+        "v0": 0.01,
+        "gap": -1e-4,
+    }
     values |= {"lame_mu": HEAVY[0], "lame_lambda": HEAVY[1]}
     p = np.array([[values.get(name, 0.0) for name in SOFT_PARAMETERS]])
     return body, SoftRun(np.zeros(1), np.array([0.08]), frames), p
@@ -247,9 +299,15 @@ def fused(body: SoftBody, run: SoftRun, p: np.ndarray) -> tuple[np.ndarray, np.n
 
 def difference(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> float:
     """Largest relative difference of positions and of the gradient by what both differentiate."""
-    rows = [SOFT_INDEX[name] for name in ("inertia", "torque_constant", "coulomb", "viscous", "lame_mu", "lame_lambda")]
-    by_ours, by_theirs = ours[1][rows], theirs[1][rows]
-    return float(max(np.abs(ours[0] / theirs[0] - 1.0).max(), np.abs(by_ours / by_theirs - 1.0).max()))
+    rows = [
+        SOFT_INDEX[name]
+        for name in ("inertia", "torque_constant", "coulomb", "viscous", "lame_mu", "lame_lambda")
+    ]
+    by_ours = ours[1][rows]
+    by_theirs = theirs[1][rows]
+    return float(
+        max(np.abs(ours[0] / theirs[0] - 1.0).max(), np.abs(by_ours / by_theirs - 1.0).max())
+    )
 
 
 class Fit:
@@ -283,7 +341,14 @@ class Fit:
 
     def _simulator(self, table: Response) -> SqueezeSimulator:
         times = np.arange(1, 41) / 40.0
-        joint = JointRun(times, np.zeros(1), np.array([0.11]), friction_velocity=0.01, step_s=1 / 480, fine_step_s=1 / 480)
+        joint = JointRun(
+            times,
+            np.zeros(1),
+            np.array([0.11]),
+            friction_velocity=0.01,
+            step_s=1 / 480,
+            fine_step_s=1 / 480,
+        )
         return SqueezeSimulator([SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table)])
 
     def _p(self, values: np.ndarray) -> np.ndarray:
@@ -296,7 +361,8 @@ class Fit:
 
     def ours(self) -> np.ndarray:
         """Levenberg and Marquardt with exact sensitivities over the table; E in logarithms."""
-        values, damping = self.start.copy(), 1e-3
+        values = self.start.copy()
+        damping = 1e-3
 
         def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             q, _, dq = self.simulator.jacobian(self.one, self._p(at), self.directions)
@@ -305,13 +371,22 @@ class Fit:
         residual, jacobian = linearised(values)
         for _ in range(60):
             normal = jacobian.T @ jacobian
-            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual)
-            moved = values * [np.exp(np.clip(step[0], -1, 1)), 1, 1] + [0, 0.1 * step[1], 1e-3 * step[2]]
+            step = -np.linalg.solve(
+                normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual
+            )
+            moved = values * [np.exp(np.clip(step[0], -1, 1)), 1, 1] + [
+                0,
+                0.1 * step[1],
+                1e-3 * step[2],
+            ]
             moved[1] = np.clip(moved[1], 0.0, 0.48)
             new_residual, new_jacobian = (part.copy() for part in linearised(moved))
             if new_residual @ new_residual < residual @ residual:
                 done = np.abs(step).max() < 1e-8
-                values, residual, jacobian, damping = moved, new_residual, new_jacobian, 0.1 * damping
+                values = moved
+                residual = new_residual
+                jacobian = new_jacobian
+                damping = 0.1 * damping
                 if done:
                     break
             else:
@@ -336,7 +411,9 @@ class Fit:
             return (self._rollout(self._simulator(table), values) - self.seen) / 1e-3
 
         bounds = np.array([[100.0, 0.0, -0.005], [1e6, 0.48, 0.005]]) / self.scale
-        found = least_squares(residual, self.start / self.scale, bounds=bounds, xtol=1e-8, ftol=1e-8, gtol=1e-8)
+        found = least_squares(
+            residual, self.start / self.scale, bounds=bounds, xtol=1e-8, ftol=1e-8, gtol=1e-8
+        )
         return found.x * self.scale
 
 
@@ -347,11 +424,17 @@ def rows(_: Any = None) -> list[Row]:
     frames = 6 if cases.once else 60
     for cells, goal in GOALS.items():
         body, run, p = explicit_case(cells, frames)
-        three, one = PerSubstep(body, run, p), OnePerSubstep(body, run, p)
+        three = PerSubstep(body, run, p)
+        one = OnePerSubstep(body, run, p)
         answer = fused(body, run, p)
-        off, off_one = difference(answer, three()), difference(answer, one())
-        by_three, by_one, ours = measure_in_turn((three, one, lambda b=body, r=run, q=p: fused(b, r, q)), 3, (1, 1, 3))
-        lines.append(Row(f"soft block {cells}^3: ours, a segment per launch, rollout and gradient", ours))
+        off = difference(answer, three())
+        off_one = difference(answer, one())
+        by_three, by_one, ours = measure_in_turn(
+            (three, one, lambda b=body, r=run, q=p: fused(b, r, q)), 3, (1, 1, 3)
+        )
+        lines.append(
+            Row(f"soft block {cells}^3: ours, a segment per launch, rollout and gradient", ours)
+        )
         what = f"soft block {cells}^3: three launches per substep and wp.Tape"
         lines.append(_compared(what, by_three, ours, goal, off <= EQUAL, f"differs by {off:.1g}"))
         what = f"soft block {cells}^3: our kernel once per substep and wp.Tape"
@@ -359,15 +442,30 @@ def rows(_: Any = None) -> list[Row]:
         lines.append(Row(what, by_one, ratio, note=f"no goal; differs by {off_one:.1g}"))
     body, run, p = explicit_case(8, frames)
     for keep in ("states", "starts"):
-        eight = measure(lambda k=keep: body.rollout(run, p, k).gradient(np.ones((1, frames))), repeats=3, warm_up=1)
+        eight = measure(
+            lambda k=keep: body.rollout(run, p, k).gradient(np.ones((1, frames))),
+            repeats=3,
+            warm_up=1,
+        )
         mebibytes = body.rollout(run, p, keep).bytes / 2**20
-        lines.append(Row(f"soft block 8^3, keep={keep}: rollout and gradient", eight, note=f"{mebibytes:.0f} MiB of states"))
+        lines.append(
+            Row(
+                f"soft block 8^3, keep={keep}: rollout and gradient",
+                eight,
+                note=f"{mebibytes:.0f} MiB of states",
+            )
+        )
     fit = Fit()
-    by_scipy, by_us = Kept(fit.scipy), Kept(fit.ours)
+    by_scipy = Kept(fit.scipy)
+    by_us = Kept(fit.ours)
     theirs, ours = measure_in_turn((by_scipy, by_us), 3, (1, 10))
-    ours_found, scipy_found = by_us.answer, by_scipy.answer
+    ours_found = by_us.answer
+    scipy_found = by_scipy.answer
     lines.append(Row("softness: our fit over the table", ours, note=_found(ours_found, fit)))
-    same = bool(np.abs(ours_found / fit.truth - 1.0)[0] < 0.005 and np.abs(scipy_found / fit.truth - 1.0)[0] < 0.005)
+    same = bool(
+        np.abs(ours_found / fit.truth - 1.0)[0] < 0.005
+        and np.abs(scipy_found / fit.truth - 1.0)[0] < 0.005
+    )
     what = "softness: scipy, differences over the same finite elements"
     lines.append(_compared(what, theirs, ours, FIT_GOAL, same, _found(scipy_found, fit)))
     return lines

@@ -34,7 +34,13 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, pre
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import find_sphere
-from proprio_ros.probes.container.problem import ContainerFacts, ContainerProblem, container_unknowns, sphere_run, start_prior
+from proprio_ros.probes.container.problem import (
+    ContainerFacts,
+    ContainerProblem,
+    container_unknowns,
+    sphere_run,
+    start_prior,
+)
 from proprio_ros.quantity import Z95
 from proprio_ros.records import FloatArray, Run
 from proprio_ros.robot import Robot, load_robot
@@ -42,9 +48,17 @@ from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.payload import PayloadShape
 from proprio_ros.sim.sphere import Enclosure
 
-INNER_M, CENTRE_M, RADIUS_M, SHELL_KG = np.array([0.06, 0.04, 0.04]), np.array([0.035, 0.0, 0.0]), 0.01, 0.03
-LIGHTEST_KG, HEAVIEST_KG = 0.005, 0.06
-SETTLE_S, SYRUP_S, STANDS_M_S = 1.0, 0.1, 1e-3
+INNER_M, CENTRE_M, RADIUS_M, SHELL_KG = (
+    np.array([0.06, 0.04, 0.04]),
+    np.array([0.035, 0.0, 0.0]),
+    0.01,
+    0.03,
+)
+LIGHTEST_KG = 0.005
+HEAVIEST_KG = 0.06
+SETTLE_S = 1.0
+SYRUP_S = 0.1
+STANDS_M_S = 1e-3
 FACTS = ContainerFacts(Enclosure("box", INNER_M, RADIUS_M), CENTRE_M)
 """What is stated about the box: the baseline says what it weighs."""
 
@@ -74,12 +88,25 @@ class Boxed(Load):
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
-        touch = {"friction": [self.friction, 0.0, 0.0], "solref": [self.hardness_s, self.damping_ratio], "condim": 3}
+        touch = {
+            "friction": [self.friction, 0.0, 0.0],
+            "solref": [self.hardness_s, self.damping_ratio],
+            "condim": 3,
+        }
         for axis in range(3):
             for side in (-1.0, 1.0):
-                half, place = INNER_M / 2.0 + 0.01, CENTRE_M.copy()
+                half = INNER_M / 2.0 + 0.01
+                place = CENTRE_M.copy()
                 half[axis], place[axis] = 0.01, place[axis] + side * (INNER_M[axis] / 2.0 + 0.01)
-                body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=place, contype=1, conaffinity=0, mass=0.0, **touch)
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_BOX,
+                    size=half,
+                    pos=place,
+                    contype=1,
+                    conaffinity=0,
+                    mass=0.0,
+                    **touch,
+                )
         sphere = spec.worldbody.add_body(name="sphere")
         sphere.add_freejoint()
         sphere.add_geom(
@@ -97,12 +124,17 @@ class Boxed(Load):
         down = turn.T @ [0.0, 0.0, -1.0]
         corner = CENTRE_M + np.sign(down) * (INNER_M / 2.0 - RADIUS_M - 1e-4)
         corner[1] = CENTRE_M[1]
-        start, armature, solref = data.qpos[:4].copy(), model.dof_armature.copy(), model.geom_solref.copy()
+        start = data.qpos[:4].copy()
+        armature = model.dof_armature.copy()
+        solref = model.geom_solref.copy()
         model.geom_solref[:, 1] = 1.0
         # beside a very heavy arm a light sphere may get kicks from rounding: then once more, with a lighter one and as if in syrup
         for held, resistance in ((1e6, 0.0), (1e5, 1.0 / SYRUP_S)):
             data.qpos[:4], data.qvel[:] = start, 0.0
-            data.qpos[4:7], data.qpos[7:] = data.body("load").xpos + turn @ corner, (1.0, 0.0, 0.0, 0.0)
+            data.qpos[4:7], data.qpos[7:] = (
+                data.body("load").xpos + turn @ corner,
+                (1.0, 0.0, 0.0, 0.0),
+            )
             model.dof_armature[:4] = held
             model.dof_damping[4:7] = self.sphere_kg * resistance
             model.dof_damping[7:10] = self.sphere_kg * RADIUS_M**2 * resistance
@@ -118,7 +150,12 @@ class Boxed(Load):
         return lever[2, :4] * 9.81 * self.sphere_kg
 
 
-def box(sphere_kg: float = 0.0, friction: float = 0.35, hardness_s: float = 0.001, damping_ratio: float = 1.0) -> Boxed:
+def box(
+    sphere_kg: float = 0.0,
+    friction: float = 0.35,
+    hardness_s: float = 0.001,
+    damping_ratio: float = 1.0,
+) -> Boxed:
     """A thin box of `SHELL_KG`, and a sphere."""
     spread = np.diag(PayloadShape.hollow("box", INNER_M).second_moment_per_mass)
     inertia = SHELL_KG * (spread.sum() - spread)
@@ -128,7 +165,11 @@ def box(sphere_kg: float = 0.0, friction: float = 0.35, hardness_s: float = 0.00
 
 
 def _probe(joint: str, joint2: float, joint3: float, joint4: float, current_A: float) -> Probe:
-    return Probe(joint, {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0}, current_A)
+    return Probe(
+        joint,
+        {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0},
+        current_A,
+    )
 
 
 PROBES = (
@@ -151,7 +192,9 @@ class Recorded:
     rolling: tuple[Run, ...]
 
 
-def drawn(seed: int, effects: Collection[str] = EFFECTS) -> tuple[np.random.Generator, HiddenRobot, Boxed]:
+def drawn(
+    seed: int, effects: Collection[str] = EFFECTS
+) -> tuple[np.random.Generator, HiddenRobot, Boxed]:
     """One robot and its sphere, and the generator that goes on from them."""
     rng = np.random.default_rng([seed, 31])
     hidden = draw_robot(rng, effects, MATCHED)
@@ -166,7 +209,8 @@ def recorded(seed: int, effects: Collection[str] = EFFECTS) -> Recorded:
     """One robot's recordings."""
     rng, hidden, sphere = drawn(seed, effects)
     empty = tuple(run_of(probe, hidden, None, rng) for probe in EMPTY_PROBES)
-    baseline, rolling = [], []
+    baseline = []
+    rolling = []
     for choices in PROBES:
         for probe in choices:
             run = run_of(probe, hidden, box(), rng)
@@ -194,13 +238,18 @@ def cramer_rao(made: Recorded, known: Sequence[PreparedRun], rolling: Sequence[R
 
     Friction and damping of the touch are taken where the priors expect them: MuJoCo's law has others.
     """
-    robot, hidden = load_robot("open_manipulator_x"), made.hidden
+    robot = load_robot("open_manipulator_x")
+    hidden = made.hidden
     inside = [prepare_run(robot, run, None, FACTS.shell) for run in rolling]
     runs = [*inside, *(prepare_run(robot, run, None, FACTS.shell) for run in made.baseline), *known]
     rolls = [row < len(inside) for row in range(len(runs))]
     nothing = JointRun(np.array([0.1]), np.zeros(1), np.zeros(1))
-    priors = [start_prior(sphere_run(robot, run, FACTS, nothing), FACTS, run.rest.value) for run in inside]
-    problem = ContainerProblem(robot, runs, FACTS, rolls, container_unknowns(robot, runs, rolls, FACTS, priors, Role.FREE))
+    priors = [
+        start_prior(sphere_run(robot, run, FACTS, nothing), FACTS, run.rest.value) for run in inside
+    ]
+    problem = ContainerProblem(
+        robot, runs, FACTS, rolls, container_unknowns(robot, runs, rolls, FACTS, priors, Role.FREE)
+    )
     values = true_values(hidden, problem, SHELL_KG)
     values[problem.index["sphere_mass"]] = made.sphere.sphere_kg
     _, v, dq = problem.simulate(values[None], problem.free)
@@ -209,7 +258,9 @@ def cramer_rao(made: Recorded, known: Sequence[PreparedRun], rolling: Sequence[R
     rows = (dq[0] / sigma[..., None])[problem.weight > 0.0]
     information = rows.T @ rows + problem.coordinates.prior_precision
     scale = 1.0 / np.sqrt(np.diag(information))
-    inverse = np.linalg.pinv(information * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
+    inverse = np.linalg.pinv(
+        information * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True
+    )
     at = list(problem.free).index(problem.index["sphere_mass"])
     return float(np.sqrt(inverse[at, at]) * scale[at])
 
@@ -255,7 +306,8 @@ def one_robot(job: tuple[int, tuple[str, ...]]) -> tuple[list[Answer], list[str]
     if learnt is None:
         return [], ["not calibrated"] * 4
     robot, known = learnt
-    answers, refused = [], []
+    answers = []
+    refused = []
     for runs in [*[(run,) for run in made.rolling], made.rolling]:
         estimate = find_sphere(robot, runs, FACTS, None, made.baseline)
         if estimate.verdict.value != "accepted":
@@ -270,7 +322,9 @@ def row(results: Results, name: str, answers: Sequence[Answer], asked: int) -> N
     """One row of the table; none without answers."""
     if not answers:
         return
-    error, std, bound = (np.array([getattr(a, key) for a in answers]) for key in ("error", "std", "bound"))
+    error, std, bound = (
+        np.array([getattr(a, key) for a in answers]) for key in ("error", "std", "bound")
+    )
     hits = float(np.mean([a.holds for a in answers]))
     margin = Z95 * np.sqrt(max(hits * (1.0 - hits), 1e-4) / len(answers))
     results.row(
@@ -285,7 +339,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", type=int, default=60)
     parser.add_argument("--first", type=int, default=2000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--without", nargs="*", default=[], choices=EFFECTS, help="effects that are absent")
+    parser.add_argument(
+        "--without", nargs="*", default=[], choices=EFFECTS, help="effects that are absent"
+    )
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     effects = tuple(effect for effect in EFFECTS if effect not in options.without)

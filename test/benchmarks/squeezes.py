@@ -36,15 +36,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for modulus, ratio in BLOCKS:
             block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
             _, estimate, _ = squeezed(robot, seed, block)
-            found, found_ratio = estimate.value("youngs_modulus"), estimate.value("poissons_ratio")
+            found = estimate.value("youngs_modulus")
+            found_ratio = estimate.value("poissons_ratio")
             if not isinstance(found.value, float) or not isinstance(found.std, float):
-                print(f"robot {seed}, {1e-3 * modulus:g} kPa: {estimate.verdict.value}, {'; '.join(estimate.reasons)}")
+                print(
+                    f"robot {seed}, {1e-3 * modulus:g} kPa: {estimate.verdict.value}, {'; '.join(estimate.reasons)}"
+                )
                 continue
             holds = found.ci95[0] <= modulus <= found.ci95[1]
             known = found_ratio.value is not None
             ratio_holds = known and found_ratio.ci95[0] <= ratio <= found_ratio.ci95[1]
-            rows[modulus, ratio].append((found.value / modulus - 1.0, Z95 * found.std / found.value, holds, known, ratio_holds))
-        print(f"robot {seed} of {options.first} to {options.first + options.robots - 1}", file=sys.stderr)
+            rows[modulus, ratio].append(
+                (
+                    found.value / modulus - 1.0,
+                    Z95 * found.std / found.value,
+                    holds,
+                    known,
+                    ratio_holds,
+                )
+            )
+        print(
+            f"robot {seed} of {options.first} to {options.first + options.robots - 1}",
+            file=sys.stderr,
+        )
     results.table(
         "squeezes",
         {

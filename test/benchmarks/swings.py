@@ -27,10 +27,17 @@ from proprio_ros.records import JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
-ARM_M, GRAVITY, SPREAD_M2 = 0.1, 9.81, 0.0025
-ROD_KG, ROD_M = 0.03, 0.05
-COUNT_RAD, PERIOD_S, AGE_S = 2.0 * np.pi / 4096.0, 0.01, 0.008
-STEP_S, RELEASED_S, LASTS_S = 2.5e-4, 0.1, 4.0
+ARM_M = 0.1
+GRAVITY = 9.81
+SPREAD_M2 = 0.0025
+ROD_KG = 0.03
+ROD_M = 0.05
+COUNT_RAD = 2.0 * np.pi / 4096.0
+PERIOD_S = 0.01
+AGE_S = 0.008
+STEP_S = 2.5e-4
+RELEASED_S = 0.1
+LASTS_S = 4.0
 
 URDF = """<robot name="swing"><link name="base"/><link name="tip"/>
 <link name="rod"><inertial><origin xyz="0 0 -0.05"/><mass value="0.03"/>
@@ -62,7 +69,9 @@ def robot_in(folder: Path) -> Robot:
 
 def facts() -> PayloadFacts:
     """Of every load: a disc in the middle of the tip."""
-    return PayloadFacts(shape=PayloadShape.from_inertia_per_mass([SPREAD_M2, SPREAD_M2, SPREAD_M2, 0.0, 0.0, 0.0]))
+    return PayloadFacts(
+        shape=PayloadShape.from_inertia_per_mass([SPREAD_M2, SPREAD_M2, SPREAD_M2, 0.0, 0.0, 0.0])
+    )
 
 
 def released(
@@ -93,8 +102,11 @@ def released(
     path = np.array(track)
     swings = []
     for column in range(count):
-        stamps = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(round(LASTS_S / PERIOD_S))
-        seen = AGE_S * np.floor(stamps / AGE_S + rng.uniform()) - RELEASED_S  # the register is renewed every 8 ms
+        stamps = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(
+            round(LASTS_S / PERIOD_S)
+        )
+        # the register is renewed every 8 ms
+        seen = AGE_S * np.floor(stamps / AGE_S + rng.uniform()) - RELEASED_S
         row = np.clip(np.rint(seen / STEP_S).astype(int), 0, len(path) - 1)
         reading = path[row, column] + 5e-4 * rng.standard_normal(len(row))
         swings.append((stamps, COUNT_RAD * np.rint(reading / COUNT_RAD)))
@@ -105,7 +117,9 @@ def as_run(name: str, stamps_s: np.ndarray, reading: np.ndarray) -> Run:
     """Cut out as from a bag that says when torque went off."""
     times_ns = 1_000_000_000 + np.rint(1e9 * stamps_s).astype(np.int64)
     off = (int(1_000_000_000 + 1e9 * RELEASED_S), int(times_ns[-1]) + 1)
-    recording = Recording(name, JointRecord(times_ns, ("pivot",), reading[:, None]), None, (), (off,))
+    recording = Recording(
+        name, JointRecord(times_ns, ("pivot",), reading[:, None]), None, (), (off,)
+    )
     return cut_runs(recording, joints=["pivot"])[0]
 
 
@@ -127,9 +141,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--pendulums", type=int, default=20)
     parser.add_argument("--harsh", action="store_true")
     options = parser.parse_args(arguments)
-    results, count, harsh = Results(__file__, options.json, arguments), options.pendulums, options.harsh
+    results = Results(__file__, options.json, arguments)
+    count = options.pendulums
+    harsh = options.harsh
     rng = np.random.default_rng(7)
-    off, sigmas, refused = [], [], 0
+    off = []
+    sigmas = []
+    refused = 0
     with tempfile.TemporaryDirectory() as folder:
         robot = robot_in(Path(folder))
         for number in range(count):
@@ -137,8 +155,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
             masses = rng.uniform(0.45, 1.3, 3)
             while abs(masses[0] - masses[1]) < 0.2:
                 masses[:2] = rng.uniform(0.45, 1.3, 2)
-            runs = [as_run(f"s{n}", *swing) for n, swing in enumerate(released(rng, masses, machine, harsh))]
-            known = [LoadedRun(run, KnownLoad(float(m), facts())) for run, m in zip(runs[:2], masses[:2], strict=True)]
+            runs = [
+                as_run(f"s{n}", *swing)
+                for n, swing in enumerate(released(rng, masses, machine, harsh))
+            ]
+            known = [
+                LoadedRun(run, KnownLoad(float(m), facts()))
+                for run, m in zip(runs[:2], masses[:2], strict=True)
+            ]
             try:
                 learnt = calibrate(robot, known)
                 if learnt.calibration is None or learnt.verdict.value != "accepted":
@@ -151,7 +175,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             value = estimate.values[0]
             if not isinstance(value.value, float) or not isinstance(value.std, float):
                 refused += 1
-                print(f"{number}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", flush=True)
+                print(
+                    f"{number}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", flush=True
+                )
                 continue
             off.append(100.0 * (value.value / masses[2] - 1.0))
             sigmas.append((value.value - masses[2]) / value.std)

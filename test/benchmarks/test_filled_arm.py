@@ -22,7 +22,8 @@ from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.slosh import SloshRun, SloshSimulator
 from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS
 
-CYLINDER, FILL_M = Cylinder(0.035, 0.1), 0.06
+CYLINDER = Cylinder(0.035, 0.1)
+FILL_M = 0.06
 NONE, DOWN = np.zeros(3), np.array([0.0, 0.0, -9.81])
 
 
@@ -47,7 +48,9 @@ def test_a_swirl_dies_as_stokes_says() -> None:
     angle = np.linspace(0.0, np.pi, 61)
     bessel = np.cos(angle - 3.8317 / 0.035 * r[:, None] * np.sin(angle)).mean(axis=1)
     size = 0.05 * bessel * np.sin(0.5 * np.pi * liquid.x[:, 2] / FILL_M) / r
-    liquid.v[:] = size[:, None] * np.column_stack([-liquid.x[:, 1], liquid.x[:, 0], np.zeros_like(r)])
+    liquid.v[:] = size[:, None] * np.column_stack(
+        [-liquid.x[:, 1], liquid.x[:, 0], np.zeros_like(r)]
+    )
 
     def spin() -> float:
         return float((liquid.x[:, 0] * liquid.v[:, 1] - liquid.x[:, 1] * liquid.v[:, 0]).sum())
@@ -57,31 +60,51 @@ def test_a_swirl_dies_as_stokes_says() -> None:
         liquid.step(DOWN, NONE, NONE, NONE, EXCHANGE_S)
         found.append(spin())
     rate = np.log(found[9] / found[49]) / (40 * EXCHANGE_S)
-    assert rate == pytest.approx(1e-3 * ((3.8317 / 0.035) ** 2 + (0.5 * np.pi / FILL_M) ** 2), rel=0.03)
+    assert rate == pytest.approx(
+        1e-3 * ((3.8317 / 0.035) ** 2 + (0.5 * np.pi / FILL_M) ** 2), rel=0.03
+    )
 
 
 def test_contents_weigh_what_they_weigh_and_follow_their_container() -> None:
-    liquid, grains = Liquid(CYLINDER, FILL_M, 0.001, 14), Grains(CYLINDER, 0.03, 0.008, 1400.0, 0.4)
+    liquid = Liquid(CYLINDER, FILL_M, 0.001, 14)
+    grains = Grains(CYLINDER, 0.03, 0.008, 1400.0, 0.4)
     assert len(grains.x) >= 100
     for contents in (liquid, grains):
-        told = np.mean([contents.step(DOWN, NONE, NONE, NONE, EXCHANGE_S) for _ in range(10)], axis=0)
+        told = np.mean(
+            [contents.step(DOWN, NONE, NONE, NONE, EXCHANGE_S) for _ in range(10)], axis=0
+        )
         centre, _ = contents.moments()
         weight = contents.kg * DOWN
-        np.testing.assert_allclose(told, [*weight, *np.cross(centre, weight)], atol=2e-3 * contents.kg * 9.81)
+        np.testing.assert_allclose(
+            told, [*weight, *np.cross(centre, weight)], atol=2e-3 * contents.kg * 9.81
+        )
     push = np.array([1.0, 0.0, 0.0])
     share = -liquid.step(DOWN, push, NONE, NONE, EXCHANGE_S)[0] / liquid.kg
     ks = 1.8412 / 0.035 * FILL_M
-    assert share == pytest.approx(1.0 - 2.0 * np.tanh(ks) / (2.39 * ks), abs=0.03)  # the rest sloshes
-    held = np.mean([grains.step(DOWN, push, NONE, NONE, EXCHANGE_S)[0] for _ in range(50)]) / grains.kg
+    # the rest sloshes
+    assert share == pytest.approx(1.0 - 2.0 * np.tanh(ks) / (2.39 * ks), abs=0.03)
+    held = (
+        np.mean([grains.step(DOWN, push, NONE, NONE, EXCHANGE_S)[0] for _ in range(50)]) / grains.kg
+    )
     assert held == pytest.approx(-1.0, abs=0.03)  # grains that do not slide are carried along
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("radius", "fill", "viscosity"), [(0.035, 0.045, 0.001), (0.035, 0.06, 0.1), (0.045, 0.025, 1.0)])
-def test_the_law_turns_a_joint_as_the_particles_do(radius: float, fill: float, viscosity: float) -> None:
+@pytest.mark.parametrize(
+    ("radius", "fill", "viscosity"),
+    [(0.035, 0.045, 0.001), (0.035, 0.06, 0.1), (0.045, 0.025, 1.0)],
+)
+def test_the_law_turns_a_joint_as_the_particles_do(
+    radius: float, fill: float, viscosity: float
+) -> None:
     """By theory, nothing fitted: tilted by 0.2 rad, shaken, 0.15 m beside the joint. A mass on a rail is 20 to 70 % off."""
-    reach, low, joint, spring, loss = 0.152, -0.149, 0.03, 1.0, 0.1
-    cylinder, step_s = Cylinder(radius, 0.1), 0.002
+    reach = 0.152
+    low = -0.149
+    joint = 0.03
+    spring = 1.0
+    loss = 0.1
+    cylinder = Cylinder(radius, 0.1)
+    step_s = 0.002
     times_s = step_s * np.arange(750)
     torque = -0.2 + 0.24 * np.where(times_s % 0.22 < 0.11, 1.0, -1.0)
     _, damping = sloshing(cylinder, fill, viscosity, 20, step_s)
@@ -91,7 +114,10 @@ def test_the_law_turns_a_joint_as_the_particles_do(radius: float, fill: float, v
         centre, about = liquid.moments()
         place = centre + np.array([reach, 0.0, low])
         inertia = joint + about[1, 1] + liquid.kg * (place @ place - centre @ centre)
-        q, v, angles, more = 0.0, 0.0, [], [0.0, 0.0]
+        q = 0.0
+        v = 0.0
+        angles = []
+        more = [0.0, 0.0]
 
         def weight(q: float) -> float:
             return float(liquid.kg * 9.81 * (place[0] * np.cos(q) + place[2] * np.sin(q)))
@@ -102,20 +128,25 @@ def test_the_law_turns_a_joint_as_the_particles_do(radius: float, fill: float, v
 
         for pull in torque:
             angles.append(q)
-            middle, fast = q + 0.5 * step_s * v, v + 0.5 * step_s * speeding(pull, q, v)
+            middle = q + 0.5 * step_s * v
+            fast = v + 0.5 * step_s * speeding(pull, q, v)
             a = speeding(pull, middle, fast)
-            q, v = q + step_s * fast, v + step_s * a
+            q = q + step_s * fast
+            v = v + step_s * a
             if moving:
                 gravity = 9.81 * np.array([np.sin(middle), 0.0, -np.cos(middle)])
                 drag = np.array([a * low - fast**2 * reach, 0.0, -a * reach - fast**2 * low])
-                force = liquid.step(gravity, drag, np.array([0.0, a, 0.0]), np.array([0.0, fast, 0.0]), step_s)
+                force = liquid.step(
+                    gravity, drag, np.array([0.0, a, 0.0]), np.array([0.0, fast, 0.0]), step_s
+                )
                 free = weight(middle) - a * (inertia - joint)
                 more = [more[1], force[4] + low * force[0] - reach * force[2] - free]
         return np.array(angles)
 
     slosh = Slosh.of(radius, np.array(fill))
     kg = 1000.0 * np.pi * radius**2 * fill
-    moving_kg, still_kg = kg * float(slosh.share), kg * (1.0 - float(slosh.share))
+    moving_kg = kg * float(slosh.share)
+    still_kg = kg * (1.0 - float(slosh.share))
     up = low + float((0.5 * fill - slosh.share * slosh.height) / (1.0 - slosh.share))
     p = np.zeros((1, len(SLOSH_PARAMETERS)))
     for name, value in {
@@ -126,8 +157,12 @@ def test_the_law_turns_a_joint_as_the_particles_do(radius: float, fill: float, v
     }.items():  # fmt: skip
         p[0, SLOSH_PARAMETERS.index(name)] = value
     run = JointRun(times_s, times_s, torque, friction_velocity=1e-2, step_s=step_s)
-    law = SloshSimulator([SloshRun(run, reach, low, np.array([0.0, 0.0, 9.81]), np.array([0.0, -9.81, 0.0]))])
-    shown, real, frozen = law.rollout(np.zeros(1, dtype=np.int32), p)[0][0], turned(True), turned(False)
+    law = SloshSimulator(
+        [SloshRun(run, reach, low, np.array([0.0, 0.0, 9.81]), np.array([0.0, -9.81, 0.0]))]
+    )
+    shown = law.rollout(np.zeros(1, dtype=np.int32), p)[0][0]
+    real = turned(True)
+    frozen = turned(False)
     assert np.std(frozen - real) > 5e-4
     assert np.std(shown - real) < 0.2 * np.std(frozen - real)
 
@@ -149,12 +184,23 @@ class Bob:
         return c, self.kg * (c @ c * np.eye(3) - np.outer(c, c))
 
     def step(
-        self, gravity: np.ndarray, acceleration: np.ndarray, angular: np.ndarray, turning: np.ndarray, seconds: float
+        self,
+        gravity: np.ndarray,
+        acceleration: np.ndarray,
+        angular: np.ndarray,
+        turning: np.ndarray,
+        seconds: float,
     ) -> np.ndarray:
         told = np.zeros(6)
         for _ in range(self.steps):
-            x, v = np.array([self.at, 0.0, self.height]), np.array([self.speed, 0.0, 0.0])
-            free = gravity - acceleration - np.cross(angular, x) - np.cross(turning, np.cross(turning, x))
+            x = np.array([self.at, 0.0, self.height])
+            v = np.array([self.speed, 0.0, 0.0])
+            free = (
+                gravity
+                - acceleration
+                - np.cross(angular, x)
+                - np.cross(turning, np.cross(turning, x))
+            )
             free -= 2.0 * np.cross(turning, v)
             gained = free[0] - (self.per_m * self.at + self.damping * self.speed) / self.kg
             force = self.kg * (free - [gained, 0.0, 0.0])
@@ -171,10 +217,21 @@ class InMujoco(Filled):
     def add_to(self, spec: Any) -> Any:
         import mujoco
 
-        body, bob = super().add_to(spec), Bob()
-        moving = body.add_body(name="bob", pos=self.bottom + np.array([0.0, 0.0, bob.height]), mass=bob.kg, inertia=[1e-9] * 3)
+        body = super().add_to(spec)
+        bob = Bob()
+        moving = body.add_body(
+            name="bob",
+            pos=self.bottom + np.array([0.0, 0.0, bob.height]),
+            mass=bob.kg,
+            inertia=[1e-9] * 3,
+        )
         moving.explicitinertial, moving.ipos = True, np.zeros(3)
-        moving.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], stiffness=bob.per_m, damping=[bob.damping, 0.0, 0.0])
+        moving.add_joint(
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[1, 0, 0],
+            stiffness=bob.per_m,
+            damping=[bob.damping, 0.0, 0.0],
+        )
         return body
 
     def settle(self, model: Any, data: Any) -> np.ndarray:
@@ -197,16 +254,25 @@ def test_a_shake_switches_when_its_command_says(period_s: float) -> None:
 @pytest.mark.long
 def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
     """A bob on a spring, a quarter of the load, coupled step by step and solved by MuJoCo as one; frozen, it moves otherwise."""
-    empty, bob = filled(Case("nothing", 1)), Bob()
-    kg, centre = empty.mass + bob.kg, empty.bottom + np.array([0.0, 0.0, bob.height])
+    empty = filled(Case("nothing", 1))
+    bob = Bob()
+    kg = empty.mass + bob.kg
+    centre = empty.bottom + np.array([0.0, 0.0, bob.height])
     both = (empty.mass * np.array(empty.offset) + bob.kg * centre) / kg
     about = np.diag(empty.inertia[:3])
     for mass, place in ((empty.mass, np.array(empty.offset)), (bob.kg, centre)):
         d = place - both
         about = about + mass * (d @ d * np.eye(3) - np.outer(d, d))
-    six = (*(float(about[n, n]) for n in range(3)), float(about[0, 1]), float(about[0, 2]), float(about[1, 2]))
+    six = (
+        *(float(about[n, n]) for n in range(3)),
+        float(about[0, 1]),
+        float(about[0, 2]),
+        float(about[1, 2]),
+    )
     frozen = Filled(kg, tuple(both.tolist()), six, empty.bottom, None, (bob.kg, *bob.moments()))
-    hidden = HiddenRobot(coulomb=(0.02,) * 4, viscous=(0.01,) * 4, armature=(0.005,) * 4, compliance=True)
+    hidden = HiddenRobot(
+        coulomb=(0.02,) * 4, viscous=(0.01,) * 4, armature=(0.005,) * 4, compliance=True
+    )
     for push in PUSHES[2:]:
         probe = probe_of(push, hidden, frozen)
         loads = (
@@ -214,9 +280,15 @@ def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
         )  # fmt: skip
         shake = (push.shake_A, 0.25) if push.shake_A else (0.0, 1.0)
         one, coupled, still = (
-            simulate(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, shake=shake).position[
-                :, JOINTS.index(probe.joint)
-            ]
+            simulate(
+                hidden,
+                probe.joint,
+                probe.start,
+                probe.current_A,
+                probe.duration_s,
+                load,
+                shake=shake,
+            ).position[:, JOINTS.index(probe.joint)]
             for load in loads
         )
         # when it is caught, each is caught where its own weight is held: that is no part of the push

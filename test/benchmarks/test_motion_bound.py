@@ -8,28 +8,41 @@ import pytest
 
 @pytest.mark.long
 @pytest.mark.parametrize("teeth", [False, True])
-def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound_says(teeth: bool) -> None:
+def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound_says(
+    teeth: bool,
+) -> None:
     pytest.importorskip("mujoco")
     from motion_bound import Model, bound, parameters
     from support.arm_in_motion import FOUR, Twin
 
     arm = Twin(21, FOUR, teeth=teeth)
-    mass, centre = 0.1, np.array([0.02, -0.01, 0.01])
+    mass = 0.1
+    centre = np.array([0.02, -0.01, 0.01])
     arm.record("empty", 5.0)
     arm.record("loaded", 4.0, (mass, centre))
-    empty, loaded = arm.truths["empty"], arm.truths["loaded"]
-    model = Model(arm, [(empty, False), (loaded, True)], parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2)))
+    empty = arm.truths["empty"]
+    loaded = arm.truths["loaded"]
+    model = Model(
+        arm,
+        [(empty, False), (loaded, True)],
+        parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2)),
+    )
     clean = model.read(model.truth)
     for torque, truth in zip(clean, (empty, loaded), strict=True):
         np.testing.assert_allclose(torque * arm.torque, truth.torque, atol=1e-9)
 
     # priors are like measurements around the truth; from there, Newton's steps with the slopes of the truth
     covariance, precision = model.covariance()
-    slopes, rng = model.slopes(), np.random.default_rng(1)
+    slopes = model.slopes()
+    rng = np.random.default_rng(1)
     for unknown in range(len(model.truth)):
         step = 1e-6 * np.eye(len(model.truth))[unknown]
-        for rows, up, down in zip(slopes, model.read(model.truth + step), model.read(model.truth - step), strict=True):
-            np.testing.assert_allclose(rows[:, unknown], (up - down).ravel() / 2e-6, atol=1e-4 * np.abs(rows).max())
+        for rows, up, down in zip(
+            slopes, model.read(model.truth + step), model.read(model.truth - step), strict=True
+        ):
+            np.testing.assert_allclose(
+                rows[:, unknown], (up - down).ravel() / 2e-6, atol=1e-4 * np.abs(rows).max()
+            )
     std = FOUR.current_noise_A * np.array(FOUR.constants)
     errors = []
     for _ in range(400):
@@ -37,7 +50,9 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
         read = [torque + std * rng.standard_normal(torque.shape) for torque in clean]
         estimate = model.truth.copy()
         for _ in range(4):
-            left = [((y - f) / std**2).ravel() for y, f in zip(read, model.read(estimate), strict=True)]
+            left = [
+                ((y - f) / std**2).ravel() for y, f in zip(read, model.read(estimate), strict=True)
+            ]
             score = sum(rows.T @ part for rows, part in zip(slopes, left, strict=True))
             step = covariance @ (score + precision @ (stated - estimate))
             estimate += step

@@ -15,37 +15,93 @@ from results import REPOSITORY
 SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
     "at_rest": ("--arms", "1", "--first", "2", "--masses", "0.3", "--seconds", "10"),
-    "between_recordings": ("--arms=0", "--servos=0", "--pendulums=1", "--first=400", "--jobs=1", "--real"),
+    "between_recordings": (
+        "--arms=0",
+        "--servos=0",
+        "--pendulums=1",
+        "--first=400",
+        "--jobs=1",
+        "--real",
+    ),
     "block_until": ("--robots", "1", "--at-most", "6", "--jobs", "1"),
-    "container_until": ("--robots=1", "--first=9001", "--reference=none", "--fixed-every=2", "--at-most=10", "--jobs=1"),
+    "container_until": (
+        "--robots=1",
+        "--first=9001",
+        "--reference=none",
+        "--fixed-every=2",
+        "--at-most=10",
+        "--jobs=1",
+    ),
     "contents": ("--particles", "--at-most", "1"),
     "coverage": ("--robots", "1", "--per-effect", "0", "--jobs", "1"),
     "distorted": ("--only", "every fourth sample"),
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
     "early_end": ("--robots", "1", "--masses", "0.05", "--at-most", "20", "--jobs", "1"),
     "free_swings": ("--arms", "1", "--first", "10"),
-    "mistakes": ("--arms", "pushes", "--only", "*alone*, effort, sign of all joints*", "--jobs", "1"),
+    "mistakes": (
+        "--arms",
+        "pushes",
+        "--only",
+        "*alone*, effort, sign of all joints*",
+        "--jobs",
+        "1",
+    ),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
-    "running": ("--arms", "1", "--first", "6", "--sensing", "1", "--minutes", "0.3", "--stays", "1"),
+    "running": (
+        "--arms",
+        "1",
+        "--first",
+        "6",
+        "--sensing",
+        "1",
+        "--minutes",
+        "0.3",
+        "--stays",
+        "1",
+    ),
     "servos": ("--servos", "1", "--questions", "1"),
-    "simulated": ("weighing", "container", "blocks", "paper", "--robots", "quantised_s00", "--at-most", "1"),
+    "simulated": (
+        "weighing",
+        "container",
+        "blocks",
+        "paper",
+        "--robots",
+        "quantised_s00",
+        "--at-most",
+        "1",
+    ),
     "so101": ("--arms", "1", "--first", "1", "--seconds", "10"),
     "spheres": ("--robots", "1", "--jobs", "1"),
     "squeezes": ("--robots", "1"),
     "swings": ("--pendulums", "1"),
-    "until_sure": ("--robots", "1", "--masses", "0.02", "--reference", "none", "--at-most", "20", "--jobs", "1"),
+    "until_sure": (
+        "--robots",
+        "1",
+        "--masses",
+        "0.02",
+        "--reference",
+        "none",
+        "--at-most",
+        "20",
+        "--jobs",
+        "1",
+    ),
 }
 ELSEWHERE = {
     "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
-    "planned", "softness",  # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
+    # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
+    "planned", "softness",
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "contents_bound",  # of a law, without recordings: its table is kept
-    "foreign_controller",  # minutes a seed: test/excitation/test_late_efforts.py calibrates such an arm
+    # minutes a seed: test/excitation/test_late_efforts.py calibrates such an arm
+    "foreign_controller",
     "foreign_load",  # in real time and beside a load, for minutes
     "foreign_process",  # a process for whoever tries probes by hand
-    "live",  # a minute an arm: test/world/test_services.py and test_effort_controller.py ask the same for some masses
-    "idle",  # what real processes take while nothing is done: in real time, where the computer is not shared
+    # a minute an arm: test/world/test_services.py and test_effort_controller.py ask the same for some masses
+    "live",
+    # what real processes take while nothing is done: in real time, where the computer is not shared
+    "idle",
     "first_time",  # asks an index of packages, for minutes
     "case", "figures", "filled_arm", "results",  # no benchmarks
 }  # fmt: skip
@@ -55,11 +111,20 @@ SHORTER: dict[str, dict[str, float]] = {
 }  # fmt: skip
 """What a benchmark states of itself: pushes to compare with, blocks a robot squeezes, how fine the second grid is, how
 long a working day's parts last."""
-NEEDS = {"distorted": "recordings_real", "mistakes": "recordings", "real": "recordings_real", "simulated": "recordings"}
+NEEDS = {
+    "distorted": "recordings_real",
+    "mistakes": "recordings",
+    "real": "recordings_real",
+    "simulated": "recordings",
+}
 
 
 def test_every_benchmark_has_a_small_form() -> None:
-    names = {path.stem for path in Path(__file__).parent.glob("*.py") if not path.stem.startswith("test_")}
+    names = {
+        path.stem
+        for path in Path(__file__).parent.glob("*.py")
+        if not path.stem.startswith("test_")
+    }
     assert names == SMALL.keys() | ELSEWHERE
 
 
@@ -67,7 +132,10 @@ def ran(name: str, words: tuple[str, ...], file: Path) -> dict[str, Any]:
     """What a benchmark keeps."""
     importlib.import_module(name).main([*words, "--json", str(file)])
     kept: dict[str, Any] = json.loads(file.read_text())
-    assert kept["command"].startswith(f"python test/benchmarks/{name}.py {words[0]}") and str(file) not in kept["command"]
+    assert (
+        kept["command"].startswith(f"python test/benchmarks/{name}.py {words[0]}")
+        and str(file) not in kept["command"]
+    )
     return kept
 
 
@@ -77,7 +145,8 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     pytest.importorskip("mujoco")
     from support import hand
 
-    monkeypatch.setattr(hand, "RATE_HZ", hand.RATE_HZ)  # a benchmark has another; the tests after it have their own again
+    # a benchmark has another; the tests after it have their own again
+    monkeypatch.setattr(hand, "RATE_HZ", hand.RATE_HZ)
     for constant, value in SHORTER.get(name, {}).items():
         monkeypatch.setattr(importlib.import_module(name), constant, value)
     if name in NEEDS and not (SHARED / NEEDS[name]).is_dir():
@@ -89,7 +158,10 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "plan", "softness"])
+@pytest.mark.parametrize(
+    "part",
+    ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "plan", "softness"],
+)
 def test_a_part_of_the_comparison_runs(part: str, tmp_path: Path) -> None:
     """To its last row; goals of time may be missed on a busy computer, and are no matter here."""
     pytest.importorskip("mujoco")
@@ -129,6 +201,9 @@ def test_episodes_are_made_and_judged(tmp_path: Path, capsys: pytest.CaptureFixt
 
     folder = tmp_path / "episodes"
     batch.main(["make", str(folder), "--episodes", "4", "--jobs", "1"])
-    assert batch.batch(folder, [str(folder / "data")], folder / "out", "--jobs", "1").wait() in (0, 3)
+    assert batch.batch(folder, [str(folder / "data")], folder / "out", "--jobs", "1").wait() in (
+        0,
+        3,
+    )
     batch.compare(folder, folder / "out", replayed=1)
     assert "1 of them by `replay` one by one: 0 differ in any bit" in capsys.readouterr().out

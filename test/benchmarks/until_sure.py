@@ -28,7 +28,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from coverage import DIAMETER_M, MATCHED, REFERENCE_KG, facts_of
-from random_arm import EFFECTS, EFFECTS_DEFAULT, GRIPPER, JOINTS, SPREAD, HiddenRobot, Load, ball, draw_robot, record
+from random_arm import (
+    EFFECTS,
+    EFFECTS_DEFAULT,
+    GRIPPER,
+    JOINTS,
+    SPREAD,
+    HiddenRobot,
+    Load,
+    ball,
+    draw_robot,
+    record,
+)
 from results import Results, parser_of
 
 from proprio_ros.errors import ProprioError
@@ -74,7 +85,9 @@ class Bench:
             travel = np.abs(run.position - start[probe.joint])
             if (travel >= probe.max_travel).any():  # made again, and ended where the node ends it
                 ended = float(run.times_s[int(np.argmax(travel >= probe.max_travel))])
-                run = self._record(probe, start, current, max(0.025 * round(ended / 0.025), 0.1), load)
+                run = self._record(
+                    probe, start, current, max(0.025 * round(ended / 0.025), 0.1), load
+                )
             self.time_s += float(run.duration_s)
             runs.append(run)
             self.pose = {**start, probe.joint: float(run.position[-1])}
@@ -83,7 +96,12 @@ class Bench:
         return runs
 
     def _record(
-        self, probe: ExcitationRun, start: Mapping[str, float], current: float, duration_s: float, load: Load | None
+        self,
+        probe: ExcitationRun,
+        start: Mapping[str, float],
+        current: float,
+        duration_s: float,
+        load: Load | None,
     ) -> Run:
         recording = record(
             self.hidden, probe.joint, start, current, duration_s, load, self.rng,
@@ -123,7 +141,12 @@ def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) ->
     robot = load_robot("open_manipulator_x")
     sequence = load_sequence("empty_hand", robot)
     bench = Bench(hidden, sequence, rng)
-    known = [LoadedRun(run) for probe in sequence.runs if probe.joint != GRIPPER for run in bench.push(probe, None)]
+    known = [
+        LoadedRun(run)
+        for probe in sequence.runs
+        if probe.joint != GRIPPER
+        for run in bench.push(probe, None)
+    ]
     weight = ball(REFERENCE_KG, 0.04)
     load = KnownLoad(REFERENCE_KG, facts_of(weight))
     if reference in ("shipped", "chosen"):
@@ -131,7 +154,8 @@ def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) ->
             known += [LoadedRun(run, load) for run in bench.push(probe, weight)]
     learnt = calibrate(robot, known)
     if reference in ("empty", "chosen") and learnt.calibration is not None:
-        began, count = bench.time_s, len(known)
+        began = bench.time_s
+        count = len(known)
         so_far = robot.with_calibration(learnt.calibration)
         empty_s = EMPTY_S if reference == "chosen" else EMPTY_S + REFERENCE_S
         for probe in chosen_known(so_far, 0.0, CALIBRATION_KG, empty_s, sequence):
@@ -146,7 +170,9 @@ def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) ->
     return robot.with_calibration(learnt.calibration)
 
 
-def one_case(robot: Robot, hidden: HiddenRobot, mass: float, reference: str, until: Until, seed: int) -> Case:
+def one_case(
+    robot: Robot, hidden: HiddenRobot, mass: float, reference: str, until: Until, seed: int
+) -> Case:
     load = ball(mass, DIAMETER_M)
     facts = facts_of(load)
     fixed = load_sequence("payload", robot)
@@ -170,9 +196,27 @@ def one_case(robot: Robot, hidden: HiddenRobot, mass: float, reference: str, unt
     estimate = weigh(robot, runs, facts) if runs else None
     if estimate is None or (value := estimate.value("payload_mass")).value is None:
         nan = float("nan")
-        said = decision.reason if estimate is None else f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}"
+        said = (
+            decision.reason
+            if estimate is None
+            else f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}"
+        )
         print(f"  seed {seed}, {1e3 * mass:.0f} g, {reference}: {said}", file=sys.stderr)
-        return Case(mass, reference, "refused", nan, nan, False, False, len(runs), bench.time_s, nan, False, nan, decided)
+        return Case(
+            mass,
+            reference,
+            "refused",
+            nan,
+            nan,
+            False,
+            False,
+            len(runs),
+            bench.time_s,
+            nan,
+            False,
+            nan,
+            decided,
+        )
     low, high = value.ci95
     half = Z95 * value.std
     # the fixed sequence, again and again
@@ -206,7 +250,9 @@ def one_case(robot: Robot, hidden: HiddenRobot, mass: float, reference: str, unt
 def one_robot(job: tuple[int, str, bool, bool, Until, Sequence[float]]) -> list[Case]:
     seed, reference, gentle, stribeck, until, masses = job
     rng = np.random.default_rng(seed)
-    hidden = draw_robot(rng, EFFECTS if stribeck else EFFECTS_DEFAULT, SPREAD if gentle else MATCHED)
+    hidden = draw_robot(
+        rng, EFFECTS if stribeck else EFFECTS_DEFAULT, SPREAD if gentle else MATCHED
+    )
     robot = calibrated(hidden, reference, rng)
     if robot is None:
         return []
@@ -260,7 +306,11 @@ def table(results: Results, reference: str, cases: Sequence[Case]) -> None:
     """The rows of one way to calibrate."""
     row(results, f"reference {reference}", cases)
     for mass in sorted({case.mass for case in cases}):
-        row(results, f"reference {reference}, {1e3 * mass:.0f} g", [case for case in cases if case.mass == mass])
+        row(
+            results,
+            f"reference {reference}, {1e3 * mass:.0f} g",
+            [case for case in cases if case.mass == mass],
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -268,12 +318,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=1000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--matched", action="store_true", help="robots that differ as much as the robot file allows")
-    parser.add_argument("--stribeck", action="store_true", help="friction rises towards standstill, too")
+    parser.add_argument(
+        "--matched", action="store_true", help="robots that differ as much as the robot file allows"
+    )
+    parser.add_argument(
+        "--stribeck", action="store_true", help="friction rises towards standstill, too"
+    )
     parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
-    parser.add_argument("--half-of-them", action="store_true", help="every second mass, in turn: half the time")
+    parser.add_argument(
+        "--half-of-them", action="store_true", help="every second mass, in turn: half the time"
+    )
     parser.add_argument("--save", type=Path, help="append each case to this file, as JSON")
-    parser.add_argument("--table", type=Path, help="print the table of such a file, and simulate nothing")
+    parser.add_argument(
+        "--table", type=Path, help="print the table of such a file, and simulate nothing"
+    )
     parser.add_argument("--reference", nargs="+", default=["none", "empty", "shipped", "chosen"])
     parser.add_argument("--half", type=float, default=0.5e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
@@ -295,7 +353,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with Pool(options.jobs) as pool:
         for reference in options.reference:
             seeds = range(options.first, options.first + options.robots)
-            jobs = [(seed, reference, not options.matched, options.stribeck, until, masses_of(seed)) for seed in seeds]
+            jobs = [
+                (seed, reference, not options.matched, options.stribeck, until, masses_of(seed))
+                for seed in seeds
+            ]
             cases = []
             for found in pool.imap_unordered(one_robot, jobs):
                 cases += found

@@ -29,7 +29,8 @@ from proprio_ros.virtual.truth import Truth
 CYCLE_S = 0.01
 UNIT_A = XM430_W350.current_unit_A
 PUSH_A = -0.29  # joint3, lifts the forearm
-QUANTISED_A = -108 * UNIT_A  # no multiple of the position gain, so holding at rest never needs just that
+# no multiple of the position gain, so holding at rest never needs just that
+QUANTISED_A = -108 * UNIT_A
 SETTINGS = DriverSettings(reconnect_s=0.05)
 
 
@@ -39,7 +40,9 @@ class Rig:
     def __init__(self, clock: SimulatedClock, folder: Path, settings: DriverSettings) -> None:
         self.clock = clock
         self.robot = load_robot("open_manipulator_x")
-        self.virtual = VirtualRobot(self.robot, Truth.draw(self.robot, 1), link=folder / "arm", seed=1)
+        self.virtual = VirtualRobot(
+            self.robot, Truth.draw(self.robot, 1), link=folder / "arm", seed=1
+        )
         self.flow: list[tuple[float, np.ndarray]] = []  # time, current of each servo [A]
         step = self.virtual.arm.step
 
@@ -55,7 +58,12 @@ class Rig:
     def new_driver(self, settings: DriverSettings) -> ArmDriver:
         name = str(self.virtual.port.path)
         bus = DynamixelBus(name, servos_of(self.robot), connect=partial(Wire, self.clock, name))
-        return ArmDriver(self.robot, bus, settings, lambda severity, message: self.log.append((severity, message)))
+        return ArmDriver(
+            self.robot,
+            bus,
+            settings,
+            lambda severity, message: self.log.append((severity, message)),
+        )
 
     def close(self) -> None:
         self.driver.close()
@@ -81,14 +89,18 @@ class Rig:
         """Cycles until something is true."""
         end_s = self.clock.now() + limit_s
         while not done():
-            assert self.clock.now() < end_s, f"did not come true in {limit_s} s; {self.driver.state}, {self.log[-3:]}"
+            assert self.clock.now() < end_s, (
+                f"did not come true in {limit_s} s; {self.driver.state}, {self.log[-3:]}"
+            )
             self.cycle()
 
     def currents(self, joint: str, start_s: float, end_s: float = math.inf) -> np.ndarray:
         """What flowed through a joint's motor, per millisecond [A]."""
         row = list(self.virtual.servos).index(joint)
         with self.virtual.port.lock:
-            return np.array([current[row] for at_s, current in self.flow if start_s <= at_s <= end_s])
+            return np.array(
+                [current[row] for at_s, current in self.flow if start_s <= at_s <= end_s]
+            )
 
     def pushed(self, start_s: float) -> float:
         """Part of the time with exactly the current of the push; a holding servo passes through it for a millisecond."""
@@ -97,7 +109,9 @@ class Rig:
     def all_zero(self, start_s: float, duration_s: float = 0.1) -> bool:
         """Not for long: a limp arm soon falls faster than 4.8 rad/s, where back-EMF beats the supply and current flows again."""
         with self.virtual.port.lock:
-            seen = [current for at_s, current in self.flow if start_s <= at_s <= start_s + duration_s]
+            seen = [
+                current for at_s, current in self.flow if start_s <= at_s <= start_s + duration_s
+            ]
         assert len(seen) > 10
         return not np.any(seen)
 
@@ -127,7 +141,9 @@ def rig(clock: SimulatedClock, tmp_path: Path, settings: DriverSettings) -> Iter
 
 
 def with_settings(**changes: Any) -> pytest.MarkDecorator:
-    return pytest.mark.parametrize("settings", [DriverSettings(**{"reconnect_s": 0.05, **changes})], ids=[""])
+    return pytest.mark.parametrize(
+        "settings", [DriverSettings(**{"reconnect_s": 0.05, **changes})], ids=[""]
+    )
 
 
 # --- holding and driving
@@ -147,7 +163,9 @@ def test_it_holds_where_it_is(clock: SimulatedClock, tmp_path: Path) -> None:
             assert samples[-1].position[name] == pytest.approx(position, abs=0.03)
         assert set(samples[-1].commanded_A.values()) == {0.0}
         assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {15}
-        assert set(rig.driver.health) == set(rig.driver.joints), "temperatures are known before the first push"
+        assert set(rig.driver.health) == set(rig.driver.joints), (
+            "temperatures are known before the first push"
+        )
         assert rig.driver.statistics.incomplete == 0
     finally:
         rig.close()
@@ -165,8 +183,12 @@ def test_a_command_drives_with_the_quantised_current_until_its_deadline(rig: Rig
     driven = rig.currents("joint3", start_s + 0.04, last_s)
     assert len(driven) > 150 and np.allclose(driven, QUANTISED_A, atol=1e-9), "every millisecond"
     deadline_s = last_s + rig.driver.settings.command_timeout_s
-    after = rig.currents("joint3", deadline_s + 2 * CYCLE_S + 0.015, deadline_s + 2 * CYCLE_S + 0.065)
-    assert np.mean(np.isclose(after, QUANTISED_A, atol=1e-9)) < 0.3, "it had ended by the deadline and two cycles"
+    after = rig.currents(
+        "joint3", deadline_s + 2 * CYCLE_S + 0.015, deadline_s + 2 * CYCLE_S + 0.065
+    )
+    assert np.mean(np.isclose(after, QUANTISED_A, atol=1e-9)) < 0.3, (
+        "it had ended by the deadline and two cycles"
+    )
     assert rig.driver.modes["joint3"] == "held"
     assert rig.said("joint3: no current command for 100 ms")
     here = rig.position()
@@ -201,8 +223,14 @@ def test_refused_currents(rig: Rig) -> None:
         ({"elbow": 0.1}, "there is no joint 'elbow'; joints: joint1, joint2"),
         ({"joint3": math.nan}, "joint3: the current is nan"),
         ({"joint3": math.inf}, "joint3: the current is inf"),
-        ({"joint3": -300.0}, "joint3: -300 A is more than its limit of 1 A (currents are in A, not mA)"),
-        ({"joint3": 0.1, "gripper_left_joint": 0.7}, "gripper_left_joint: 0.7 A is more than its limit of 0.6 A"),
+        (
+            {"joint3": -300.0},
+            "joint3: -300 A is more than its limit of 1 A (currents are in A, not mA)",
+        ),
+        (
+            {"joint3": 0.1, "gripper_left_joint": 0.7},
+            "gripper_left_joint: 0.7 A is more than its limit of 0.6 A",
+        ),
     ]
     for count, (currents, reason) in enumerate(refused, start=1):
         assert rig.driver.command_currents(currents).startswith(reason)
@@ -235,7 +263,9 @@ def test_refused_positions(rig: Rig) -> None:
     for positions, reason in refused:
         assert rig.driver.command_positions({"joint1": 0.5, **positions}).startswith(reason)
         rig.run(0.03)
-    assert rig.position()["joint1"] == pytest.approx(before, abs=0.01), "the whole command is refused"
+    assert rig.position()["joint1"] == pytest.approx(before, abs=0.01), (
+        "the whole command is refused"
+    )
 
 
 # --- one at a time, and no zero from nobody
@@ -290,7 +320,9 @@ def test_one_sender_drives_until_it_ends(rig: Rig) -> None:
     assert driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
     rig.cycle()
     for stranger in ({"joint3": 0.0}, {"joint4": -0.05}, dict.fromkeys(driver.joints, 0.0), {}):
-        assert driver.command_currents(stranger, sender=2).startswith("joint3: driven by another publisher")
+        assert driver.command_currents(stranger, sender=2).startswith(
+            "joint3: driven by another publisher"
+        )
     rig.cycle()
     assert driver.modes["joint3"] == "driven" and driver.modes["joint4"] == "held"
     # zero by the one who drives keeps the lease, nothing at all ends it
@@ -321,14 +353,20 @@ def test_what_was_sent_before_a_push_ended_is_refused(rig: Rig) -> None:
     assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
     rig.run(0.05)
     assert rig.driver.command_currents({}, sender=1) == ""
-    assert rig.driver.command_positions({"joint1": rig.position()["joint1"]}, sender=1) == "", "sent together"
+    assert rig.driver.command_positions({"joint1": rig.position()["joint1"]}, sender=1) == "", (
+        "sent together"
+    )
     rig.run(0.05)
     for sender in (1, 2):
-        assert rig.driver.command_currents({"joint3": PUSH_A}, sender, late_s=0.1).endswith("since it was sent")
+        assert rig.driver.command_currents({"joint3": PUSH_A}, sender, late_s=0.1).endswith(
+            "since it was sent"
+        )
     # and so it is where nobody ended it, but nothing came any more
     assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
     rig.run(rig.driver.settings.command_timeout_s + 0.05)
-    assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1, late_s=0.2).endswith("since it was sent")
+    assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1, late_s=0.2).endswith(
+        "since it was sent"
+    )
     assert rig.driver.modes["joint3"] == "held"
 
 
@@ -342,7 +380,9 @@ def test_a_sender_that_falls_silent_drives_no_longer(rig: Rig) -> None:
 def test_one_sender_moves_the_arm(rig: Rig) -> None:
     here = rig.position()["joint1"]
     assert rig.driver.command_positions({"joint1": here}, sender=1) == ""
-    assert rig.driver.command_positions({"joint1": here + 0.1}, sender=2).startswith("another publisher is moving")
+    assert rig.driver.command_positions({"joint1": here + 0.1}, sender=2).startswith(
+        "another publisher is moving"
+    )
     assert rig.driver.command_positions({"joint1": here}, sender=1) == ""
     rig.run(rig.driver.settings.command_timeout_s + 0.02)
     assert rig.driver.command_positions({"joint1": here}, sender=2) == ""
@@ -365,9 +405,14 @@ LOW = {"joint2": 1.2, "joint3": 0.0, "joint4": 0.3}
 
 
 def test_a_position_below_the_table_is_refused(rig: Rig) -> None:
-    assert clearance(rig.robot, {**dict.fromkeys(rig.robot.model.independent_joints, 0.0), **LOW}) < -0.05
+    assert (
+        clearance(rig.robot, {**dict.fromkeys(rig.robot.model.independent_joints, 0.0), **LOW})
+        < -0.05
+    )
     reason = rig.driver.command_positions(LOW)
-    assert reason.startswith("the arm would be less than 0 cm above the base's plane (min_clearance)")
+    assert reason.startswith(
+        "the arm would be less than 0 cm above the base's plane (min_clearance)"
+    )
     rig.run(0.1)
     assert set(rig.driver.modes.values()) == {"held"}
 
@@ -393,7 +438,9 @@ def test_a_push_ends_above_the_table(rig: Rig) -> None:
     samples = rig.run(0.6, {"joint3": 0.15})
     assert rig.said("joint3 was about to bring the arm too near to the base's plane")
     assert rig.driver.modes["joint3"] == "held"
-    assert np.any(np.isclose(rig.currents("joint3", start_s), 56 * UNIT_A, atol=1e-9)), "it did push"
+    assert np.any(np.isclose(rig.currents("joint3", start_s), 56 * UNIT_A, atol=1e-9)), (
+        "it did push"
+    )
     assert min(clearance(rig.robot, sample.position) for sample in samples) > 0.13
     rig.run(0.15)
     rig.run(0.03, {"joint3": PUSH_A})
@@ -410,7 +457,9 @@ def test_a_joint_at_its_limit_is_not_driven_further(rig: Rig) -> None:
     rig.run(0.1, {"joint3": 0.2})
     assert rig.driver.modes["joint3"] == "held"
     assert rig.said("joint3 is at its upper limit; held")
-    assert sum("upper limit" in message for _, message in rig.log) == 1, "said once, not in every cycle"
+    assert sum("upper limit" in message for _, message in rig.log) == 1, (
+        "said once, not in every cycle"
+    )
     assert not np.any(np.isclose(rig.currents("joint3", start_s), 74 * UNIT_A, atol=1e-9))
     rig.run(0.15)
     rig.run(0.05, {"joint3": PUSH_A})
@@ -436,7 +485,9 @@ def test_an_encoder_jump_holds_everything(rig: Rig) -> None:
     assert rig.said("joint2: its encoder jumped from")
     assert set(rig.driver.modes.values()) == {"held"}, "although the commands go on"
     rig.run(0.3)
-    assert abs(rig.position()["joint2"] - before["joint2"]) < 0.2, "it does not swing back by the 0.6 rad of the jump"
+    assert abs(rig.position()["joint2"] - before["joint2"]) < 0.2, (
+        "it does not swing back by the 0.6 rad of the jump"
+    )
     rig.driver.set_torque(True)
     rig.run(0.05, {"joint3": PUSH_A})
     assert rig.driver.modes["joint3"] == "driven"
@@ -449,7 +500,10 @@ def test_an_encoder_that_jumped_ends_the_way_until_a_person_has_looked(rig: Rig)
     rig.virtual.set_fault("jump=joint2")
     rig.cycle()
     there = rig.position()["joint2"]
-    for refused in (rig.driver.command_positions(goal), rig.driver.command_currents({"joint3": PUSH_A})):
+    for refused in (
+        rig.driver.command_positions(goal),
+        rig.driver.command_currents({"joint3": PUSH_A}),
+    ):
         assert "joint2: its encoder jumped from" in refused and "~/torque true" in refused
     rig.run(0.5)
     assert abs(rig.position()["joint2"] - there) < 0.02
@@ -463,7 +517,9 @@ def test_a_servo_that_overheats(rig: Rig) -> None:
     rig.virtual.set_fault("overheat=joint3")
     rig.run(0.1, {"joint3": PUSH_A})
     assert rig.said("joint3: its servo reports a fault and has switched itself off")
-    assert rig.driver.modes["joint3"] == "held" and rig.virtual.servos["joint3"]["torque_enable"] == 0
+    assert (
+        rig.driver.modes["joint3"] == "held" and rig.virtual.servos["joint3"]["torque_enable"] == 0
+    )
     rig.run(0.05)
     assert rig.driver.health["joint3"].faults == ("overheated: let it cool down",)
     assert "joint3: too hot to be driven" in rig.driver.command_currents({"joint3": 0.1})
@@ -471,7 +527,10 @@ def test_a_servo_that_overheats(rig: Rig) -> None:
     rig.virtual.set_fault("")
     rig.driver.set_torque(True)
     rig.until(lambda: rig.driver.health["joint3"].temperature_C < 50.0)
-    assert rig.virtual.servos["joint3"]["torque_enable"] == 1 and rig.driver.health["joint3"].faults == ()
+    assert (
+        rig.virtual.servos["joint3"]["torque_enable"] == 1
+        and rig.driver.health["joint3"].faults == ()
+    )
     assert rig.driver.command_currents({"joint3": 0.1}) == ""
 
 
@@ -480,15 +539,22 @@ def test_a_hot_servo_is_not_driven(rig: Rig) -> None:
         rig.virtual.servos["joint3"].temperature_C = 75.0  # its own limit is 80
     rig.driver.set_torque(True)
     rig.cycle()
-    assert rig.driver.command_currents({"joint3": 0.1}) == "joint3: too hot to be driven (75 C): let it cool down"
+    assert (
+        rig.driver.command_currents({"joint3": 0.1})
+        == "joint3: too hot to be driven (75 C): let it cool down"
+    )
 
 
 def test_another_fault_than_heat(rig: Rig) -> None:
     with rig.virtual.port.lock:
         rig.virtual.servos["joint4"].fail(HardwareError.OVERLOAD)
     rig.run(0.1)
-    assert "joint4: its servo reports a fault (overload" in rig.driver.command_currents({"joint4": 0.05})
-    assert "joint4: its servo reports a fault (overload" in rig.driver.command_currents({"joint3": 0.05}), "it holds nothing"
+    assert "joint4: its servo reports a fault (overload" in rig.driver.command_currents(
+        {"joint4": 0.05}
+    )
+    assert "joint4: its servo reports a fault (overload" in rig.driver.command_currents(
+        {"joint3": 0.05}
+    ), "it holds nothing"
     assert rig.driver.command_currents({"joint3": 0.0}) == ""
     rig.driver.set_torque(True)
     rig.cycle()
@@ -569,7 +635,9 @@ def test_unplugged_while_it_pushes(rig: Rig) -> None:
     rig.run(0.5, {"joint3": PUSH_A})
     assert rig.driver.state is BusState.DISCONNECTED
     assert set(rig.driver.modes.values()) == {"held"}
-    assert rig.all_zero(unplugged_s + rig.driver.settings.watchdog_s + 0.02), "the servos' own watchdog"
+    assert rig.all_zero(unplugged_s + rig.driver.settings.watchdog_s + 0.02), (
+        "the servos' own watchdog"
+    )
     assert np.any(rig.currents("joint3", unplugged_s, unplugged_s + 0.1))
     assert sum("trying again" in message for _, message in rig.log) <= 2, "not in every attempt"
     rig.virtual.set_fault("")
@@ -623,17 +691,22 @@ def test_the_process_dies_while_it_pushes(rig: Rig) -> None:
     assert rig.all_zero(died_s + rig.driver.settings.watchdog_s + 0.02)
     rig.run(0.4)
     assert rig.driver.state is BusState.RUNNING and set(rig.driver.modes.values()) == {"held"}
-    assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {15}, "the servos are awake again"
+    assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {15}, (
+        "the servos are awake again"
+    )
 
 
 def test_incomplete_rounds_are_asked_for_again(rig: Rig) -> None:
     rig.virtual.set_fault("corrupt=0.3")
-    before, untimely = rig.driver.statistics.cycles, rig.driver.statistics.untimely
+    before = rig.driver.statistics.cycles
+    untimely = rig.driver.statistics.untimely
     samples = rig.run(0.8, {"joint4": 0.0})
     statistics = rig.driver.statistics
     assert statistics.retries > 3
     assert 0 < statistics.incomplete < statistics.retries
-    assert len(samples) == statistics.cycles - before - statistics.incomplete - (statistics.untimely - untimely)
+    assert len(samples) == statistics.cycles - before - statistics.incomplete - (
+        statistics.untimely - untimely
+    )
     stamps = np.diff([sample.sampled_at_s for sample in samples])
     assert np.all(stamps > 0.0)
     position = np.array([sample.position["joint2"] for sample in samples])
@@ -671,7 +744,9 @@ def test_a_missing_servo_is_said_once(clock: SimulatedClock, tmp_path: Path) -> 
         rig.virtual.set_fault("hang=joint4")
         rig.run(0.6)
         assert rig.driver.state is BusState.DISCONNECTED
-        assert [message for _, message in rig.log if "no servo 14 (joint4)" in message] == [rig.log[0][1]]
+        assert [message for _, message in rig.log if "no servo 14 (joint4)" in message] == [
+            rig.log[0][1]
+        ]
         assert rig.log[0][1].endswith("trying again every 0.05 s")
     finally:
         rig.close()

@@ -28,7 +28,8 @@ MODE_5 = OperatingMode.CURRENT_BASED_POSITION
 def desk(clock: SimulatedClock) -> Iterator[Desk]:
     with Desk(IDS, clock) as desk:
         for index in range(len(IDS)):
-            desk.rotors.angle_rad[index] = 0.2 * (index + 1)  # none is at 0, which lost data could be taken for
+            # none is at 0, which lost data could be taken for
+            desk.rotors.angle_rad[index] = 0.2 * (index + 1)
         yield desk
 
 
@@ -215,9 +216,12 @@ def test_states_are_in_si_and_signed(desk: Desk, bus: DynamixelBus) -> None:
     desk.clock.sleep(0.15)
     states = bus.read_states().states
     with desk.port.lock:
-        true_rad_s, true_rad = desk.rotors.velocity_rad_s[0], desk.rotors.angle_rad[0]
+        true_rad_s = desk.rotors.velocity_rad_s[0]
+        true_rad = desk.rotors.angle_rad[0]
     assert states["joint11"].current_A == pytest.approx(-40 * 0.00269)
-    assert true_rad_s < -0.5 and states["joint11"].velocity_rad_s == pytest.approx(true_rad_s, rel=0.2)
+    assert true_rad_s < -0.5 and states["joint11"].velocity_rad_s == pytest.approx(
+        true_rad_s, rel=0.2
+    )
     assert states["joint11"].angle_rad == pytest.approx(true_rad, abs=0.03)
     for index, servo_id in enumerate(IDS[1:], start=1):
         assert states[f"joint{servo_id}"].angle_rad == pytest.approx(0.2 * (index + 1), abs=0.002)
@@ -229,14 +233,18 @@ def test_a_hung_servo_is_missing_and_never_zero(desk: Desk, bus: DynamixelBus) -
     for _ in range(5):
         states = bus.read_states().states
         assert "joint13" not in states
-        assert set(states) == (set() if bus.fast else {"joint11", "joint12"}), "those behind it wait for it in vain"
+        assert set(states) == (set() if bus.fast else {"joint11", "joint12"}), (
+            "those behind it wait for it in vain"
+        )
         assert all(state.angle_rad > 0.1 for state in states.values())
     hang(desk)
     assert set(bus.read_states().states) == JOINTS
 
 
 @pytest.mark.parametrize("fault", ["drop", "corrupt"])
-def test_lost_and_corrupted_answers_are_missing_and_never_wrong(desk: Desk, bus: DynamixelBus, fault: str) -> None:
+def test_lost_and_corrupted_answers_are_missing_and_never_wrong(
+    desk: Desk, bus: DynamixelBus, fault: str
+) -> None:
     setattr(desk.wire.faults, fault, 0.2)
     complete = 0
     for _ in range(60):
@@ -262,10 +270,17 @@ def test_single_registers_survive_lost_answers(desk: Desk, bus: DynamixelBus) ->
     assert len(values) > 90 and all(abs(value - here) <= 1 for value in values)
 
 
-@pytest.mark.parametrize("next_one", ["led", "homing_offset"])  # as long as what is late, and longer
-def test_an_answer_that_comes_late_is_not_the_next_one_s(desk: Desk, bus: DynamixelBus, next_one: str) -> None:
+# as long as what is late, and longer
+@pytest.mark.parametrize("next_one", ["led", "homing_offset"])
+def test_an_answer_that_comes_late_is_not_the_next_one_s(
+    desk: Desk, bus: DynamixelBus, next_one: str
+) -> None:
     """The first is given up and asked for again; it comes then, and the second when something else is asked for."""
-    receive, seen, late_s = desk.wire.receive, list[bytes](), (PATIENCE_S + 0.004, *[PATIENCE_S - 0.005] * 2)
+    receive, seen, late_s = (
+        desk.wire.receive,
+        list[bytes](),
+        (PATIENCE_S + 0.004, *[PATIENCE_S - 0.005] * 2),
+    )
 
     def slow(data: bytes, now_s: float) -> list:  # type: ignore[type-arg]
         more_s = late_s[len(seen)] if len(seen) < len(late_s) else 0.0
@@ -280,7 +295,9 @@ def test_an_answer_that_comes_late_is_not_the_next_one_s(desk: Desk, bus: Dynami
 
 def test_a_read_that_never_came_is_no_zero(desk: Desk, bus: DynamixelBus) -> None:
     hang(desk, 12)
-    with pytest.raises(BusError, match=r"servo 12 \(joint12\): read present_position: no answer in 3 tries"):
+    with pytest.raises(
+        BusError, match=r"servo 12 \(joint12\): read present_position: no answer in 3 tries"
+    ):
         bus.read(12, "present_position")
 
 
@@ -313,7 +330,10 @@ def test_a_corrupted_goal_is_lost_and_the_next_one_arrives(desk: Desk, bus: Dyna
     desk.wire.faults.corrupt_requests = 0.0
     bus.write_goals(goals)
     desk.clock.sleep(0.01)
-    assert all((servo["goal_current"], servo["goal_position"]) == (25, 2048) for servo in desk.servos.values())
+    assert all(
+        (servo["goal_current"], servo["goal_position"]) == (25, 2048)
+        for servo in desk.servos.values()
+    )
 
 
 def test_goals_of_some_joints_leave_the_others_alone(desk: Desk, bus: DynamixelBus) -> None:
@@ -325,7 +345,9 @@ def test_goals_of_some_joints_leave_the_others_alone(desk: Desk, bus: DynamixelB
 
 
 def test_a_refusal_says_why(bus: DynamixelBus) -> None:
-    with pytest.raises(BusError, match=r"servo 11 \(joint11\): write operating_mode = 0: it refuses access.*torque"):
+    with pytest.raises(
+        BusError, match=r"servo 11 \(joint11\): write operating_mode = 0: it refuses access.*torque"
+    ):
         bus.write(11, "operating_mode", 0)
     with pytest.raises(BusError, match="write led = 2: it refuses the value as out of range"):
         bus.write(11, "led", 2)
@@ -395,7 +417,9 @@ def test_pulled_while_a_reply_is_due(desk: Desk, bus: DynamixelBus) -> None:
 # --- the vendor's library
 
 
-def test_it_prints_nothing(desk: Desk, bus: DynamixelBus, capfd: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_nothing(
+    desk: Desk, bus: DynamixelBus, capfd: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(BusError):
         bus.write(11, "led", 2)
     hang(desk, *IDS)
@@ -451,8 +475,13 @@ def test_a_dead_servo_costs_its_timeout(desk: Desk, bus: DynamixelBus) -> None:
     assert TRIES * PATIENCE_S < desk.clock.now() - started < 2 * TRIES * PATIENCE_S
 
 
-def test_steps_of_the_system_clock(desk: Desk, bus: DynamixelBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, shift, step, steps = time.time, [0.0], [0.0], [0]
+def test_steps_of_the_system_clock(
+    desk: Desk, bus: DynamixelBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = time.time
+    shift = [0.0]
+    step = [0.0]
+    steps = [0]
 
     def jumping() -> float:
         """Another hour whenever somebody looks."""
@@ -481,7 +510,9 @@ def test_a_late_answer_is_not_taken_for_the_next(desk: Desk, bus: DynamixelBus) 
         bus.read(11, "present_position")
     desk.wire.faults.delay_s = 0.0
     desk.clock.sleep(4.0 * PATIENCE_S + 0.02)
-    assert bus.read(12, "present_position") == pytest.approx(XM430_W350.counts_of_position(0.4), abs=1)
+    assert bus.read(12, "present_position") == pytest.approx(
+        XM430_W350.counts_of_position(0.4), abs=1
+    )
     assert bus.read(11, "present_temperature") == 30
 
 

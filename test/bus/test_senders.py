@@ -15,7 +15,9 @@ def test_publishers_are_told_apart_by_their_numbers() -> None:
     assert first == [1, 1, 1]
     assert senders.of(1, "one") == 2, "a new one begins to count"
     assert senders.of(4, "five") == 1
-    assert [senders.of(2, "one"), senders.of(8, "five"), senders.of(400, "flood")] == [2, 1, 3], "some are lost"
+    assert [senders.of(2, "one"), senders.of(8, "five"), senders.of(400, "flood")] == [2, 1, 3], (
+        "some are lost"
+    )
     # one that counts faster overtakes: they look different
     assert [senders.of(number, "one") for number in range(3, 9)] == [2] * 6
     assert senders.of(9, "five") == 1 and senders.of(9, "one") == 2
@@ -34,10 +36,17 @@ def test_what_is_doubled_or_overtaken_is_nobody_elses() -> None:
     senders = Senders()
     assert [senders.of(number, "five", number * MS) for number in (1, 2, 3)] == [1, 1, 1]
     assert senders.of(3, "five", 3 * MS) == senders.of(1, "five", MS) == OUTDATED, "doubled"
-    assert senders.of(5, "five", 5 * MS) == 1 and senders.of(4, "five", 4 * MS) == OUTDATED, "overtaken"
+    assert senders.of(5, "five", 5 * MS) == 1 and senders.of(4, "five", 4 * MS) == OUTDATED, (
+        "overtaken"
+    )
     assert senders.of(6, "five", 6 * MS) == 1, "and it goes on"
     # another that looks alike and begins to count, whatever it says: it sends later
-    assert [senders.of(number, "five", (10 + number) * MS) for number in (1, 2, 3, 4)] == [2, 2, 2, 2]
+    assert [senders.of(number, "five", (10 + number) * MS) for number in (1, 2, 3, 4)] == [
+        2,
+        2,
+        2,
+        2,
+    ]
     assert senders.of(7, "five", 20 * MS) == 1
     assert [senders.of(number, "five", (30 + number) * MS) for number in (900, 901)] == [3, 3]
     assert senders.of(901 - LATE, "five", 30 * MS) == 4, "too far back to be late"
@@ -59,8 +68,12 @@ def test_by_a_clock_that_is_behind_nothing_is_outdated() -> None:
 def test_all_of_one_publisher_in_any_order_is_of_one() -> None:
     """Shuffled within its places and doubled: what is obeyed only grows."""
     draw = random.Random(1)
-    numbers = sorted([*range(1, 300), *draw.sample(range(1, 300), 60)], key=lambda number: number + draw.uniform(0, LATE - 1))
-    senders, obeyed = Senders(), list[int]()
+    numbers = sorted(
+        [*range(1, 300), *draw.sample(range(1, 300), 60)],
+        key=lambda number: number + draw.uniform(0, LATE - 1),
+    )
+    senders = Senders()
+    obeyed = list[int]()
     for number in numbers:
         if (sender := senders.of(number, "five", number * MS)) != OUTDATED:
             assert sender == 1
@@ -70,10 +83,16 @@ def test_all_of_one_publisher_in_any_order_is_of_one() -> None:
 
 def test_how_late_a_message_came() -> None:
     senders = Senders()
-    assert [senders.late_s(1, lag) for lag in (400 * MS, MS, 2000 * MS)] == [0.4, 0.001, 2.0], "by the same clock"
+    assert [senders.late_s(1, lag) for lag in (400 * MS, MS, 2000 * MS)] == [0.4, 0.001, 2.0], (
+        "by the same clock"
+    )
     # by one that is 5 s behind, or ahead, nobody knows of the first message; of the others it is known
     assert [round(senders.late_s(2, lag * MS), 3) for lag in (5001, 5000, 5400)] == [0.0, 0.0, 0.4]
-    assert [round(senders.late_s(3, lag * MS), 3) for lag in (-4999, -5000, -4600)] == [0.0, 0.0, 0.4]
+    assert [round(senders.late_s(3, lag * MS), 3) for lag in (-4999, -5000, -4600)] == [
+        0.0,
+        0.0,
+        0.4,
+    ]
     assert senders.late_s(4, 2700 * MS, waited_ns=3500 * MS) == 2.7, "nobody took it meanwhile"
     assert senders.late_s(5, 5000 * MS, waited_ns=3500 * MS) == 0.0
 
@@ -99,8 +118,12 @@ def test_what_waited_for_more_than_a_second_beside_a_clock_that_is_set_is_late(s
     assert senders.late_s(1, (1200 + set_ms) * MS, set_ms * MS) >= 1.0, "sent before"
     assert senders.late_s(1, 1200 * MS, set_ms * MS) >= 0.999, "sent since"
     senders.clock_was_set(set_ms * MS)
-    assert [senders.late_s(1, lag * MS) for lag in (1200, 1100, 1)] == pytest.approx([1.2, 1.1, 0.001], abs=0.201)
-    assert [senders.late_s(2, (7000 + set_ms + lag) * MS) for lag in (1, 400)] == pytest.approx([0.0, 0.4], abs=0.002)
+    assert [senders.late_s(1, lag * MS) for lag in (1200, 1100, 1)] == pytest.approx(
+        [1.2, 1.1, 0.001], abs=0.201
+    )
+    assert [senders.late_s(2, (7000 + set_ms + lag) * MS) for lag in (1, 400)] == pytest.approx(
+        [0.0, 0.4], abs=0.002
+    )
 
 
 def test_only_so_many_publishers_are_remembered() -> None:

@@ -33,7 +33,9 @@ def plain(desk: Desk) -> Iterator[DynamixelBus]:
     bus.close()
 
 
-def test_servos_are_there_until_the_cable_is_pulled_and_again_afterwards(desk: Desk, plain: DynamixelBus) -> None:
+def test_servos_are_there_until_the_cable_is_pulled_and_again_afterwards(
+    desk: Desk, plain: DynamixelBus
+) -> None:
     plain.handshake()
     assert len(plain.read_states().states) == len(IDS)
     desk.port.unplug()
@@ -66,7 +68,12 @@ def test_the_port_belongs_to_one_process(desk: Desk, plain: DynamixelBus) -> Non
         "except PortLostError as error:\n"
         "    print(error)\n"
     )
-    other = subprocess.run([sys.executable, "-c", code, str(desk.port.path)], capture_output=True, text=True, timeout=60)
+    other = subprocess.run(
+        [sys.executable, "-c", code, str(desk.port.path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert (other.returncode, other.stderr) == (0, "")
     assert other.stdout == f"{desk.port.path}: another program uses it: stop that one first\n"
     plain.handshake()
@@ -74,7 +81,9 @@ def test_the_port_belongs_to_one_process(desk: Desk, plain: DynamixelBus) -> Non
 
 def test_a_port_that_is_not_there(tmp_path: Path) -> None:
     bus = DynamixelBus(str(tmp_path / "ttyUSB7"), servos_named([11]))
-    with pytest.raises(PortLostError, match=r"there is no such port; plugged in: .*check the cable"):
+    with pytest.raises(
+        PortLostError, match=r"there is no such port; plugged in: .*check the cable"
+    ):
         bus.open()
 
 
@@ -97,7 +106,9 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
         DynamixelBus(str(tmp_path / "file"), servos_named([11])).open()
 
 
-def test_it_prints_nothing(desk: Desk, plain: DynamixelBus, capfd: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_nothing(
+    desk: Desk, plain: DynamixelBus, capfd: pytest.CaptureFixture[str]
+) -> None:
     plain.handshake()
     with pytest.raises(BusError):
         plain.write(11, "led", 2)

@@ -47,7 +47,9 @@ def calibration(made: Moment | None) -> Calibration:
 def growth(hours: float, warmer: dict[str, float] | None = None) -> np.ndarray:
     """What a covariance grows by, in units of the values."""
     old = calibration(Moment(NOW_S, dict.fromkeys(warmer or {}, 30.0)))
-    now = Moment(NOW_S + 3600.0 * hours, {joint: 30.0 + degrees for joint, degrees in (warmer or {}).items()})
+    now = Moment(
+        NOW_S + 3600.0 * hours, {joint: 30.0 + degrees for joint, degrees in (warmer or {}).items()}
+    )
     later = aged(old, DRIFT, now)
     assert np.array_equal(later.values, old.values)
     return np.asarray((later.covariance - old.covariance) / old.values[:, None] / old.values)
@@ -56,7 +58,9 @@ def growth(hours: float, warmer: dict[str, float] | None = None) -> np.ndarray:
 def test_friction_and_torque_constants_widen_as_stated() -> None:
     for hours in (1.0, 100.0):
         grown = growth(hours)
-        assert np.sqrt(np.diag(grown)) == pytest.approx(np.array([1e-3, 1e-2, 1e-3, 1e-2, 0.0]) * np.sqrt(hours))
+        assert np.sqrt(np.diag(grown)) == pytest.approx(
+            np.array([1e-3, 1e-2, 1e-3, 1e-2, 0.0]) * np.sqrt(hours)
+        )
         # half of what torque constants do they do together, and friction nothing
         assert grown[0, 2] == pytest.approx(0.5e-6 * hours)
         assert abs(grown - np.diag(np.diag(grown))).sum() == pytest.approx(2.0 * grown[0, 2])
@@ -66,7 +70,11 @@ def test_a_motor_that_is_warmer_widens_its_own_joint() -> None:
     beside = growth(1.0, {"joint3": 11.0}) - growth(1.0)
     assert np.sqrt(np.diag(beside)) == pytest.approx([0.0, 0.0, 0.02, 0.2, 0.0])
     # magnets weaken alike: one warmer and one colder go apart
-    assert growth(1.0, {"joint2": 11.0, "joint3": -11.0})[0, 2] < 0.0 < growth(1.0, {"joint2": 11.0, "joint3": 11.0})[0, 2]
+    assert (
+        growth(1.0, {"joint2": 11.0, "joint3": -11.0})[0, 2]
+        < 0.0
+        < growth(1.0, {"joint2": 11.0, "joint3": 11.0})[0, 2]
+    )
     assert not (growth(1.0, {"joint3": 1.0}) - growth(1.0)).any(), "motors say whole degrees"
 
 
@@ -75,7 +83,8 @@ def test_how_often_somebody_looks_does_not_matter() -> None:
     once = aged(old, DRIFT, Moment(NOW_S + 5 * DAY_S))
     twice = aged(aged(old, DRIFT, Moment(NOW_S + DAY_S)), DRIFT, Moment(NOW_S + 5 * DAY_S))
     np.testing.assert_allclose(twice.covariance, once.covariance, rtol=1e-12)
-    before = aged(calibration(Moment(NOW_S + 5 * DAY_S)), DRIFT, Moment(NOW_S))  # recorded before it was calibrated
+    # recorded before it was calibrated
+    before = aged(calibration(Moment(NOW_S + 5 * DAY_S)), DRIFT, Moment(NOW_S))
     np.testing.assert_allclose(before.covariance, once.covariance, rtol=1e-12)
 
 
@@ -97,7 +106,9 @@ def test_what_is_not_known_to_be_old_stays(then: Moment | None, now: Moment | No
 
 
 def test_what_ageing_does_is_said() -> None:
-    words = said(calibration(Moment(NOW_S, {"joint3": 30.0})), DRIFT, Moment(NOW_S + DAY_S, {"joint3": 41.0}))
+    words = said(
+        calibration(Moment(NOW_S, {"joint3": 30.0})), DRIFT, Moment(NOW_S + DAY_S, {"joint3": 41.0})
+    )
     assert words.startswith(
         "24 h and a motor 11 K warmer lie between the calibration and this recording: friction counts as uncertain"
     )
@@ -110,7 +121,12 @@ def test_when_it_was_made_is_kept_in_the_file() -> None:
     assert Calibration.from_settings(section).made == made
     del section["made"]
     assert Calibration.from_settings(section).made is None
-    for wrong in (5.0, {"time_s": "today"}, {"time_s": 1.0, "weather": "fine"}, {"time_s": 1.0, "temperature_C": {"joint3": -400}}):
+    for wrong in (
+        5.0,
+        {"time_s": "today"},
+        {"time_s": 1.0, "weather": "fine"},
+        {"time_s": 1.0, "temperature_C": {"joint3": -400}},
+    ):
         with pytest.raises(FormError, match="made: ") as caught:
             Calibration.from_settings({**section, "made": wrong})
         assert "\n" not in str(caught.value)
@@ -118,7 +134,9 @@ def test_when_it_was_made_is_kept_in_the_file() -> None:
 
 def test_the_robot_file_states_the_drift() -> None:
     assert load_robot("open_manipulator_x").drift == Drift()
-    assert load_robot("open_manipulator_x", {"drift": {"friction_per_K": 0.5}}).drift == Drift(friction_per_K=0.5)
+    assert load_robot("open_manipulator_x", {"drift": {"friction_per_K": 0.5}}).drift == Drift(
+        friction_per_K=0.5
+    )
     with pytest.raises(RobotError, match="drift: unknown key 'friction_per_day'"):
         load_robot("open_manipulator_x", {"drift": {"friction_per_day": 0.5}})
     with pytest.raises(RobotError, match="drift: friction_per_K"):
@@ -128,10 +146,17 @@ def test_the_robot_file_states_the_drift() -> None:
 def temperatures(celsius: dict[str, float], namespace: str = "") -> RawMessage:
     """What a driver says."""
     types = message_types()
-    dimension, layout = (types.types[f"std_msgs/msg/MultiArray{kind}"] for kind in ("Dimension", "Layout"))
+    dimension, layout = (
+        types.types[f"std_msgs/msg/MultiArray{kind}"] for kind in ("Dimension", "Layout")
+    )
     dims = [dimension(",".join(celsius), len(celsius), len(celsius))]
     message = types.types[FLOAT_ARRAYS[0]](layout(dims, 0), np.array(list(celsius.values())))
-    return RawMessage(f"{namespace}/motor_temperatures", FLOAT_ARRAYS[0], 5, bytes(types.serialize_cdr(message, FLOAT_ARRAYS[0])))
+    return RawMessage(
+        f"{namespace}/motor_temperatures",
+        FLOAT_ARRAYS[0],
+        5,
+        bytes(types.serialize_cdr(message, FLOAT_ARRAYS[0])),
+    )
 
 
 def states() -> list[RawMessage]:
@@ -143,7 +168,9 @@ def states() -> list[RawMessage]:
     for n in range(20):
         at = header(stamp(1_700_000_000, n * 10_000_000), "")
         message = kind(at, ["joint2", "joint3"], *[np.array([0.1, 0.2])] * 3)
-        found.append(RawMessage("/joint_states", names[0], n, bytes(types.serialize_cdr(message, names[0]))))
+        found.append(
+            RawMessage("/joint_states", names[0], n, bytes(types.serialize_cdr(message, names[0])))
+        )
     return found
 
 
@@ -166,9 +193,15 @@ def test_temperatures_are_read_from_a_bag(tmp_path: Path) -> None:
 def yesterday(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibration by five empty-hand runs of the elbow, as it would be had they been made a day before."""
     path = tmp_path_factory.mktemp("yesterday") / "calibration.yaml"
-    made = calibrate_from_bags([bag_of(f"empty_0{n}_joint3") for n in (0, 1, 2, 4, 5)], {}, output=path)
+    made = calibrate_from_bags(
+        [bag_of(f"empty_0{n}_joint3") for n in (0, 1, 2, 4, 5)], {}, output=path
+    )
     assert made.verdict.value == "accepted"
-    path.write_text(re.sub(r"made: {time_s: [0-9.]+", f"made: {{time_s: {1760000010.0 - DAY_S}", path.read_text()))
+    path.write_text(
+        re.sub(
+            r"made: {time_s: [0-9.]+", f"made: {{time_s: {1760000010.0 - DAY_S}", path.read_text()
+        )
+    )
     return path
 
 
@@ -177,18 +210,23 @@ def bag_of(name: str) -> Path:
 
 
 @pytest.mark.long
-def test_yesterdays_calibration_weighs_with_a_wider_interval_and_says_so(yesterday: Path, tmp_path: Path) -> None:
+def test_yesterdays_calibration_weighs_with_a_wider_interval_and_says_so(
+    yesterday: Path, tmp_path: Path
+) -> None:
     def weighed(path: Path) -> tuple[float, float, str]:
         estimate = replay(bag_of("fixed_light_ball_20g_joint3"), Options(calibration=path))
         value = estimate.values[0]
         assert isinstance(value.value, float) and value.std is not None
         return value.value, value.std, " ".join(estimate.notes)
 
-    timeless, at_once = tmp_path / "timeless.yaml", tmp_path / "at_once.yaml"
+    timeless = tmp_path / "timeless.yaml"
+    at_once = tmp_path / "at_once.yaml"
     timeless.write_text(re.sub(r"  made: .*\n", "", yesterday.read_text()))
     at_once.write_text(re.sub(r"time_s: [0-9.]+", "time_s: 1760000010.0", yesterday.read_text()))
     mass, std, notes = weighed(timeless)
-    assert weighed(at_once) == (mass, std, notes), "right after the calibration nothing changes, to the last bit"
+    assert weighed(at_once) == (mass, std, notes), (
+        "right after the calibration nothing changes, to the last bit"
+    )
     _, wider, said_ = weighed(yesterday)
     assert 1.05 * std < wider < 3.0 * std
     assert "24 h lie between" in said_ and "24 h" not in notes
@@ -198,21 +236,33 @@ def test_yesterdays_calibration_weighs_with_a_wider_interval_and_says_so(yesterd
 def test_a_refresh_brings_a_calibration_up_to_date(yesterday: Path, tmp_path: Path) -> None:
     output = tmp_path / "new.yaml"
     options = Options(calibration=yesterday)
-    with pytest.raises(ConfigurationError, match="one of the runs that the calibration was made of"):
+    with pytest.raises(
+        ConfigurationError, match="one of the runs that the calibration was made of"
+    ):
         refresh_from_bags(bag_of("empty_04_joint3"), options)
     with pytest.raises(ConfigurationError, match="name the old calibration"):
         refresh_from_bags(bag_of("empty_03_joint3"), Options())
     estimate = refresh_from_bags(bag_of("empty_03_joint3"), options, output)
     assert estimate.verdict.value == "accepted" and estimate.origin["refreshed"] == str(yesterday)
-    old, new = load_robot(yesterday), load_robot(output)
-    assert old.calibration is not None and new.calibration is not None and new.calibration.made is not None
+    old = load_robot(yesterday)
+    new = load_robot(output)
+    assert (
+        old.calibration is not None
+        and new.calibration is not None
+        and new.calibration.made is not None
+    )
     assert new.calibration.made.time_s == pytest.approx(1760000010.0, abs=1.0)
     assert [len(robot.calibration.runs) for robot in (old, new) if robot.calibration] == [5, 6]
-    assert new.settings["calibrated"] is True and set(new.calibration.keys) == set(old.calibration.keys)
+    assert new.settings["calibrated"] is True and set(new.calibration.keys) == set(
+        old.calibration.keys
+    )
     before = aged(old.calibration, old.drift, new.calibration.made).quantities
     for key in (("coulomb", "joint3"), ("torque_constant", "joint3")):
         assert new.calibration.quantities[key].std < before[key].std
-    stds = [replay(bag_of("fixed_light_ball_20g_joint3"), Options(calibration=path)).values[0].std for path in (output, yesterday)]
+    stds = [
+        replay(bag_of("fixed_light_ball_20g_joint3"), Options(calibration=path)).values[0].std
+        for path in (output, yesterday)
+    ]
     assert all(isinstance(std, float) for std in stds) and stds[0] < 0.97 * stds[1]  # type: ignore[operator]
 
 
@@ -224,7 +274,9 @@ def test_a_calibration_that_no_longer_fits_is_said(yesterday: Path, tmp_path: Pa
     content["calibration"]["unknowns"]["coulomb[joint3]"]["std"] = 1e-4
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(yaml.safe_dump(content))
-    estimate = refresh_from_bags(bag_of("empty_03_joint3"), Options(calibration=wrong), tmp_path / "new.yaml")
+    estimate = refresh_from_bags(
+        bag_of("empty_03_joint3"), Options(calibration=wrong), tmp_path / "new.yaml"
+    )
     assert estimate.verdict.value == "rejected" and not (tmp_path / "new.yaml").exists()
     assert "no longer fits, not even with the drift" in " ".join(estimate.reasons)
 
@@ -239,12 +291,24 @@ def test_the_command_line_refreshes_into_another_folder(
     robot.parent.mkdir()
     robot.write_text("extends: open_manipulator_x\nname: mine\n")
     old = tmp_path / "mine" / "old.yaml"
-    old.write_text(yesterday.read_text().replace("extends: open_manipulator_x", "extends: mine.yaml"))
+    old.write_text(
+        yesterday.read_text().replace("extends: open_manipulator_x", "extends: mine.yaml")
+    )
     (tmp_path / "elsewhere").mkdir()
     new = tmp_path / "elsewhere" / "new.yaml"
-    words = ["calibrate", str(bag_of("empty_03_joint3")), "--refresh", str(old), "--output", str(new)]
+    words = [
+        "calibrate",
+        str(bag_of("empty_03_joint3")),
+        "--refresh",
+        str(old),
+        "--output",
+        str(new),
+    ]
     assert main(words) == 0 and load_robot(new).name == "mine"
-    assert main([*words, "--force", "--reference", f"{bag_of('fixed_reference_100g_joint3_x1')}=0.1"]) == 2
+    assert (
+        main([*words, "--force", "--reference", f"{bag_of('fixed_reference_100g_joint3_x1')}=0.1"])
+        == 2
+    )
     assert "--refresh takes runs with an empty hand" in capsys.readouterr().err
     shutil.rmtree(old.parent)
     with pytest.raises(RobotError, match="there is no robot file"):
@@ -261,7 +325,9 @@ def test_pushes_are_chosen_until_it_is_nearly_as_good_as_new(yesterday: Path) ->
     assert fresh.calibration is not None and fresh.calibration.made is not None
     sequence = load_sequence("empty_hand", fresh)
     made_s = fresh.calibration.made.time_s
-    runs, then, now = chosen_refresh(fresh, aged_robot(fresh, Moment(made_s + 30.0 * DAY_S)), 30.0, sequence)
+    runs, then, now = chosen_refresh(
+        fresh, aged_robot(fresh, Moment(made_s + 30.0 * DAY_S)), 30.0, sequence
+    )
     assert now > 1.1 * then and 1 <= len(runs) <= 8
     check_sequence(replace(sequence, runs=tuple(runs)), fresh)
     assert aged_robot(fresh, Moment(made_s + 60.0)) is fresh
@@ -279,5 +345,7 @@ def test_the_benchmark_draws_what_is_stated() -> None:
     friction = np.array([robot.coulomb for robot in drawn]) / 0.05
     grown = growth(25.0, {"joint2": 11.0, "joint3": -11.0})
     # joint2 and joint3 are the second and the third
-    assert np.cov(constants[:, 1], constants[:, 2]) == pytest.approx(grown[np.ix_([0, 2], [0, 2])], rel=0.1)
+    assert np.cov(constants[:, 1], constants[:, 2]) == pytest.approx(
+        grown[np.ix_([0, 2], [0, 2])], rel=0.1
+    )
     assert np.std(friction[:, 1]) == pytest.approx(np.sqrt(grown[1, 1]), rel=0.1)

@@ -22,20 +22,29 @@ from proprio_ros.recordings.topics import STATUS
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import Robot, load_robot
 
-ELBOW = MotorIdentity(model=1020, id=13, firmware=46, homing_offset=0, drive_mode=0, moving_threshold=10)
+ELBOW = MotorIdentity(
+    model=1020, id=13, firmware=46, homing_offset=0, drive_mode=0, moving_threshold=10
+)
 ARM = {"joint2": replace(ELBOW, id=12), "joint3": ELBOW}
 
 
 def states(namespace: str = "") -> list[RawMessage]:
     """An arm at rest."""
     types = message_types()
-    kind, header = types.types["sensor_msgs/msg/JointState"], types.types["std_msgs/msg/Header"]
+    kind = types.types["sensor_msgs/msg/JointState"]
+    header = types.types["std_msgs/msg/Header"]
     time = types.types["builtin_interfaces/msg/Time"]
     messages = []
     for n in range(20):
-        message = kind(header(time(1_700_000_000, n * 10_000_000), ""), ["joint2", "joint3"], *[np.array([0.1, 0.2])] * 3)
+        message = kind(
+            header(time(1_700_000_000, n * 10_000_000), ""),
+            ["joint2", "joint3"],
+            *[np.array([0.1, 0.2])] * 3,
+        )
         data = bytes(types.serialize_cdr(message, kind.__msgtype__))
-        messages.append(RawMessage(f"{namespace}/joint_states", kind.__msgtype__, n * 10_000_000, data))
+        messages.append(
+            RawMessage(f"{namespace}/joint_states", kind.__msgtype__, n * 10_000_000, data)
+        )
     return messages
 
 
@@ -43,7 +52,9 @@ def said(values: Mapping[str, str], namespace: str = "") -> RawMessage:
     """What a driver says of its motors."""
     types = message_types()
     pair = types.types["diagnostic_msgs/msg/KeyValue"]
-    message = types.types[STATUS](0, "driver: motors", "", "", [pair(key, value) for key, value in values.items()])
+    message = types.types[STATUS](
+        0, "driver: motors", "", "", [pair(key, value) for key, value in values.items()]
+    )
     return RawMessage(f"{namespace}/motors", STATUS, 5, bytes(types.serialize_cdr(message, STATUS)))
 
 
@@ -59,9 +70,23 @@ def bag(folder: Path, *messages: RawMessage) -> Path:
 @pytest.fixture
 def calibrated(tmp_path: Path) -> Robot:
     """An arm whose calibration knows its motors, read from its file."""
-    terms = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity")
+    terms = (
+        "torque_constant",
+        "coulomb",
+        "viscous",
+        "load_friction",
+        "armature",
+        "zero",
+        "stribeck",
+        "stribeck_velocity",
+    )
     values = np.array([1.7, 0.04, 0.01, 0.02, 0.014, 0.0, 0.0, 0.1])
-    known = Calibration(tuple((term, "joint3") for term in terms), values, np.diag((0.01 * values + 1e-4) ** 2), motors=ARM)
+    known = Calibration(
+        tuple((term, "joint3") for term in terms),
+        values,
+        np.diag((0.01 * values + 1e-4) ** 2),
+        motors=ARM,
+    )
     write_calibration(tmp_path / "arm.yaml", load_robot("open_manipulator_x"), known)
     robot = load_robot(tmp_path / "arm.yaml")
     assert robot.calibration is not None and robot.calibration.motors == ARM
@@ -84,7 +109,9 @@ def test_the_same_motors(tmp_path: Path, calibrated: Robot) -> None:
         ({"moving_threshold": 11}, "joint3 has moving threshold 11, not 10"),
     ],
 )
-def test_another_arm_is_refused(tmp_path: Path, calibrated: Robot, change: dict[str, int], words: str) -> None:
+def test_another_arm_is_refused(
+    tmp_path: Path, calibrated: Robot, change: dict[str, int], words: str
+) -> None:
     other = {**ARM, "joint3": replace(ELBOW, **change)}
     path = bag(tmp_path / "bag", *states(), told(other))
     with pytest.raises(RecordingError, match=words) as caught:
@@ -92,7 +119,8 @@ def test_another_arm_is_refused(tmp_path: Path, calibrated: Robot, change: dict[
     assert "arm.yaml" in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(RecordingError, match=words):  # live, before anything moves
         check_input(tmp_path / "session", [*states(), told(other)], Request(calibrated))
-    assert check_motors(path, load_robot("open_manipulator_x"), None) == ()  # nothing is claimed of any arm
+    # nothing is claimed of any arm
+    assert check_motors(path, load_robot("open_manipulator_x"), None) == ()
 
 
 def test_other_firmware_is_the_same_arm(tmp_path: Path, calibrated: Robot) -> None:
@@ -105,14 +133,24 @@ def test_other_firmware_is_the_same_arm(tmp_path: Path, calibrated: Robot) -> No
 def test_what_is_not_said_is_not_compared(tmp_path: Path, calibrated: Robot) -> None:
     silent = bag(tmp_path / "silent", *states())
     assert read_motors(silent) == {} and check_motors(silent, calibrated, None) == ()
-    foreign = bag(tmp_path / "foreign", *states(), said({"joint3": "fine", "joint2": "[" * 900, "x": '{"id": "a"}'}))
+    foreign = bag(
+        tmp_path / "foreign",
+        *states(),
+        said({"joint3": "fine", "joint2": "[" * 900, "x": '{"id": "a"}'}),
+    )
     assert read_motors(foreign) == {} and check_motors(foreign, calibrated, None) == ()
     assert other_arm(ARM, {"joint4": ELBOW}) == ""
 
 
 def test_of_two_arms_in_one_bag_each_has_its_own(tmp_path: Path) -> None:
     other = {"joint3": replace(ELBOW, homing_offset=7)}
-    path = bag(tmp_path / "bag", *states("/arm1"), *states("/arm2"), told(ARM, "/arm1"), told(other, "/arm2"))
+    path = bag(
+        tmp_path / "bag",
+        *states("/arm1"),
+        *states("/arm2"),
+        told(ARM, "/arm1"),
+        told(other, "/arm2"),
+    )
     assert read_motors(path, "/arm1/joint_states") == ARM
     assert read_motors(path, "/arm2/joint_states") == other
     assert read_motors(path) == {}
@@ -122,5 +160,8 @@ def test_one_calibration_is_of_one_arm(tmp_path: Path) -> None:
     other = {**ARM, "joint2": replace(ARM["joint2"], homing_offset=9)}
     one = bag(tmp_path / "one", *states(), told(ARM))
     two = bag(tmp_path / "two", *states(), told(other))
-    with pytest.raises(RecordingError, match="another arm than that of the recordings before it: joint2 has homing offset 9"):
+    with pytest.raises(
+        RecordingError,
+        match="another arm than that of the recordings before it: joint2 has homing offset 9",
+    ):
         calibrate_from_bags([one, two], {})

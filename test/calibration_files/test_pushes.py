@@ -39,7 +39,9 @@ def small() -> Calibration:
     correlation /= np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
     return Calibration(
         tuple(key_of(name) for name in NAMES),
-        np.array([1.7123456789, 0.041, 0.0143, 1.013, 0.0087, -0.004, 0.008, 0.02, 0.006, 0.0, 0.12]),
+        np.array(
+            [1.7123456789, 0.041, 0.0143, 1.013, 0.0087, -0.004, 0.008, 0.02, 0.006, 0.0, 0.12]
+        ),
         correlation * np.outer(stds, stds),
         1.07,
         2.6e-4,
@@ -67,7 +69,8 @@ def edited(path: Path, change) -> Path:
 
 
 def test_everything_comes_back(written: Path) -> None:
-    calibration, given = load_robot(written).calibration, small()
+    calibration = load_robot(written).calibration
+    given = small()
     assert calibration is not None
     assert calibration.keys == given.keys and calibration.names == NAMES
     np.testing.assert_allclose(calibration.values, given.values, rtol=1e-12)
@@ -88,14 +91,22 @@ def test_what_is_known_given_one_unknown_is_what_its_precision_says() -> None:
     np.testing.assert_array_equal(small().given(set()).covariance, small().covariance)
 
 
-def test_a_calibration_that_knows_fewer_joints_under_current_does_not_take_its_place(tmp_path: Path) -> None:
+def test_a_calibration_that_knows_fewer_joints_under_current_does_not_take_its_place(
+    tmp_path: Path,
+) -> None:
     """Free swings know nothing of a torque constant: what a current drives would be weighed with the robot file's."""
-    robot, second = load_robot("open_manipulator_x"), {"joint3": "joint2"}
-    other = tuple(key if isinstance(key, str) else (key[0], second.get(str(key[1]), key[1])) for key in small().keys)
+    robot = load_robot("open_manipulator_x")
+    second = {"joint3": "joint2"}
+    other = tuple(
+        key if isinstance(key, str) else (key[0], second.get(str(key[1]), key[1]))
+        for key in small().keys
+    )
     files = {
         "full": small(),
         "other": replace(small(), keys=other),
-        "swings": replace(small(), swing_error=0.002, runs=({**small().runs[0], "current_A": 0.0},)),
+        "swings": replace(
+            small(), swing_error=0.002, runs=({**small().runs[0], "current_A": 0.0},)
+        ),
     }
     for name, calibration in files.items():
         write_calibration(tmp_path / f"{name}.yaml", robot, calibration)
@@ -105,25 +116,44 @@ def test_a_calibration_that_knows_fewer_joints_under_current_does_not_take_its_p
     def kept(name: str) -> str:
         return workspace.keep_calibration(tmp_path / f"{name}.yaml")
 
-    assert kept("swings") == "" and workspace.calibration == tmp_path / "swings.yaml", "better than none"
+    assert kept("swings") == "" and workspace.calibration == tmp_path / "swings.yaml", (
+        "better than none"
+    )
     assert kept("full") == "" and workspace.newest_calibration.resolve() == tmp_path / "full.yaml"
     assert "does not know what a current does to joint3" in kept("swings")
     assert workspace.calibration == tmp_path / "full.yaml"
-    assert workspace.newest_calibration.resolve() == tmp_path / "full.yaml", "and so it is at the next start"
+    assert workspace.newest_calibration.resolve() == tmp_path / "full.yaml", (
+        "and so it is at the next start"
+    )
     # neither knows all that the other does: the newer one
     assert kept("other") == "" and workspace.calibration == tmp_path / "other.yaml"
 
 
 def test_the_robot_takes_what_was_learnt_and_keeps_the_rest(written: Path) -> None:
-    base, robot = load_robot("open_manipulator_x"), load_robot(written)
+    base = load_robot("open_manipulator_x")
+    robot = load_robot(written)
     drive = robot.drive_trains["joint3"]
-    assert robot.is_calibrated() and robot.is_calibrated(["joint3"]) and not robot.is_calibrated(["joint2", "joint3"])
+    assert (
+        robot.is_calibrated()
+        and robot.is_calibrated(["joint3"])
+        and not robot.is_calibrated(["joint2", "joint3"])
+    )
     assert not base.is_calibrated() and robot.name == base.name
-    assert drive.torque_constant.value == pytest.approx(1.7123456789) and drive.torque_constant.std == pytest.approx(0.02)
-    assert drive.coulomb.value == pytest.approx(0.041) and drive.viscous.value == pytest.approx(0.008)
+    assert drive.torque_constant.value == pytest.approx(
+        1.7123456789
+    ) and drive.torque_constant.std == pytest.approx(0.02)
+    assert drive.coulomb.value == pytest.approx(0.041) and drive.viscous.value == pytest.approx(
+        0.008
+    )
     assert robot.drive_trains["joint2"] == base.drive_trains["joint2"]
-    assert robot.arm_scale.value == pytest.approx(1.013) and robot.delay.std == pytest.approx(0.0011)
-    assert robot.residual_scale == 1.07 and robot.stamp_jitter_s == 2.6e-4 and robot.torque_disturbance == 1.1e-3
+    assert robot.arm_scale.value == pytest.approx(1.013) and robot.delay.std == pytest.approx(
+        0.0011
+    )
+    assert (
+        robot.residual_scale == 1.07
+        and robot.stamp_jitter_s == 2.6e-4
+        and robot.torque_disturbance == 1.1e-3
+    )
     assert robot.start_velocity == 4e-3
 
 
@@ -141,14 +171,21 @@ def test_a_robot_of_ones_own_is_extended_by_the_way_to_its_file(tmp_path: Path) 
     assert robot.name == "mine" and robot.drive_trains["joint3"].encoder_noise == 0.0007
 
 
-def test_what_the_user_states_replaces_one_number_and_keeps_the_others_correlations(written: Path) -> None:
-    robot = load_robot(written).with_overrides({"joints.joint3.drive_train.coulomb_N_m": {"value": 0.07, "std": 0.001}})
+def test_what_the_user_states_replaces_one_number_and_keeps_the_others_correlations(
+    written: Path,
+) -> None:
+    robot = load_robot(written).with_overrides(
+        {"joints.joint3.drive_train.coulomb_N_m": {"value": 0.07, "std": 0.001}}
+    )
     assert robot.drive_trains["joint3"].coulomb.value == 0.07
     assert robot.drive_trains["joint3"].torque_constant.value == pytest.approx(1.7123456789)
-    calibration, whole = robot.calibration, small()
+    calibration = robot.calibration
+    whole = small()
     assert calibration is not None and "coulomb[joint3]" not in calibration.names
     kept = [row for row, name in enumerate(whole.names) if name != "coulomb[joint3]"]
-    np.testing.assert_allclose(calibration.covariance, whole.covariance[np.ix_(kept, kept)], rtol=1e-9)
+    np.testing.assert_allclose(
+        calibration.covariance, whole.covariance[np.ix_(kept, kept)], rtol=1e-9
+    )
     assert load_robot(written).with_overrides({"delay_s": 0.003}).delay.value == 0.003
 
 
@@ -162,7 +199,9 @@ def renamed(name: str, other: str):
 
     def change(content) -> None:
         unknowns = content["calibration"]["unknowns"]
-        content["calibration"]["unknowns"] = {other if key == name else key: entry for key, entry in unknowns.items()}
+        content["calibration"]["unknowns"] = {
+            other if key == name else key: entry for key, entry in unknowns.items()
+        }
 
     return change
 
@@ -181,7 +220,10 @@ def triangle(below: str = "0", diagonal: str = "1") -> str:
         (lambda c: c["calibration"].pop("correlation"), "correlation is missing"),
         (lambda c: c["calibration"]["unknowns"]["arm_scale"].pop("std"), "arm_scale: std"),
         (lambda c: c["calibration"]["unknowns"]["arm_scale"].update(std=-1.0), "must be positive"),
-        (lambda c: c["calibration"]["unknowns"]["arm_scale"].update(value=float("nan")), "expected a finite number"),
+        (
+            lambda c: c["calibration"]["unknowns"]["arm_scale"].update(value=float("nan")),
+            "expected a finite number",
+        ),
         (lambda c: c["calibration"]["unknowns"].pop("arm_scale"), "lower triangle of 10 unknowns"),
         (lambda c: c["calibration"].update(correlation=triangle(below="x")), "line 2"),
         (lambda c: c["calibration"].update(correlation=triangle(diagonal="2")), "ones on its"),
@@ -189,16 +231,28 @@ def triangle(below: str = "0", diagonal: str = "1") -> str:
         (lambda c: c.update(calibration=[1, 2]), "expected keys and values"),
         (lambda c: c.update(model_fingerprint="0" * 64), "made with another URDF"),
         (lambda c: c["calibration"].update(residual_scale="much"), "residual_scale"),
-        (lambda c: c["calibration"].update(residual_scale=1e300), r"residual_scale: must be from 0.01 to 10"),
+        (
+            lambda c: c["calibration"].update(residual_scale=1e300),
+            r"residual_scale: must be from 0.01 to 10",
+        ),
         (lambda c: c["calibration"].update(residual_scale=10**400), "residual_scale: expected a"),
         (lambda c: c["calibration"].update(residual_scale=0), "residual_scale: must be positive"),
-        (lambda c: c["calibration"].update(stamp_jitter_s=-1e-4), "stamp_jitter_s: must not be negative"),
+        (
+            lambda c: c["calibration"].update(stamp_jitter_s=-1e-4),
+            "stamp_jitter_s: must not be negative",
+        ),
         (lambda c: c["calibration"].update(start_velocity_rad_s=1e9), "start_velocity_rad_s"),
-        (lambda c: c["calibration"].update(torque_disturbance_N_m=None), "torque_disturbance_N_m: expected a number"),
+        (
+            lambda c: c["calibration"].update(torque_disturbance_N_m=None),
+            "torque_disturbance_N_m: expected a number",
+        ),
         (of("arm_scale", value=0), r"arm_scale: value: must be positive"),
         (of("arm_scale", value=20), r"arm_scale: value: must be from 0.5 to 2"),
         (of("coulomb[joint3]", value=-0.04), r"coulomb\[joint3\]: value: must not be negative"),
-        (of("torque_constant[joint3]", value=-1.7), r"torque_constant\[joint3\]: value: must be positive"),
+        (
+            of("torque_constant[joint3]", value=-1.7),
+            r"torque_constant\[joint3\]: value: must be positive",
+        ),
         (of("torque_constant[joint3]", value=17.0), "over 5 times"),
         (of("torque_constant[joint3]", std=1e-300), r"std: must be from"),
         (of("link_mass[link5]", value=-0.41), "over 10 of the robot file's standard deviations"),
@@ -213,10 +267,19 @@ def triangle(below: str = "0", diagonal: str = "1") -> str:
         (renamed("coulomb[joint3]", "coulomb[joint2]"), r"coulomb\[joint3\] missing"),
         (lambda c: c.pop("model_fingerprint"), "model_fingerprint is missing"),
         (lambda c: c["calibration"].update(motors=[]), "motors is missing or no"),
-        (lambda c: c["calibration"].update(motors={"joint3": {"id": 13}}), "motors: joint3: expected model, id, firmware"),
+        (
+            lambda c: c["calibration"].update(motors={"joint3": {"id": 13}}),
+            "motors: joint3: expected model, id, firmware",
+        ),
         (lambda c: c["calibration"]["runs"].append("a bag"), "runs: 2: expected name, joint"),
-        (lambda c: c["calibration"]["runs"][0].update(samples="many"), "runs: 1: samples: expected a whole number"),
-        (lambda c: c.update(friction_velocity_rad_s=12), "friction_velocity_rad_s: must be above 0 and at most 0.01 rad/s"),
+        (
+            lambda c: c["calibration"]["runs"][0].update(samples="many"),
+            "runs: 1: samples: expected a whole number",
+        ),
+        (
+            lambda c: c.update(friction_velocity_rad_s=12),
+            "friction_velocity_rad_s: must be above 0 and at most 0.01 rad/s",
+        ),
     ],
 )
 def test_a_broken_file_is_refused_in_one_line(written: Path, change, words: str) -> None:
@@ -229,7 +292,8 @@ def test_a_calibration_of_joints_that_the_robot_does_not_drive(written: Path) ->
     def foreign(content) -> None:
         unknowns = content["calibration"]["unknowns"]
         content["calibration"]["unknowns"] = {
-            name.replace("torque_constant[joint3]", "torque_constant[elbow]"): entry for name, entry in unknowns.items()
+            name.replace("torque_constant[joint3]", "torque_constant[elbow]"): entry
+            for name, entry in unknowns.items()
         }
 
     with pytest.raises(RobotError, match="is of elbow, but open_manipulator_x drives"):
@@ -240,7 +304,9 @@ def test_fingers_have_no_zero_and_held_joints_nothing_else(tmp_path: Path) -> No
     """What `proprio calibrate` leaves out is not missed."""
     names = {"joint3": "gripper_left_joint", "link5": "link5"}
     whole = small().without({("zero", "joint3")})
-    keys = tuple(key if isinstance(key, str) else (key[0], names[str(key[1])]) for key in whole.keys)
+    keys = tuple(
+        key if isinstance(key, str) else (key[0], names[str(key[1])]) for key in whole.keys
+    )
     path = tmp_path / "fingers.yaml"
     write_calibration(path, load_robot("open_manipulator_x"), replace(whole, keys=keys))
     assert load_robot(path).calibration.joints == ("gripper_left_joint",)
@@ -263,7 +329,9 @@ def test_another_urdf_is_refused(tmp_path: Path) -> None:
 
 
 def test_calibration_and_robot_must_belong_together(written: Path) -> None:
-    assert robot_of(Options(robot="open_manipulator_x", calibration=written)).calibration is not None
+    assert (
+        robot_of(Options(robot="open_manipulator_x", calibration=written)).calibration is not None
+    )
     assert robot_of(Options(calibration=written)).calibration is not None
     with pytest.raises(RobotError, match="whose URDF is not that of --robot pendulum"):
         robot_of(Options(robot="pendulum", calibration=written))
@@ -274,23 +342,41 @@ def test_calibration_and_robot_must_belong_together(written: Path) -> None:
 
 
 @pytest.mark.long
-def test_from_bags_to_a_mass_by_the_command_line(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_bags_to_a_mass_by_the_command_line(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """What the README shows: sixteen runs, three with a reference, one file, one weighing."""
     path = tmp_path / "arm.yaml"
     empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]
-    weights = [f"{folder / 'bag_mcap'}=0.1" for folder in sorted(bags.glob("realistic_s00_fixed_reference_*"))]
+    weights = [
+        f"{folder / 'bag_mcap'}=0.1"
+        for folder in sorted(bags.glob("realistic_s00_fixed_reference_*"))
+    ]
     place = ["--set", "payload.shape=sphere", "--set", "payload.size=0.0272"]
-    assert main(["calibrate", *empty, "--reference", *weights, *place, "--output", str(path), "--json"]) == 0
+    assert (
+        main(
+            ["calibrate", *empty, "--reference", *weights, *place, "--output", str(path), "--json"]
+        )
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert told["verdict"] == "accepted" and told["runs"] == 19 and told["output"] == str(path)
-    assert {"unknowns", "noise", "fit", "held_out", "not_separated", "advice", "timing_s"} <= set(told)
-    assert len(told["held_out"]) == 19 and told["advice"][0]["start"].keys() >= {"joint2", "joint3", "joint4"}
+    assert {"unknowns", "noise", "fit", "held_out", "not_separated", "advice", "timing_s"} <= set(
+        told
+    )
+    assert len(told["held_out"]) == 19 and told["advice"][0]["start"].keys() >= {
+        "joint2",
+        "joint3",
+        "joint4",
+    }
     for name, mass in (
         ("light_ball_20g_joint3", 0.02), ("heavy_ball_50g_joint3", 0.05), ("heavy_cube_23g_joint3", 0.023),
         ("light_cube_10g_joint2", 0.01), ("light_cube_10g_joint3", 0.01),
     ):  # fmt: skip
         bag = str(bags / f"realistic_s00_fixed_{name}" / "bag_mcap")
-        assert main(["replay", bag, "--probe", "payload", "--calibration", str(path), "--json"]) == 0
+        assert (
+            main(["replay", bag, "--probe", "payload", "--calibration", str(path), "--json"]) == 0
+        )
         result = json.loads(capsys.readouterr().out)
         (value,) = result["estimates"]
         assert abs(value["value"] - mass) < 1.5e-3 and value["ci95"][0] <= mass <= value["ci95"][1]
@@ -304,9 +390,21 @@ def test_a_reference_that_was_stated_wrong_is_told(
 ) -> None:
     """All are 100 g."""
     empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]
-    weights = [f"{folder / 'bag_mcap'}={stated_kg}" for folder in sorted(bags.glob("realistic_s00_fixed_reference_*"))]
+    weights = [
+        f"{folder / 'bag_mcap'}={stated_kg}"
+        for folder in sorted(bags.glob("realistic_s00_fixed_reference_*"))
+    ]
     place = ["--set", "payload.shape=sphere", "--set", "payload.size=0.0272"]
-    words = ["calibrate", *empty, "--reference", *weights, *place, "--output", str(tmp_path / "arm.yaml"), "--json"]
+    words = [
+        "calibrate",
+        *empty,
+        "--reference",
+        *weights,
+        *place,
+        "--output",
+        str(tmp_path / "arm.yaml"),
+        "--json",
+    ]
     assert main(words) == 0
     told = json.loads(capsys.readouterr().out)
     assert any("your reference says that all motors are" in note for note in told["notes"])
@@ -317,22 +415,34 @@ def test_a_reference_that_was_stated_wrong_is_told(
         assert abs(less_g - 20.0) < 10.0 and "less than you stated: weigh it again" in about[0]
 
 
-def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(bags: Path, tmp_path: Path) -> None:
+def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(
+    bags: Path, tmp_path: Path
+) -> None:
     """A gripper that is not recorded, and the link in which objects are held; what a recording has is not replaced by it."""
     empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
-    finger, stated = "gripper_left_joint", {"held.gripper_left_joint": 0.01, "payload.frame": "link5"}
+    finger = "gripper_left_joint"
+    stated = {"held.gripper_left_joint": 0.01, "payload.frame": "link5"}
     path = tmp_path / "arm.yaml"
     calibrate_from_bags(empty[:4], {}, Options(settings=stated), path)
     request = request_of(Options(calibration=path))
     assert request.robot.payload_frame == "link5" and request.robot.held == {finger: 0.01}
-    assert request_of(Options(calibration=path, settings={"payload.frame": "link4"})).robot.payload_frame == "link4"
+    assert (
+        request_of(
+            Options(calibration=path, settings={"payload.frame": "link4"})
+        ).robot.payload_frame
+        == "link4"
+    )
     recording = bag_recording(empty[0], request)
     record = recording.joints
     (recorded,) = runs_or_motion(recording, request)
-    assert recorded.held[finger] == pytest.approx(record.position[:, record.column(finger)].mean(), abs=1e-3)
+    assert recorded.held[finger] == pytest.approx(
+        record.position[:, record.column(finger)].mean(), abs=1e-3
+    )
     others = [column for column, name in enumerate(record.names) if name != finger]
     names = tuple(record.names[column] for column in others)
-    without = replace(recording, joints=JointRecord(record.times_ns, names, record.position[:, others]))
+    without = replace(
+        recording, joints=JointRecord(record.times_ns, names, record.position[:, others])
+    )
     assert runs_or_motion(without, request)[0].held[finger] == 0.01
     now = replace(request, locked={finger: 0.005})
     assert runs_or_motion(without, now)[0].held[finger] == 0.005
@@ -349,7 +459,9 @@ def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(bags: 
 def test_the_same_numbers_from_the_same_bags(bags: Path) -> None:
     empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
     one, other = (calibrate_from_bags(empty, {}).calibration for _ in range(2))
-    assert np.array_equal(one.values, other.values) and np.array_equal(one.covariance, other.covariance)
+    assert np.array_equal(one.values, other.values) and np.array_equal(
+        one.covariance, other.covariance
+    )
 
 
 @pytest.mark.parametrize(
@@ -393,17 +505,28 @@ def test_an_older_file_stays_where_nothing_was_learnt(bags: Path, written: Path)
 @pytest.mark.long
 def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
     path = tmp_path / "arm.yaml"
-    calibrate_from_bags([f / "bag_mcap" for f in sorted(bags.glob("realistic_s00_empty_*")) if "04" not in f.name], {}, output=path)
+    calibrate_from_bags(
+        [f / "bag_mcap" for f in sorted(bags.glob("realistic_s00_empty_*")) if "04" not in f.name],
+        {},
+        output=path,
+    )
     bag = bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
     alone = replay([bag], Options(calibration=path))
     empty = bags / "realistic_s00_empty_04_joint3" / "bag_mcap"
     fine = replay([bag], Options(calibration=path, baseline=(empty,)))
     a, b = (estimate.value("payload_mass") for estimate in (alone, fine))
-    assert fine.verdict.value == "accepted" and abs(a.value - b.value) < a.std and b.std <= 1.02 * a.std
+    assert (
+        fine.verdict.value == "accepted"
+        and abs(a.value - b.value) < a.std
+        and b.std <= 1.02 * a.std
+    )
     loaded = bags / "realistic_s00_fixed_light_cube_10g_joint3" / "bag_mcap"
     drifted = replay([bag], Options(calibration=path, baseline=(loaded,)))
     assert drifted.verdict.value == "rejected" and drifted.value("payload_mass").value is None
-    assert drifted.reasons[0].startswith("drift: the empty hand now weighs +1") and "calibrate again" in drifted.reasons[0]
+    assert (
+        drifted.reasons[0].startswith("drift: the empty hand now weighs +1")
+        and "calibrate again" in drifted.reasons[0]
+    )
 
 
 def test_an_older_file_is_replaced_only_when_that_is_asked_for(
@@ -414,7 +537,8 @@ def test_an_older_file_is_replaced_only_when_that_is_asked_for(
     assert main(nowhere) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "the file exists; --force replaces it" in line and written.read_text() == before
-    assert main([*nowhere, "--force"]) == 2 and "no such bag" in capsys.readouterr().err  # then the work begins
+    # then the work begins
+    assert main([*nowhere, "--force"]) == 2 and "no such bag" in capsys.readouterr().err
     with pytest.raises(ConfigurationError, match="the file exists"):
         calibrate(["nowhere"], output=written)
     empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
@@ -422,20 +546,25 @@ def test_an_older_file_is_replaced_only_when_that_is_asked_for(
 
 
 @pytest.mark.long
-def test_what_it_weighs_is_said_first(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, page = tmp_path / "arm.yaml", tmp_path / "arm.html"
+def test_what_it_weighs_is_said_first(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "arm.yaml"
+    page = tmp_path / "arm.html"
     empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]
     assert main(["calibrate", *empty, "--output", str(path), "--report", str(page)]) == 0
     headline = capsys.readouterr().out.splitlines()[1].strip()
-    assert headline.startswith("weighs 20 g to +-1.") and headline.endswith("g (95 %) with joint3 and joint2")
+    assert headline.startswith("weighs 20 g to +-1.") and headline.endswith(
+        "g (95 %) with joint3 and joint2"
+    )
     assert headline in path.read_text().splitlines()[1] and headline in page.read_text()
     # as the bags say that were weighed with it: none is nearer than what the best runs promise together
     estimate = calibrate(empty).estimate
     assert estimate.weighable is not None and headline == estimate.weighable.sentence()
     assert estimate.as_json()["can_weigh"]["joints"] == ["joint3", "joint2"]
-    ball = replay([bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"], Options(calibration=path)).value(
-        "payload_mass"
-    )
+    ball = replay(
+        [bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"], Options(calibration=path)
+    ).value("payload_mass")
     assert 0.3 * ball.std < estimate.weighable.std_kg < 1.2 * ball.std
 
 
@@ -446,24 +575,43 @@ def test_runs_that_separate_nothing_give_no_file(bags: Path, tmp_path: Path) -> 
     lifts = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-2]_*"))]
     for given, code in (([ball], "one_run"), (lifts[:1], "one_run"), (lifts, "not_separated")):
         estimate = calibrate_from_bags(given, {}, output=path)
-        assert estimate.verdict.value == "not_identifiable" and estimate.reasons[0].code == code and not path.exists()
-        assert any("add a run in which it moves in the positive direction" in reason for reason in estimate.reasons)
-        assert {plan.joint for plan in estimate.advice} == {"joint3"} and min(p.travel[0] for p in estimate.advice) > 0.0
+        assert (
+            estimate.verdict.value == "not_identifiable"
+            and estimate.reasons[0].code == code
+            and not path.exists()
+        )
+        assert any(
+            "add a run in which it moves in the positive direction" in reason
+            for reason in estimate.reasons
+        )
+        assert {plan.joint for plan in estimate.advice} == {"joint3"} and min(
+            p.travel[0] for p in estimate.advice
+        ) > 0.0
 
 
 def test_a_joint_that_was_not_separated_stays_uncalibrated(bags: Path, tmp_path: Path) -> None:
     path = tmp_path / "arm.yaml"
     given = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-8]_*"))]
     estimate = calibrate_from_bags(given, {}, output=path)
-    assert estimate.verdict.value == "accepted" and "joint2 stays uncalibrated" in estimate.reasons[0]
-    assert load_robot(path).is_calibrated(["joint3"]) and not load_robot(path).is_calibrated(["joint2"])
-    shoulder = replay([bags / "realistic_s00_fixed_light_cube_10g_joint2" / "bag_mcap"], Options(calibration=path))
+    assert (
+        estimate.verdict.value == "accepted" and "joint2 stays uncalibrated" in estimate.reasons[0]
+    )
+    assert load_robot(path).is_calibrated(["joint3"]) and not load_robot(path).is_calibrated(
+        ["joint2"]
+    )
+    shoulder = replay(
+        [bags / "realistic_s00_fixed_light_cube_10g_joint2" / "bag_mcap"], Options(calibration=path)
+    )
     assert "not_calibrated" in [getattr(reason, "code", "") for reason in shoulder.reasons]
 
 
 def test_a_recording_is_either_empty_or_the_reference(bags: Path) -> None:
     bag = bags / "realistic_s00_empty_00_joint3" / "bag_mcap"
-    for paths, references in (([bag, bag], {}), ([bag], {bag: 0.1}), ([bag], {bag / ".." / "bag_mcap": 0.1})):
+    for paths, references in (
+        ([bag, bag], {}),
+        ([bag], {bag: 0.1}),
+        ([bag], {bag / ".." / "bag_mcap": 0.1}),
+    ):
         with pytest.raises(ConfigurationError, match=r"was given twice|are the same recording"):
             calibrate_from_bags(paths, references)
     with pytest.raises(ConfigurationError, match="given twice"):

@@ -20,7 +20,9 @@ PERIOD_S = 0.002
 class Joints:
     """Two coupled joints on which efforts act late, integrated in steps of 0.1 ms; a constant load pulls at both."""
 
-    def __init__(self, delay_s: float, count_rad: float = 0.0, load: tuple[float, float] = (0.0, 0.0)) -> None:
+    def __init__(
+        self, delay_s: float, count_rad: float = 0.0, load: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
         self.delay, self.time_s = Delay(2), 1.795e9
         self._late_s, self._count_rad, self._load = delay_s, count_rad, np.array(load)
         self._coming: deque[tuple[float, np.ndarray]] = deque()
@@ -29,7 +31,11 @@ class Joints:
 
     def run(self, seconds: float, effort: np.ndarray) -> None:
         for _ in range(round(seconds / PERIOD_S)):
-            read = self.position if not self._count_rad else np.rint(self.position / self._count_rad) * self._count_rad
+            read = (
+                self.position
+                if not self._count_rad
+                else np.rint(self.position / self._count_rad) * self._count_rad
+            )
             told = self.delay.observe(self.time_s, read.tolist(), INERTIA)
             if told is not None:
                 self.told.append(told)
@@ -39,7 +45,10 @@ class Joints:
                 self.time_s += PERIOD_S / 20
                 while self._coming and self._coming[0][0] <= self.time_s:
                     self._effort = self._coming.popleft()[1]
-                self._velocity = self._velocity + np.linalg.solve(INERTIA, self._effort + self._load) * PERIOD_S / 20
+                self._velocity = (
+                    self._velocity
+                    + np.linalg.solve(INERTIA, self._effort + self._load) * PERIOD_S / 20
+                )
                 self.position = self.position + self._velocity * PERIOD_S / 20
 
     def nudge(self, effort: np.ndarray) -> None:
@@ -78,7 +87,8 @@ def test_positions_are_carried_on_to_where_an_effort_that_is_sent_now_works() ->
     joints.nudge(np.array([4.0, 0.0]))
     joints.run(0.3, np.array([0.0, 0.0]))
     joints.run(0.03, np.array([2.0, -0.4]))
-    before, velocity = joints.position.copy(), joints._velocity.copy()
+    before = joints.position.copy()
+    velocity = joints._velocity.copy()
     ahead_s = joints.delay.assumed_s
     momentum, integral = joints.delay.coming()
     expected = before + velocity * ahead_s + np.linalg.solve(INERTIA, integral)
@@ -90,7 +100,8 @@ def test_positions_are_carried_on_to_where_an_effort_that_is_sent_now_works() ->
 
 
 def test_nudges_go_to_and_fro_begin_with_little_and_end() -> None:
-    nudge, step_s = Nudge(), 1e-3
+    nudge = Nudge()
+    step_s = 1e-3
     asked = [nudge.at(100.0 + step_s * step, 0.2) for step in range(4000)]
     assert sum(asked) * step_s == pytest.approx(0.0, abs=0.03 * NUDGE_RAISED**NUDGES)
     assert max(map(abs, asked[:200])) == NUDGE_RAD_S2
@@ -98,7 +109,11 @@ def test_nudges_go_to_and_fro_begin_with_little_and_end() -> None:
 
 
 def test_a_joint_that_moves_is_nudged_no_harder() -> None:
-    nudge, hardest, position, velocity, step_s = Nudge(), 0.0, 0.2, 0.0, 1e-3
+    nudge = Nudge()
+    hardest = 0.0
+    position = 0.2
+    velocity = 0.0
+    step_s = 1e-3
     for step in range(4000):
         acceleration = nudge.at(100.0 + step_s * step, position)
         hardest = max(hardest, abs(acceleration))
@@ -127,7 +142,10 @@ def test_what_hangs_in_the_hand_is_pushed_against_with_as_much_more() -> None:
     robot = load_robot("ur10e")
     empty, loaded = (first_sequence(robot, "payload", held_kg) for held_kg in (0.0, 5.0))
     assert len(empty.runs) == len(loaded.runs)
-    more = [abs(other.current_A) - abs(run.current_A) for run, other in zip(empty.runs, loaded.runs, strict=True)]
+    more = [
+        abs(other.current_A) - abs(run.current_A)
+        for run, other in zip(empty.runs, loaded.runs, strict=True)
+    ]
     assert max(more) > 0.1 * max(abs(run.current_A) for run in empty.runs)
 
 

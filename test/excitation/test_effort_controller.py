@@ -17,7 +17,9 @@ POSE = {"joint1": 0.0, "joint2": -0.6, "joint3": 0.4, "joint4": 0.2, GRIPPER: 0.
 TORQUE = {name: drive.nominal_effort_per_current for name, drive in ROBOT.drive_trains.items()}
 
 
-def held(unit: str = "N.m", joints: tuple[str, ...] = ORDER, rate_hz: float = 500.0) -> EffortController:
+def held(
+    unit: str = "N.m", joints: tuple[str, ...] = ORDER, rate_hz: float = 500.0
+) -> EffortController:
     controller = EffortController(ROBOT, joints, unit)
     for step in range(200):
         controller.observe(1.0 + step / rate_hz, {**POSE, "wheel": 3.0})
@@ -32,10 +34,12 @@ def push(joint: str, current_A: float) -> Command:
 
 @pytest.mark.parametrize("joint", ["joint3", GRIPPER])
 def test_a_push_has_the_effort_of_its_current_in_its_place(joint: str) -> None:
-    torque, current = held("N.m"), held("A")
+    torque = held("N.m")
+    current = held("A")
     for controller in (torque, current):
         controller.take(push(joint, -0.3))
-    by_torque, by_current = torque.commands(), current.commands()
+    by_torque = torque.commands()
+    by_current = current.commands()
     assert by_torque[ORDER.index(joint)] == pytest.approx(-0.3 * TORQUE[joint])
     assert by_current[ORDER.index(joint)] == pytest.approx(-0.3)
     for name, newton, ampere in zip(ORDER, by_torque, by_current, strict=True):
@@ -45,7 +49,12 @@ def test_a_push_has_the_effort_of_its_current_in_its_place(joint: str) -> None:
 
 def test_every_command_is_whole() -> None:
     controller = held()
-    for command in (Command(), Command(dict(POSE)), push("joint3", 0.1), Command({}, {"joint3": 0.1})):
+    for command in (
+        Command(),
+        Command(dict(POSE)),
+        push("joint3", 0.1),
+        Command({}, {"joint3": 0.1}),
+    ):
         controller.take(command)
         assert len(controller.commands()) == len(ORDER)
     assert len(controller.steady()) == len(controller.release()) == len(ORDER)
@@ -53,7 +62,9 @@ def test_every_command_is_whole() -> None:
 
 def test_the_record_says_what_pushes_and_nothing_else() -> None:
     controller = held("A")
-    assert controller.record == dict.fromkeys(ROBOT.drive_trains, 0.0), "as this package's driver says of held joints"
+    assert controller.record == dict.fromkeys(ROBOT.drive_trains, 0.0), (
+        "as this package's driver says of held joints"
+    )
     controller.take(push("joint3", -0.3))
     assert controller.record["joint3"] == pytest.approx(-0.3 * TORQUE["joint3"])
     assert sum(effort != 0.0 for effort in controller.record.values()) == 1
@@ -98,7 +109,9 @@ def test_before_the_first_sequence_and_after_release_nothing_is_held() -> None:
 def test_what_cannot_be_made_is_refused() -> None:
     arm = ("joint1", "joint2", "joint3", "joint4")
     grip = ExcitationSequence("grip", "any", (ExcitationRun(GRIPPER, 0.1, 0.5),))
-    with pytest.raises(ExcitationError, match=f"grip moves {GRIPPER}, which the effort controller does not have"):
+    with pytest.raises(
+        ExcitationError, match=f"grip moves {GRIPPER}, which the effort controller does not have"
+    ):
         held(joints=arm).check(grip)
     lift = ExcitationSequence("lift", "any", (ExcitationRun("joint3", 0.1, 0.5),))
     held(joints=arm).check(lift)
@@ -143,6 +156,8 @@ def test_commands_are_stamped_on_the_clock_of_the_joint_states_however_late_thes
     for step, late in enumerate(late_ms):
         clock.hear(10**12 + 2_000_000 * step, 2_000_000 * step + 1_000_000 * late)
     now_ns = 2_000_000 * 10
-    assert clock.at(now_ns) == pytest.approx(10**12 + now_ns - 1_000_000, abs=10_000), "as late as the least late"
+    assert clock.at(now_ns) == pytest.approx(10**12 + now_ns - 1_000_000, abs=10_000), (
+        "as late as the least late"
+    )
     clock.hear(5 * 10**12, now_ns)
     assert clock.at(now_ns) == 5 * 10**12, "a clock that was set"

@@ -22,7 +22,10 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     folder = tmp_path_factory.mktemp("arm")
     (folder / "foreign.urdf").write_text(urdf(), encoding="utf-8")
     path = folder / "foreign.yaml"
-    path.write_text(new_robot_file(str(folder / "foreign.urdf"), path, torque_recorded=True).text, encoding="utf-8")
+    path.write_text(
+        new_robot_file(str(folder / "foreign.urdf"), path, torque_recorded=True).text,
+        encoding="utf-8",
+    )
     return load_robot(path)
 
 
@@ -43,8 +46,11 @@ def test_pushes_begin_at_gravity_and_with_little_beside(robot: Robot, tmp_path: 
             assert 0.1 < beyond / -data.qfrc_bias[column] < 0.2
         else:
             rotor = robot.drive_trains[run.joint].armature.std
-            assert abs(beyond) <= 1.6 * (turned[column] + rotor)  # rad/s^2 at most, were there no friction
-            assert run.max_current_A == pytest.approx(0.9 * robot.model.joint(run.joint).effort_limit)
+            # rad/s^2 at most, were there no friction
+            assert abs(beyond) <= 1.6 * (turned[column] + rotor)
+            assert run.max_current_A == pytest.approx(
+                0.9 * robot.model.joint(run.joint).effort_limit
+            )
 
 
 @pytest.mark.parametrize("name", ["ur5e", "iiwa14", "panda", "vx300s", "so101"])
@@ -56,7 +62,10 @@ def test_ready_robots_without_sequences_have_some(name: str) -> None:
             for way in (-0.6, 0.6):
                 pose = {**zero_pose(robot), **run.start}
                 assert clearance(robot, {**pose, run.joint: pose[run.joint] + way}) > CLEARANCE_M
-    assert all(run.goal_step and not run.current_A for run in load_sequence("payload", load_robot("so101")).runs)
+    assert all(
+        run.goal_step and not run.current_A
+        for run in load_sequence("payload", load_robot("so101")).runs
+    )
 
 
 def test_both_ways_and_both_sides(robot: Robot) -> None:

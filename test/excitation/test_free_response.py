@@ -14,8 +14,19 @@ from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation import machine as machine_module
 from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.guards import Guards, free_swing
-from proprio_ros.excitation.machine import CAUGHT_RAD_S, LET_GO_S, LONGEST_CATCH_S, ExcitationMachine, Phase
-from proprio_ros.excitation.plans import LEAST_CURRENT_A, ExcitationRun, ExcitationSequence, load_sequence
+from proprio_ros.excitation.machine import (
+    CAUGHT_RAD_S,
+    LET_GO_S,
+    LONGEST_CATCH_S,
+    ExcitationMachine,
+    Phase,
+)
+from proprio_ros.excitation.plans import (
+    LEAST_CURRENT_A,
+    ExcitationRun,
+    ExcitationSequence,
+    load_sequence,
+)
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.recordings.runs import MOVING_SPAN, cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording
@@ -40,7 +51,9 @@ def swung(
     coulomb: float | None = LOOSE_N_M,
     guards: Guards | None = None,
     seed: int = 1,
-    meddle: Callable[[ExcitationMachine, JointSample], JointSample | None] = lambda machine, sample: sample,
+    meddle: Callable[
+        [ExcitationMachine, JointSample], JointSample | None
+    ] = lambda machine, sample: sample,
 ) -> tuple[ExcitationMachine, list[Tick], Hand]:
     """The machine at its end, and half a second more; the arm stands at the first start already."""
     hand = Hand(seed, None, coulomb)
@@ -57,8 +70,18 @@ def swung(
         assert not command.position.keys() & command.current_A.keys()
         assert command.position.keys() | command.current_A.keys() == set(JOINTS)
         assert bool(command.current_A) == (machine.phase in (Phase.PROBE, Phase.CATCH))
-        assert all(abs(current) <= ROBOT.motors[WRIST].current_limit_A for current in command.current_A.values())
-        ticks.append(Tick(machine.phase, command, sample, float(hand.arm.velocity_rad_s()[JOINTS.index(WRIST)])))
+        assert all(
+            abs(current) <= ROBOT.motors[WRIST].current_limit_A
+            for current in command.current_A.values()
+        )
+        ticks.append(
+            Tick(
+                machine.phase,
+                command,
+                sample,
+                float(hand.arm.velocity_rad_s()[JOINTS.index(WRIST)]),
+            )
+        )
         sample = hand.step(command)
     return machine, ticks, hand
 
@@ -83,24 +106,38 @@ def test_gravity_and_inertia_are_those_of_another_simulator() -> None:
     hand = Hand(1, None, 0.0)
     truth = hand.arm.truth
     joint = replace(truth.joints[WRIST], viscous=0.0, load_friction=0.0, stribeck=0.0)
-    hand.arm.truth = truth = replace(truth, joints={**truth.joints, WRIST: joint}, links={}, arm_scale=ROBOT.arm_scale.value)
+    hand.arm.truth = truth = replace(
+        truth, joints={**truth.joints, WRIST: joint}, links={}, arm_scale=ROBOT.arm_scale.value
+    )
     arm = type(hand.arm)(ROBOT, truth, position=SEQUENCE.runs[0].start, control_period_s=PERIOD_S)
     start = SEQUENCE.runs[0].start[WRIST]
-    swing = free_swing(ROBOT, WRIST, {name: arm.position()[name] for name in ROBOT.model.independent_joints})
+    swing = free_swing(
+        ROBOT, WRIST, {name: arm.position()[name] for name in ROBOT.model.independent_joints}
+    )
     row = JOINTS.index(WRIST)
     goals = arm.shaft_rad()
-    turned, fastest = start, 0.0
+    turned = start
+    fastest = 0.0
     for _ in range(2000):
-        current = np.clip(200.0 * (goals - arm.shaft_rad()) - 10.0 * arm.velocity_rad_s(), -20.0, 20.0)
+        current = np.clip(
+            200.0 * (goals - arm.shaft_rad()) - 10.0 * arm.velocity_rad_s(), -20.0, 20.0
+        )
         current[row] = 0.0
         arm.step(current)
-        turned, fastest = max(turned, arm.shaft_rad()[row]), max(fastest, arm.velocity_rad_s()[row])
+        turned = max(turned, arm.shaft_rad()[row])
+        fastest = max(fastest, arm.velocity_rad_s()[row])
     assert turned == pytest.approx(swing.way(start)[-1], abs=0.02)
     assert fastest == pytest.approx(swing.speed_at(swing.rest, start, joint.armature), rel=0.02)
 
 
 def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() -> None:
-    def refused(words: str, start: dict[str, float], joint: str = WRIST, guards: Guards | None = None, **more: float) -> None:
+    def refused(
+        words: str,
+        start: dict[str, float],
+        joint: str = WRIST,
+        guards: Guards | None = None,
+        **more: float,
+    ) -> None:
         run = ExcitationRun(joint, 0.0, 2.0, start)
         machine = ExcitationMachine(ROBOT, guards)
         with pytest.raises(ExcitationError, match=words):
@@ -108,10 +145,18 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
         assert machine.phase is Phase.IDLE and not machine.command.current_A
 
     high = {"joint2": 0.0, "joint3": 0.42}
-    refused(r"would hang at 2\.66 rad, outside -1\.65 \.\. 1\.92 ", {"joint2": -0.6, "joint3": -0.4, WRIST: 0.6})
+    refused(
+        r"would hang at 2\.66 rad, outside -1\.65 \.\. 1\.92 ",
+        {"joint2": -0.6, "joint3": -0.4, WRIST: 0.6},
+    )
     refused(r"may swing past .* start nearer to where it hangs", {**high, WRIST: 0.4})
-    refused(r"gravity pulls with 0\.0\d+ N m, and its friction is probably 0\.064 N m", {**high, WRIST: 1.0})
-    refused(r"would come .* cm above the base's plane", {**high, WRIST: 0.62}, min_clearance_m=0.029)
+    refused(
+        r"gravity pulls with 0\.0\d+ N m, and its friction is probably 0\.064 N m",
+        {**high, WRIST: 1.0},
+    )
+    refused(
+        r"would come .* cm above the base's plane", {**high, WRIST: 0.62}, min_clearance_m=0.029
+    )
     refused(r"may reach \d\.\d rad/s", {**high, WRIST: 0.62}, guards=Guards(max_velocity_rad_s=2.0))
     refused("gravity does not move joint1", high, "joint1")
 
@@ -119,7 +164,9 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
 def test_a_stronger_friction_that_is_known_is_refused_and_a_weaker_one_is_not() -> None:
     run = ExcitationRun(WRIST, 0.0, 2.0, {"joint2": 0.0, "joint3": 0.42, WRIST: 0.9})
     for coulomb, words in ((0.06, "friction is probably 0.06 N m"), (0.02, "")):
-        robot = ROBOT.with_overrides({f"joints.{WRIST}.drive_train.coulomb_N_m": {"value": coulomb, "std": 0.001}})
+        robot = ROBOT.with_overrides(
+            {f"joints.{WRIST}.drive_train.coulomb_N_m": {"value": coulomb, "std": 0.001}}
+        )
         machine = ExcitationMachine(robot)
         sequence = replace(ONCE, runs=(run,))
         if words:
@@ -134,11 +181,22 @@ def test_swings_and_pushes_are_sequences_of_their_own(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     swing = "{joint: joint4, current_A: 0, duration_s: 2.0}"
     for lines, words in (
-        ([swing, "{joint: joint4, current_A: -0.1, duration_s: 0.6}"], "run 1 swings freely .* make a sequence of each"),
-        (["{joint: joint4, current_A: 0, duration_s: 2.0, max_current_A: 0.1}"], "has no max_current_A"),
-        (["{joint: gripper_left_joint, current_A: 0, duration_s: 2.0}"], "gripper_left_joint slides"),
+        (
+            [swing, "{joint: joint4, current_A: -0.1, duration_s: 0.6}"],
+            "run 1 swings freely .* make a sequence of each",
+        ),
+        (
+            ["{joint: joint4, current_A: 0, duration_s: 2.0, max_current_A: 0.1}"],
+            "has no max_current_A",
+        ),
+        (
+            ["{joint: gripper_left_joint, current_A: 0, duration_s: 2.0}"],
+            "gripper_left_joint slides",
+        ),
     ):
-        path.write_text("excitation:\n  hand: any\n  runs:\n" + "".join(f"    - {line}\n" for line in lines))
+        path.write_text(
+            "excitation:\n  hand: any\n  runs:\n" + "".join(f"    - {line}\n" for line in lines)
+        )
         with pytest.raises(ConfigurationError, match=words):
             load_sequence(path, ROBOT)
 
@@ -148,9 +206,16 @@ def test_swings_and_pushes_are_sequences_of_their_own(tmp_path: Path) -> None:
 
 def test_a_swing_lets_go_with_next_to_nothing_and_all_others_are_held() -> None:
     machine, ticks, _ = swung()
-    assert machine.phase is Phase.DONE and machine.message == "free_swing is done: all 1 runs are good"
+    assert (
+        machine.phase is Phase.DONE and machine.message == "free_swing is done: all 1 runs are good"
+    )
     (outcome,) = machine.outcomes
-    assert outcome.ended_by == "time" and outcome.used and outcome.current_A == 0.0 and outcome.travel > 0.7, outcome
+    assert (
+        outcome.ended_by == "time"
+        and outcome.used
+        and outcome.current_A == 0.0
+        and outcome.travel > 0.7
+    ), outcome
     currents = [tick.command.current_A[WRIST] for tick in ticks if tick.phase is Phase.PROBE]
     opening = round(LET_GO_S * RATE_HZ)
     # against gravity: the driver lets go only of what it has driven
@@ -164,17 +229,22 @@ def test_a_swing_lets_go_with_next_to_nothing_and_all_others_are_held() -> None:
 LONG = pytest.mark.long
 
 
-@pytest.mark.parametrize("duration_s", [0.5, *(pytest.param(s, marks=LONG) for s in (0.35, 0.65, 0.8, 1.1))])
+@pytest.mark.parametrize(
+    "duration_s", [0.5, *(pytest.param(s, marks=LONG) for s in (0.35, 0.65, 0.8, 1.1))]
+)
 def test_a_joint_is_caught_without_a_jerk_wherever_it_is(duration_s: float) -> None:
     """In full fall, at the turn, on the way back: no torque jumps, and the position servo takes over a joint that stands."""
     machine, ticks, _ = swung(replace(ONCE, runs=(replace(ONCE.runs[0], duration_s=duration_s),)))
     assert machine.phase is Phase.DONE
     catch = [tick for tick in ticks if tick.phase is Phase.CATCH]
     after = ticks[ticks.index(catch[-1]) + 1]
-    assert 2 <= len(catch) <= LONGEST_CATCH_S * RATE_HZ and abs(after.true_rad_s) < 2.0 * CAUGHT_RAD_S
+    assert (
+        2 <= len(catch) <= LONGEST_CATCH_S * RATE_HZ and abs(after.true_rad_s) < 2.0 * CAUGHT_RAD_S
+    )
     assert abs(catch[0].command.current_A[WRIST]) < 1e-9
     speeds = [abs(tick.true_rad_s) for tick in catch]
-    assert max(speeds) < speeds[0] + 0.3  # gravity goes on for the one or two cycles that the catch takes to come
+    # gravity goes on for the one or two cycles that the catch takes to come
+    assert max(speeds) < speeds[0] + 0.3
     # held where it stopped, and it stays there
     end = after.command.position[WRIST]
     places = [tick.sample.position[WRIST] for tick in ticks[ticks.index(after) + 2 :]]
@@ -218,13 +288,17 @@ def test_a_guard_catches_the_joint_and_ends_the_sequence(
     assert max(tick.sample.position[WRIST] for tick in ticks) < limits.upper
 
 
-def test_a_joint_that_is_caught_too_late_is_held_at_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_joint_that_is_caught_too_late_is_held_at_its_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Nothing brakes it: the catch commands the current, and the motor gives none."""
     monkeypatch.setattr(machine_module, "check_free_response", lambda *_: None)
     monkeypatch.setattr("proprio_ros.excitation.machine.CATCH_TIME_S", 1e9)
     start = {"joint2": 0.0, "joint3": 0.42, WRIST: 0.1}
     run = replace(ONCE.runs[0], start=start)
-    machine, ticks, _ = swung(replace(ONCE, runs=(run,), approach_velocity=0.6), guards=Guards(limit_margin_rad=0.3))
+    machine, ticks, _ = swung(
+        replace(ONCE, runs=(run,), approach_velocity=0.6), guards=Guards(limit_margin_rad=0.3)
+    )
     assert machine.phase is Phase.ABORTED and machine.aborted_by == "limit"
     assert_held_at_last(machine, ticks)
 
@@ -241,7 +315,10 @@ def at(seconds: float, phase: Phase = Phase.PROBE) -> Callable[[ExcitationMachin
 
 
 @pytest.mark.parametrize("phase", [Phase.PROBE, Phase.CATCH])
-@pytest.mark.parametrize("mishap", ["abort", "jump", *(pytest.param(m, marks=LONG) for m in ("sample", "held joint", "clock"))])
+@pytest.mark.parametrize(
+    "mishap",
+    ["abort", "jump", *(pytest.param(m, marks=LONG) for m in ("sample", "held joint", "clock"))],
+)
 def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, phase: Phase) -> None:
     sequence = replace(ONCE, runs=(replace(ONCE.runs[0], duration_s=0.5),))
     due = at(0.4 if phase is Phase.PROBE else 0.05, phase)
@@ -256,8 +333,14 @@ def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, pha
             return sample
         if mishap == "clock":
             return replace(sample, time_s=sample.time_s - 1.0)
-        change = {"jump": (WRIST, 1.0), "sample": (WRIST, float("nan")), "held joint": ("joint3", 0.2)}[mishap]
-        return replace(sample, position={**sample.position, change[0]: sample.position[change[0]] + change[1]})
+        change = {
+            "jump": (WRIST, 1.0),
+            "sample": (WRIST, float("nan")),
+            "held joint": ("joint3", 0.2),
+        }[mishap]
+        return replace(
+            sample, position={**sample.position, change[0]: sample.position[change[0]] + change[1]}
+        )
 
     machine, ticks, _ = swung(sequence, meddle=meddle)
     assert done and machine.phase is Phase.ABORTED and machine.aborted_by == mishap
@@ -270,7 +353,8 @@ def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, pha
 
 @pytest.mark.long
 def test_a_lost_bus_in_a_swing_holds_it_and_it_is_made_again() -> None:
-    due, lost = at(0.4), [0]
+    due = at(0.4)
+    lost = [0]
 
     def meddle(machine: ExcitationMachine, sample: JointSample) -> JointSample | None:
         lost[0] += bool(lost[0]) or due(machine)
@@ -278,14 +362,18 @@ def test_a_lost_bus_in_a_swing_holds_it_and_it_is_made_again() -> None:
 
     machine, ticks, _ = swung(meddle=meddle)
     assert machine.phase is Phase.DONE
-    assert [(outcome.ended_by, outcome.used) for outcome in machine.outcomes] == [("stale", False), ("time", True)]
+    assert [(outcome.ended_by, outcome.used) for outcome in machine.outcomes] == [
+        ("stale", False),
+        ("time", True),
+    ]
     silent = next(tick for tick in ticks if tick.phase is Phase.BRAKE)
     assert not silent.command.current_A
     assert_held_at_last(machine, ticks)
 
 
 def test_a_bus_that_stays_away_ends_it_held() -> None:
-    due, lost = at(0.4), [0]
+    due = at(0.4)
+    lost = [0]
 
     def meddle(machine: ExcitationMachine, sample: JointSample) -> JointSample | None:
         lost[0] += bool(lost[0]) or due(machine)
@@ -298,13 +386,16 @@ def test_a_bus_that_stays_away_ends_it_held() -> None:
 
 
 def test_a_pause_while_it_is_caught_holds_it_and_costs_nothing() -> None:
-    due, lost = at(0.05, Phase.CATCH), [0]
+    due = at(0.05, Phase.CATCH)
+    lost = [0]
 
     def meddle(machine: ExcitationMachine, sample: JointSample) -> JointSample | None:
         lost[0] += bool(lost[0]) or due(machine)
         return None if 0 < lost[0] <= 8 else sample
 
-    machine, ticks, _ = swung(replace(ONCE, runs=(replace(ONCE.runs[0], duration_s=0.5),)), meddle=meddle)
+    machine, ticks, _ = swung(
+        replace(ONCE, runs=(replace(ONCE.runs[0], duration_s=0.5),)), meddle=meddle
+    )
     assert machine.phase is Phase.DONE and [outcome.used for outcome in machine.outcomes] == [True]
     assert_held_at_last(machine, ticks)
 
@@ -316,7 +407,9 @@ def recorded(ticks: list[Tick]) -> Recording:
     """What a recorder gets of our driver: joint states, what it drives them with, and when a joint is without torque."""
     stamps = np.array([round(1e9 * tick.sample.time_s) for tick in ticks])
     positions = np.array([[tick.sample.position[name] for name in JOINTS] for tick in ticks])
-    applied = np.array([[tick.command.current_A.get(name, 0.0) for name in JOINTS] for tick in ticks])
+    applied = np.array(
+        [[tick.command.current_A.get(name, 0.0) for name in JOINTS] for tick in ticks]
+    )
     off: list[tuple[int, int]] = []
     begin = None
     for stamp, tick in zip(stamps.tolist(), ticks, strict=True):
@@ -335,17 +428,23 @@ def test_what_lets_go_and_what_catches_are_no_probes() -> None:
     _, ticks, _ = swung(replace(ONCE, runs=(short,)))
     recording = recorded(ticks)
     caught = [tick.sample.position[WRIST] for tick in ticks if tick.phase is Phase.CATCH]
-    assert caught[0] + 2.0 * MOVING_SPAN < max(caught), "it is moved by a current while it is caught"
+    assert caught[0] + 2.0 * MOVING_SPAN < max(caught), (
+        "it is moved by a current while it is caught"
+    )
     runs = cut_runs(recording, joints=JOINTS)
     assert [(run.joint, run.free) for run in runs] == [(WRIST, True)]
     began = next(tick.sample for tick in ticks if tick.phase is Phase.PROBE)
     assert 0.09 < 1e-9 * runs[0].onset_ns - began.time_s < 0.16 and runs[0].duration_s < 0.5
     # without the word that torque is off, a zero current may as well be that of a joint that is held
-    assert not any(run.free for run in cut_runs(replace(recording, torque_off_ns=()), joints=JOINTS))
+    assert not any(
+        run.free for run in cut_runs(replace(recording, torque_off_ns=()), joints=JOINTS)
+    )
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [0, 2, 11], ids=["rises by 0.7 at rest", "falls by 0.14 rad", "search that stops early"])
+@pytest.mark.parametrize(
+    "seed", [0, 2, 11], ids=["rises by 0.7 at rest", "falls by 0.14 rad", "search that stops early"]
+)
 def test_swings_of_a_virtual_arm_tell_its_friction_and_its_rotor(seed: int) -> None:
     """The joint's friction rises towards standstill as the file does not say; nothing that is stated may be wrong for that.
 

@@ -23,7 +23,13 @@ from proprio_ros.virtual.truth import Truth
 ROBOT = load_robot("so101")
 JOINTS = tuple(ROBOT.drive_trains)
 ORDER = ("gripper", "elbow_flex", "shoulder_pan", "wrist_roll", "wrist_flex", "shoulder_lift")
-POSE = {**dict.fromkeys(JOINTS, 0.0), "shoulder_lift": -0.4, "elbow_flex": 0.2, "wrist_flex": 0.3, "gripper": 0.2}
+POSE = {
+    **dict.fromkeys(JOINTS, 0.0),
+    "shoulder_lift": -0.4,
+    "elbow_flex": 0.2,
+    "wrist_flex": 0.3,
+    "gripper": 0.2,
+}
 PUSH = ExcitationRun("elbow_flex", 0.0, 0.4, goal_step=-0.25)
 QUICK = ExcitationSequence("quick", "any", (PUSH,), settle_s=0.3, brake_s=0.2)
 
@@ -52,8 +58,15 @@ def test_goals_are_whole_in_the_controllers_order_and_ahead_by_what_gravity_take
     before = controller.commands()
     controller.take(stepped(-0.25))
     moved = np.subtract(controller.commands(), before)
-    np.testing.assert_allclose(moved, [-0.25 * (name == "elbow_flex") for name in ORDER], atol=1e-12)
-    for command in (Command(), Command(dict(POSE)), Command({"elbow_flex": math.nan}), Command({}, {"elbow_flex": 0.1})):
+    np.testing.assert_allclose(
+        moved, [-0.25 * (name == "elbow_flex") for name in ORDER], atol=1e-12
+    )
+    for command in (
+        Command(),
+        Command(dict(POSE)),
+        Command({"elbow_flex": math.nan}),
+        Command({}, {"elbow_flex": 0.1}),
+    ):
         controller.take(command)
         assert len(controller.commands()) == len(ORDER) and np.isfinite(controller.commands()).all()
 
@@ -80,7 +93,8 @@ def test_last_words_hold_a_pushed_joint_where_it_was_seen() -> None:
     assert {name: last[name] for name in ORDER if name != "elbow_flex"} == {
         name: still[name] for name in ORDER if name != "elbow_flex"
     }
-    assert controller.steady() == pytest.approx(list(last.values()), abs=0.01)  # gravity of the other place
+    # gravity of the other place
+    assert controller.steady() == pytest.approx(list(last.values()), abs=0.01)
     assert controller.release() == controller.steady()
 
 
@@ -121,29 +135,42 @@ def effort_controller() -> EffortController:
 
 
 @pytest.mark.parametrize("controller", [held, effort_controller])
-def test_nothing_is_pushed_after_an_encoder_has_slipped(controller: Callable[[], GoalController | EffortController]) -> None:
+def test_nothing_is_pushed_after_an_encoder_has_slipped(
+    controller: Callable[[], GoalController | EffortController],
+) -> None:
     """Whoever holds the arm follows what it reads; a sequence after it would push it elsewhere, and be weighed there."""
     made = controller()
-    sequence = QUICK if isinstance(made, GoalController) else replace(QUICK, runs=(ExcitationRun("elbow_flex", 0.2, 0.4),))
+    sequence = (
+        QUICK
+        if isinstance(made, GoalController)
+        else replace(QUICK, runs=(ExcitationRun("elbow_flex", 0.2, 0.4),))
+    )
     slipped = {**POSE, "wrist_flex": POSE["wrist_flex"] - 0.6}
     for time_s, position in ((1.0, POSE), (1.005, slipped), (1.01, POSE), (1.015, POSE)):
         made.observe(time_s, position)
     made.check(sequence)  # one wrong reading
     for step in range(100):
         made.observe(1.1 + 0.005 * step, slipped)
-    with pytest.raises(ExcitationError, match=r"the encoder of wrist_flex jumped by -0.60: .* call ~/release"):
+    with pytest.raises(
+        ExcitationError, match=r"the encoder of wrist_flex jumped by -0.60: .* call ~/release"
+    ):
         made.check(sequence)
     made.slipped.clear()  # as ~/release does
     made.check(sequence)
     made.observe(2.1, POSE)  # half a second later: somebody may have moved it there
     made.observe(1.0, slipped)  # the clock was set
-    made.observe(1.005, {**slipped, "shoulder_pan": POSE["shoulder_pan"] + math.tau - 0.01})  # its driver counts turns anew
+    # its driver counts turns anew
+    made.observe(1.005, {**slipped, "shoulder_pan": POSE["shoulder_pan"] + math.tau - 0.01})
     assert not made.slipped
 
 
 @pytest.mark.parametrize(
     ("joints", "words"),
-    [((), "state the position controller's `joints`"), (("joint9",), "does not drive"), (("gripper", "gripper"), "twice")],
+    [
+        ((), "state the position controller's `joints`"),
+        (("joint9",), "does not drive"),
+        (("gripper", "gripper"), "twice"),
+    ],
 )
 def test_a_controller_that_cannot_be_is_refused(joints: tuple[str, ...], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
@@ -158,7 +185,9 @@ def test_currents_are_for_others_and_goals_not_for_them() -> None:
     held().check(QUICK)
     arm = load_robot("open_manipulator_x")
     with pytest.raises(ExcitationError, match="an effort controller does not take"):
-        EffortController(arm, ["joint3"], "A").check(replace(QUICK, runs=(replace(PUSH, joint="joint3"),)))
+        EffortController(arm, ["joint3"], "A").check(
+            replace(QUICK, runs=(replace(PUSH, joint="joint3"),))
+        )
 
 
 # ---------------------------------------------------------------------------------------------------------- sequences
@@ -171,10 +200,15 @@ def test_currents_are_for_others_and_goals_not_for_them() -> None:
         ({"shake_A": 0.1}, "a goal_step and a current"),
         ({"goal_step": 15.0}, "it is in rad"),
         ({"start": {"elbow_flex": -1.5}}, "with goal_step: elbow_flex=-1.75 is outside"),
-        ({"start": {"shoulder_lift": -0.2, "elbow_flex": 0.5}, "goal_step": 0.6}, "with goal_step: the arm would be"),
+        (
+            {"start": {"shoulder_lift": -0.2, "elbow_flex": 0.5}, "goal_step": 0.6},
+            "with goal_step: the arm would be",
+        ),
     ],
 )
-def test_steps_that_no_servo_should_make_are_refused(tmp_path: Any, run: dict[str, Any], words: str) -> None:
+def test_steps_that_no_servo_should_make_are_refused(
+    tmp_path: Any, run: dict[str, Any], words: str
+) -> None:
     given = {"joint": "elbow_flex", "duration_s": 0.4, "goal_step": -0.25, **run}
     path = tmp_path / "steps.yaml"
     path.write_text(f"excitation: {{hand: any, min_clearance_m: 0.05, runs: [{given}]}}")
@@ -250,17 +284,29 @@ def test_a_step_pushes_and_at_its_end_the_joint_is_held_where_it_is() -> None:
     before = arm.driver.arm.position()["elbow_flex"]
     arm.until(Phase.BRAKE)
     seen = arm.machine.command.position["elbow_flex"]
-    assert seen == pytest.approx(arm.sample.position["elbow_flex"], abs=0.02) and seen < before - 0.1
+    assert (
+        seen == pytest.approx(arm.sample.position["elbow_flex"], abs=0.02) and seen < before - 0.1
+    )
     arm.until(Phase.DONE)
-    assert [(outcome.ended_by, outcome.used) for outcome in arm.machine.outcomes] == [("time", True)]
+    assert [(outcome.ended_by, outcome.used) for outcome in arm.machine.outcomes] == [
+        ("time", True)
+    ]
     arm.assert_held()
 
 
 @pytest.mark.long
 def test_travel_ends_a_step_and_one_that_moves_too_little_is_not_made_again() -> None:
-    arm = Arm(replace(QUICK, runs=(replace(PUSH, max_travel=0.1), replace(PUSH, goal_step=-0.02, min_travel=0.2))))
+    arm = Arm(
+        replace(
+            QUICK,
+            runs=(replace(PUSH, max_travel=0.1), replace(PUSH, goal_step=-0.02, min_travel=0.2)),
+        )
+    )
     arm.until(Phase.DONE)
-    assert [(outcome.ended_by, outcome.used) for outcome in arm.machine.outcomes] == [("travel", True), ("time", False)]
+    assert [(outcome.ended_by, outcome.used) for outcome in arm.machine.outcomes] == [
+        ("travel", True),
+        ("time", False),
+    ]
     assert "allow a larger goal_step" in arm.machine.message
 
 

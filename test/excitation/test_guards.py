@@ -35,7 +35,10 @@ def test_a_good_sample_may_be_started_from() -> None:
         (replace(sample(), time_s=math.nan), "time stamp nan"),
         (replace(sample(), position={"joint1": 0.0}), "lacks the position of joint2, joint3"),
         (sample(joint3=math.inf), "the position of joint3 is inf"),
-        (replace(sample(), velocity={**dict.fromkeys(POSE, 0.0), "joint4": math.nan}), "the velocity of joint4 is nan"),
+        (
+            replace(sample(), velocity={**dict.fromkeys(POSE, 0.0), "joint4": math.nan}),
+            "the velocity of joint4 is nan",
+        ),
     ],
 )
 def test_a_bad_sample_is_refused_with_what_is_wrong_with_it(bad: JointSample, words: str) -> None:
@@ -55,5 +58,7 @@ def test_a_step_of_the_goal_stays_inside_the_limits() -> None:
     run = ExcitationRun("joint3", 0.0, 0.6, goal_step=-0.2)
     check_step(run, POSE, SEQUENCE, WAYS, Guards(), "run 1")
     low = {**POSE, "joint3": ROBOT.model.joint("joint3").lower + 0.1}
-    with pytest.raises(ExcitationError, match=r"run 1: its goal would be .*; use a smaller goal_step"):
+    with pytest.raises(
+        ExcitationError, match=r"run 1: its goal would be .*; use a smaller goal_step"
+    ):
         check_step(run, low, SEQUENCE, WAYS, Guards(), "run 1")

@@ -26,10 +26,15 @@ SCALE = np.array([ROBOT.drive_trains[name].transmission for name in JOINTS])
 class HeldArm:
     """A virtual arm and what holds it, with one sample of delay between them."""
 
-    def __init__(self, rate_hz: float, *, seed: int = 0, coulomb: float = 0.01, sign: float = 1.0) -> None:
+    def __init__(
+        self, rate_hz: float, *, seed: int = 0, coulomb: float = 0.01, sign: float = 1.0
+    ) -> None:
         truth = Truth.draw(ROBOT, seed, links=True)
         # hardly any friction: it would hide a law that swings
-        joints = {n: replace(j, coulomb=coulomb, viscous=0.0, load_friction=0.0) for n, j in truth.joints.items()}
+        joints = {
+            n: replace(j, coulomb=coulomb, viscous=0.0, load_friction=0.0)
+            for n, j in truth.joints.items()
+        }
         self.driver = EffortDriver(ROBOT, replace(truth, joints=joints), seed=seed)
         self.hold = Hold(ROBOT, JOINTS)
         self.rate_hz, self.sign, self.time_s = rate_hz, sign, 10.0
@@ -41,7 +46,12 @@ class HeldArm:
         position, _, _ = self.driver.states()
         return dict(zip(self.driver.broadcast, position, strict=True))
 
-    def run(self, seconds: float, velocity: dict[str, float] | None = None, pushed: dict[str, float] | None = None) -> FloatArray:
+    def run(
+        self,
+        seconds: float,
+        velocity: dict[str, float] | None = None,
+        pushed: dict[str, float] | None = None,
+    ) -> FloatArray:
         """Departures from the goals, all of them as angles of the motors [rad], shape (T, J)."""
         rows = []
         for _ in range(round(seconds * self.rate_hz)):
@@ -58,14 +68,18 @@ class HeldArm:
             if len(self.waiting) > 1:
                 efforts = self.waiting.popleft()
                 self.efforts.append([efforts[name] for name in JOINTS])
-                assert self.driver.command(self.time_s, [self.sign * effort for effort in self.efforts[-1]])
+                assert self.driver.command(
+                    self.time_s, [self.sign * effort for effort in self.efforts[-1]]
+                )
             true = self.driver.arm.position()
             rows.append([true[name] - self.goal[name] for name in JOINTS])
         return np.array(rows) / SCALE
 
 
 @pytest.mark.parametrize(("rate_hz", "sag_rad"), [(500.0, 0.08), (100.0, 0.15)])
-def test_a_load_that_nobody_announced_is_taken_up_without_swinging(rate_hz: float, sag_rad: float) -> None:
+def test_a_load_that_nobody_announced_is_taken_up_without_swinging(
+    rate_hz: float, sag_rad: float
+) -> None:
     arm = HeldArm(rate_hz)
     free = arm.run(0.6)
     assert np.abs(free).max() < 0.03
@@ -95,7 +109,9 @@ def test_efforts_of_the_wrong_sign_end_in_zeros() -> None:
     assert arm.hold.steady() == dict.fromkeys(JOINTS, 0.0)
 
 
-def rest(hold: Hold, position: dict[str, float], seconds: float = 0.2, time_s: float = 1.0) -> float:
+def rest(
+    hold: Hold, position: dict[str, float], seconds: float = 0.2, time_s: float = 1.0
+) -> float:
     for _ in range(round(seconds * 500)):
         time_s += 0.002
         hold.observe(time_s, position)
@@ -111,7 +127,8 @@ def test_nothing_exceeds_the_motors_limits() -> None:
     efforts = hold.efforts({"joint1": 99.0})
     assert set(efforts) == {*JOINTS}
     for name, effort in efforts.items():
-        motor, drive = ROBOT.motors[name], ROBOT.drive_trains[name]
+        motor = ROBOT.motors[name]
+        drive = ROBOT.drive_trains[name]
         assert abs(effort) <= motor.current_limit_A * abs(drive.nominal_effort_per_current) + 1e-12
     assert efforts["joint1"] == hold.largest["joint1"]
 
@@ -157,9 +174,12 @@ def test_what_is_no_number_is_passed_over_and_a_far_joint_is_lost() -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay_s", "after_s", "lost"), [(0.004, 0.8, False), (0.004, 1.3, True), (0.075, 3.0, False), (0.075, 6.0, True)]
+    ("delay_s", "after_s", "lost"),
+    [(0.004, 0.8, False), (0.004, 1.3, True), (0.075, 3.0, False), (0.075, 6.0, True)],
 )
-def test_a_joint_that_was_pushed_has_as_long_to_come_back_as_its_hold_is_soft(delay_s: float, after_s: float, lost: bool) -> None:
+def test_a_joint_that_was_pushed_has_as_long_to_come_back_as_its_hold_is_soft(
+    delay_s: float, after_s: float, lost: bool
+) -> None:
     hold = Hold(ROBOT, JOINTS)
     hold.delay.delay_s = delay_s
     here = dict.fromkeys(JOINTS, 0.0)
@@ -257,7 +277,8 @@ def test_a_heavy_hand_is_braked_after_a_push() -> None:
     arm.run(1.0)
     arm.driver.hold(Payload(0.15))
     arm.run(1.5)
-    start, column = arm.reading()["joint2"], JOINTS.index("joint2")
+    start = arm.reading()["joint2"]
+    column = JOINTS.index("joint2")
     while abs(arm.reading()["joint2"] - start) < 0.6:
         arm.run(0.02, pushed={"joint2": -0.7})
     assert abs(arm.driver.arm.velocity_rad_s()[column]) > 3.0
@@ -287,7 +308,11 @@ def test_a_joint_that_is_lost_after_a_pause_says_how_long_it_was(pause_s: float,
     for number in range(1, 6):  # 20 rad/s
         hold.observe(time_s + 0.002 * number, {**here, "joint2": 0.04 * number})
     assert not any(hold.efforts({}).values())
-    assert "joint2 moves at" in hold.lost and said in hold.lost and ("paused" in hold.lost) == bool(said)
+    assert (
+        "joint2 moves at" in hold.lost
+        and said in hold.lost
+        and ("paused" in hold.lost) == bool(said)
+    )
     # a second later it is not the pause
     late = Hold(ROBOT, JOINTS)
     time_s = rest(late, here) + 0.09

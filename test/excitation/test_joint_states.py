@@ -32,7 +32,11 @@ def test_a_position_that_is_no_number_is_passed_on() -> None:
     states = JointStates(ARM, 0.1)
     states.add(0.0, ARM, [0.0, 0.0, 0.0])
     sample = states.add(0.05, ARM, [math.nan, 0.0, 0.0])
-    assert sample is not None and math.isnan(sample.position["joint1"]) and sample.velocity["joint1"] == 0.0
+    assert (
+        sample is not None
+        and math.isnan(sample.position["joint1"])
+        and sample.velocity["joint1"] == 0.0
+    )
 
 
 def test_other_joints_on_the_topic_change_nothing() -> None:
@@ -46,7 +50,9 @@ def test_other_joints_on_the_topic_change_nothing() -> None:
 def test_arm_and_gripper_from_two_publishers() -> None:
     states = JointStates(ARM, 0.1)
     alone = states.add(0.0, ["joint1", "joint2"], [0.1, 0.2], [0.0, 0.0])
-    assert alone is not None and "gripper" not in alone.position, "the machine says which joint is missing"
+    assert alone is not None and "gripper" not in alone.position, (
+        "the machine says which joint is missing"
+    )
     states.add(0.05, ["gripper"], [0.01], [0.0])
     both = states.add(0.06, ["joint1", "joint2"], [0.3, 0.4], [0.0, 0.0])
     assert both is not None and both.time_s == 0.06

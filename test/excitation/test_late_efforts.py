@@ -34,7 +34,12 @@ STEP_S = 1e-3
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     folder = tmp_path_factory.mktemp("foreign")
     path = folder / "foreign.yaml"
-    assert proprio(["robot", "new", str(write_urdf(folder)), "--output", str(path), "--effort-unit", "N.m"]) == 0
+    assert (
+        proprio(
+            ["robot", "new", str(write_urdf(folder)), "--output", str(path), "--effort-unit", "N.m"]
+        )
+        == 0
+    )
     return load_robot(Path(path))
 
 
@@ -42,11 +47,21 @@ class Desk:
     """The arm, its computer, the state machine and the controller, a millisecond at a time; ``period_s``: of joint states."""
 
     def __init__(self, robot: Robot, seed: int, busy: Busy, period_s: float = 2e-3) -> None:
-        self.robot, self.arm, self.time_s, self.period_s = robot, ForeignArm(seed, busy=busy), 10.0, period_s
+        self.robot, self.arm, self.time_s, self.period_s = (
+            robot,
+            ForeignArm(seed, busy=busy),
+            10.0,
+            period_s,
+        )
         guards = Guards()
-        self.machine = ExcitationMachine(robot, replace(guards, patience_s=3.0 * guards.stale_after_s))
+        self.machine = ExcitationMachine(
+            robot, replace(guards, patience_s=3.0 * guards.stale_after_s)
+        )
         self.controller = EffortController(robot, ORDER, "N.m")
-        self._states, self._next_s = JointStates(self.machine.joints, guards.stale_after_s), self.time_s
+        self._states, self._next_s = (
+            JointStates(self.machine.joints, guards.stale_after_s),
+            self.time_s,
+        )
         self._sample: JointSample | None = None
         self._sent: list[float] | None = None
         self._heard: list[tuple[int, list[float]]] = []
@@ -56,10 +71,18 @@ class Desk:
         """The pushes since this was asked last."""
         stamps, places = zip(*self._heard, strict=True)
         times = np.array(sorted(self._drives))
-        drives = InputRecord(times, JOINTS, np.array([self._drives[time] for time in times.tolist()]), "/applied_effort")
+        drives = InputRecord(
+            times,
+            JOINTS,
+            np.array([self._drives[time] for time in times.tolist()]),
+            "/applied_effort",
+        )
         self._heard.clear()
         self._drives.clear()
-        return cut_runs(Recording("late", JointRecord(np.array(stamps), BROADCAST, np.array(places)), drives), joints=list(JOINTS))
+        return cut_runs(
+            Recording("late", JointRecord(np.array(stamps), BROADCAST, np.array(places)), drives),
+            joints=list(JOINTS),
+        )
 
     def run(self, seconds: float = math.inf) -> None:
         """For so long, or until a sequence ends."""
@@ -69,7 +92,10 @@ class Desk:
             if self._sent is not None and self.arm.stalled(self.time_s, "commands") <= self.time_s:
                 self.arm.command(self.time_s, self._sent)
                 self._sent = None
-            if self.time_s >= self._next_s and self.arm.stalled(self.time_s, "states") <= self.time_s:
+            if (
+                self.time_s >= self._next_s
+                and self.arm.stalled(self.time_s, "states") <= self.time_s
+            ):
                 self._next_s = self.time_s + self.period_s
                 self._hear()
 
@@ -85,7 +111,9 @@ class Desk:
         record = self.controller.record
         drives = [record.get(joint, 0.0) for joint in JOINTS]
         if not self._drives or drives != list(self._drives.values())[-1]:
-            self._drives[round(1e9 * (self.time_s + self.period_s + self.controller.late_s))] = drives
+            self._drives[round(1e9 * (self.time_s + self.period_s + self.controller.late_s))] = (
+                drives
+            )
         if self.controller.holding:
             self._sent = self.controller.commands()
             if self.controller.lost:
@@ -101,7 +129,9 @@ class Desk:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("delay_s", "load_kg", "period_s"), [(0.05, 0.5, 2e-3), (0.075, 1.0, 4e-3)])
+@pytest.mark.parametrize(
+    ("delay_s", "load_kg", "period_s"), [(0.05, 0.5, 2e-3), (0.075, 1.0, 4e-3)]
+)
 def test_an_arm_whose_efforts_come_late_makes_its_first_pushes_and_is_learnt(
     robot: Robot, delay_s: float, load_kg: float, period_s: float
 ) -> None:

@@ -30,9 +30,12 @@ ROBOT = load_robot("open_manipulator_x")
 JOINTS = tuple(ROBOT.drive_trains)
 GRIPPER = "gripper_left_joint"
 FINGER = 0.01149  # m per rad of its motor
-COUNT_RAD, VELOCITY_COUNT_RAD_S = 0.001534, 0.024
+COUNT_RAD = 0.001534
+VELOCITY_COUNT_RAD_S = 0.024
 HOME = {"joint1": 0.2, "joint2": -0.8, "joint3": 0.4, "joint4": 0.3, GRIPPER: 0.004}
-QUICK = ExcitationSequence("quick", "any", (ExcitationRun("joint3", -0.3, 0.6),), settle_s=0.3, brake_s=0.1)
+QUICK = ExcitationSequence(
+    "quick", "any", (ExcitationRun("joint3", -0.3, 0.6),), settle_s=0.3, brake_s=0.1
+)
 
 
 # ------------------------------------------------------------------------------------------------------------ an arm
@@ -45,9 +48,20 @@ class Arm:
     """
 
     STEP_S = 0.001
-    INERTIA: ClassVar = {"joint1": 0.03, "joint2": 0.04, "joint3": 0.03, "joint4": 0.02, GRIPPER: 0.02}
-    CONSTANT, FRICTION, STIFFNESS, DAMPING = 1.78, 0.05, 40.0, 1.5
-    SUPPLY_V, BACK_EMF_V_S, RESISTANCE_OHM = 12.0, 2.49, 5.22
+    INERTIA: ClassVar = {
+        "joint1": 0.03,
+        "joint2": 0.04,
+        "joint3": 0.03,
+        "joint4": 0.02,
+        GRIPPER: 0.02,
+    }
+    CONSTANT = 1.78
+    FRICTION = 0.05
+    STIFFNESS = 40.0
+    DAMPING = 1.5
+    SUPPLY_V = 12.0
+    BACK_EMF_V_S = 2.49
+    RESISTANCE_OHM = 5.22
 
     def __init__(self, pose: dict[str, float], friction: float = FRICTION) -> None:
         self.q = {name: pose[name] / (FINGER if name == GRIPPER else 1.0) for name in JOINTS}
@@ -61,14 +75,19 @@ class Arm:
         forearm = self.q["joint2"] + self.q["joint3"]
         hand = 0.137 * math.cos(forearm + self.q["joint4"])
         elbow = 0.37 * math.cos(forearm) + hand
-        return {"joint2": 0.095 + 0.55 * math.sin(self.q["joint2"]) + elbow, "joint3": elbow, "joint4": hand}
+        return {
+            "joint2": 0.095 + 0.55 * math.sin(self.q["joint2"]) + elbow,
+            "joint3": elbow,
+            "joint4": hand,
+        }
 
     def step(self, command: Command, duration_s: float) -> JointSample:
         goals, self.waiting = self.waiting, command
         for _ in range(round(duration_s / self.STEP_S)):
             weight = self.weight()
             for name in JOINTS:
-                q, v = self.q[name], self.v[name]
+                q = self.q[name]
+                v = self.v[name]
                 if name in goals.current_A:
                     induced_V = self.BACK_EMF_V_S * v
                     most = (self.SUPPLY_V - induced_V) / self.RESISTANCE_OHM
@@ -89,7 +108,12 @@ class Arm:
         return JointSample(
             self.time_s,
             {name: scale[name] * COUNT_RAD * round(self.q[name] / COUNT_RAD) for name in JOINTS},
-            {name: scale[name] * VELOCITY_COUNT_RAD_S * round(self.v[name] / VELOCITY_COUNT_RAD_S) for name in JOINTS},
+            {
+                name: scale[name]
+                * VELOCITY_COUNT_RAD_S
+                * round(self.v[name] / VELOCITY_COUNT_RAD_S)
+                for name in JOINTS
+            },
         )
 
 
@@ -114,7 +138,12 @@ def check_command(machine: ExcitationMachine, command: Command, phase: Phase) ->
         assert abs(current) <= most_A <= ROBOT.motors[joint].current_limit_A
 
 
-def drive(machine: ExcitationMachine, arm: Arm, rate_hz: float, meddle: Callable[[Arm], None] = lambda _: None) -> list[Tick]:
+def drive(
+    machine: ExcitationMachine,
+    arm: Arm,
+    rate_hz: float,
+    meddle: Callable[[Arm], None] = lambda _: None,
+) -> list[Tick]:
     """Tick until the machine is done."""
     ticks = []
     sample = arm.sample()
@@ -134,7 +163,8 @@ def drive(machine: ExcitationMachine, arm: Arm, rate_hz: float, meddle: Callable
 @pytest.mark.parametrize("rate_hz", [100.0, 40.0])
 def test_a_calibrations_runs(rate_hz: float) -> None:
     sequence = replace(load_sequence("empty_hand", ROBOT), home=HOME)
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     machine.start(sequence, arm.sample())
     ticks = drive(machine, arm, rate_hz)
     assert machine.phase is Phase.DONE and not machine.abort_reason, machine.message
@@ -144,12 +174,17 @@ def test_a_calibrations_runs(rate_hz: float) -> None:
         run = sequence.runs[outcome.run_number - 1]
         shaft = ROBOT.drive_trains[run.joint].transmission
         assert run.min_travel <= outcome.travel <= run.max_travel + 6.0 * shaft / rate_hz
-        assert outcome.ended_by in ("time", "travel") and outcome.duration_s <= run.duration_s + 1.0 / rate_hz
+        assert (
+            outcome.ended_by in ("time", "travel")
+            and outcome.duration_s <= run.duration_s + 1.0 / rate_hz
+        )
     assert {outcome.ended_by for outcome in used} == {"time", "travel"}
     fractions = [tick.fraction for tick in ticks]
     assert fractions == sorted(fractions) and fractions[0] < 0.01 and fractions[-1] == 1.0
     # at home, but for what the servos give under the arm's weight
-    assert all(arm.sample().position[name] == pytest.approx(HOME[name], abs=0.05) for name in JOINTS)
+    assert all(
+        arm.sample().position[name] == pytest.approx(HOME[name], abs=0.05) for name in JOINTS
+    )
     assert machine.tick(arm.time_s + 100.0, None) == Command(ticks[-1].command.position)
     assert machine.message == "empty_hand is done: all 16 runs are good"
 
@@ -157,7 +192,8 @@ def test_a_calibrations_runs(rate_hz: float) -> None:
 @pytest.mark.parametrize("rate_hz", [100.0, 40.0])
 def test_goals_begin_at_the_measured_pose_and_keep_the_speed(rate_hz: float) -> None:
     sequence = replace(load_sequence("payload", ROBOT), home={**HOME, GRIPPER: 0.012})
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     measured = arm.sample()
     machine.start(sequence, measured)
     assert machine.command == Command(dict(measured.position))
@@ -168,7 +204,9 @@ def test_goals_begin_at_the_measured_pose_and_keep_the_speed(rate_hz: float) -> 
     for before, after in itertools.pairwise(ticks):
         for name, goal in after.command.position.items():
             if name in before.command.position:
-                moved = abs(goal - before.command.position[name]) / (FINGER if name == GRIPPER else 1.0)
+                moved = abs(goal - before.command.position[name]) / (
+                    FINGER if name == GRIPPER else 1.0
+                )
                 fastest = max(fastest, moved * rate_hz)
                 assert moved * rate_hz <= sequence.approach_velocity * (1.0 + 1e-6)
         if before.phase is Phase.PROBE and after.phase is not Phase.PROBE:
@@ -180,7 +218,8 @@ def test_goals_begin_at_the_measured_pose_and_keep_the_speed(rate_hz: float) -> 
 
 def test_the_rest_before_a_run_is_as_long_as_stated_and_truly_a_rest() -> None:
     sequence = replace(load_sequence("paper_elbow", ROBOT), settle_s=1.2)
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME, friction=0.1)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME, friction=0.1)
     machine.start(sequence, arm.sample())
     ticks = drive(machine, arm, 40.0)
     phases = [tick.phase for tick in ticks]
@@ -190,7 +229,9 @@ def test_the_rest_before_a_run_is_as_long_as_stated_and_truly_a_rest() -> None:
     assert phases.count(Phase.PROBE) == 24
     assert {tick.command.current_A["joint3"] for tick in ticks[onset : onset + 24]} == {-0.3}
     # other joints keep the goals they had, not where they were seen
-    held = {name: goal for name, goal in ticks[onset - 1].command.position.items() if name != "joint3"}
+    held = {
+        name: goal for name, goal in ticks[onset - 1].command.position.items() if name != "joint3"
+    }
     assert all(tick.command.position == held for tick in ticks[onset : onset + 24])
 
 
@@ -203,8 +244,10 @@ def test_a_run_ends_at_the_nearest_tick(tick_s: float) -> None:
 
 
 def test_a_run_that_moves_too_little_is_made_with_more_current_until_it_moves() -> None:
-    run = ExcitationRun("joint4", -0.05, 0.6, {}, 0.8, 0.3, 1.5, 0.3)  # begins, and begins again, where the joint is
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME, friction=0.03)
+    # begins, and begins again, where the joint is
+    run = ExcitationRun("joint4", -0.05, 0.6, {}, 0.8, 0.3, 1.5, 0.3)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME, friction=0.03)
     machine.start(replace(QUICK, runs=(run,)), arm.sample())
     ticks = drive(machine, arm, 100.0)
     tried = [outcome.current_A for outcome in machine.outcomes]
@@ -223,19 +266,26 @@ def test_a_run_that_moves_too_little_is_made_with_more_current_until_it_moves() 
 
 def test_raising_ends_at_the_largest_current_and_says_so() -> None:
     stuck = ExcitationRun("joint4", -0.05, 0.2, {"joint4": 0.0}, 0.8, 0.3, 1.5, 0.1)
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME, friction=0.8)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME, friction=0.8)
     machine.start(replace(QUICK, runs=(stuck, ExcitationRun("joint1", 0.55, 0.3))), arm.sample())
     drive(machine, arm, 100.0)
     assert machine.phase is Phase.DONE
     first = [outcome for outcome in machine.outcomes if outcome.run_number == 1]
     assert [outcome.current_A for outcome in first] == pytest.approx([-0.05, -0.075, -0.1])
-    assert not any(outcome.used for outcome in first) and (machine.outcomes[-1].run_number, machine.outcomes[-1].attempt) == (2, 1)
+    assert not any(outcome.used for outcome in first) and (
+        machine.outcomes[-1].run_number,
+        machine.outcomes[-1].attempt,
+    ) == (2, 1)
     assert "1 of 2 runs are good; run 1 moved too little" in machine.message
 
 
 def test_a_lowering_run_is_eased() -> None:
-    held = ExcitationRun("joint4", -0.08, 0.6, {"joint3": 0.0, "joint2": -0.3, "joint4": 0.3}, 0.8, 0.15, 0.5)
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    held = ExcitationRun(
+        "joint4", -0.08, 0.6, {"joint3": 0.0, "joint2": -0.3, "joint4": 0.3}, 0.8, 0.15, 0.5
+    )
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     machine.start(replace(QUICK, runs=(held,)), arm.sample())
     drive(machine, arm, 100.0)
     tried = [outcome.current_A for outcome in machine.outcomes]
@@ -249,15 +299,21 @@ SHAKE = ExcitationRun("joint4", -0.08, 0.6, {}, 0.9, 0.0, 0.5, None, 0.12, 0.2)
 def waves(ticks: list[Tick]) -> list[list[float]]:
     """The currents of joint4, attempt by attempt."""
     stretches = itertools.groupby(ticks, key=lambda tick: tick.phase is Phase.PROBE)
-    return [[tick.command.current_A["joint4"] for tick in group] for pushing, group in stretches if pushing]
+    return [
+        [tick.command.current_A["joint4"] for tick in group]
+        for pushing, group in stretches
+        if pushing
+    ]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_shaken_joint_gets_a_square_wave_that_begins_with_its_first_half(sign: float) -> None:
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     machine.start(replace(QUICK, runs=(replace(SHAKE, shake_A=sign * 0.12),)), arm.sample())
     ticks = drive(machine, arm, 40.0)
-    high, low = [-0.08 + sign * 0.12] * 4, [-0.08 - sign * 0.12] * 4
+    high = [-0.08 + sign * 0.12] * 4
+    low = [-0.08 - sign * 0.12] * 4
     assert waves(ticks) == [pytest.approx((high + low) * 3)]
     assert [(outcome.current_A, outcome.used) for outcome in machine.outcomes] == [(-0.08, True)]
     shaking = bench(Phase.PROBE, machine.sequence).machine
@@ -275,20 +331,29 @@ def test_halves_of_a_wave_are_equal_although_ticks_are_not() -> None:
 
 
 def test_a_pause_before_the_onset_is_no_part_of_the_wave() -> None:
-    ready = bench(Phase.SETTLE, replace(QUICK, runs=(replace(SHAKE, shake_period_s=0.08),), settle_s=1.0))
+    ready = bench(
+        Phase.SETTLE, replace(QUICK, runs=(replace(SHAKE, shake_period_s=0.08),), settle_s=1.0)
+    )
     for _ in range(95):
         ready.tick()
     assert ready.machine.phase is Phase.SETTLE
     command = ready.tick(0.12)
-    assert ready.machine.phase is Phase.PROBE and command.current_A == pytest.approx({"joint4": 0.04})
+    assert ready.machine.phase is Phase.PROBE and command.current_A == pytest.approx(
+        {"joint4": 0.04}
+    )
 
 
 def test_another_attempt_changes_the_mean_of_a_wave_and_not_its_size() -> None:
-    stuck = replace(SHAKE, duration_s=0.4, min_travel=0.3, raise_by=1.5, max_current_A=0.15, shake_A=0.2)
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME, friction=0.8)
+    stuck = replace(
+        SHAKE, duration_s=0.4, min_travel=0.3, raise_by=1.5, max_current_A=0.15, shake_A=0.2
+    )
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME, friction=0.8)
     machine.start(replace(QUICK, runs=(stuck,)), arm.sample())
     ticks = drive(machine, arm, 100.0)
-    assert [outcome.current_A for outcome in machine.outcomes] == pytest.approx([-0.08, -0.12, -0.15])
+    assert [outcome.current_A for outcome in machine.outcomes] == pytest.approx(
+        [-0.08, -0.12, -0.15]
+    )
     assert [(wave[0], wave[10]) for wave in waves(ticks)] == [
         pytest.approx((mean_A + 0.2, mean_A - 0.2)) for mean_A in (-0.08, -0.12, -0.15)
     ]
@@ -310,7 +375,9 @@ def recorded(ticks: list[Tick], topic: str) -> Recording:
     """What a recorder gets: joint states, and commands while there is a current, or the driver's echo at every sample."""
     stamps = np.array([round(1e9 * tick.sample.time_s) for tick in ticks])
     positions = [[tick.sample.position[name] for name in JOINTS] for tick in ticks]
-    current = np.array([[tick.command.current_A.get(name, 0.0) for name in JOINTS] for tick in ticks])
+    current = np.array(
+        [[tick.command.current_A.get(name, 0.0) for name in JOINTS] for tick in ticks]
+    )
     rows = np.ones(len(ticks), dtype=bool)
     if topic == "/current_command":
         driven = current.any(axis=1)
@@ -323,18 +390,26 @@ def recorded(ticks: list[Tick], topic: str) -> Recording:
 
 @pytest.mark.parametrize("rate_hz", [100.0, 40.0])
 @pytest.mark.parametrize("topic", ["/current_command", "/applied_effort"])
-def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(topic: str, rate_hz: float, tmp_path: Path) -> None:
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(
+    topic: str, rate_hz: float, tmp_path: Path
+) -> None:
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     second = replace(SHAKE, current_A=-0.06, shake_A=-0.14, shake_period_s=0.3)
     machine.start(replace(QUICK, runs=(SHAKE, second)), arm.sample())
     recording = recorded(drive(machine, arm, rate_hz), topic)
     if topic == "/current_command":
         write_recording(tmp_path / "shaken", recording)
-        recording = read_recording(tmp_path / "shaken", nominal_torque_constants={}, joint_order=JOINTS)
+        recording = read_recording(
+            tmp_path / "shaken", nominal_torque_constants={}, joint_order=JOINTS
+        )
     cut = cut_runs(recording, joints=JOINTS)
     assert [(run.joint, run.source) for run in cut] == [("joint4", topic)] * 2
     for run, means, times_s in zip(
-        cut, ((0.04, -0.2), (-0.2, 0.08)), ([0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [0.0, 0.15, 0.3, 0.45]), strict=True
+        cut,
+        ((0.04, -0.2), (-0.2, 0.08)),
+        ([0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [0.0, 0.15, 0.3, 0.45]),
+        strict=True,
     ):
         assert run.duration_s == pytest.approx(0.6)
         assert run.input_times_s == pytest.approx(times_s, abs=1e-6)
@@ -344,7 +419,8 @@ def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(topic: str
 
 def test_the_gripper_counts_in_metres() -> None:
     run = ExcitationRun(GRIPPER, -0.1, 0.5, {GRIPPER: 0.014}, max_travel=0.004)
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     machine.start(replace(QUICK, runs=(run,)), arm.sample())
     drive(machine, arm, 100.0)
     (outcome,) = machine.outcomes
@@ -352,7 +428,8 @@ def test_the_gripper_counts_in_metres() -> None:
 
 
 def test_a_finger_that_meets_nothing_stops_before_its_limit() -> None:
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     machine.start(load_sequence("paper_gripper", ROBOT), arm.sample())
     drive(machine, arm, 100.0)
     assert machine.phase is Phase.ABORTED and machine.outcomes[-1].ended_by == "limit"
@@ -383,7 +460,12 @@ class Bench:
         return self.machine.tick(now_s, self.sample)
 
 
-def bench(phase: Phase, sequence: ExcitationSequence = QUICK, pose: dict[str, float] = HOME, guards: Guards | None = None):
+def bench(
+    phase: Phase,
+    sequence: ExcitationSequence = QUICK,
+    pose: dict[str, float] = HOME,
+    guards: Guards | None = None,
+):
     machine = ExcitationMachine(ROBOT, guards)
     sample = JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0))
     machine.start(sequence, sample)
@@ -403,7 +485,11 @@ def assert_stopped(ready: Bench, command: Command, ended_by: str, words: str) ->
     assert "\n" not in machine.message
     assert [(outcome.ended_by, outcome.used) for outcome in machine.outcomes] == [(ended_by, False)]
     # and it stays so, whatever comes
-    assert machine.tick(0.0, None) == command == machine.tick(math.nan, replace(ready.sample, time_s=1e9))
+    assert (
+        machine.tick(0.0, None)
+        == command
+        == machine.tick(math.nan, replace(ready.sample, time_s=1e9))
+    )
 
 
 def pushed(sequence: ExcitationSequence = QUICK, pose: dict[str, float] = HOME) -> Bench:
@@ -421,8 +507,16 @@ MISHAPS: dict[str, tuple[dict[str, float], str, str]] = {
     "a jump": ({"joint3": HOME["joint3"] - 0.35}, "jump", "joint3 jumped by 0.35 rad"),
     "too fast": ({"joint3_v": -6.5}, "velocity", "joint3 moves at 6.5 rad/s"),
     "another joint too fast": ({"joint1_v": 6.5}, "velocity", "joint1 moves"),
-    "a finger too fast": ({"gripper_left_joint_v": 0.08}, "velocity", "gripper_left_joint moves at 7.0"),
-    "a held joint": ({"joint2": HOME["joint2"] + 0.13}, "held joint", "joint2 gave way by 0.13 rad"),
+    "a finger too fast": (
+        {"gripper_left_joint_v": 0.08},
+        "velocity",
+        "gripper_left_joint moves at 7.0",
+    ),
+    "a held joint": (
+        {"joint2": HOME["joint2"] + 0.13},
+        "held joint",
+        "joint2 gave way by 0.13 rad",
+    ),
 }
 
 
@@ -481,7 +575,10 @@ def test_no_sample_any_more() -> None:
     for n in range(12, 100):
         assert ready.machine.tick(last_s + 0.01 * n, None).current_A == {}
     ready.machine.tick(last_s + 1.02, None)
-    assert ready.machine.phase is Phase.ABORTED and "is the driver alive?" in ready.machine.abort_reason
+    assert (
+        ready.machine.phase is Phase.ABORTED
+        and "is the driver alive?" in ready.machine.abort_reason
+    )
 
 
 def test_samples_far_apart_lose_the_run_however_far_a_fast_joint_went_meanwhile() -> None:
@@ -490,14 +587,17 @@ def test_samples_far_apart_lose_the_run_however_far_a_fast_joint_went_meanwhile(
     start = ready.sample.position["joint3"]
     assert ready.machine.tick(ready.sample.time_s + 0.06, None).current_A
     position = {**ready.sample.position, "joint3": start - 0.44}
-    late = JointSample(ready.sample.time_s + 0.11, position, {**ready.sample.velocity, "joint3": -4.4})
+    late = JointSample(
+        ready.sample.time_s + 0.11, position, {**ready.sample.velocity, "joint3": -4.4}
+    )
     command = ready.machine.tick(late.time_s, late)
     assert_lost(ready, command, "two samples are 0.11 s apart")
     assert command.position["joint3"] == start - 0.44, "held where it is now, not where it was"
 
 
 @pytest.mark.parametrize(
-    ("gap_s", "jump", "accepted"), [(0.02, 0.29, True), (0.02, 0.31, False), (0.09, 0.5, True), (0.09, 0.6, False)]
+    ("gap_s", "jump", "accepted"),
+    [(0.02, 0.29, True), (0.02, 0.31, False), (0.09, 0.5, True), (0.09, 0.6, False)],
 )
 def test_a_jump_is_what_no_joint_can_do(gap_s: float, jump: float, accepted: bool) -> None:
     ready = pushed()
@@ -505,7 +605,11 @@ def test_a_jump_is_what_no_joint_can_do(gap_s: float, jump: float, accepted: boo
     sample = JointSample(ready.sample.time_s + gap_s, moved, dict.fromkeys(JOINTS, 0.0))
     assert bool(ready.machine.tick(sample.time_s, sample).current_A) is accepted
     assert accepted or ready.machine.outcomes[-1].ended_by == "jump"
-    said = f"in {gap_s:.2f} s without a sample" if gap_s > 0.05 else "between two samples: check its encoder"
+    said = (
+        f"in {gap_s:.2f} s without a sample"
+        if gap_s > 0.05
+        else "between two samples: check its encoder"
+    )
     assert accepted or said in ready.machine.abort_reason
 
 
@@ -520,22 +624,35 @@ def test_a_sample_that_is_repeated_grows_stale() -> None:
 def test_a_sample_that_lacks_a_joint() -> None:
     ready = pushed()
     sample = replace(ready.sample, time_s=ready.sample.time_s + 0.01, position={"joint3": 0.4})
-    assert_stopped(ready, ready.machine.tick(sample.time_s, sample), "sample", "lacks the position of joint1, joint2")
+    assert_stopped(
+        ready,
+        ready.machine.tick(sample.time_s, sample),
+        "sample",
+        "lacks the position of joint1, joint2",
+    )
 
 
 def test_a_limit_ahead() -> None:
     pose = {**HOME, "joint2": 0.0, "joint3": -1.2}
     ready = pushed(pose=pose)
     limit = ROBOT.model.joint("joint3").lower
-    assert ready.tick(joint3=limit + 0.15, joint3_v=-1.0).current_A  # 0.07 rad left, 0.05 are asked for
+    # 0.07 rad left, 0.05 are asked for
+    assert ready.tick(joint3=limit + 0.15, joint3_v=-1.0).current_A
     command = ready.tick(joint3=limit + 0.14, joint3_v=-1.2)
-    assert_stopped(ready, command, "limit", "joint3 was about to reach its limit -1.5: use less current")
+    assert_stopped(
+        ready, command, "limit", "joint3 was about to reach its limit -1.5: use less current"
+    )
     assert command.position["joint3"] == limit + 0.14
 
 
 def test_a_limit_that_the_load_pulls_to() -> None:
     ready = pushed(pose={**HOME, "joint3": 1.2})
-    assert_stopped(ready, ready.tick(joint3=1.25, joint3_v=1.5), "limit", "its load pulls it there against the current")
+    assert_stopped(
+        ready,
+        ready.tick(joint3=1.25, joint3_v=1.5),
+        "limit",
+        "its load pulls it there against the current",
+    )
 
 
 @pytest.mark.parametrize("way", [-1.0, 1.0])
@@ -553,11 +670,17 @@ def test_the_table_ahead() -> None:
     sequence = replace(QUICK, min_clearance_m=low - 0.03)
     ready = pushed(sequence, pose)
     assert ready.tick(joint3=0.5, joint3_v=0.2).current_A
-    assert_stopped(ready, ready.tick(joint3=0.51, joint3_v=1.5), "clearance", "above the base's plane")
+    assert_stopped(
+        ready, ready.tick(joint3=0.51, joint3_v=1.5), "clearance", "above the base's plane"
+    )
     rising = pushed(sequence, pose)
-    assert_stopped(rising, rising.tick(joint3=0.65, joint3_v=-3.0), "clearance", "above the base's plane")
+    assert_stopped(
+        rising, rising.tick(joint3=0.65, joint3_v=-3.0), "clearance", "above the base's plane"
+    )
     slow = pushed(sequence, pose)
-    assert_stopped(slow, slow.tick(joint3=0.65, joint3_v=0.0), "clearance", "above the base's plane")
+    assert_stopped(
+        slow, slow.tick(joint3=0.65, joint3_v=0.0), "clearance", "above the base's plane"
+    )
 
 
 def test_abort_holds_at_once() -> None:
@@ -571,12 +694,22 @@ def test_abort_holds_at_once() -> None:
 def test_abort_without_a_sequence_does_nothing() -> None:
     machine = ExcitationMachine(ROBOT)
     machine.abort("nothing")
-    assert machine.phase is Phase.IDLE and machine.tick(1.0, None) == Command() and machine.run_number == 0
+    assert (
+        machine.phase is Phase.IDLE
+        and machine.tick(1.0, None) == Command()
+        and machine.run_number == 0
+    )
 
 
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.SETTLE, Phase.BRAKE, Phase.RETURN])
 def test_a_joint_that_does_not_follow(phase: Phase) -> None:
-    sequence = replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint3": 0.6}),), settle_s=1.0, brake_s=1.0, home=HOME)
+    sequence = replace(
+        QUICK,
+        runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint3": 0.6}),),
+        settle_s=1.0,
+        brake_s=1.0,
+        home=HOME,
+    )
     ready = bench(phase, replace(sequence, approach_velocity=0.1))
     goal = ready.machine.command.position["joint1"]
     late = 0
@@ -585,7 +718,10 @@ def test_a_joint_that_does_not_follow(phase: Phase) -> None:
         assert not ready.tick(joint1=goal + 0.16).current_A
         late += 1
     assert 50 <= late <= 52  # 0.5 s
-    assert "joint1 does not follow: is something in its way, its load too heavy, or torque off?" in ready.machine.abort_reason
+    assert (
+        "joint1 does not follow: is something in its way, its load too heavy, or torque off?"
+        in ready.machine.abort_reason
+    )
     assert all(outcome.used for outcome in ready.machine.outcomes)
 
 
@@ -599,11 +735,23 @@ def test_a_short_lag_is_forgiven() -> None:
 @pytest.mark.parametrize("late_s", [0.05, 0.2])
 def test_a_joint_that_follows_late_is_waited_for(late_s: float) -> None:
     """Behind a slow controller a joint is where its goal was; goals that went on as if it were there were given up after 0.5 s."""
-    machine, sample = ExcitationMachine(ROBOT), Arm(HOME).sample()
-    machine.start(replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint1": 1.6}),), approach_velocity=1.5), sample)
-    sent, behind_rad, took_s = [HOME] * (1 + round(late_s / 0.01)), 0.0, 0.0
+    machine = ExcitationMachine(ROBOT)
+    sample = Arm(HOME).sample()
+    machine.start(
+        replace(
+            QUICK,
+            runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint1": 1.6}),),
+            approach_velocity=1.5,
+        ),
+        sample,
+    )
+    sent = [HOME] * (1 + round(late_s / 0.01))
+    behind_rad = 0.0
+    took_s = 0.0
     while machine.phase in (Phase.IDLE, Phase.APPROACH):
-        sample = JointSample(sample.time_s + 0.01, sent[-1 - round(late_s / 0.01)], dict.fromkeys(JOINTS, 0.0))
+        sample = JointSample(
+            sample.time_s + 0.01, sent[-1 - round(late_s / 0.01)], dict.fromkeys(JOINTS, 0.0)
+        )
         sent.append(machine.tick(sample.time_s, sample).position)
         behind_rad = max(behind_rad, sent[-1]["joint1"] - sample.position["joint1"])
         took_s += 0.01
@@ -612,14 +760,22 @@ def test_a_joint_that_follows_late_is_waited_for(late_s: float) -> None:
     assert (took_s > 2.0) == (late_s > 0.1), "who follows soon is not waited for"
 
 
-@pytest.mark.parametrize("unrest", [lambda t_s: 0.025 * t_s, lambda t_s: 0.01 * math.sin(20.0 * t_s)], ids=["creeps", "shakes"])
+@pytest.mark.parametrize(
+    "unrest",
+    [lambda t_s: 0.025 * t_s, lambda t_s: 0.01 * math.sin(20.0 * t_s)],
+    ids=["creeps", "shakes"],
+)
 def test_a_joint_that_never_rests(unrest: Callable[[float], float]) -> None:
     ready = bench(Phase.SETTLE)
     started_s = ready.sample.time_s
     while ready.machine.busy:
-        assert not ready.tick(joint3=HOME["joint3"] + unrest(ready.sample.time_s - started_s)).current_A
+        assert not ready.tick(
+            joint3=HOME["joint3"] + unrest(ready.sample.time_s - started_s)
+        ).current_A
     assert ready.sample.time_s - started_s == pytest.approx(0.3 + 2.0, abs=0.03)
-    assert "joint3 does not come to rest" in ready.machine.abort_reason and not ready.machine.outcomes
+    assert (
+        "joint3 does not come to rest" in ready.machine.abort_reason and not ready.machine.outcomes
+    )
 
 
 def test_an_arm_that_is_pushed_and_one_that_is_limp() -> None:
@@ -629,11 +785,15 @@ def test_an_arm_that_is_pushed_and_one_that_is_limp() -> None:
     machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
     machine.start(QUICK, arm.sample())
     drive(machine, arm, 100.0, push)
-    assert machine.outcomes[-1].ended_by == "held joint" and "joint2 gave way" in machine.abort_reason
+    assert (
+        machine.outcomes[-1].ended_by == "held joint" and "joint2 gave way" in machine.abort_reason
+    )
 
     machine, limp = ExcitationMachine(ROBOT), Arm(HOME, friction=1.0)
     limp.STIFFNESS = limp.DAMPING = 0.0
-    machine.start(replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint1": 1.0}),)), limp.sample())
+    machine.start(
+        replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint1": 1.0}),)), limp.sample()
+    )
     drive(machine, limp, 100.0)
     assert "joint1 does not follow" in machine.abort_reason and not machine.outcomes
 
@@ -695,7 +855,10 @@ def test_the_way_leads_over_a_higher_pose_where_the_straight_one_dips() -> None:
 def test_an_arm_that_lies_on_the_table_may_only_rise() -> None:
     lying = {**HOME, "joint2": 1.0, "joint3": 0.6, "joint4": 0.2}
     assert clearance(ROBOT, lying) < 0.03
-    rising = replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint2": -0.5, "joint3": 0.5, "joint4": 0.0}),))
+    rising = replace(
+        QUICK,
+        runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint2": -0.5, "joint3": 0.5, "joint4": 0.0}),),
+    )
     assert lowest_goal(rising, lying) >= clearance(ROBOT, lying) - 1e-3
     staying = replace(QUICK, runs=(ExcitationRun(GRIPPER, -0.1, 0.5),))
     with pytest.raises(ExcitationError, match="higher pose by hand"):
@@ -704,7 +867,8 @@ def test_an_arm_that_lies_on_the_table_may_only_rise() -> None:
 
 def test_the_same_inputs_give_the_same_commands() -> None:
     def commands() -> list[Command]:
-        machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+        machine = ExcitationMachine(ROBOT)
+        arm = Arm(HOME)
         machine.start(load_sequence("paper_wrist", ROBOT), arm.sample())
         return [tick.command for tick in drive(machine, arm, 40.0)]
 
@@ -714,28 +878,40 @@ def test_the_same_inputs_give_the_same_commands() -> None:
 # -------------------------------------------------------------------------------------------------- come what may
 
 DISTURBANCES = st.sampled_from(
-    ["none"] * 12 + ["drift"] * 4 + ["nan", "jump", "fast", "missing", "late", "back", "abort", "start", "no sample"]
+    ["none"] * 12
+    + ["drift"] * 4
+    + ["nan", "jump", "fast", "missing", "late", "back", "abort", "start", "no sample"]
 )
 
 
 @settings(max_examples=150, deadline=None)
 @given(
-    st.lists(st.tuples(DISTURBANCES, st.sampled_from(JOINTS), st.floats(-1.0, 1.0)), min_size=50, max_size=120),
+    st.lists(
+        st.tuples(DISTURBANCES, st.sampled_from(JOINTS), st.floats(-1.0, 1.0)),
+        min_size=50,
+        max_size=120,
+    ),
     st.sampled_from([0.01, 0.025]),
 )
-def test_no_current_but_in_a_run_and_never_above_the_limit(steps: list[tuple[str, str, float]], tick_s: float) -> None:
+def test_no_current_but_in_a_run_and_never_above_the_limit(
+    steps: list[tuple[str, str, float]], tick_s: float
+) -> None:
     run = ExcitationRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
-    sequence = ExcitationSequence("any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05)
+    sequence = ExcitationSequence(
+        "any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05
+    )
     machine = ExcitationMachine(ROBOT)
     now_s = 3.0
-    position, velocity = dict(HOME), dict.fromkeys(JOINTS, 0.0)
+    position = dict(HOME)
+    velocity = dict.fromkeys(JOINTS, 0.0)
     machine.start(sequence, JointSample(now_s, dict(position), dict(velocity)))
     for kind, joint, size in steps:
         now_s += {"late": 0.2, "back": -0.05}.get(kind, tick_s)
         position.update(machine.command.position)
         if kind == "drift":
             position[joint] += 0.1 * size * ROBOT.drive_trains[joint].transmission
-        seen, speeds = dict(position), dict(velocity)
+        seen = dict(position)
+        speeds = dict(velocity)
         if kind == "nan":
             seen[joint] = math.nan
         elif kind == "jump":
@@ -748,7 +924,9 @@ def test_no_current_but_in_a_run_and_never_above_the_limit(steps: list[tuple[str
             machine.abort("at random")
         elif kind == "start" and not machine.busy:
             machine.start(sequence, JointSample(now_s, dict(HOME), speeds))
-        command = machine.tick(now_s, None if kind == "no sample" else JointSample(now_s, seen, speeds))
+        command = machine.tick(
+            now_s, None if kind == "no sample" else JointSample(now_s, seen, speeds)
+        )
         check_command(machine, command, machine.phase)
         if kind in ("nan", "missing", "abort", "back", "late"):
             assert not command.current_A
@@ -758,7 +936,9 @@ def test_no_current_but_in_a_run_and_never_above_the_limit(steps: list[tuple[str
 def test_random_disturbances_do_meet_a_current() -> None:
     """The test above says something: undisturbed, its sequence is under current within fifty ticks."""
     run = ExcitationRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
-    sequence = ExcitationSequence("any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05)
+    sequence = ExcitationSequence(
+        "any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05
+    )
     ready = bench(Phase.PROBE, sequence)
     assert ready.sample.time_s - 5.0 < 50 * 0.01 + 0.1
 
@@ -772,7 +952,8 @@ def test_another_robot() -> None:
     sequence = ExcitationSequence("swing", "any", (run,), settle_s=0.3, min_clearance_m=0.0)
     assert sequence.runs[0].max_travel == 1.0
     machine.start(sequence, JointSample(0.0, {joint: 0.0}, {joint: 0.0}))
-    now_s, command = 0.0, machine.command
+    now_s = 0.0
+    command = machine.command
     while machine.busy and now_s < 20.0:
         now_s += 0.025
         place = command.position.get(joint, 0.5)

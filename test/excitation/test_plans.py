@@ -42,7 +42,10 @@ def section(tmp_path: Path, run: str = RUN, more: str = "") -> Path:
 def test_the_packages_own_sequences(robot: Robot) -> None:
     assert list(sequence_names()) == sorted(sequence_names())
     others = {"so101": load_robot("so101")}
-    hands = {name: load_sequence(name, others.get(name.split("_")[0], robot)).hand for name in sequence_names()}
+    hands = {
+        name: load_sequence(name, others.get(name.split("_")[0], robot)).hand
+        for name in sequence_names()
+    }
     assert hands.items() >= {
         "container": "container", "container_shake": "container", "container_until": "container",
         "contents": "container", "contents_shake": "container",
@@ -51,7 +54,17 @@ def test_the_packages_own_sequences(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["container", "container_shake", "contents", "contents_shake", "empty_hand", "payload", "paper_elbow", "paper_wrist"]
+    "name",
+    [
+        "container",
+        "container_shake",
+        "contents",
+        "contents_shake",
+        "empty_hand",
+        "payload",
+        "paper_elbow",
+        "paper_wrist",
+    ],
 )
 def test_starts_are_high_and_inside_the_limits(robot: Robot, name: str) -> None:
     for run in load_sequence(name, robot).runs:
@@ -69,22 +82,32 @@ def test_a_calibration_moves_each_joint_both_ways(robot: Robot) -> None:
     assert len(runs) == 16
     for joint in ("joint2", "joint3", "joint4", "gripper_left_joint"):
         own = [run for run in runs if run.joint == joint]
-        assert len(own) == 4 and min(run.current_A for run in own) < 0.0 < max(run.current_A for run in own)
+        assert len(own) == 4 and min(run.current_A for run in own) < 0.0 < max(
+            run.current_A for run in own
+        )
         assert all(run.min_travel == (0.003 if "gripper" in joint else 0.3) for run in own)
     assert load_sequence("empty_hand_gripper", robot).runs == runs[-4:]
 
 
 def test_a_squeeze_begins_where_the_fingers_stand_and_cannot_crush(robot: Robot) -> None:
     sequence = load_sequence("softness", robot)
-    assert sequence.from_here == ("gripper_left_joint",) and not any(run.start for run in sequence.runs)
+    assert sequence.from_here == ("gripper_left_joint",) and not any(
+        run.start for run in sequence.runs
+    )
     least = [run.min_travel for run in sequence.runs]
     assert len(least) == 3 and least == sorted(set(least)), "three levels"
-    assert all(2.0 * run.max_travel / 0.03 < 0.4 for run in sequence.runs), "two fingers, a block of 30 mm"
+    assert all(2.0 * run.max_travel / 0.03 < 0.4 for run in sequence.runs), (
+        "two fingers, a block of 30 mm"
+    )
     begun = sequence.begun_at({"joint1": 0.2, "gripper_left_joint": 0.008})
     assert all(run.start == {"gripper_left_joint": 0.008} for run in begun.runs)
     assert begun.home == {"gripper_left_joint": 0.008}
-    stated = replace(sequence, runs=(replace(sequence.runs[0], start={"gripper_left_joint": 0.01}),))
-    assert stated.begun_at({"gripper_left_joint": 0.008}).runs[0].start == {"gripper_left_joint": 0.01}
+    stated = replace(
+        sequence, runs=(replace(sequence.runs[0], start={"gripper_left_joint": 0.01}),)
+    )
+    assert stated.begun_at({"gripper_left_joint": 0.008}).runs[0].start == {
+        "gripper_left_joint": 0.01
+    }
 
 
 def test_a_container_is_tilted_up_and_left_alone_before_each_run(robot: Robot) -> None:
@@ -100,8 +123,15 @@ def test_a_container_is_tilted_up_and_left_alone_before_each_run(robot: Robot) -
 
 def test_the_container_runs(robot: Robot) -> None:
     """Those of the hardware notes, the second from nearer to level, so that the sphere rolls."""
-    told = [(run.joint, run.current_A, *run.start.values()) for run in load_sequence("container", robot).runs]
-    assert told == [("joint4", -0.10, -0.6, -1.0, 0.6), ("joint4", -0.03, -0.6, -0.2, 0.4), ("joint3", -0.10, -0.6, -0.4, 0.0)]
+    told = [
+        (run.joint, run.current_A, *run.start.values())
+        for run in load_sequence("container", robot).runs
+    ]
+    assert told == [
+        ("joint4", -0.10, -0.6, -1.0, 0.6),
+        ("joint4", -0.03, -0.6, -0.2, 0.4),
+        ("joint3", -0.10, -0.6, -0.4, 0.0),
+    ]
 
 
 def test_a_square_wave_halves_and_keeps_away_from_zero_in_every_attempt(robot: Robot) -> None:
@@ -109,9 +139,17 @@ def test_a_square_wave_halves_and_keeps_away_from_zero_in_every_attempt(robot: R
         mean_A: float | None = run.current_A
         attempts = 0
         while mean_A is not None:
-            first = [run.current_at(part * run.shake_period_s, mean_A) for part in (0.0, 0.49, 1.01, 2.49)]
-            second = [run.current_at(part * run.shake_period_s, mean_A) for part in (0.51, 0.99, 1.51, 2.99)]
-            assert first == pytest.approx([mean_A + run.shake_A] * 4) and second == pytest.approx([mean_A - run.shake_A] * 4)
+            first = [
+                run.current_at(part * run.shake_period_s, mean_A)
+                for part in (0.0, 0.49, 1.01, 2.49)
+            ]
+            second = [
+                run.current_at(part * run.shake_period_s, mean_A)
+                for part in (0.51, 0.99, 1.51, 2.99)
+            ]
+            assert first == pytest.approx([mean_A + run.shake_A] * 4) and second == pytest.approx(
+                [mean_A - run.shake_A] * 4
+            )
             assert min(map(abs, first + second)) >= LEAST_CURRENT_A
             mean_A = run.other_current(mean_A)
             attempts += 1
@@ -167,8 +205,14 @@ def test_a_finger_has_a_travel_of_its_own(robot: Robot, tmp_path: Path) -> None:
         (("joint3: 0.6", "joint3: 34"), "in rad, not degrees"),
         (("joint3: 0.6", "joint3: 1.35"), "limits less a margin"),
         (("joint3: 0.6", "gripper_left_joint: 15"), "in m, not mm"),
-        (("joint2: -1.4, joint3: 0.6, joint4: 0.0", "joint2: 1.3, joint3: 0.9"), "above the base's plane"),
-        (("start: {joint2: -1.4, joint3: 0.6, joint4: 0.0}", "start: 0.6"), "expected joints and their positions"),
+        (
+            ("joint2: -1.4, joint3: 0.6, joint4: 0.0", "joint2: 1.3, joint3: 0.9"),
+            "above the base's plane",
+        ),
+        (
+            ("start: {joint2: -1.4, joint3: 0.6, joint4: 0.0}", "start: 0.6"),
+            "expected joints and their positions",
+        ),
         (("duration_s: 0.6", "duration_s: 600"), "60 s at most"),
         (("duration_s: 0.6", "duration_s: 0.6, min_travel: 2"), "below max_travel"),
         (("duration_s: 0.6", "duration_s: 0.6, max_current_A: 0.2"), "must not be below"),
@@ -176,20 +220,46 @@ def test_a_finger_has_a_travel_of_its_own(robot: Robot, tmp_path: Path) -> None:
         (("duration_s: 0.6", "duration_s: 0.6, raise_by: 1.0"), "1.05 or more"),
         (("duration_s: 0.6", "duration_s: 0.6, duration_s: 0.6"), "not readable as YAML"),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: 200"), "in A, not mA"),
-        (("duration_s: 0.6", "duration_s: 0.6, shake_A: -0.8"), "1.1 A with shake_A is above the motor's limit of 1 A"),
-        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, max_current_A: 0.9"), "1.1 A with shake_A"),
+        (
+            ("duration_s: 0.6", "duration_s: 0.6, shake_A: -0.8"),
+            "1.1 A with shake_A is above the motor's limit of 1 A",
+        ),
+        (
+            ("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, max_current_A: 0.9"),
+            "1.1 A with shake_A",
+        ),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: .nan"), "expected a number"),
-        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 200"), "0.3 s, .* in s, not ms"),
-        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.31"), "2 periods fit into duration_s=0.6"),
+        (
+            ("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 200"),
+            "0.3 s, .* in s, not ms",
+        ),
+        (
+            ("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.31"),
+            "2 periods fit into duration_s=0.6",
+        ),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.07"), "from 0.08 s"),
-        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.3"), "the current is 0 A for half of each period"),
-        (("duration_s: 0.6", "duration_s: 0.6, shake_A: -0.3"), "the current is 0 A for half of each period"),
+        (
+            ("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.3"),
+            "the current is 0 A for half of each period",
+        ),
+        (
+            ("duration_s: 0.6", "duration_s: 0.6, shake_A: -0.3"),
+            "the current is 0 A for half of each period",
+        ),
         # not at first, but in the second attempt, and in the third
-        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.36, raise_by: 1.2, max_current_A: 0.5"), "about -0.36 A"),
+        (
+            (
+                "duration_s: 0.6",
+                "duration_s: 0.6, shake_A: 0.36, raise_by: 1.2, max_current_A: 0.5",
+            ),
+            "about -0.36 A",
+        ),
         (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.08, raise_by: 0.5"), "about -0.075 A"),
     ],
 )
-def test_mistakes_in_a_run_get_one_line(robot: Robot, tmp_path: Path, change: tuple[str, str], message: str) -> None:
+def test_mistakes_in_a_run_get_one_line(
+    robot: Robot, tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
     assert change[0] in RUN
     with pytest.raises(ConfigurationError, match=message) as caught:
         load_sequence(section(tmp_path, RUN.replace(*change)), robot)
@@ -207,13 +277,21 @@ def test_mistakes_in_a_run_get_one_line(robot: Robot, tmp_path: Path, change: tu
         (f"excitation: {{hand: full, runs: [{RUN}]}}\n", "choose from: empty"),
         (f"excitation: {{hand: any, name: x, runs: [{RUN}]}}\n", "unknown key name"),
         (f"excitation: {{hand: any, settle_s: -1, runs: [{RUN}]}}\n", "settle_s=-1"),
-        (f"excitation: {{hand: any, approach_velocity: 0, runs: [{RUN}]}}\n", "approach_velocity=0"),
+        (
+            f"excitation: {{hand: any, approach_velocity: 0, runs: [{RUN}]}}\n",
+            "approach_velocity=0",
+        ),
         (f"excitation: {{hand: any, home: {{joint3: 9}}, runs: [{RUN}]}}\n", "home: joint3=9"),
-        (f"excitation: {{hand: any, runs: [{RUN}, {{joint: joint3}}]}}\n", r"runs\[2\]: lacks current_A, duration_s"),
+        (
+            f"excitation: {{hand: any, runs: [{RUN}, {{joint: joint3}}]}}\n",
+            r"runs\[2\]: lacks current_A, duration_s",
+        ),
         ("excitation: [\n", "not readable as YAML"),
     ],
 )
-def test_mistakes_in_a_file_get_one_line(robot: Robot, tmp_path: Path, text: str, message: str) -> None:
+def test_mistakes_in_a_file_get_one_line(
+    robot: Robot, tmp_path: Path, text: str, message: str
+) -> None:
     with pytest.raises(ConfigurationError, match=message) as caught:
         load_sequence(written(tmp_path, text), robot)
     assert "\n" not in str(caught.value)
@@ -256,7 +334,9 @@ def test_clearance_against_the_models_transforms() -> None:
     still = ("joint1", "joint2", "gripper_right_joint")
     moving = [joint.child for joint in robot.model.joints if joint.name not in still]
     for shift in range(-3, 4):
-        pose = {name: 0.2 * n - 0.15 * shift for n, name in enumerate(robot.model.independent_joints)}
+        pose = {
+            name: 0.2 * n - 0.15 * shift for n, name in enumerate(robot.model.independent_joints)
+        }
         pose["gripper_left_joint"] = 0.01 * shift
         lowest = min(up @ robot.model.frame_transform(frame, pose)[:3, 3] for frame in moving)
         assert clearance(robot, pose) == pytest.approx(lowest, abs=1e-12)
@@ -269,7 +349,9 @@ def test_clearance_against_the_models_transforms() -> None:
 def test_a_sequence_is_like_another_but_for_what_it_states(robot: Robot, tmp_path: Path) -> None:
     base = load_sequence("reference", robot)
     longer = load_sequence("reference_until", robot)
-    assert longer.runs == base.runs and longer.settle_s == base.settle_s and longer.until is not None
+    assert (
+        longer.runs == base.runs and longer.settle_s == base.settle_s and longer.until is not None
+    )
     path = tmp_path / "mine.yaml"
     path.write_text("excitation: {like: payload, settle_s: 2.0}\n")
     mine = load_sequence(path, robot)

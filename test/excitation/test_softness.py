@@ -28,7 +28,10 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
 
-@pytest.mark.parametrize("modulus", [1.5e3, pytest.param(100e3, marks=pytest.mark.long), pytest.param(1e6, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "modulus",
+    [1.5e3, pytest.param(100e3, marks=pytest.mark.long), pytest.param(1e6, marks=pytest.mark.long)],
+)
 def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
     """From foam to hard rubber, with a gripper of little friction: 45 % is never reached, and the block is let go."""
     hand = Hand(3, SoftBlock(modulus, gap_m=GAP_M), coulomb=0.015)
@@ -64,15 +67,21 @@ def test_a_missing_block_is_reported() -> None:
     machine, runs, _ = played("softness", Hand(1, None))
     assert machine.phase is Phase.DONE
     estimate = find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M)))
-    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("youngs_modulus").value is None
+    assert (
+        estimate.verdict is Verdict.NOT_IDENTIFIABLE
+        and estimate.value("youngs_modulus").value is None
+    )
     assert "is it between the fingers" in estimate.reasons[0]
 
 
 def until_sure(robot: Robot, hand: Hand, until: Until) -> tuple[tuple[Run, ...], list[Decision]]:
     """The runs of a block that is squeezed until sure, and what was decided after each."""
     sequence = replace(load_sequence("block_until", ROBOT), until=until)
-    chooser = probe_named("softness").chooser(robot, SoftnessJob(BlockFacts(np.full(3, EDGE_M)), SqueezeOptions()), sequence)
-    began, decisions = hand.time_s, []
+    chooser = probe_named("softness").chooser(
+        robot, SoftnessJob(BlockFacts(np.full(3, EDGE_M)), SqueezeOptions()), sequence
+    )
+    began = hand.time_s
+    decisions = []
     machine, runs, _ = made(replace(sequence, until=None), hand)
     assert machine.phase is Phase.DONE, machine.message
     while True:
@@ -81,24 +90,31 @@ def until_sure(robot: Robot, hand: Hand, until: Until) -> tuple[tuple[Run, ...],
             return runs, decisions
         machine, more, closed = made(chooser.sequence_of(decisions[-1].run), hand)
         assert machine.phase is Phase.DONE, machine.message
-        assert 2.0 * (closed - GAP_M) / EDGE_M < 0.45, "no squeeze goes farther than the sequence says"
+        assert 2.0 * (closed - GAP_M) / EDGE_M < 0.45, (
+            "no squeeze goes farther than the sequence says"
+        )
         runs += more
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("modulus", "half"), [(8e3, 0.2), (60e3, 0.12)])
 def test_a_block_is_squeezed_until_it_is_sure(modulus: float, half: float) -> None:
-    robot, hand = calibrated(2), Hand(2, SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=0.3, damping=0.5))
+    robot = calibrated(2)
+    hand = Hand(2, SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=0.3, damping=0.5))
     began = hand.arm.position()[GRIPPER]
     runs, decisions = until_sure(robot, hand, Until(half, "1", 40.0))
-    assert decisions[-1].ended_by == "target" and decisions[-1].reason.startswith("sure: +-"), decisions[-1].reason
+    assert decisions[-1].ended_by == "target" and decisions[-1].reason.startswith("sure: +-"), (
+        decisions[-1].reason
+    )
     assert abs(hand.arm.position()[GRIPPER] - began) < 0.0005, "the fingers let go"
     told = find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).value("youngs_modulus")
     assert told.ci95[0] <= modulus <= told.ci95[1] and told.std is not None
     assert 1.96 * told.std <= 1.0001 * half * told.value
     # what a squeeze told is what it promised
     promises = [(before.promised, after.half) for before, after in pairwise(decisions)]
-    assert promises and all(0.6 < reached / promised < 1.6 for promised, reached in promises), promises
+    assert promises and all(0.6 < reached / promised < 1.6 for promised, reached in promises), (
+        promises
+    )
 
 
 @pytest.mark.long
@@ -106,13 +122,18 @@ def test_without_a_block_no_squeeze_is_sure() -> None:
     robot = calibrated(1)
     runs, decisions = until_sure(robot, Hand(1, None), Until(0.1, "1", 20.0))
     assert decisions[-1].ended_by in ("worth", "time", "nothing"), decisions[-1].reason
-    assert find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).verdict is Verdict.NOT_IDENTIFIABLE
+    assert (
+        find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).verdict
+        is Verdict.NOT_IDENTIFIABLE
+    )
 
 
 def test_the_first_squeeze_is_stated() -> None:
     sequence = load_sequence("block_until", ROBOT)
     assert sequence.until == Until(0.2, "1", 30.0)
-    with pytest.raises(ConfigurationError, match="follows from the first squeeze; state it under 'runs'"):
+    with pytest.raises(
+        ConfigurationError, match="follows from the first squeeze; state it under 'runs'"
+    ):
         check_sequence(replace(sequence, runs=()), ROBOT)
     with pytest.raises(ConfigurationError, match="it is a share, not in percent"):
         check_sequence(replace(sequence, until=Until(10.0, "1")), ROBOT)

@@ -46,10 +46,14 @@ def test_a_way_that_comes_too_low_goes_over_a_higher_pose_and_none_may_keep_the_
     low = {**HIGH, "joint2": 1.4, "joint3": -0.2, "joint4": 0.6}
     assert WAYS.height(low) < 0.05 < WAYS.height(HIGH)
     assert not WAYS.clear((HIGH, low), 0.05)
-    with pytest.raises(ExcitationError, match="no way to there keeps the arm 5 cm above the base's plane"):
+    with pytest.raises(
+        ExcitationError, match="no way to there keeps the arm 5 cm above the base's plane"
+    ):
         WAYS.find(HIGH, low, replace(SEQUENCE, min_clearance_m=0.05), "there")
     # an arm that begins too low may rise, and only rise
     assert WAYS.clear((low, HIGH), 0.05)
     crossing = {**HIGH, "joint2": 0.9, "joint3": -1.2, "joint4": 1.5}
-    way = WAYS.find(crossing, {**crossing, "joint1": 1.0}, replace(SEQUENCE, min_clearance_m=0.0), "there")
+    way = WAYS.find(
+        crossing, {**crossing, "joint1": 1.0}, replace(SEQUENCE, min_clearance_m=0.0), "there"
+    )
     assert all(WAYS.height(pose) >= 0.0 for pose in way.poses)

@@ -51,11 +51,17 @@ def test_start_poses_keep_off_the_limits_and_the_plane(robot: Robot) -> None:
 
 
 def test_every_current_moves_whatever_of_the_masses_it_carries(robot: Robot) -> None:
-    run, facts, masses = (prepare_run(robot, still_run("joint3", POSE, 0.01, 0.6), KnownLoad()), PayloadFacts(), (0.0, 0.1))
+    run = prepare_run(robot, still_run("joint3", POSE, 0.01, 0.6), KnownLoad())
+    facts = PayloadFacts()
+    masses = (0.0, 0.1)
     found = list(currents_beyond(run, facts, masses))
     assert [push for push, _, _ in found] == [*PUSHES, *PUSHES]
-    loads = [run.weight_at_rest(run.coefficients.arm + mass * run.coefficients.per_kg(facts)) for mass in masses]
-    constant, dry = run.drive.torque_constant.value, run.drive.coulomb.value
+    loads = [
+        run.weight_at_rest(run.coefficients.arm + mass * run.coefficients.per_kg(facts))
+        for mass in masses
+    ]
+    constant = run.drive.torque_constant.value
+    dry = run.drive.coulomb.value
     for number, (_, current, largest) in enumerate(found):
         over = np.array([constant * current - load for load in loads])
         assert np.all(over > dry) if number < len(PUSHES) else np.all(over < -dry)
@@ -72,7 +78,8 @@ def test_open_friction_is_half_as_large_as_it_may_be(robot: Robot) -> None:
 
 def test_the_quickest_that_is_enough_comes_first() -> None:
     slow, quick, vague = (
-        Push("joint3", POSE, 0.1, 0.0, 0.5, time_s, std, 1.0, 0.4) for time_s, std in ((5.0, 1e-3), (3.0, 1.5e-3), (1.0, 9e-3))
+        Push("joint3", POSE, 0.1, 0.0, 0.5, time_s, std, 1.0, 0.4)
+        for time_s, std in ((5.0, 1e-3), (3.0, 1.5e-3), (1.0, 9e-3))
     )
     assert best_first([vague, slow, quick], 2e-3) == [quick, slow, vague]
 

@@ -18,7 +18,13 @@ import proprio_ros
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.experiment_design.candidates import CLEARANCE_M
-from proprio_ros.experiment_design.planning import ADVISED_TERMS, SAME_KIND, advise, plan, with_advice
+from proprio_ros.experiment_design.planning import (
+    ADVISED_TERMS,
+    SAME_KIND,
+    advise,
+    plan,
+    with_advice,
+)
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL
@@ -61,7 +67,11 @@ def test_only_a_calibration_that_holds_gets_advice(estimate: CalibrationEstimate
         assert not advised.advice and advised.weighable is None
     said: list[str] = []
     refreshed = with_advice(robot, replace(estimate, whole=None), progress=said.append)
-    assert not refreshed.advice and refreshed.weighable is not None and said == ["looking at what can be weighed"]
+    assert (
+        not refreshed.advice
+        and refreshed.weighable is not None
+        and said == ["looking at what can be weighed"]
+    )
     assert estimate.calibration is not None
     upwards = dict.fromkeys(estimate.calibration.joints, True)
     one_way = with_advice(robot, replace(estimate, driven_one_way=upwards), count=2)
@@ -87,7 +97,11 @@ def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ExcitationPl
             end = {**entry.start, entry.joint: entry.start[entry.joint] + travel}
             assert clearance(calibrated, end) >= CLEARANCE_M - 1e-9
         assert 0.0 < abs(entry.current_A) <= calibrated.motors[entry.joint].current_limit_A
-        assert entry.clearance_m >= CLEARANCE_M and entry.kind in ("lift", "lower", "driven") and entry.reason
+        assert (
+            entry.clearance_m >= CLEARANCE_M
+            and entry.kind in ("lift", "lower", "driven")
+            and entry.reason
+        )
 
 
 @pytest.mark.long
@@ -150,7 +164,10 @@ def test_clearance_of_a_known_pose() -> None:
     hanging = {**pose, "joint2": 1.4, "joint3": 1.2}
     assert clearance(robot, hanging) < clearance(robot, pose)
     assert clearance(robot, hanging) == pytest.approx(
-        min(robot.model.frame_transform(link, hanging)[2, 3] for link in ("link5", robot.payload_frame, "gripper_left_link"))
+        min(
+            robot.model.frame_transform(link, hanging)[2, 3]
+            for link in ("link5", robot.payload_frame, "gripper_left_link")
+        )
     )
 
 
@@ -164,9 +181,16 @@ def test_the_advised_run_teaches_more_than_a_middling_one(bags: Path) -> None:
     hidden = draw_robot(rng, EFFECTS_DEFAULT)
 
     def run_of(joint, start, current):
-        return LoadedRun(cut_runs(record(hidden, joint, start, current, 0.6, None, rng), joints=[*JOINTS, GRIPPER])[0])
+        return LoadedRun(
+            cut_runs(
+                record(hidden, joint, start, current, 0.6, None, rng), joints=[*JOINTS, GRIPPER]
+            )[0]
+        )
 
-    known = [run_of(p.joint, p.start, p.current_A) for p in (EMPTY_PROBES[0], EMPTY_PROBES[2], EMPTY_PROBES[4])]
+    known = [
+        run_of(p.joint, p.start, p.current_A)
+        for p in (EMPTY_PROBES[0], EMPTY_PROBES[2], EMPTY_PROBES[4])
+    ]
 
     def uncertainty(runs) -> float:
         calibration = calibrate(robot, runs).calibration
@@ -187,9 +211,13 @@ def test_the_advised_run_teaches_more_than_a_middling_one(bags: Path) -> None:
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", "--mass", "0.02..0.05", "--robot", "pendulum", "--json", "--count", "2"]) == 0
+    assert (
+        main(["plan", "--mass", "0.02..0.05", "--robot", "pendulum", "--json", "--count", "2"]) == 0
+    )
     told = json.loads(capsys.readouterr().out)
-    assert told["robot"] == "pendulum" and told["calibrated"] is False and len(told["masses_kg"]) == 3
+    assert (
+        told["robot"] == "pendulum" and told["calibrated"] is False and len(told["masses_kg"]) == 3
+    )
     assert len(told["plans"]) == 2
     assert set(told["plans"][0]) == {
         "joint", "start", "current_A", "duration_s", "kind", "travel_rad", "clearance_m", "std_kg", "reason",
@@ -197,7 +225,13 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--mass", "abc"], ["--mass", "0.2..0.1"], ["--mass", "-1"], ["--mass", "0.1", "--count", "0"]]
+    "arguments",
+    [
+        ["--mass", "abc"],
+        ["--mass", "0.2..0.1"],
+        ["--mass", "-1"],
+        ["--mass", "0.1", "--count", "0"],
+    ],
 )
 def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
     assert main(["plan", *arguments]) == 2
@@ -211,7 +245,8 @@ def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: li
 @pytest.fixture(scope="module")
 def seven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("seven")
-    urdf, robot = seven_joints.write(folder), folder / "robot.yaml"
+    urdf = seven_joints.write(folder)
+    robot = folder / "robot.yaml"
     assert main(["robot", "new", str(urdf), "--effort-unit", "N.m", "--output", str(robot)]) == 0
     return robot
 
@@ -222,7 +257,9 @@ def test_seven_joints_have_a_plan_at_once_and_better_ones_later(seven: Path) -> 
         warnings.simplefilter("error", RuntimeWarning)
         (first,) = proprio_ros.plan(0.05, robot=seven, count=1, seconds=0.0, progress=said.append)
         later = proprio_ros.plan(0.05, robot=seven, count=20, seconds=4.0, progress=said.append)
-    assert "trying start poses of joint2" in said[0] and any("start poses tried in" in one for one in said)
+    assert "trying start poses of joint2" in said[0] and any(
+        "start poses tried in" in one for one in said
+    )
     assert 0.0 < later[0].std_kg[0] <= first.std_kg[0]
     kinds = [(entry.joint, entry.kind) for entry in later]
     assert max(kinds.count(kind) for kind in kinds) <= SAME_KIND
@@ -239,14 +276,29 @@ def test_interrupted_it_returns_the_best_so_far(seven: Path) -> None:
         if after in sentence:
             raise KeyboardInterrupt
 
-    plans = proprio_ros.plan(0.05, robot=seven, seconds=60.0, progress=lambda one: interrupt(one, "so far joint"))
+    plans = proprio_ros.plan(
+        0.05, robot=seven, seconds=60.0, progress=lambda one: interrupt(one, "so far joint")
+    )
     assert plans and said[-1] == "stopped: these are the best so far"
     with pytest.raises(KeyboardInterrupt):
-        proprio_ros.plan(0.05, robot=seven, progress=lambda one: interrupt(one, "trying start poses"))
+        proprio_ros.plan(
+            0.05, robot=seven, progress=lambda one: interrupt(one, "trying start poses")
+        )
 
 
 def test_the_command_interrupted_prints_the_best_so_far(seven: Path) -> None:
-    words = ["plan", "--mass", "0.05", "--robot", str(seven), "--count", "1", "--seconds", "600", "--json"]
+    words = [
+        "plan",
+        "--mass",
+        "0.05",
+        "--robot",
+        str(seven),
+        "--count",
+        "1",
+        "--seconds",
+        "600",
+        "--json",
+    ]
     pipe = subprocess.PIPE
     with subprocess.Popen(
         [sys.executable, "-m", "proprio_ros.cli", *words],
@@ -269,8 +321,12 @@ def test_the_command_interrupted_prints_the_best_so_far(seven: Path) -> None:
 def test_a_mass_that_nothing_tells_is_no_plan() -> None:
     """The flange of a UR5e turns about its own axis: an object in the middle of it changes nothing."""
     plans = plan(load_robot("ur5e"), [0.05], count=20, seconds=2.0)
-    assert plans and all(entry.joint != "wrist_3_joint" and entry.std_kg[0] > 1e-3 for entry in plans)
+    assert plans and all(
+        entry.joint != "wrist_3_joint" and entry.std_kg[0] > 1e-3 for entry in plans
+    )
 
 
 def test_a_joint_that_drives_another_one_is_held() -> None:
-    assert all(entry.joint != "gripper_joint_1" for entry in plan(load_robot("omx_f"), [0.05], seconds=0.0))
+    assert all(
+        entry.joint != "gripper_joint_1" for entry in plan(load_robot("omx_f"), [0.05], seconds=0.0)
+    )

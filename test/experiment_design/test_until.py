@@ -46,13 +46,18 @@ def sequence_file(folder: Path, **until: Any) -> Path:
         ({"half_interval": 0.3, "unit": "kg"}, "it is in kg, not g"),
         ({"half_interval": 0.0, "unit": "kg"}, "must be above 0"),
         ({"half_interval": "half a gram", "unit": "kg"}, "until.half_interval: expected a number"),
-        ({"half_interval": 5e-4, "unit": "g"}, "unit='g' is unknown for hand='payload'; choose 'kg'"),
+        (
+            {"half_interval": 5e-4, "unit": "g"},
+            "unit='g' is unknown for hand='payload'; choose 'kg'",
+        ),
         ({"half_interval": 5e-4}, "until: lacks unit"),
         ({"half_interval": 5e-4, "unit": "kg", "at_most": 30}, "unknown key at_most"),
         ({"half_interval": 5e-4, "unit": "kg", "at_most_s": 0}, "at_most_s=0 must be above 0 s"),
     ],
 )
-def test_what_cannot_be_asked_for_is_refused_in_one_line(tmp_path: Path, until: dict[str, Any], words: str) -> None:
+def test_what_cannot_be_asked_for_is_refused_in_one_line(
+    tmp_path: Path, until: dict[str, Any], words: str
+) -> None:
     with pytest.raises(ConfigurationError) as caught:
         load_sequence(sequence_file(tmp_path, **until), ROBOT)
     assert words in str(caught.value) and "\n" not in str(caught.value)
@@ -79,13 +84,19 @@ def test_a_sequence_goes_to_the_excitation_node_as_text() -> None:
         assert replace(again, name=name) == sequence
     with pytest.raises(ConfigurationError, match="must be JSON"):
         load_sequence("{runs: }", ROBOT)
-    assert set(json.loads(as_text(load_sequence("payload_until", ROBOT)))["until"]) == {"half_interval", "unit", "at_most_s"}
+    assert set(json.loads(as_text(load_sequence("payload_until", ROBOT)))["until"]) == {
+        "half_interval",
+        "unit",
+        "at_most_s",
+    }
 
 
 def test_the_machine_cannot_choose() -> None:
     pose = dict.fromkeys(ROBOT.drive_trains, 0.0) | {"joint2": -1.0, "joint3": 0.6}
     with pytest.raises(ExcitationError, match="by the identifier"):
-        ExcitationMachine(ROBOT).start(load_sequence("payload_until", ROBOT), JointSample(0.0, pose, pose))
+        ExcitationMachine(ROBOT).start(
+            load_sequence("payload_until", ROBOT), JointSample(0.0, pose, pose)
+        )
 
 
 def test_only_what_is_weighed_is_chosen_for() -> None:
@@ -108,7 +119,8 @@ class Weighing(Hand):
     def weigh(self, until: Until) -> tuple[UntilSure, list[Decision]]:
         sequence = replace(load_sequence("payload_until", self.robot), until=until)
         chooser = UntilSure(self.robot, paper_hand_facts(), sequence)
-        began, decisions = self.time_s, []
+        began = self.time_s
+        decisions = []
         while not decisions or decisions[-1].run is not None:
             decisions.append(chooser.next(self.runs, self.sample().position, self.time_s - began))
             if decisions[-1].run is not None:
@@ -116,7 +128,9 @@ class Weighing(Hand):
         return chooser, decisions
 
 
-def hand(mass_kg: float, position: Mapping[str, float] | None = None, coulomb: float | None = None) -> Weighing:
+def hand(
+    mass_kg: float, position: Mapping[str, float] | None = None, coulomb: float | None = None
+) -> Weighing:
     """A robot of which all is known, but perhaps not how much its joints really rub."""
     pytest.importorskip("mujoco")
     from proprio_ros.virtual.arm import VirtualArm
@@ -127,8 +141,12 @@ def hand(mass_kg: float, position: Mapping[str, float] | None = None, coulomb: f
     robot = paper_hand.known_robot()
     truth = Truth.nominal(robot)
     if coulomb is not None:
-        truth = replace(truth, joints={n: replace(joint, coulomb=coulomb) for n, joint in truth.joints.items()})
-    arm = VirtualArm(robot, truth, position=position or PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
+        truth = replace(
+            truth, joints={n: replace(joint, coulomb=coulomb) for n, joint in truth.joints.items()}
+        )
+    arm = VirtualArm(
+        robot, truth, position=position or PARKED, seed=1, control_period_s=paper_hand.PERIOD_S
+    )
     arm.hold(Payload(mass_kg))
     return Weighing(robot, arm)
 
@@ -147,12 +165,26 @@ def test_it_ends_when_it_is_sure(tmp_path: Path) -> None:
         assert again.next(arm.runs, arm.sample().position, 1.0).ended_by == ended_by
     from proprio_ros.report.choices_page import Choice, write_choices
 
-    choices = [Choice(d.value, d.half, d.promised, d.reason, [push.words for push in d.others], d.decided_s) for d in decisions]
+    choices = [
+        Choice(
+            d.value, d.half, d.promised, d.reason, [push.words for push in d.others], d.decided_s
+        )
+        for d in decisions
+    ]
     write_choices(choices, chooser.sought, UNTIL.half_interval, tmp_path / "choices.html")
     page = (tmp_path / "choices.html").read_text()
-    assert page.count('<svg class="chart" role') == 1 and decisions[-1].reason in page and decisions[0].others[0].words in page
-    grams = re.search(r"<p class=value>([\d.]+) g</p>\s*<p class=interval>mass \+-[\d.]+ g \(95 %\) after (\d+) push", page)
-    assert grams is not None and float(grams[1]) == pytest.approx(1e3 * decisions[-1].value, abs=0.06)
+    assert (
+        page.count('<svg class="chart" role') == 1
+        and decisions[-1].reason in page
+        and decisions[0].others[0].words in page
+    )
+    grams = re.search(
+        r"<p class=value>([\d.]+) g</p>\s*<p class=interval>mass \+-[\d.]+ g \(95 %\) after (\d+) push",
+        page,
+    )
+    assert grams is not None and float(grams[1]) == pytest.approx(
+        1e3 * decisions[-1].value, abs=0.06
+    )
     assert int(grams[2]) == len(decisions) - 1
 
 
@@ -174,7 +206,10 @@ def test_a_heavy_object_is_weighed_as_well() -> None:
 def test_joints_that_stick_are_said_to() -> None:
     arm = hand(0.05, coulomb=0.6)
     _, decisions = arm.weigh(UNTIL)
-    assert decisions[-1].ended_by == "stuck" and "moved nothing: the joint sticks" in decisions[-1].reason
+    assert (
+        decisions[-1].ended_by == "stuck"
+        and "moved nothing: the joint sticks" in decisions[-1].reason
+    )
     assert arm.time_s < 50.0
 
 
@@ -183,7 +218,9 @@ def test_it_ends_when_time_is_over_and_when_nothing_is_worth_it() -> None:
     _, decisions = hand(0.05).weigh(Until(1e-6, "kg", 6.0))
     assert decisions[-1].ended_by == "time" and "the 6 s are over" in decisions[-1].reason
     _, decisions = hand(0.05).weigh(Until(5e-4, "kg", 600.0))
-    assert decisions[-1].ended_by == "worth" and "a tenth of what is missing" in decisions[-1].reason
+    assert (
+        decisions[-1].ended_by == "worth" and "a tenth of what is missing" in decisions[-1].reason
+    )
 
 
 @pytest.mark.long
@@ -196,7 +233,8 @@ def test_a_push_tells_what_was_foreseen() -> None:
     rng = np.random.default_rng(5)
     hidden = draw_robot(rng, EFFECTS_DEFAULT, SPREAD)
     catalogue = Catalogue(ROBOT, paper_hand_facts())
-    known, runs = catalogue.nothing_known(), []
+    known = catalogue.nothing_known()
+    runs = []
     promised: list[tuple[float, float]] = []
     for _ in range(4):
         push = catalogue.rank(known, lambda starts: np.full(len(starts), 2.0))[0]

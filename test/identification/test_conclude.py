@@ -13,7 +13,14 @@ import pytest
 
 from proprio_ros.identification.conclude import Conclusion
 from proprio_ros.identification.estimate import SolverSummary, Value, Verdict
-from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, solve_load, summary, unexplained
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    fit_both,
+    solve_load,
+    summary,
+    unexplained,
+)
 from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings
 from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import prepare_run
@@ -25,7 +32,8 @@ from proprio_ros.robot import Robot, load_robot
 from proprio_ros.schema import reason_codes
 from proprio_ros.sim.payload import PayloadFacts
 
-HEAVY, LIGHT = "quantised_s00_fixed_heavy_ball_50g_joint3", "quantised_s00_fixed_heavy_cube_23g_joint3_x1"
+HEAVY = "quantised_s00_fixed_heavy_ball_50g_joint3"
+LIGHT = "quantised_s00_fixed_heavy_cube_23g_joint3_x1"
 OPTIONS = SearchOptions(starts_kg=(0.005, 0.05))
 
 
@@ -39,7 +47,8 @@ class Weighed(Conclusion):
     half: float | None = None
     wide: Useful | None = None
 
-    probe, name = "scales", "payload_mass"
+    probe = "scales"
+    name = "payload_mass"
     called = MappingProxyType({"payload_mass": "container_mass"})
 
     def widen(self) -> None:
@@ -76,7 +85,9 @@ class Weighed(Conclusion):
 
 
 def fits_of(robot: Robot, bags: Path, *names: str) -> tuple[FitResult, FitResult]:
-    runs = [prepare_run(robot, *bag_runs(bags / name / "bag_mcap", Request(robot))) for name in names]
+    runs = [
+        prepare_run(robot, *bag_runs(bags / name / "bag_mcap", Request(robot))) for name in names
+    ]
     return fit_both(partial(solve_load, robot, runs, PayloadFacts(), OPTIONS), unexplained)
 
 
@@ -101,11 +112,18 @@ def two(robot: Robot, bags: Path) -> tuple[FitResult, FitResult]:
         name: replace(drive, **{term: known(getattr(drive, term)) for term in DRIVE_TERMS})
         for name, drive in robot.drive_trains.items()
     }
-    exact = {"arm_scale": known(robot.arm_scale), "delay": known(robot.delay), "link_mass_std": 0.0, "link_com_std": 0.0}
+    exact = {
+        "arm_scale": known(robot.arm_scale),
+        "delay": known(robot.delay),
+        "link_mass_std": 0.0,
+        "link_com_std": 0.0,
+    }
     return fits_of(replace(robot, drive_trains=drives, **exact), bags, HEAVY, LIGHT)
 
 
-def test_an_answer_is_widened_by_what_the_probe_adds_and_by_what_was_guessed(fits: tuple[FitResult, FitResult]) -> None:
+def test_an_answer_is_widened_by_what_the_probe_adds_and_by_what_was_guessed(
+    fits: tuple[FitResult, FitResult],
+) -> None:
     plain = Weighed(*fits, Findings(), 1).estimate()
     std = plain.values[0].std
     assert isinstance(std, float) and plain.verdict is Verdict.ACCEPTED
@@ -126,27 +144,52 @@ def test_reasons_come_in_one_order(fits: tuple[FitResult, FitResult]) -> None:
     codes = reason_codes(estimate.reasons)
     assert codes == ["too_wide", "other", "guessed_facts", "other", "not_calibrated"]
     assert estimate.reasons[1] == "seen on the way" and estimate.reasons[3] == "look twice"
-    assert "a.size" not in estimate.reasons[-1] and " g" in estimate.reasons[-1]  # what the robot's file leaves open, alone
+    # what the robot's file leaves open, alone
+    assert "a.size" not in estimate.reasons[-1] and " g" in estimate.reasons[-1]
     assert estimate.notes == ("a note",) and estimate.runs == 3 and estimate.probe == "scales"
 
 
-def test_a_refusal_withholds_the_value_and_what_would_be_said_of_it(fits: tuple[FitResult, FitResult]) -> None:
-    refusals = [not_identifiable("one_sided", "one side at most", f"it is more than {bound}") for bound in (1, 2)]
-    estimate = Weighed(*fits, Findings(["seen on the way"]), 1, against=refusals, wide=Useful(1e-3)).estimate()
+def test_a_refusal_withholds_the_value_and_what_would_be_said_of_it(
+    fits: tuple[FitResult, FitResult],
+) -> None:
+    refusals = [
+        not_identifiable("one_sided", "one side at most", f"it is more than {bound}")
+        for bound in (1, 2)
+    ]
+    estimate = Weighed(
+        *fits, Findings(["seen on the way"]), 1, against=refusals, wide=Useful(1e-3)
+    ).estimate()
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
     assert estimate.reasons == ("it is more than 1", "seen on the way")
     assert estimate.values[0].value is None and estimate.values[0].reason == "one side at most"
 
 
-def test_what_cannot_be_simulated_and_what_is_not_explained_are_refused(fits: tuple[FitResult, FitResult]) -> None:
+def test_what_cannot_be_simulated_and_what_is_not_explained_are_refused(
+    fits: tuple[FitResult, FitResult],
+) -> None:
     nominal, opened = fits
-    coarse = Weighed(nominal, replace(opened, chi2=2.0 * MISFIT_LIMIT * opened.dof), Findings(), 1).estimate()
+    coarse = Weighed(
+        nominal, replace(opened, chi2=2.0 * MISFIT_LIMIT * opened.dof), Findings(), 1
+    ).estimate()
     assert coarse.verdict is Verdict.REJECTED and reason_codes(coarse.reasons)[0] == "misfit"
-    assert "reduced chi-square 18.0" in coarse.reasons[0] or "misses the recording by" in coarse.reasons[0]
+    assert (
+        "reduced chi-square 18.0" in coarse.reasons[0]
+        or "misses the recording by" in coarse.reasons[0]
+    )
     assert "has not been calibrated" in coarse.reasons[1]
-    nothing = Weighed(nominal, replace(opened, chi2=np.inf), Findings(), 1, own=1.0, guessed=[Guess("a", "b", "c", 1.0)])
+    nothing = Weighed(
+        nominal,
+        replace(opened, chi2=np.inf),
+        Findings(),
+        1,
+        own=1.0,
+        guessed=[Guess("a", "b", "c", 1.0)],
+    )
     refused = nothing.estimate()
-    assert reason_codes(refused.reasons)[0] == "unsimulated" and "check the robot file's inertias" in refused.reasons[0]
+    assert (
+        reason_codes(refused.reasons)[0] == "unsimulated"
+        and "check the robot file's inertias" in refused.reasons[0]
+    )
     assert not nothing.guesses and nothing.apart is None
 
 
@@ -158,7 +201,9 @@ def test_runs_that_contradict_each_other_are_refused(two: tuple[FitResult, FitRe
     assert estimate.values[0].reason == "the runs contradict each other"
 
 
-def test_runs_that_differ_little_widen_the_interval_and_are_named(two: tuple[FitResult, FitResult]) -> None:
+def test_runs_that_differ_little_widen_the_interval_and_are_named(
+    two: tuple[FitResult, FitResult],
+) -> None:
     alone, both = (Weighed(*two, Findings(), 2, half=half) for half in (0.0, 0.02))
     for conclusion in (alone, both):
         conclusion.estimate()
@@ -167,7 +212,11 @@ def test_runs_that_differ_little_widen_the_interval_and_are_named(two: tuple[Fit
     assert "says otherwise" in next(both.cautions(both.solver()))
 
 
-def test_unknowns_and_sources_are_shown_as_the_probe_calls_them(fits: tuple[FitResult, FitResult]) -> None:
+def test_unknowns_and_sources_are_shown_as_the_probe_calls_them(
+    fits: tuple[FitResult, FitResult],
+) -> None:
     estimate = Weighed(*fits, Findings(), 1).estimate()
-    assert estimate.unknowns[0].kind == "container_mass" and "viscous" in {row.kind for row in estimate.unknowns}
+    assert estimate.unknowns[0].kind == "container_mass" and "viscous" in {
+        row.kind for row in estimate.unknowns
+    }
     assert not any(source == "payload_mass" for source, _ in estimate.budget)

@@ -43,7 +43,9 @@ OPTIONS = SearchOptions(starts_kg=(0.005, 0.05, 0.5))
 @pytest.fixture(scope="module")
 def fit() -> FitResult:
     robot = load_robot("open_manipulator_x")
-    (run,) = bag_runs(BAGS / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot))
+    (run,) = bag_runs(
+        BAGS / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot)
+    )
     solve = partial(solve_load, robot, [prepare_run(robot, run)], PayloadFacts(), OPTIONS)
     return fit_both(solve, unexplained)[1]
 
@@ -59,7 +61,9 @@ def test_chi_square_is_that_of_residuals_and_priors(fit: FitResult) -> None:
     cost, _, _ = problem.linearise(internal)
     assert fit.chi2 == pytest.approx(2.0 * float(cost[0]), rel=1e-6)
     # a search that goes on from there finds no other mass
-    longer = FitResult.of(problem, levenberg_marquardt(problem, internal, None, iterations=100, tolerance=1e-9))
+    longer = FitResult.of(
+        problem, levenberg_marquardt(problem, internal, None, iterations=100, tolerance=1e-9)
+    )
     mass, std = fit.determined("payload_mass")
     assert longer.value_of("payload_mass") == pytest.approx(mass, abs=0.1 * std)
     assert fit.reduced_chi2 == fit.chi2 / fit.dof and fit.explains
@@ -70,7 +74,9 @@ def test_each_start_ends_at_the_same_mass(fit: FitResult) -> None:
     assert [path.end for path in said.paths] == fit.physical("payload_mass").tolist()
     assert not rivals(fit, "payload_mass", fit.value_of("payload_mass"), 1e-3, 0.05)
     far = fit.value_of("payload_mass") + 0.1
-    assert rivals(fit, "payload_mass", far, 1e-3, 0.05) == pytest.approx([fit.value_of("payload_mass")], abs=1e-6)
+    assert rivals(fit, "payload_mass", far, 1e-3, 0.05) == pytest.approx(
+        [fit.value_of("payload_mass")], abs=1e-6
+    )
 
 
 def test_the_budget_adds_up_to_the_variance(fit: FitResult) -> None:
@@ -81,7 +87,10 @@ def test_the_budget_adds_up_to_the_variance(fit: FitResult) -> None:
     whole = fit.determined("payload_mass")[1] ** 2
     assert sum(std**2 for std in stds) == pytest.approx(whole, rel=1e-6)
     (reason,) = uncalibrated(fit.problem.robot, fit.problem.runs, budget)
-    assert "has not been calibrated" in reason and f"{1e3 * max(s for n, s in budget if n != ENCODER):.1f} g" in reason
+    assert (
+        "has not been calibrated" in reason
+        and f"{1e3 * max(s for n, s in budget if n != ENCODER):.1f} g" in reason
+    )
     assert "outside what its file allows" in other_suspects(fit.problem.robot)[0]
 
 
@@ -122,7 +131,8 @@ def test_a_profile_is_least_at_the_fit_and_rises_to_both_sides(fit: FitResult) -
     scan = misfit_profile(fit, "payload_mass", posterior, 1.0, mass, std)
     assert scan.level == CHI2_95 and scan.cost.max() < PROFILE_HIGHEST
     assert scan.values[np.argmin(scan.cost)] == pytest.approx(mass) and scan.cost.min() == 0.0
-    below, above = scan.values < mass, scan.values > mass
+    below = scan.values < mass
+    above = scan.values > mass
     assert below.sum() >= 3 and above.any()
     assert np.all(np.diff(scan.cost[below]) < 0.0) and np.all(np.diff(scan.cost[above]) > 0.0)
     off = (mass - scan.values[below]) / std
@@ -130,7 +140,8 @@ def test_a_profile_is_least_at_the_fit_and_rises_to_both_sides(fit: FitResult) -
 
 
 def test_what_is_frozen_stays_where_the_file_has_it(fit: FitResult) -> None:
-    robot, runs = fit.problem.robot, fit.problem.runs
+    robot = fit.problem.robot
+    runs = fit.problem.runs
     frozen = solve_load(robot, runs, PayloadFacts(), OPTIONS, Role.FROZEN)
     constant = robot.drive_trains["joint3"].torque_constant
     assert frozen.value_of(("torque_constant", "joint3")) == constant.value

@@ -27,19 +27,47 @@ STIFFNESS, LAG_S = 1.78 * 10.6, 0.48 / 10.6
 
 def calibrated(coulomb: float) -> Robot:
     """What is known of the simulated arm."""
-    robot, none = load_robot("open_manipulator_x"), Quantity(0.0)
-    known = {"coulomb": Quantity(coulomb), "viscous": none, "load_friction": none, "stribeck": none, "armature": Quantity(0.012)}
-    return replace(robot, drive_trains={name: replace(drive, **known) for name, drive in robot.drive_trains.items()})
+    robot = load_robot("open_manipulator_x")
+    none = Quantity(0.0)
+    known = {
+        "coulomb": Quantity(coulomb),
+        "viscous": none,
+        "load_friction": none,
+        "stribeck": none,
+        "armature": Quantity(0.012),
+    }
+    return replace(
+        robot,
+        drive_trains={name: replace(drive, **known) for name, drive in robot.drive_trains.items()},
+    )
 
 
 def shaken(seed: int, coulomb: float) -> tuple[Robot, Run, Followed, Followed]:
     """The elbow swings 0.3 kg at 3 Hz; robot, run, and the true motions of elbow and shoulder."""
-    start = {"joint1": 0.0, "joint2": 0.15, "joint3": 1.2, "joint4": -1.35, "gripper_left_joint": 0.0}
-    hidden = HiddenRobot(torque_constant=(1.78,) * 4, armature=(0.012,) * 4, coulomb=(coulomb,) * 4, compliance=True)
-    made = simulate(hidden, "joint3", start, -0.33, 2.0, LOAD, shake=(0.12, 1.0 / 3.0), braked_s=0.0)
-    times_s, rng = np.arange(0.0, 2.0, 0.025), np.random.default_rng(seed)
-    before_s, count = np.arange(-20, 0) * 0.025, 2.0 * np.pi / 4096.0
-    read = np.stack([np.interp(np.concatenate([before_s, times_s]), made.times_s, column) for column in made.position.T], axis=1)
+    start = {
+        "joint1": 0.0,
+        "joint2": 0.15,
+        "joint3": 1.2,
+        "joint4": -1.35,
+        "gripper_left_joint": 0.0,
+    }
+    hidden = HiddenRobot(
+        torque_constant=(1.78,) * 4, armature=(0.012,) * 4, coulomb=(coulomb,) * 4, compliance=True
+    )
+    made = simulate(
+        hidden, "joint3", start, -0.33, 2.0, LOAD, shake=(0.12, 1.0 / 3.0), braked_s=0.0
+    )
+    times_s = np.arange(0.0, 2.0, 0.025)
+    rng = np.random.default_rng(seed)
+    before_s = np.arange(-20, 0) * 0.025
+    count = 2.0 * np.pi / 4096.0
+    read = np.stack(
+        [
+            np.interp(np.concatenate([before_s, times_s]), made.times_s, column)
+            for column in made.position.T
+        ],
+        axis=1,
+    )
     read = count * np.round((read + 3e-4 * rng.standard_normal(read.shape)) / count)
     held = {name: float(np.mean(read[:20, n])) for n, name in enumerate(JOINTS) if name != "joint3"}
     run = Run(
@@ -50,7 +78,10 @@ def shaken(seed: int, coulomb: float) -> tuple[Robot, Run, Followed, Followed]:
     )  # fmt: skip
     grid = np.arange(0.0, 2.0, 0.0025)
     speed = np.gradient(made.position, made.times_s, axis=0)
-    at = [[np.interp(grid, made.times_s, each[:, n]) for each in (made.position, speed)] for n in (2, 1)]
+    at = [
+        [np.interp(grid, made.times_s, each[:, n]) for each in (made.position, speed)]
+        for n in (2, 1)
+    ]
     elbow, shoulder = (Followed(grid, *each) for each in at)
     return calibrated(coulomb), run, elbow, shoulder
 
@@ -89,7 +120,13 @@ def test_runs_of_one_servo_are_taken_together(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(held_by_servos, "least_squares", spied)
     made = [shaken(seed, 0.02) for seed in (1, 2, 3)]
-    give_way(made[0][0], [run for _, run, _, _ in made], [elbow for _, _, elbow, _ in made], FACTS, [KG] * 3)
+    give_way(
+        made[0][0],
+        [run for _, run, _, _ in made],
+        [elbow for _, _, elbow, _ in made],
+        FACTS,
+        [KG] * 3,
+    )
     of_shoulder = found[len(found) // 2]  # the first joint of the second sweep
     stiffness, lag_s = np.exp(held_by_servos.SERVO + held_by_servos.SPREADS[:2] * of_shoulder[:2])
     assert len(of_shoulder) == 6
@@ -101,9 +138,16 @@ def test_gradients_are_those_of_finite_differences() -> None:
     push = forced_on(robot, run, "joint2", {"joint3": elbow}, FACTS, KG)
     assert push is not None
     servo = Servo([push, push], SIGMA)
-    for z in (np.zeros(5), np.array([0.3, -0.5, 0.4, 0.6, -0.2]), np.array([-0.4, 0.8, -0.7, -0.3, 0.9])):
+    for z in (
+        np.zeros(5),
+        np.array([0.3, -0.5, 0.4, 0.6, -0.2]),
+        np.array([-0.4, 0.8, -0.7, -0.3, 0.9]),
+    ):
         step = 1e-5
-        differences = [(servo.residual(z + step * e) - servo.residual(z - step * e)) / (2.0 * step) for e in np.eye(5)]
+        differences = [
+            (servo.residual(z + step * e) - servo.residual(z - step * e)) / (2.0 * step)
+            for e in np.eye(5)
+        ]
         exact = servo.jacobian(z).T
         for mine, its in zip(exact, differences, strict=True):
             assert np.linalg.norm(mine - its) < 2e-3 * np.linalg.norm(its) + 1e-6

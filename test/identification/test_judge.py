@@ -11,7 +11,13 @@ import pytest
 from scipy.stats import norm
 
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, solve_load, unexplained
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    fit_both,
+    solve_load,
+    unexplained,
+)
 from proprio_ros.identification.judge import (
     ACCEPTED,
     FAR,
@@ -39,7 +45,9 @@ from proprio_ros.schema import reason_codes
 from proprio_ros.sim.payload import PayloadFacts
 
 NAME = "payload_mass"
-MISFIT = rejected("misfit", "the model does not explain the recording", "it does not", "look at the gears")
+MISFIT = rejected(
+    "misfit", "the model does not explain the recording", "it does not", "look at the gears"
+)
 OPEN = not_identifiable("one_sided", "one side at most", "it may be anything")
 WIDE = Refusal(Verdict.TOO_WIDE, "", ("from 0 to 100 g",))
 
@@ -52,7 +60,9 @@ def robot() -> Robot:
 @pytest.fixture(scope="module")
 def lift(bags: Path, robot: Robot) -> Run:
     """50 g, by an arm that was never calibrated."""
-    (run,) = bag_runs(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot))
+    (run,) = bag_runs(
+        bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot)
+    )
     return run
 
 
@@ -72,7 +82,8 @@ def fit(robot: Robot, lift: Run) -> FitResult:
 
 def far_off(fit: FitResult) -> Assessment:
     """A fit that is said to have ended six standard deviations from what the file says of the viscous friction."""
-    values, row = fit.values.copy(), fit.problem.index["viscous", "joint3"]
+    values = fit.values.copy()
+    row = fit.problem.index["viscous", "joint3"]
     values[row] = fit.problem.unknowns[row].value + 6.0 * fit.problem.unknowns[row].std
     return Assessment(replace(fit, values=values), NAME)
 
@@ -95,21 +106,31 @@ def test_the_first_refusal_counts_and_no_other_is_computed(first: Refusal, fit: 
 
 
 @pytest.mark.parametrize("weaker", [ACCEPTED, OPEN, WIDE])
-def test_unknowns_far_from_their_priors_reject_what_else_would_stand(weaker: Refusal, fit: FitResult) -> None:
+def test_unknowns_far_from_their_priors_reject_what_else_would_stand(
+    weaker: Refusal, fit: FitResult
+) -> None:
     refusal = judge([weaker], far_off(fit))
-    assert refusal.verdict is Verdict.REJECTED and reason_codes(refusal.reasons)[0] == "far_from_prior"
-    assert "viscous[joint3]" in refusal.reasons[0] and "6.0 standard deviations" in refusal.reasons[0]
+    assert (
+        refusal.verdict is Verdict.REJECTED and reason_codes(refusal.reasons)[0] == "far_from_prior"
+    )
+    assert (
+        "viscous[joint3]" in refusal.reasons[0] and "6.0 standard deviations" in refusal.reasons[0]
+    )
     assert refusal.withheld and not set(weaker.reasons) & set(refusal.reasons) and FAR < 6.0
 
 
 def test_of_a_rejected_recording_they_are_said_moreover(fit: FitResult) -> None:
     refusal = judge([MISFIT], far_off(fit))
     assert refusal.verdict is Verdict.REJECTED and refusal.withheld == MISFIT.withheld
-    assert refusal.reasons[:2] == MISFIT.reasons and refusal.reasons[2].startswith("moreover, viscous[joint3]")
+    assert refusal.reasons[:2] == MISFIT.reasons and refusal.reasons[2].startswith(
+        "moreover, viscous[joint3]"
+    )
 
 
 @pytest.mark.parametrize("other", [ACCEPTED, MISFIT, WIDE])
-def test_stamps_that_do_not_fit_come_before_all_else(other: Refusal, robot: Robot, lift: Run) -> None:
+def test_stamps_that_do_not_fit_come_before_all_else(
+    other: Refusal, robot: Robot, lift: Run
+) -> None:
     # the joint moves 150 ms before the current that is said to drive it
     times_s = np.concatenate([lift.before_times_s, lift.times_s]) - 0.15
     position = np.concatenate([lift.before_position, lift.position])
@@ -146,7 +167,9 @@ def test_independent_uncertainties_add_in_squares(fit: FitResult) -> None:
     assert assessed.value == fit.values[fit.problem.index[NAME]]
 
 
-def test_residuals_coarser_than_the_encoder_widen_the_interval_as_far_as_nothing_else_is_known(fit: FitResult) -> None:
+def test_residuals_coarser_than_the_encoder_widen_the_interval_as_far_as_nothing_else_is_known(
+    fit: FitResult,
+) -> None:
     coarse = replace(fit, chi2=4.0 * fit.dof)
     assert Assessment(coarse, NAME).inflation == pytest.approx(4.0)
     assert Assessment(coarse, NAME).std > Assessment(fit, NAME).std
@@ -155,12 +178,16 @@ def test_residuals_coarser_than_the_encoder_widen_the_interval_as_far_as_nothing
 
 def test_a_wide_interval_is_a_verdict_that_keeps_the_value(fit: FitResult) -> None:
     assessed = Assessment(fit, NAME)
-    mass, useful = assessed.value, Useful(0.5, 0.005)
+    mass = assessed.value
+    useful = Useful(0.5, 0.005)
     assessed.widen(mass)  # then it may as well be nothing
     (refusal,) = too_wide(assessed, useful, [("torque_constant[joint3]", mass)])
     assert refusal.verdict is Verdict.TOO_WIDE and not refusal.withheld
     (sentence,) = refusal.reasons
-    assert sentence.startswith("anything from 0 ..") and "+-50 % of the value and than +-5 g" in sentence
+    assert (
+        sentence.startswith("anything from 0 ..")
+        and "+-50 % of the value and than +-5 g" in sentence
+    )
     assert "because of torque constant, joint3" in sentence and "calibrate the robot" in sentence
     assert list(too_wide(assessed, Useful(3.0), [])) == []
 
@@ -169,7 +196,9 @@ def test_a_quantity_that_is_not_negative() -> None:
     inside = positive("payload_mass", "kg", 0.05, 0.01)
     assert (inside.value, inside.std) == (0.05, 0.01)
     assert inside.ci95 == pytest.approx([0.05 - Z95 * 0.01, 0.05 + Z95 * 0.01])
-    assert positive("payload_mass", "kg", 0.05, 0.01, quantile=3.0).ci95 == pytest.approx([0.02, 0.08])
+    assert positive("payload_mass", "kg", 0.05, 0.01, quantile=3.0).ci95 == pytest.approx(
+        [0.02, 0.08]
+    )
     empty = positive("payload_mass", "kg", -0.001, 0.002)
     # what is estimated below nothing is known no better than what is estimated at nothing
     assert empty.value == 0.0 and empty.ci95 == pytest.approx([0.0, Z95 * 0.002])
@@ -190,13 +219,24 @@ def test_an_interval_far_from_nothing_is_not_cut_off() -> None:
 def test_a_quantity_ends_where_it_must_or_is_withheld() -> None:
     assert positive("poissons_ratio", "1", 0.4, 0.1, highest=0.47).ci95[1] == 0.47
     withheld = positive("payload_mass", "kg", 0.05, 0.01, "more than one mass")
-    assert (withheld.value, withheld.std, withheld.ci95, withheld.reason) == (None, None, None, "more than one mass")
+    assert (withheld.value, withheld.std, withheld.ci95, withheld.reason) == (
+        None,
+        None,
+        None,
+        "more than one mass",
+    )
 
 
 def test_guesses_are_named_with_what_they_cost_together() -> None:
-    sentence = guessed([Guess("a.size", "30 mm", "3 mm", 0.003), Guess("b.place", "here", "5 mm", 0.004)], 0.05)
+    sentence = guessed(
+        [Guess("a.size", "30 mm", "3 mm", 0.003), Guess("b.place", "here", "5 mm", 0.004)], 0.05
+    )
     assert "a.size (30 mm, +- 3 mm), b.place (here, +- 5 mm)" in sentence
-    assert "(std 10 %)" in sentence and "--set a.size=.." in sentence and sentence.code == "guessed_facts"
+    assert (
+        "(std 10 %)" in sentence
+        and "--set a.size=.." in sentence
+        and sentence.code == "guessed_facts"
+    )
     assert "std" not in guessed([Guess("a.size", "30 mm", "3 mm", 0.003)], 0.0)
 
 
@@ -204,7 +244,16 @@ def test_guesses_are_named_with_what_they_cost_together() -> None:
 
 
 def at_times(robot: Robot, run: Run, times_s: np.ndarray) -> PreparedRun:
-    return prepare_run(robot, replace(run, times_s=times_s, duration_s=1.0, after_times_s=np.zeros(0), after_position=np.zeros(0)))
+    return prepare_run(
+        robot,
+        replace(
+            run,
+            times_s=times_s,
+            duration_s=1.0,
+            after_times_s=np.zeros(0),
+            after_position=np.zeros(0),
+        ),
+    )
 
 
 def test_a_pause_is_said_before_uneven_stamps(robot: Robot, lift: Run) -> None:

@@ -23,7 +23,12 @@ from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Request
 from proprio_ros.records import Run
 from proprio_ros.robot import load_robot
-from proprio_ros.sim.payload import PayloadFacts, PayloadShape, payload_parameters, pseudo_inertia_basis
+from proprio_ros.sim.payload import (
+    PayloadFacts,
+    PayloadShape,
+    payload_parameters,
+    pseudo_inertia_basis,
+)
 
 TIMES = np.arange(-10, 25) / 40.0
 SIGMA = 0.66e-3
@@ -57,10 +62,18 @@ def fine(truth: np.ndarray) -> np.ndarray:
 def test_readings_that_are_finer_than_the_file_says_are_believed_to_what_they_are() -> None:
     """A joint gives way at once and is caught by a damped spring: 5 rad/s^2 for 20 ms, of which 1 mrad would show nothing."""
     since = np.maximum(FINE_TIMES, 0.0)
-    rate, spring = 12.0, 25.0
+    rate = 12.0
+    spring = 25.0
     size = 5.0 / (rate**2 + spring**2)
-    truth = 0.3 + size * (1.0 - np.exp(-rate * since) * (np.cos(spring * since) + rate / spring * np.sin(spring * since)))
-    bend = 5.0 * np.exp(-rate * since) * (np.cos(spring * since) - rate / spring * np.sin(spring * since))
+    truth = 0.3 + size * (
+        1.0
+        - np.exp(-rate * since) * (np.cos(spring * since) + rate / spring * np.sin(spring * since))
+    )
+    bend = (
+        5.0
+        * np.exp(-rate * since)
+        * (np.cos(spring * since) - rate / spring * np.sin(spring * since))
+    )
     motion = smooth(FINE_TIMES, fine(truth), 1.1e-3, LOCKED_SCALES)
     _, _, acceleration = motion.at(since)
     for begins_s, ends_s, within in ((0.005, 0.03, 1.2), (0.03, 0.45, 0.4)):
@@ -69,14 +82,25 @@ def test_readings_that_are_finer_than_the_file_says_are_believed_to_what_they_ar
 
 
 def test_rest_begins_where_a_joint_has_come_to_it() -> None:
-    drive = replace(load_robot("open_manipulator_x").drive_trains["joint2"], encoder_resolution=1.5e-3, encoder_noise=1e-3)
+    drive = replace(
+        load_robot("open_manipulator_x").drive_trains["joint2"],
+        encoder_resolution=1.5e-3,
+        encoder_noise=1e-3,
+    )
     before = FINE_TIMES[FINE_TIMES < 0.0]
     slipped = fine(np.where(before < -0.5, -4e-3, 0.0) + 0.3 - 3e-4 * before)
     assert before[rests_from(before, slipped, drive)] == pytest.approx(-0.5)
     noisy = 0.3 + 1e-3 * np.random.default_rng(2).standard_normal(len(before))
     assert rests_from(before, noisy, drive) == 0
-    assert rests_from(before, noisy + np.where(before < -0.7, 0.1, 0.0), drive) == np.flatnonzero(before >= -0.7)[0]
-    unrounded = 0.3 + 1e-9 * np.random.default_rng(2).standard_normal(len(before)) + np.where(before < -0.7, 0.1, 0.0)
+    assert (
+        rests_from(before, noisy + np.where(before < -0.7, 0.1, 0.0), drive)
+        == np.flatnonzero(before >= -0.7)[0]
+    )
+    unrounded = (
+        0.3
+        + 1e-9 * np.random.default_rng(2).standard_normal(len(before))
+        + np.where(before < -0.7, 0.1, 0.0)
+    )
     assert rests_from(before, unrounded, drive) == np.flatnonzero(before >= -0.7)[0]
     on_its_way = 0.3 + 0.2 * before
     assert rests_from(before, on_its_way, drive) == 0
@@ -106,7 +130,9 @@ def test_what_a_held_joint_did_before_it_came_to_rest_is_no_yielding() -> None:
     still = fine(0.3 - np.where(FINE_TIMES < -0.5, 0.094, 0.0))
     run = replace(run, held={"joint2": float(np.mean(still))}, held_position={"joint2": still})
     stood, motions = locked_motions(robot, run, ("joint2",))
-    assert not motions and stood["joint2"] == pytest.approx(0.3, abs=3e-4), "where it was held, not the mean with what was before"
+    assert not motions and stood["joint2"] == pytest.approx(0.3, abs=3e-4), (
+        "where it was held, not the mean with what was before"
+    )
 
 
 def test_a_motion_is_consistent_with_itself() -> None:
@@ -129,7 +155,10 @@ def test_a_joint_that_stands_still_is_left_alone() -> None:
     called = 0
     for _ in range(200):
         reading = 0.4 + 0.5e-3 * rng.standard_normal(len(TIMES))
-        called += smooth(TIMES, counts * np.round(reading / counts), SIGMA, LOCKED_SCALES).evidence > MOVED_EVIDENCE
+        called += (
+            smooth(TIMES, counts * np.round(reading / counts), SIGMA, LOCKED_SCALES).evidence
+            > MOVED_EVIDENCE
+        )
     assert called <= 4
 
 
@@ -146,13 +175,21 @@ def test_the_driven_joint_too(bags: Path) -> None:
 def mujoco_arm():
     """MuJoCo's own reading of the same URDF, with a load of its own, without damping and limits."""
     mujoco = pytest.importorskip("mujoco")
-    spec = mujoco.MjSpec.from_file(str(Path(__file__).resolve().parents[2] / "urdf" / "open_manipulator_x.urdf"))
+    spec = mujoco.MjSpec.from_file(
+        str(Path(__file__).resolve().parents[2] / "urdf" / "open_manipulator_x.urdf")
+    )
     spec.compiler.fusestatic = False
-    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    spec.option.disableflags = int(
+        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    )
     for equality in list(spec.equalities):
         spec.delete(equality)
     body = spec.body("end_effector_link").add_body(name="load", explicitinertial=True)
-    body.mass, body.ipos, body.fullinertia = 0.08, (0.01, -0.005, 0.02), (4e-5, 3e-5, 5e-5, 1e-6, -2e-6, 3e-6)
+    body.mass, body.ipos, body.fullinertia = (
+        0.08,
+        (0.01, -0.005, 0.02),
+        (4e-5, 3e-5, 5e-5, 1e-6, -2e-6, 3e-6),
+    )
     model = spec.compile()
     model.dof_damping[:] = 0.0
     model.dof_frictionloss[:] = 0.0
@@ -162,13 +199,17 @@ def mujoco_arm():
 
 LOAD = PayloadFacts(
     com=np.array([0.01, -0.005, 0.02]),
-    shape=PayloadShape.from_inertia_per_mass(np.array([4e-5, 3e-5, 5e-5, 1e-6, -2e-6, 3e-6]) / 0.08),
+    shape=PayloadShape.from_inertia_per_mass(
+        np.array([4e-5, 3e-5, 5e-5, 1e-6, -2e-6, 3e-6]) / 0.08
+    ),
 )
 
 
 def inverse_dynamics(arm, joint: str, positions, velocities, accelerations) -> float:
     mujoco, model, data = arm
-    for values, name in itertools.product(((data.qpos, positions), (data.qvel, velocities), (data.qacc, accelerations)), positions):
+    for values, name in itertools.product(
+        ((data.qpos, positions), (data.qvel, velocities), (data.qacc, accelerations)), positions
+    ):
         values[0][model.joint(name).qposadr[0]] = values[1].get(name, 0.0)
     mujoco.mj_inverse(model, data)
     return float(data.qfrc_inverse[model.joint(joint).dofadr[0]])
@@ -197,7 +238,9 @@ def test_the_torque_of_a_motion_of_all_joints(mujoco_arm, joint: str) -> None:
         assert abs(total[t] - empty[t]) > 1e-5
 
 
-def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(mujoco_arm, bags: Path) -> None:
+def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(
+    mujoco_arm, bags: Path
+) -> None:
     """What the driven joint feels, at the recorded motion: moving joints less the same joints at rest."""
     robot = load_robot("open_manipulator_x")
     (run,) = bag_runs(bags / "realistic_s00_empty_00_joint3" / "bag_mcap", Request(robot))
@@ -206,7 +249,9 @@ def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(mujoco_arm
     begins, loads = loads_of_yielding(robot, run, motions, LOAD, SIGMA)
     assert begins[0] == 0.0 and loads.shape == (len(begins), 2)
     times = np.concatenate([run.before_times_s, run.times_s])
-    driven = smooth(times, np.concatenate([run.before_position, run.position]), SIGMA, DRIVEN_SCALES)
+    driven = smooth(
+        times, np.concatenate([run.before_position, run.position]), SIGMA, DRIVEN_SCALES
+    )
     middles = begins + 0.5 * (begins[1] - begins[0])
     for t in (0, 7, 20, len(begins) - 1):
         at = middles[t : t + 1]

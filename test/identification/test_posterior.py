@@ -26,11 +26,19 @@ def fitted(recordings: Path):
     robot = load_robot("open_manipulator_x")
     prepared = []
     for folder in sorted((recordings / "realistic_s00").glob("empty_0[0-5]_joint3")):
-        prepared += [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder / "bag_mcap", Request(robot))]
+        prepared += [
+            prepare_run(robot, run, KnownLoad())
+            for run in bag_runs(folder / "bag_mcap", Request(robot))
+        ]
     problem = Problem(robot, prepared, PayloadFacts(), robot_unknowns(robot, prepared, Role.FREE))
     start = problem.coordinates.internal(problem.base[problem.free])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
-    return robot, prepared, problem, problem.all_values(problem.coordinates.physical(solution.internal))[0]
+    return (
+        robot,
+        prepared,
+        problem,
+        problem.all_values(problem.coordinates.physical(solution.internal))[0],
+    )
 
 
 def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
@@ -40,7 +48,9 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
         others = [run for row, run in enumerate(prepared) if row != out]
         small = Problem(robot, others, PayloadFacts(), robot_unknowns(robot, others, Role.FREE))
         solution = solvers.levenberg_marquardt(
-            small, small.coordinates.internal(_moved(problem, small, values, out)[small.free])[None], None
+            small,
+            small.coordinates.internal(_moved(problem, small, values, out)[small.free])[None],
+            None,
         )
         found = small.all_values(small.coordinates.physical(solution.internal))[0]
         # the run's own unknowns fall back to their priors
@@ -53,12 +63,17 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
         expected = prepared[out].position - q[0, out, :used]
         residual, chi2 = posterior.held_out(out)
         # the model bends a little between the two fits
-        assert np.sqrt(np.mean((residual - expected) ** 2)) < 0.25 * np.sqrt(np.mean(expected**2)) + 3e-4
+        assert (
+            np.sqrt(np.mean((residual - expected) ** 2))
+            < 0.25 * np.sqrt(np.mean(expected**2)) + 3e-4
+        )
         assert 0.2 * len(residual) < chi2 < 2.5 * len(residual)
 
 
 @pytest.mark.parametrize("kind", ["v0", "onset", "disturbance", "coulomb"])
-def test_a_fit_that_ends_near_its_least_cost_predicts_runs_as_the_best_one_does(fitted, kind: str) -> None:
+def test_a_fit_that_ends_near_its_least_cost_predicts_runs_as_the_best_one_does(
+    fitted, kind: str
+) -> None:
     """A tenth of a standard deviation away; of what only one run determines, that little made a contradiction of a million."""
     _, prepared, problem, values = fitted
     start = problem.coordinates.internal(values[problem.free])[None]
@@ -71,8 +86,13 @@ def test_a_fit_that_ends_near_its_least_cost_predicts_runs_as_the_best_one_does(
         if unknown.kind == kind:
             near[row] += 0.1 * stds[row]
     for run in range(len(prepared)):
-        (residual, chi2), (expected, least) = (each.held_out(run) for each in (Posterior(problem, near), known))
-        assert np.sqrt(np.mean((residual - expected) ** 2)) < 0.1 * np.sqrt(np.mean(expected**2)) + 5e-5
+        (residual, chi2), (expected, least) = (
+            each.held_out(run) for each in (Posterior(problem, near), known)
+        )
+        assert (
+            np.sqrt(np.mean((residual - expected) ** 2))
+            < 0.1 * np.sqrt(np.mean(expected**2)) + 5e-5
+        )
         assert chi2 == pytest.approx(least, rel=0.1)
 
 
@@ -105,15 +125,23 @@ def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted)
     whole = Posterior(problem, values).whole_covariance()
     stds = np.array([u.std for u in problem.unknowns])
     assert np.all(np.sqrt(np.diag(whole)) <= stds * (1.0 + 1e-9))
-    one = Problem(robot, prepared[:1], PayloadFacts(), robot_unknowns(robot, prepared[:1], Role.FREE))
-    single = Posterior(one, np.array([values[problem.index[key]] for key in one.index])).whole_covariance()
+    one = Problem(
+        robot, prepared[:1], PayloadFacts(), robot_unknowns(robot, prepared[:1], Role.FREE)
+    )
+    single = Posterior(
+        one, np.array([values[problem.index[key]] for key in one.index])
+    ).whole_covariance()
     for key in (("coulomb", "joint3"), ("armature", "joint3"), ("torque_constant", "joint3")):
-        assert whole[problem.index[key], problem.index[key]] < single[one.index[key], one.index[key]]
+        assert (
+            whole[problem.index[key], problem.index[key]] < single[one.index[key], one.index[key]]
+        )
 
 
 def test_inflation_widens_the_data_not_the_prior(fitted) -> None:
     robot, prepared, problem, values = fitted
-    known = [replace(u, role=Role.FROZEN) if u.name.startswith("link") else u for u in problem.unknowns]
+    known = [
+        replace(u, role=Role.FROZEN) if u.name.startswith("link") else u for u in problem.unknowns
+    ]
     fewer = Problem(robot, prepared, PayloadFacts(), known)
     narrow, wide = (Posterior(fewer, values, inflation) for inflation in (1.0, 4.0))
     np.testing.assert_allclose(wide.residual, 0.5 * narrow.residual)

@@ -30,21 +30,30 @@ def moving(speed: float, joint: str = "joint3") -> Run:
     return replace(run, position=run.position + speed * run.times_s)
 
 
-@pytest.mark.parametrize("name", ["quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_squeeze_heavy"])
+@pytest.mark.parametrize(
+    "name", ["quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_squeeze_heavy"]
+)
 def test_the_rest_is_where_the_joint_had_come_to_rest(name: str) -> None:
     """The way to the start, where it was recorded, too, is left out; a joint that never rested keeps all of it."""
     robot = load_robot("open_manipulator_x")
     bag = Path(__file__).resolve().parents[2] / "bags" / name / "bag_mcap"
-    constants = {joint: drive.nominal_effort_per_current for joint, drive in robot.drive_trains.items()}
-    recording = read_recording(bag, nominal_torque_constants=constants, joint_order=list(robot.drive_trains))
+    constants = {
+        joint: drive.nominal_effort_per_current for joint, drive in robot.drive_trains.items()
+    }
+    recording = read_recording(
+        bag, nominal_torque_constants=constants, joint_order=list(robot.drive_trains)
+    )
     (run,) = cut_runs(recording, joints=list(robot.drive_trains))
     per_rad = robot.drive_trains[run.joint].transmission
 
     def rest_of(before_s: np.ndarray, before_rad: np.ndarray) -> float:
-        told = replace(run, before_times_s=before_s, before_position=per_rad * before_rad, held_position={})
+        told = replace(
+            run, before_times_s=before_s, before_position=per_rad * before_rad, held_position={}
+        )
         return prepare_run(robot, told, KnownLoad(), past_fast=True).rest.value
 
-    still_s, still = run.before_times_s, run.before_position / per_rad
+    still_s = run.before_times_s
+    still = run.before_position / per_rad
     alone = rest_of(still_s, still)
     assert alone == pytest.approx(float(np.mean(still)), abs=1e-12)
     way_s = still_s[0] + 0.025 * np.arange(-12, 0)
@@ -58,7 +67,9 @@ def test_samples_past_the_limit_do_not_count(robot: Robot) -> None:
     room = robot.model.joint("joint3").upper - POSE["joint3"]
     run = prepare_run(robot, moving(2.0), KnownLoad())
     assert "reached its limit" in run.cut_reason
-    assert run.times_s[-1] == pytest.approx(room / 2.0, abs=0.05) and np.all(run.position < POSE["joint3"] + room)
+    assert run.times_s[-1] == pytest.approx(room / 2.0, abs=0.05) and np.all(
+        run.position < POSE["joint3"] + room
+    )
     assert prepare_run(robot, moving(0.5), KnownLoad()).cut_reason == ""
 
 
@@ -66,11 +77,20 @@ def test_a_fast_sample_counts_where_the_motor_reports_the_commanded_current(robo
     joint = "joint1"
     fast = 1.2 * robot.drive_trains[joint].usable_velocity
     run = moving(1.0, joint)
-    run = replace(run, position=np.where(run.times_s < 0.3, run.position, run.position + (fast - 1.0) * (run.times_s - 0.3)))
+    run = replace(
+        run,
+        position=np.where(
+            run.times_s < 0.3, run.position, run.position + (fast - 1.0) * (run.times_s - 0.3)
+        ),
+    )
     cut = prepare_run(robot, run, KnownLoad())
-    assert "reached its limit" not in cut.cut_reason and "supply may no longer drive" in cut.cut_reason
+    assert (
+        "reached its limit" not in cut.cut_reason and "supply may no longer drive" in cut.cut_reason
+    )
     assert 0.2 < cut.times_s[-1] < 0.35
-    told = prepare_run(robot, replace(run, reported_effort=np.full(len(run.times_s), 0.1)), KnownLoad())
+    told = prepare_run(
+        robot, replace(run, reported_effort=np.full(len(run.times_s), 0.1)), KnownLoad()
+    )
     assert told.cut_reason == "" and told.used > cut.used and not told.limited
     anyway = prepare_run(robot, run, KnownLoad(), past_fast=True)
     assert anyway.used == told.used and anyway.limited
@@ -81,7 +101,9 @@ def test_what_cannot_be_related_to_the_robot_is_said(robot: Robot) -> None:
     with pytest.raises(RecordingError, match="no drive train for it"):
         prepare_run(robot, replace(run, joint="elbow"))
     with pytest.raises(RecordingError, match=r"--set held\.joint2=VALUE"):
-        prepare_run(robot, replace(run, held={name: q for name, q in run.held.items() if name != "joint2"}))
+        prepare_run(
+            robot, replace(run, held={name: q for name, q in run.held.items() if name != "joint2"})
+        )
     with pytest.raises(RecordingError, match="does not move"):
         prepare_run(robot, still_run("gripper_left_joint", POSE, 0.1, 0.6))
 
@@ -99,9 +121,12 @@ def test_what_the_hand_weighs_at_rest(robot: Robot) -> None:
     """One kilogram in the hand: its weight times the horizontal distance to the elbow's axis."""
     run = prepare_run(robot, moving(0.5), KnownLoad())
     there, axis = (
-        robot.model.frame_transform(link, POSE)[:3, 3] for link in (robot.payload_frame, robot.model.joint("joint3").child)
+        robot.model.frame_transform(link, POSE)[:3, 3]
+        for link in (robot.payload_frame, robot.model.joint("joint3").child)
     )
     gravity = float(np.linalg.norm(robot.gravity))
     away = float(np.linalg.norm((there - axis)[:2]))
-    assert abs(run.weight_at_rest(run.coefficients.per_kg(KnownLoad().facts))) == pytest.approx(gravity * away, rel=1e-6)
+    assert abs(run.weight_at_rest(run.coefficients.per_kg(KnownLoad().facts))) == pytest.approx(
+        gravity * away, rel=1e-6
+    )
     assert run.torque_stds.shape == (3,) and np.all(run.torque_stds >= 0.0)

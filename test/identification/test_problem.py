@@ -28,7 +28,9 @@ FACTS = PayloadFacts(
 
 
 def prepared(robot: Robot, bag: Path) -> list:
-    recording = read_recording(bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains))
+    recording = read_recording(
+        bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains)
+    )
     return [prepare_run(robot, run) for run in cut_runs(recording, joints=list(robot.drive_trains))]
 
 
@@ -41,7 +43,11 @@ def problem() -> Problem:
         {
             f"joints.joint{n}.drive_train.{key}": {"value": value}
             for n in (2, 3)
-            for key, value in (("coulomb_N_m", 0.04), ("viscous_N_m_s_per_rad", 0.01), ("load_friction", 0.02))
+            for key, value in (
+                ("coulomb_N_m", 0.04),
+                ("viscous_N_m_s_per_rad", 0.01),
+                ("load_friction", 0.02),
+            )
         }
     )
     runs = [
@@ -82,7 +88,10 @@ def test_jacobian_against_central_differences(problem: Problem) -> None:
             seen = problem.weight > 0.0
             scale = np.abs(exact[0][seen][:, column]).max()
             np.testing.assert_allclose(
-                difference[seen], exact[0][seen][:, column], atol=1e-6 * scale + 2e-11 / step, err_msg=unknown.name
+                difference[seen],
+                exact[0][seen][:, column],
+                atol=1e-6 * scale + 2e-11 / step,
+                err_msg=unknown.name,
             )
 
 
@@ -98,8 +107,12 @@ def test_jacobian_against_the_tape(problem: Problem) -> None:
         weights = np.where(problem.weight > 0.0, rng.normal(size=problem.weight.shape), 0.0)
         taped = tape(problem.simulator, np.arange(len(problem.runs)), p[0])
         gradient = np.einsum("rp,rpn->n", taped.gradient(weights), dp[0])
-        expected = np.einsum("rt,rtn->n", weights, np.where(problem.weight[..., None] > 0.0, exact[0], 0.0))
-        np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+        expected = np.einsum(
+            "rt,rtn->n", weights, np.where(problem.weight[..., None] > 0.0, exact[0], 0.0)
+        )
+        np.testing.assert_allclose(
+            gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max()
+        )
 
 
 def test_gradient_and_matrix_belong_to_the_cost(problem: Problem) -> None:
@@ -108,7 +121,8 @@ def test_gradient_and_matrix_belong_to_the_cost(problem: Problem) -> None:
     for values in points(problem, 3):
         u = coordinates.internal(values[problem.free])[None]
         _, gradient, matrix = problem.linearise(u)
-        gradient, matrix = gradient.copy(), matrix.copy()
+        gradient = gradient.copy()
+        matrix = matrix.copy()
         assert np.linalg.eigvalsh(matrix[0])[0] > 0.0
         for k in range(u.shape[1]):
             step = 1e-3 * min(coordinates.natural[k], 1.0)
@@ -118,29 +132,42 @@ def test_gradient_and_matrix_belong_to_the_cost(problem: Problem) -> None:
             difference = (cost[0] - 8.0 * cost[1] + 8.0 * cost[2] - cost[3]) / (12.0 * step)
             # the cost is a sum of many squares: its difference loses digits that the gradient keeps
             rounding = 1e-14 * cost.max() / step
-            assert difference == pytest.approx(gradient[0, k], rel=1e-4, abs=rounding + 1e-6), problem.unknowns[k].name
+            assert difference == pytest.approx(gradient[0, k], rel=1e-4, abs=rounding + 1e-6), (
+                problem.unknowns[k].name
+            )
 
 
 def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Problem) -> None:
     frozen = [
-        u if u.name in ("payload_mass", "q0[0]", "v0[0]", "q0[1]", "v0[1]", "delay") else replace(u, role=Role.FROZEN)
+        u
+        if u.name in ("payload_mass", "q0[0]", "v0[0]", "q0[1]", "v0[1]", "delay")
+        else replace(u, role=Role.FROZEN)
         for u in problem.unknowns
     ]
     small = Problem(problem.robot, problem.runs, FACTS, frozen)
-    u = small.coordinates.internal(np.array([[0.03, 0.004, 0.6, 0.0, 0.01, -0.01], [0.2, 0.0, 0.59, 0.01, 0.0, 0.0]]))
+    u = small.coordinates.internal(
+        np.array([[0.03, 0.004, 0.6, 0.0, 0.01, -0.01], [0.2, 0.0, 0.59, 0.01, 0.0, 0.0]])
+    )
     cost, gradient, _ = (a.copy() for a in small.linearise(u))
     for s in range(2):
         values = small.all_values(small.coordinates.physical(u[s : s + 1]))
         full = problem.coordinates.internal(values[:, problem.free])
         whole_cost, whole_gradient, _ = problem.linearise(full)
-        assert whole_cost[0] == pytest.approx(cost[s], rel=1e-5)  # the free friction takes finer steps
-        shared = [problem.free.tolist().index(problem.index[small.unknowns[row].key]) for row in small.free]
-        np.testing.assert_allclose(whole_gradient[0, shared], gradient[s], rtol=5e-3, atol=1e-6 * np.abs(gradient[s]).max())
+        # the free friction takes finer steps
+        assert whole_cost[0] == pytest.approx(cost[s], rel=1e-5)
+        shared = [
+            problem.free.tolist().index(problem.index[small.unknowns[row].key])
+            for row in small.free
+        ]
+        np.testing.assert_allclose(
+            whole_gradient[0, shared], gradient[s], rtol=5e-3, atol=1e-6 * np.abs(gradient[s]).max()
+        )
 
 
 def test_a_guess_that_cannot_be_simulated_costs_everything(problem: Problem) -> None:
     u = problem.coordinates.internal(problem.base[problem.free])[None].repeat(2, axis=0)
-    u[1, 0] = problem.coordinates.internal(np.full(len(problem.free), -0.49))[0]  # lighter than the arm can be
+    # lighter than the arm can be
+    u[1, 0] = problem.coordinates.internal(np.full(len(problem.free), -0.49))[0]
     cost, gradient, matrix = problem.linearise(u)
     assert np.isfinite(cost[0]) and cost[1] == np.inf
     assert not gradient[1].any() and np.array_equal(matrix[1], np.eye(u.shape[1]))
@@ -151,7 +178,11 @@ def pooled() -> Problem:
     """The payload, a weighed reference and an empty hand in one problem, held joints that yield, under a correlated prior."""
     root = Path(__file__).resolve().parents[2] / "bags"
     robot = load_robot("open_manipulator_x")
-    keys = [(term, f"joint{n}") for n in (2, 3) for term in ("torque_constant", "coulomb", "stribeck", "armature")]
+    keys = [
+        (term, f"joint{n}")
+        for n in (2, 3)
+        for term in ("torque_constant", "coulomb", "stribeck", "armature")
+    ]
     keys += ["arm_scale", ("link_mass", "link5"), ("ripple_sin", "joint3")]
     stds = np.array([0.03, 0.01, 0.1, 0.002] * 2 + [0.02, 0.01, 0.001])
     factor = np.eye(len(keys)) + 0.3 * np.random.default_rng(2).normal(size=(len(keys), len(keys)))
@@ -167,8 +198,13 @@ def pooled() -> Problem:
     runs = []
     for name, load in loads.items():
         bag = root / f"realistic_s00_{name}" / "bag_mcap"
-        recording = read_recording(bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains))
-        runs += [prepare_run(robot, run, load, FACTS) for run in cut_runs(recording, joints=list(robot.drive_trains))]
+        recording = read_recording(
+            bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains)
+        )
+        runs += [
+            prepare_run(robot, run, load, FACTS)
+            for run in cut_runs(recording, joints=list(robot.drive_trains))
+        ]
     assert len(runs) == 3 and runs[1].yielding_load is not None
     return Problem(robot, runs, FACTS, load_unknowns(robot, runs, FACTS, Role.FREE, 0.03))
 
@@ -183,7 +219,11 @@ def test_jacobian_of_pooled_runs(pooled: Problem) -> None:
     assert moves[:, at["payload_mass"]].tolist() == [True, False, False]
     assert moves[:, at["disturbance", 1]].tolist() == [False, True, False]
     assert moves[:, at["coulomb", "joint2"]].tolist() == [False, False, True]
-    assert moves[:, at["arm_scale"]].all() and moves[:, at["delay"]].all() and moves[:, at["link_mass", "link5"]].all()
+    assert (
+        moves[:, at["arm_scale"]].all()
+        and moves[:, at["delay"]].all()
+        and moves[:, at["link_mass", "link5"]].all()
+    )
 
 
 def test_gradient_under_a_correlated_prior(pooled: Problem) -> None:
@@ -199,13 +239,17 @@ def test_tangents_by_the_simulators_parameters_equal_those_by_the_unknowns(poole
         _, _, few = pooled.simulate(values, columns)
         seen = pooled.weight > 0.0
         scale = np.abs(whole[:, seen][..., columns]).max(axis=(0, 1)) + 1e-12
-        np.testing.assert_allclose(few[:, seen] / scale, whole[:, seen][..., columns] / scale, atol=1e-10)
+        np.testing.assert_allclose(
+            few[:, seen] / scale, whole[:, seen][..., columns] / scale, atol=1e-10
+        )
 
 
 def test_a_known_load_is_the_payload_at_that_mass(pooled: Problem) -> None:
     values = points(pooled, 1)
     values[:, pooled.index["payload_mass"]] = 0.1
-    for name, axis in zip(("payload_com_x", "payload_com_y", "payload_com_z"), FACTS.com, strict=True):
+    for name, axis in zip(
+        ("payload_com_x", "payload_com_y", "payload_com_z"), FACTS.com, strict=True
+    ):
         values[:, pooled.index[name]] = axis
     values[:, pooled.index["shape_scale"]] = 1.0
     unknown = [replace(run, load=None) if row == 1 else run for row, run in enumerate(pooled.runs)]
@@ -224,10 +268,22 @@ def test_motion_tells_torques_only_relative_to_each_other(problem: Problem) -> N
     """
     values = points(problem, 3)
     scaled = values.copy()
-    grows = ("arm_scale", "payload_mass", "torque_constant", "coulomb", "viscous", "armature", "link_mass", "link_inertia")
+    grows = (
+        "arm_scale",
+        "payload_mass",
+        "torque_constant",
+        "coulomb",
+        "viscous",
+        "armature",
+        "link_mass",
+        "link_inertia",
+    )
     for row, unknown in enumerate(problem.unknowns):
         if unknown.kind in grows or unknown.kind.startswith("link_com"):
             scaled[:, row] *= 1.03
-    assert all(np.abs(values[:, problem.index["disturbance", run]]).min() > 1e-5 for run in range(len(problem.runs)))
+    assert all(
+        np.abs(values[:, problem.index["disturbance", run]]).min() > 1e-5
+        for run in range(len(problem.runs))
+    )
     one, other = (problem.simulate(each, problem.free[:1])[0] for each in (values, scaled))
     np.testing.assert_allclose(other, one, atol=2e-6)

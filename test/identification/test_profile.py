@@ -11,7 +11,14 @@ import pytest
 
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Estimate
-from proprio_ros.identification.fit import CHI2_95, FitResult, SearchOptions, _split, misfit_profile, solve_load
+from proprio_ros.identification.fit import (
+    CHI2_95,
+    FitResult,
+    SearchOptions,
+    _split,
+    misfit_profile,
+    solve_load,
+)
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.problem import Problem
@@ -27,7 +34,8 @@ from proprio_ros.sim.payload import PayloadFacts
 
 def weighed(robot: Robot, bag: Path) -> FitResult:
     [run] = bag_runs(bag / "bag_mcap", Request(robot))
-    prepared, facts = [prepare_run(robot, run)], PayloadFacts()
+    prepared = [prepare_run(robot, run)]
+    facts = PayloadFacts()
     nominal = solve_load(robot, prepared, facts, SearchOptions(), Role.FROZEN)
     return solve_load(robot, prepared, facts, SearchOptions(), Role.FREE, start=nominal)
 
@@ -35,7 +43,9 @@ def weighed(robot: Robot, bag: Path) -> FitResult:
 @pytest.fixture(scope="module")
 def opened(bags: Path) -> FitResult:
     """A weighing by a robot that was never calibrated."""
-    return weighed(load_robot("open_manipulator_x"), bags / "quantised_s00_fixed_heavy_ball_50g_joint3")
+    return weighed(
+        load_robot("open_manipulator_x"), bags / "quantised_s00_fixed_heavy_ball_50g_joint3"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +62,9 @@ def calibrated(bags: Path, arm: Path) -> Estimate:
     return replay([bag], Options(calibration=arm, settings={"payload.com": [0.0, 0.0, 0.0]}))
 
 
-def profile_of(fit: FitResult, inflation: float = 1.0, std: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
+def profile_of(
+    fit: FitResult, inflation: float = 1.0, std: float = 0.02
+) -> tuple[np.ndarray, np.ndarray]:
     posterior = Posterior(fit.problem, fit.values, inflation)
     scan = misfit_profile(fit, "payload_mass", posterior, inflation, fit.values[0], std)
     return scan.values, scan.cost
@@ -65,11 +77,16 @@ def test_everything_else_is_fitted_again_at_each_mass(opened: FitResult) -> None
     chosen = [1, len(masses) - 3]
     for row in chosen:
         unknowns = [
-            replace(u, value=masses[row], std=0.0, role=Role.FROZEN) if u.kind == "payload_mass" else u for u in problem.unknowns
+            replace(u, value=masses[row], std=0.0, role=Role.FROZEN)
+            if u.kind == "payload_mass"
+            else u
+            for u in problem.unknowns
         ]
         held = Problem(problem.robot, problem.runs, PayloadFacts(), unknowns)
         start = held.coordinates.internal(opened.values[held.free][None])
-        again = FitResult.of(held, solvers.levenberg_marquardt(held, start, None, iterations=100, tolerance=1e-3))
+        again = FitResult.of(
+            held, solvers.levenberg_marquardt(held, start, None, iterations=100, tolerance=1e-3)
+        )
         assert again.chi2 - opened.chi2 == pytest.approx(chi2[row], abs=0.05, rel=0.02)
     # with all else as fitted the same masses are out of the question: that was a needle in a wide band
     values = np.tile(opened.values, (2, 1))
@@ -79,14 +96,20 @@ def test_everything_else_is_fitted_again_at_each_mass(opened: FitResult) -> None
     assert (slice_ > 100.0 * chi2[chosen]).all()
 
 
-def test_the_profile_of_a_calibrated_robot_is_the_parabola_of_its_interval(calibrated: Estimate) -> None:
-    scan, value = calibrated.scan, calibrated.values[0]
+def test_the_profile_of_a_calibrated_robot_is_the_parabola_of_its_interval(
+    calibrated: Estimate,
+) -> None:
+    scan = calibrated.scan
+    value = calibrated.values[0]
     assert scan.level == pytest.approx(Z95**2) == pytest.approx(CHI2_95)
-    assert scan.cost == pytest.approx(((scan.values - value.value) / value.std) ** 2, rel=0.03, abs=0.02)
+    assert scan.cost == pytest.approx(
+        ((scan.values - value.value) / value.std) ** 2, rel=0.03, abs=0.02
+    )
 
 
 def test_coarser_samples_widen_it_as_they_widen_the_interval(bags: Path, arm: Path) -> None:
-    fit, inflation = weighed(load_robot(str(arm)), bags / "realistic_s00_fixed_heavy_ball_50g_joint3"), 100.0
+    fit = weighed(load_robot(str(arm)), bags / "realistic_s00_fixed_heavy_ball_50g_joint3")
+    inflation = 100.0
     std = float(np.sqrt(Posterior(fit.problem, fit.values, inflation).whole_covariance()[0, 0]))
     alone = float(np.sqrt(Posterior(fit.problem, fit.values).whole_covariance()[0, 0]))
     assert alone * 1.05 < std < alone * np.sqrt(inflation) / 1.05, "the priors stay"
@@ -100,17 +123,23 @@ def test_a_profile_of_nothing_is_empty(opened: FitResult) -> None:
 
 def test_what_a_calibration_leaves_open_is_named(calibrated: Estimate) -> None:
     parts = dict(calibrated.budget)
-    ours = {source.removeprefix("calibration: ") for source in parts if source.startswith("calibration")}
+    ours = {
+        source.removeprefix("calibration: ") for source in parts if source.startswith("calibration")
+    }
     assert {"torque constants", "friction", "armatures", "arm masses", "delay"} <= ours
     total = sum(std**2 for std in parts.values())
-    assert total == pytest.approx(calibrated.values[0].std ** 2, rel=1e-3), "the parts add up to the interval"
+    assert total == pytest.approx(calibrated.values[0].std ** 2, rel=1e-3), (
+        "the parts add up to the interval"
+    )
 
 
 def test_shares_of_correlated_unknowns_add_up_and_are_fair() -> None:
     rng = np.random.default_rng(5)
     root = rng.normal(size=(5, 5)) * np.array([1e-3, 1.0, 10.0, 1.0, 1e3])[:, None]
-    prior, weights = root @ root.T, rng.normal(size=5)
-    row, groups = prior @ weights, {"a": [0, 3], "b": [1], "c": [4, 2]}
+    prior = root @ root.T
+    weights = rng.normal(size=5)
+    row = prior @ weights
+    groups = {"a": [0, 3], "b": [1], "c": [4, 2]}
     shares = _split(row, np.linalg.inv(prior), groups)
     assert sum(shares.values()) == pytest.approx(weights @ prior @ weights, rel=1e-6)
     # by definition: what each order of getting to know them takes away

@@ -27,13 +27,18 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def runs(robot: Robot) -> list[PreparedRun]:
-    return [prepare_run(robot, still_run(joint, POSE, 0.1, 0.6), KnownLoad()) for joint in ("joint2", "joint3")]
+    return [
+        prepare_run(robot, still_run(joint, POSE, 0.1, 0.6), KnownLoad())
+        for joint in ("joint2", "joint3")
+    ]
 
 
 def test_a_calibration_says_more_than_the_file(robot: Robot, runs: list[PreparedRun]) -> None:
     key = ("coulomb", "joint3")
     known = robot.with_calibration(Calibration((key,), np.array([0.05]), np.array([[1e-6]])))
-    (before,), (after,) = ([u for u in robot_unknowns(r, runs, Role.FREE) if u.key == key] for r in (robot, known))
+    (before,), (after,) = (
+        [u for u in robot_unknowns(r, runs, Role.FREE) if u.key == key] for r in (robot, known)
+    )
     assert (after.value, after.std) == (0.05, pytest.approx(1e-3)) and before.std > after.std
 
 
@@ -43,13 +48,19 @@ def test_a_frozen_robot_still_starts_where_it_starts(robot: Robot, runs: list[Pr
     assert free == {"payload_mass", *((kind, row) for kind in ("q0", "v0") for row in range(2))}
 
 
-def test_an_onset_that_is_only_measured_is_known_to_a_period(robot: Robot, runs: list[PreparedRun]) -> None:
+def test_an_onset_that_is_only_measured_is_known_to_a_period(
+    robot: Robot, runs: list[PreparedRun]
+) -> None:
     measured = replace(runs[0], run=replace(runs[0].run, source=MEASURED_EFFORT))
     period = float(np.median(np.diff(measured.run.times_s)))
-    assert onset_std(robot, measured) == pytest.approx(float(np.hypot(onset_std(robot, runs[0]), 0.5 * period)))
+    assert onset_std(robot, measured) == pytest.approx(
+        float(np.hypot(onset_std(robot, runs[0]), 0.5 * period))
+    )
 
 
-def test_motors_of_one_kind_err_together_before_anything_is_learnt(robot: Robot, runs: list[PreparedRun]) -> None:
+def test_motors_of_one_kind_err_together_before_anything_is_learnt(
+    robot: Robot, runs: list[PreparedRun]
+) -> None:
     problem = Problem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
     free = [problem.unknowns[row] for row in problem.free]
     own = [f for f, unknown in enumerate(free) if unknown.kind == "torque_constant"]

@@ -17,16 +17,25 @@ class Valley:
 
     def __init__(self, upper_x: float = np.inf) -> None:
         self.coordinates = Coordinates(
-            [Unknown("payload_com_x", 0.0, np.inf, -5.0, upper_x), Unknown("payload_com_y", 0.0, np.inf, -50.0, 50.0)]
+            [
+                Unknown("payload_com_x", 0.0, np.inf, -5.0, upper_x),
+                Unknown("payload_com_y", 0.0, np.inf, -50.0, 50.0),
+            ]
         )
 
-    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         x, y = internal.T
         residual = np.stack([10.0 * (y - x**2), 1.0 - x], axis=1)
         jacobian = np.zeros((len(x), 2, 2))
         jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -20.0 * x, 10.0, -1.0
         transposed = jacobian.transpose(0, 2, 1)
-        return 0.5 * (residual**2).sum(1), (transposed @ residual[..., None])[..., 0], transposed @ jacobian
+        return (
+            0.5 * (residual**2).sum(1),
+            (transposed @ residual[..., None])[..., 0],
+            transposed @ jacobian,
+        )
 
 
 STARTS = np.array([[-1.2, 1.0], [2.0, -3.0], [0.0, 0.0]])
@@ -40,7 +49,10 @@ def test_levenberg_marquardt_reaches_the_minimum_from_every_start() -> None:
     found = solvers.levenberg_marquardt(Valley(), STARTS, whole, iterations=100)
     np.testing.assert_allclose(found.internal, 1.0, atol=1e-6)
     assert found.cost.max() < 1e-12
-    assert found.path.shape == (found.iterations + 1, 3, 2) and found.path_cost.shape == (found.iterations + 1, 3)
+    assert found.path.shape == (found.iterations + 1, 3, 2) and found.path_cost.shape == (
+        found.iterations + 1,
+        3,
+    )
 
 
 def test_levenberg_marquardt_slides_along_a_bound() -> None:
@@ -54,8 +66,11 @@ class Saturated:
 
     coordinates = Coordinates([Unknown("payload_com_x", 0.0, np.inf, -1e4, 1e4)])
 
-    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        residual, slope = np.arctan(internal), 1.0 / (1.0 + internal**2)
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        residual = np.arctan(internal)
+        slope = 1.0 / (1.0 + internal**2)
         return 0.5 * (residual**2).sum(1), residual * slope, (slope**2)[..., None]
 
 
@@ -79,7 +94,8 @@ def test_adam_follows_its_published_first_steps() -> None:
 def test_cosine_annealing() -> None:
     rates = [solvers.cosine_annealed(0.01, n, 15) for n in range(15)]
     assert rates[0] == 0.01 and all(a > b for a, b in pairwise(rates))
-    assert sum(rates) == pytest.approx(0.08)  # so no start moves further than 80 g in the paper's 15 iterations
+    # so no start moves further than 80 g in the paper's 15 iterations
+    assert sum(rates) == pytest.approx(0.08)
 
 
 def test_adam_and_cma_agree_with_the_known_minimum() -> None:
@@ -91,11 +107,15 @@ def test_adam_and_cma_agree_with_the_known_minimum() -> None:
 
 
 def test_mass_coordinate_is_a_logarithm_that_passes_through_zero() -> None:
-    coordinates = Coordinates([Unknown("payload_mass", 0.05, np.inf, -0.5, 20.0, asinh_scale=0.005)])
+    coordinates = Coordinates(
+        [Unknown("payload_mass", 0.05, np.inf, -0.5, 20.0, asinh_scale=0.005)]
+    )
     masses = np.array([[-0.01], [0.0], [1e-4], [0.5]])
     u = coordinates.internal(masses)
     np.testing.assert_allclose(coordinates.physical(u), masses, atol=1e-15)
-    np.testing.assert_allclose(u[3] - coordinates.internal(np.array([0.05])), np.log(10.0), rtol=3e-3)
+    np.testing.assert_allclose(
+        u[3] - coordinates.internal(np.array([0.05])), np.log(10.0), rtol=3e-3
+    )
     step = 1e-6
     slope = (coordinates.physical(u + step) - coordinates.physical(u - step)) / (2.0 * step)
     np.testing.assert_allclose(coordinates.slope(u), slope, rtol=1e-8)

@@ -10,7 +10,10 @@ from proprio_ros.identification.stamps import driven_beyond, moves_before
 from proprio_ros.records import Run
 from proprio_ros.robot import load_robot
 
-PERIOD_S, DURATION_S, COUNT_RAD, JITTER_S = 0.025, 0.6, 2.0 * np.pi / 4096.0, 3e-4
+PERIOD_S = 0.025
+DURATION_S = 0.6
+COUNT_RAD = 2.0 * np.pi / 4096.0
+JITTER_S = 3e-4
 PUSHED, CHANGE = 4.0, -10.0
 """Acceleration while the current drives the joint, and what its end changes about that [rad/s^2]."""
 ALLOWED_S = 0.024
@@ -27,7 +30,9 @@ def push(off_s: float, after: str = "coasts", ends: bool = True) -> PreparedRun:
     return recorded(t, position, off_s, ends)
 
 
-def recorded(t: np.ndarray, position: np.ndarray, off_s: float = 0.0, ends: bool = True) -> PreparedRun:
+def recorded(
+    t: np.ndarray, position: np.ndarray, off_s: float = 0.0, ends: bool = True
+) -> PreparedRun:
     """A run of these positions, whose push begins at zero."""
     position = COUNT_RAD * np.round(position / COUNT_RAD)
     t = t - off_s

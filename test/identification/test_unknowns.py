@@ -49,7 +49,11 @@ def test_a_name_and_its_key_are_the_same_thing_for_every_kind() -> None:
     for kind, about in KINDS.items():
         unknown = Unknown(kind, 0.0, 1.0, scope=scopes.get(about.of))
         assert key_of(unknown.name) == unknown.key and name_of(unknown.key) == unknown.name
-        assert unknown.unit == about.unit and unknown.label == label_of(unknown.key) and about.label in unknown.label
+        assert (
+            unknown.unit == about.unit
+            and unknown.label == label_of(unknown.key)
+            and about.label in unknown.label
+        )
         assert unknown.shared == (about.of != "run")
     assert Unknown("coulomb", 0.0, 1.0, scope="joint3").name == "coulomb[joint3]"
     # a joint may be called by a number, and a run is counted from 1 where people read

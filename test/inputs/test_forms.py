@@ -24,7 +24,10 @@ def test_what_is_left_out_has_its_default_or_stays_out() -> None:
         ({"body": None}, "body: expected keys and values, got None"),
         ({"body": {}}, "body: mass is missing; state it"),
         ({"body": {"mass": -1}}, "body: mass: must not be negative, got -1.0"),
-        ({"body": {"mas": 1}}, "body: unknown key 'mas'; did you mean 'mass'? valid keys: mass, name"),
+        (
+            {"body": {"mas": 1}},
+            "body: unknown key 'mas'; did you mean 'mass'? valid keys: mass, name",
+        ),
         ({"body": {"mass": 1}, "note": 5}, "note: expected a text, got 5"),
     ],
 )
@@ -35,5 +38,8 @@ def test_a_message_names_the_way_to_what_is_wrong(value: object, message: str) -
 
 
 def test_keys_may_be_put_before_what_is_wrong() -> None:
-    with pytest.raises(FormError, match=r"^runs: 3: mass: expected a number, got 'heavy'$"), under("runs", 3):
+    with (
+        pytest.raises(FormError, match=r"^runs: 3: mass: expected a number, got 'heavy'$"),
+        under("runs", 3),
+    ):
         section({"mass": "heavy"}, INNER)

@@ -12,16 +12,28 @@ from pathlib import Path
 import pytest
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.inputs.resources import private_folder, resource, resource_names, share_directory, write_in_one_step
+from proprio_ros.inputs.resources import (
+    private_folder,
+    resource,
+    resource_names,
+    share_directory,
+    write_in_one_step,
+)
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def test_resources_of_the_source_tree() -> None:
     assert share_directory() == REPOSITORY
-    assert resource("urdf", "pendulum") == resource("urdf", "pendulum.urdf") == REPOSITORY / "urdf" / "pendulum.urdf"
+    assert (
+        resource("urdf", "pendulum")
+        == resource("urdf", "pendulum.urdf")
+        == REPOSITORY / "urdf" / "pendulum.urdf"
+    )
     assert {"open_manipulator_x", "pendulum"} <= set(resource_names("robots"))
-    with pytest.raises(ConfigurationError, match=r"no 'scara' among the robots; there are: .*open_manipulator_x"):
+    with pytest.raises(
+        ConfigurationError, match=r"no 'scara' among the robots; there are: .*open_manipulator_x"
+    ):
         resource("robots", "scara")
 
 
@@ -30,7 +42,13 @@ def test_resources_of_an_installation(tmp_path: Path, installed: str) -> None:
     """As pip and colcon lay files out, and as a sourced workspace names them where code and data lie apart."""
     package = tmp_path / installed / "proprio_ros"
     (package / "inputs").mkdir(parents=True)
-    for name in ("__init__.py", "version.py", "errors.py", "inputs/__init__.py", "inputs/resources.py"):
+    for name in (
+        "__init__.py",
+        "version.py",
+        "errors.py",
+        "inputs/__init__.py",
+        "inputs/resources.py",
+    ):
         shutil.copy(REPOSITORY / "proprio_ros" / name, package / name)
     prefix = tmp_path if installed.startswith("lib") else tmp_path / "prefix"
     share = prefix / "share" / "proprio_ros" / "config" / "robots"
@@ -59,7 +77,9 @@ def mode_of(path: Path) -> int:
 
 
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
-def test_a_new_file_has_the_mode_that_the_umask_leaves(tmp_path: Path, umask: int, mode: int) -> None:
+def test_a_new_file_has_the_mode_that_the_umask_leaves(
+    tmp_path: Path, umask: int, mode: int
+) -> None:
     before = os.umask(umask)
     try:
         write_in_one_step(tmp_path / "page.html", "text", "--report")
@@ -69,7 +89,8 @@ def test_a_new_file_has_the_mode_that_the_umask_leaves(tmp_path: Path, umask: in
 
 
 def test_a_replaced_file_keeps_its_mode_and_a_link_its_place(tmp_path: Path) -> None:
-    page, link = tmp_path / "page.html", tmp_path / "link.html"
+    page = tmp_path / "page.html"
+    link = tmp_path / "link.html"
     page.write_text("old")
     page.chmod(0o640)
     link.symlink_to(page)
@@ -91,10 +112,15 @@ def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
         write_in_one_step(tmp_path, "text", "--report")
 
 
-def test_a_private_folder_is_no_link_and_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_private_folder_is_no_link_and_nobody_elses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     open_to_all = tmp_path / "there"
     open_to_all.mkdir(mode=0o777)
-    assert mode_of(private_folder(open_to_all)) == 0o700 and mode_of(private_folder(tmp_path / "new")) == 0o700
+    assert (
+        mode_of(private_folder(open_to_all)) == 0o700
+        and mode_of(private_folder(tmp_path / "new")) == 0o700
+    )
     (tmp_path / "link").symlink_to(open_to_all)
     with pytest.raises(OSError, match="not a folder of this user"):
         private_folder(tmp_path / "link")

@@ -42,13 +42,22 @@ def named(carrier: Carrier, pose: np.ndarray) -> dict[str, float]:
 def test_efforts_are_what_mujoco_needs_to_hold_arm_and_load(arm: tuple[Robot, SensingArm]) -> None:
     """With a calibration within its standard deviations, which are less than those of the URDF."""
     robot, real = arm
-    known = replace(robot, motion_calibration=fit_empty(robot, [real.work(20.0, name=f"empty {n}") for n in range(2)]))
-    bare, calibrated, pulls, stds = Carrier(robot), Carrier(known), [], []
+    known = replace(
+        robot,
+        motion_calibration=fit_empty(robot, [real.work(20.0, name=f"empty {n}") for n in range(2)]),
+    )
+    bare = Carrier(robot)
+    calibrated = Carrier(known)
+    pulls = []
+    stds = []
     for pose in real.middle + np.random.default_rng(5).uniform(-1.0, 1.0, (12, 7)):
         truth = mujoco_bias(real, pose, LOAD) * real.scale  # as its sensors say it
         wide = bare.efforts(named(bare, pose), LOAD)
         found = calibrated.efforts(named(calibrated, pose), LOAD)
-        assert np.abs(wide[0] - truth).max() < 6.0 and (np.abs(wide[0] - truth) < 4.0 * wide[1] + 0.05).all()
+        assert (
+            np.abs(wide[0] - truth).max() < 6.0
+            and (np.abs(wide[0] - truth) < 4.0 * wide[1] + 0.05).all()
+        )
         pulls.append((found[0] - truth) / found[1])
         stds.append(np.stack([found[1], wide[1]]))
     # a weight that no calibration without an object knows: the sensors' scales, of 1 %, act on the load
@@ -59,18 +68,24 @@ def test_efforts_are_what_mujoco_needs_to_hold_arm_and_load(arm: tuple[Robot, Se
 def test_the_urdf_alone_is_exactly_mujocos(tmp_path: Path) -> None:
     import mujoco
 
-    robot, real = load_robot(write_sensing_arm(tmp_path, 6, SEED)), SensingArm(tmp_path, 6, SEED)
+    robot = load_robot(write_sensing_arm(tmp_path, 6, SEED))
+    real = SensingArm(tmp_path, 6, SEED)
     nominal = mujoco.MjModel.from_xml_path(str(tmp_path / "sensing.urdf"))
-    data, carrier = mujoco.MjData(nominal), Carrier(robot)
+    data = mujoco.MjData(nominal)
+    carrier = Carrier(robot)
     for pose in real.rng.uniform(-2.0, 2.0, (3, 6)):
         data.qpos[:] = pose
         mujoco.mj_forward(nominal, data)
-        assert np.allclose(carrier.efforts(named(carrier, pose), Load(0.0))[0], data.qfrc_bias, atol=1e-5)
+        assert np.allclose(
+            carrier.efforts(named(carrier, pose), Load(0.0))[0], data.qfrc_bias, atol=1e-5
+        )
     with pytest.raises(RobotError, match="the pose lacks axis_2, axis_3"):
         carrier.efforts({"axis_1": 0.0, "axis_4": 0.0, "axis_5": 0.0, "axis_6": 0.0}, LOAD)
 
 
-def test_the_heaviest_load_is_where_a_joint_reaches_its_limit(arm: tuple[Robot, SensingArm]) -> None:
+def test_the_heaviest_load_is_where_a_joint_reaches_its_limit(
+    arm: tuple[Robot, SensingArm],
+) -> None:
     carrier = Carrier(arm[0])
     carrier.limits = np.full(7, 150.0)
     pose = named(carrier, np.zeros(7))  # stretched out

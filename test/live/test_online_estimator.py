@@ -23,7 +23,9 @@ class Estimator:
     def __init__(self, held: dict[str, float]) -> None:
         self.held, self.rows, self.frozen = held, [], False
 
-    def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float], works: bool) -> bool:
+    def add(
+        self, time_s: float, positions: Sequence[float], currents: Sequence[float], works: bool
+    ) -> bool:
         self.rows.append((list(positions), list(currents)))
         return True
 
@@ -31,7 +33,9 @@ class Estimator:
         return self
 
 
-def new_feed(kept: dict[str, float] | None = None, stated: dict[str, float] | None = None) -> OnlineFeed:
+def new_feed(
+    kept: dict[str, float] | None = None, stated: dict[str, float] | None = None
+) -> OnlineFeed:
     """``kept`` is where the calibration says that joints stand, ``stated`` what is stated now."""
     arm = load_robot("open_manipulator_x")
     calibration: Any = SimpleNamespace(joints=JOINTS)
@@ -46,15 +50,26 @@ def feed() -> OnlineFeed:
 
 
 def test_it_says_what_it_rests_on(feed: OnlineFeed) -> None:
-    assert "measured effort" in feed.about and "joint3, joint4, gripper_left_joint counts as standing" in feed.about
+    assert (
+        "measured effort" in feed.about
+        and "joint3, joint4, gripper_left_joint counts as standing" in feed.about
+    )
 
 
 def test_a_joint_state_without_measured_effort_is_named(feed: OnlineFeed) -> None:
-    assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "A") is not None and not feed.waits_for and feed.samples == 1
+    assert (
+        feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "A") is not None
+        and not feed.waits_for
+        and feed.samples == 1
+    )
     for effort in ([], [1.0], [1.0, math.nan]):
         feed = new_feed()
         feed.add(0.0, JOINTS, AT_REST, effort, "A")
-        assert "no measured effort of " in feed.waits_for and "joint2" in feed.waits_for and feed.samples == 0
+        assert (
+            "no measured effort of " in feed.waits_for
+            and "joint2" in feed.waits_for
+            and feed.samples == 0
+        )
         # whoever else publishes joint states changes nothing about that
         feed.add(0.1, ["wheel"], [3.0], [1.0], "A")
         assert "no measured effort of " in feed.waits_for
@@ -76,7 +91,9 @@ def test_a_joint_outside_the_calibration_that_moves_is_named(feed: OnlineFeed) -
     feed.add(0.2, ["joint3", "joint4"], [0.42, 0.0], [0.0, 0.0], "A")
     assert not feed.warning
     feed.add(0.3, ["joint3", "joint4"], [0.5, 0.0], [0.0, 0.0], "A")
-    assert feed.warning.startswith("joint3 is not in the calibration and not where it counts as standing")
+    assert feed.warning.startswith(
+        "joint3 is not in the calibration and not where it counts as standing"
+    )
     feed.add(0.4, ["joint4"], [0.3], [0.0], "A")  # heard for the first time, and not at zero
     assert feed.warning.startswith("joint3, joint4 ")
 

@@ -33,7 +33,10 @@ LOAD = Carried(0.5, [0.01, 0.02, 0.03], np.diag([1e-3, 2e-3, 3e-3]))
 @pytest.fixture
 def robot(tmp_path: Path) -> Robot:
     (tmp_path / "arm.urdf").write_text(URDF)
-    return load_robot(tmp_path / "arm.urdf", {"payload_frame": "tip", "joints.elbow.motor.nominal_torque_constant_N_m_per_A": 1.0})
+    return load_robot(
+        tmp_path / "arm.urdf",
+        {"payload_frame": "tip", "joints.elbow.motor.nominal_torque_constant_N_m_per_A": 1.0},
+    )
 
 
 def test_the_flange_sees_the_load_turned_and_shifted(robot: Robot) -> None:
@@ -70,8 +73,13 @@ def test_load_and_tool_are_one_body() -> None:
 def test_units_and_fields_of_the_makers() -> None:
     request = SimpleNamespace(mass=0.0, center_of_gravity=SimpleNamespace(x=0.0, y=0.0, z=0.0))
     CONTROLLERS["ur"].fill(request, LOAD)
-    assert (request.mass, vars(request.center_of_gravity)) == (0.5, {"x": 0.01, "y": 0.02, "z": 0.03})
-    newer = SimpleNamespace(ixx=0.0, iyy=0.0, izz=0.0, ixy=0.0, ixz=0.0, iyz=0.0, transition_time=0.0, **vars(request))
+    assert (request.mass, vars(request.center_of_gravity)) == (
+        0.5,
+        {"x": 0.01, "y": 0.02, "z": 0.03},
+    )
+    newer = SimpleNamespace(
+        ixx=0.0, iyy=0.0, izz=0.0, ixy=0.0, ixz=0.0, iyz=0.0, transition_time=0.0, **vars(request)
+    )
     CONTROLLERS["ur"].fill(newer, LOAD)
     assert (newer.ixx, newer.iyy, newer.izz, newer.ixy) == (1e-3, 2e-3, 3e-3, 0.0)
     skew = Carried(0.5, LOAD.com_m, np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]]))
@@ -85,12 +93,16 @@ def test_units_and_fields_of_the_makers() -> None:
     assert franka.load_inertia == [0.0] * 9, "nor what nobody knows"
     xarm = SimpleNamespace()
     CONTROLLERS["xarm"].fill(xarm, LOAD)
-    assert xarm.weight == 0.5 and xarm.center_of_gravity == pytest.approx([10.0, 20.0, 30.0]), "kg and mm"
+    assert xarm.weight == 0.5 and xarm.center_of_gravity == pytest.approx([10.0, 20.0, 30.0]), (
+        "kg and mm"
+    )
 
 
 def test_a_controller_that_wants_the_tool_gets_no_guess_of_it() -> None:
     for name in ("ur", "xarm"):
-        with pytest.raises(ConfigurationError, match=r"hand_on_tool: .* wants to know all that hangs at its flange"):
+        with pytest.raises(
+            ConfigurationError, match=r"hand_on_tool: .* wants to know all that hangs at its flange"
+        ):
             check_tool(name, [])
     assert check_tool("franka", []) == (0.0, 0.0, 0.0, 0.0)
     assert check_tool("ur", [0.9, 0, 0, 0.06]) == (0.9, 0.0, 0.0, 0.06)
@@ -104,4 +116,7 @@ def test_what_a_response_means() -> None:
     assert CONTROLLERS["ur"].refusal(SimpleNamespace(success=False)) == "no reason given"
     assert CONTROLLERS["franka"].refusal(SimpleNamespace(success=False, error="moving")) == "moving"
     assert CONTROLLERS["xarm"].refusal(SimpleNamespace(ret=0, message="")) == ""
-    assert CONTROLLERS["xarm"].refusal(SimpleNamespace(ret=9, message="not ready")) == "code 9, not ready"
+    assert (
+        CONTROLLERS["xarm"].refusal(SimpleNamespace(ret=9, message="not ready"))
+        == "code 9, not ready"
+    )

@@ -81,7 +81,9 @@ def cdr_joint_state(stamp_ns: int, names: list[str], position: list[float]) -> b
     return b"\0\1\0\0" + bytes(data)
 
 
-def filled(root: Path, journal: bool = False, joints: tuple[str, str] = ("joint2", "joint3")) -> Session:
+def filled(
+    root: Path, journal: bool = False, joints: tuple[str, str] = ("joint2", "joint3")
+) -> Session:
     session = Session(root, "payload", datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc))
     if journal:
         session.open()
@@ -102,7 +104,9 @@ def test_what_came_in_is_what_the_bag_holds(tmp_path: Path) -> None:
     assert np.all(np.diff(read.joints.times_ns) == 10_000_000)
 
 
-def test_a_folder_that_cannot_be_written_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_written_costs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     full = tmp_path / "full"
     full.write_text("a file where a folder should be")
     elsewhere = tmp_path / "elsewhere"
@@ -142,7 +146,8 @@ def test_a_recording_is_on_disk_as_it_comes_and_a_bag_after_a_crash(tmp_path: Pa
     session._journal.write(b"half a rec")  # killed in the middle of a message
     session._journal.close()  # as the kernel does it
     assert recover(root) == ([session.folder / "bag"], [])
-    read, whole = recording(session.folder / "bag"), recording(expected)
+    read = recording(session.folder / "bag")
+    whole = recording(expected)
     assert np.array_equal(read.joints.position, whole.joints.position)
     assert np.array_equal(read.joints.times_ns, whole.joints.times_ns)
     assert not journal.exists() and recover(root) == ([], [])
@@ -169,7 +174,9 @@ def test_an_unwritable_folder_is_named_before_anything_is_recorded(tmp_path: Pat
     full = tmp_path / "full"
     full.write_text("a file where a folder should be")
     session = Session(full, "payload")
-    with pytest.raises(RecordingError, match=r"full cannot be written .*name another folder with --data-directory") as caught:
+    with pytest.raises(
+        RecordingError, match=r"full cannot be written .*name another folder with --data-directory"
+    ) as caught:
         session.open()
     assert "the parameter data_directory" in as_parameters(str(caught.value))
 
@@ -186,7 +193,10 @@ def test_what_can_be_read_is_not_refused_and_leaves_nothing(tmp_path: Path) -> N
     assert check_input(folder, heard(filled(tmp_path)), Request(ROBOT)) == ()
     assert not list(folder.iterdir())
     # wheels on the same topic
-    both = [*heard(filled(tmp_path)), *heard(filled(tmp_path, joints=("wheel_left", "wheel_right")))]
+    both = [
+        *heard(filled(tmp_path)),
+        *heard(filled(tmp_path, joints=("wheel_left", "wheel_right"))),
+    ]
     check_input(folder, both, Request(ROBOT))
 
 
@@ -197,16 +207,25 @@ def test_what_a_replay_would_refuse_is_refused_before_the_probe(tmp_path: Path) 
         return as_parameters(str(caught.value))
 
     told = refusal(heard(filled(tmp_path, joints=("a1", "a2"))))
-    assert "are of a1, a2" in told and "the parameter robot" in told and "the parameter state_topic" in told
+    assert (
+        "are of a1, a2" in told
+        and "the parameter robot" in told
+        and "the parameter state_topic" in told
+    )
     assert "no joint states" in refusal([]) or "no messages" in refusal([])
-    begin, step = 1_700_000_000 * 10**9, 10**7
+    begin = 1_700_000_000 * 10**9
+    step = 10**7
     degrees = [
-        RawMessage("/joint_states", JOINT_STATE, stamp, cdr_joint_state(stamp, ["joint2"], [-80.0 - n]))
+        RawMessage(
+            "/joint_states", JOINT_STATE, stamp, cdr_joint_state(stamp, ["joint2"], [-80.0 - n])
+        )
         for n, stamp in enumerate(range(begin, begin + 20 * step, step))
     ]
     assert "degrees" in refusal(degrees)
     other = Options(state_topic="/arm/joint_states")
-    assert "the parameter state_topic /arm/joint_states is not in the bag" in refusal(heard(filled(tmp_path)), other)
+    assert "the parameter state_topic /arm/joint_states is not in the bag" in refusal(
+        heard(filled(tmp_path)), other
+    )
 
 
 def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> None:
@@ -233,7 +252,9 @@ def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> No
     assert std[-1] < 0.7 * std[0]
     final = replay([bags / BAG]).values[0]
     assert isinstance(final.value, float)
-    assert shown[-1][0] == pytest.approx(0.05, abs=0.003) and final.value == pytest.approx(0.05, abs=0.003)
+    assert shown[-1][0] == pytest.approx(0.05, abs=0.003) and final.value == pytest.approx(
+        0.05, abs=0.003
+    )
 
 
 def test_samples_that_are_no_use_are_passed_over() -> None:
@@ -258,14 +279,21 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
             if not foreign:
                 live.add_input(int(stamp), read.inputs.names, current * effort)
             elif any(current):
-                live.add_command(int(stamp), {n: float(c) for n, c in zip(read.inputs.names, current, strict=True) if c})
+                live.add_command(
+                    int(stamp),
+                    {n: float(c) for n, c in zip(read.inputs.names, current, strict=True) if c},
+                )
             else:
                 live.add_command(int(stamp), {})
         for stamp, row in zip(read.joints.times_ns, read.joints.position, strict=True):
             state = dict(zip(read.joints.names, row, strict=True))
             if foreign:
                 live.add_state(int(stamp), ["wheel_left"], [100.0])
-                live.add_state(int(stamp) + 12_000_000, ["gripper_left_joint"], [state.pop("gripper_left_joint")])
+                live.add_state(
+                    int(stamp) + 12_000_000,
+                    ["gripper_left_joint"],
+                    [state.pop("gripper_left_joint")],
+                )
             live.add_state(int(stamp), list(state), list(state.values()))
         estimate = live.estimate()
         known = None if estimate is None else live_interval(estimate)
@@ -280,7 +308,9 @@ def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
         live_request(Options(settings={"payload.siz": 0.03}))
     stated = live_request(Options(settings={"payload.shape": "cube", "payload.size": 0.03}))
     # a cube: m a^2 / 6 about every axis
-    assert inertia_tensor(stated.facts.payload, 0.06) == pytest.approx(np.eye(3) * 0.06 * 0.03**2 / 6.0)
+    assert inertia_tensor(stated.facts.payload, 0.06) == pytest.approx(
+        np.eye(3) * 0.06 * 0.03**2 / 6.0
+    )
     assert stated.probe.load(stated.facts, 0.06).inertia_is == "stated"
     # whoever takes a load cannot take a load without a tensor
     assumed = live_request(Options())
@@ -288,7 +318,9 @@ def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
     assert load.inertia_is == "assumed" and np.linalg.eigvalsh(load.inertia_kg_m2).min() > 0.0
 
 
-def test_the_command_beside_a_result_gives_it_again(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_beside_a_result_gives_it_again(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     options = Options(settings={"payload.size": 0.03, "payload.shape": "cube"})
     estimate = replay([bags / BAG], options)
     bag = tmp_path / "bag"
@@ -302,14 +334,22 @@ def test_the_command_beside_a_result_gives_it_again(bags: Path, tmp_path: Path, 
 def test_the_command_names_the_topics_that_were_stated() -> None:
     options = Options(state_topic="/a/states", command_topic="/a/drive", effort_unit="mA")
     words = shlex.split(replay_command(Path("bag"), options))
-    for flag, value in (("--state-topic", "/a/states"), ("--command-topic", "/a/drive"), ("--effort-unit", "mA")):
+    for flag, value in (
+        ("--state-topic", "/a/states"),
+        ("--command-topic", "/a/drive"),
+        ("--effort-unit", "mA"),
+    ):
         assert words[words.index(flag) + 1] == value
 
 
 # --- a container and what rolls in it -----------------------------------------------------------------------------------
 
 SHELL_KG = 0.03
-ABOUT_IT = {"container.inner_size": [0.06, 0.04, 0.04], "container.centre": [0.035, 0.0, 0.0], "sphere.radius": 0.01}
+ABOUT_IT = {
+    "container.inner_size": [0.06, 0.04, 0.04],
+    "container.centre": [0.035, 0.0, 0.0],
+    "sphere.radius": 0.01,
+}
 
 
 def container_options(bags: Path) -> Options:
@@ -327,8 +367,16 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         "block.contact": "bonded",
         "held.joint1": 0.1,
     }
-    assert set(settings_for(probe_named("softness"), stated)) == {"payload.frame", "block.contact", "held.joint1"}
-    assert set(settings_for(probe_named("payload"), stated)) == {"payload.size", "payload.frame", "held.joint1"}
+    assert set(settings_for(probe_named("softness"), stated)) == {
+        "payload.frame",
+        "block.contact",
+        "held.joint1",
+    }
+    assert set(settings_for(probe_named("payload"), stated)) == {
+        "payload.size",
+        "payload.frame",
+        "held.joint1",
+    }
     assert set(settings_for(probe_named("container"), stated)) == {
         "payload.frame",
         "sphere.radius",
@@ -336,7 +384,10 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         "held.joint1",
     }
     check_settings(Options(settings=stated))
-    with pytest.raises(ConfigurationError, match=r"sphere\.radios: unknown; valid keys: sphere\.radius.*block\.contact"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"sphere\.radios: unknown; valid keys: sphere\.radius.*block\.contact",
+    ):
         check_settings(Options(settings={**stated, "sphere.radios": 0.01}))
     with pytest.raises(ConfigurationError, match="does not fit"):
         check_settings(Options(settings={"sphere.radius": 0.03}))
@@ -347,14 +398,23 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
 
 
 def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> None:
-    options = replace(container_options(bags), settings={**ABOUT_IT, "held.joint1": 0.0, "solver.starts_kg": [0.01]})
+    options = replace(
+        container_options(bags),
+        settings={**ABOUT_IT, "held.joint1": 0.0, "solver.starts_kg": [0.01]},
+    )
     weighing = baseline_options(live_request(options))
-    assert weighing.probe == "payload" and not weighing.baseline and weighing.settings["held.joint1"] == 0.0
+    assert (
+        weighing.probe == "payload"
+        and not weighing.baseline
+        and weighing.settings["held.joint1"] == 0.0
+    )
     assert weighing.settings["payload.com"] == ABOUT_IT["container.centre"]
     # thin walls: the two across z are 6 x 4 cm, those across y 6 x 4, those across x 4 x 4; moments of a plate and Steiner
     areas = {"x": 2 * 16.0, "y": 2 * 24.0, "z": 2 * 24.0}
     about_y = (
-        areas["x"] * (4.0**2 / 12.0 + 3.0**2) + areas["y"] * (6.0**2 + 4.0**2) / 12.0 + areas["z"] * (6.0**2 / 12.0 + 2.0**2)
+        areas["x"] * (4.0**2 / 12.0 + 3.0**2)
+        + areas["y"] * (6.0**2 + 4.0**2) / 12.0
+        + areas["z"] * (6.0**2 / 12.0 + 2.0**2)
     ) / (1e4 * sum(areas.values()))
     assert weighing.settings["payload.inertia_per_mass"][1] == pytest.approx(about_y, rel=1e-9)
     estimate = replay(options.baseline, weighing)
@@ -363,10 +423,13 @@ def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> N
 
 
 def test_a_container_stated_to_be_turned_has_its_inertia_turned() -> None:
-    upright = Options(probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]})
+    upright = Options(
+        probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]}
+    )
     level = Options(probe="container", settings=ABOUT_IT)
     turned, straight = (
-        baseline_options(live_request(options)).settings["payload.inertia_per_mass"] for options in (upright, level)
+        baseline_options(live_request(options)).settings["payload.inertia_per_mass"]
+        for options in (upright, level)
     )
     xx, yy, zz = straight[:3]
     assert xx != pytest.approx(yy, rel=0.1)
@@ -404,7 +467,10 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
         return int(sphere_kernels.sphere_law.cache_info().misses - before)
 
     assert compiled_in_replay(options) == 0
-    other = replace(options, settings={**ABOUT_IT, "container.shape": "cylinder", "container.inner_size": [0.04, 0.06]})
+    other = replace(
+        options,
+        settings={**ABOUT_IT, "container.shape": "cylinder", "container.inner_size": [0.04, 0.06]},
+    )
     assert compiled_in_replay(other) > 0
 
 
@@ -421,10 +487,13 @@ def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
 def test_how_far_a_block_may_be_squeezed() -> None:
     """Two fingers; where their linkage was measured to close faster than the ratio says, by that much more."""
     setting = live_request(Options(probe="softness", settings={"block.size": [0.02, 0.03, 0.03]}))
-    robot, facts = setting.robot, setting.facts.block
+    robot = setting.robot
+    facts = setting.facts.block
     gripper = "gripper_left_joint"
     assert largest_squeeze(robot, gripper, 0.005, facts) == pytest.approx(0.5)
-    one = live_request(Options(probe="softness", settings={"block.size": 0.02, "block.fingers": 1})).facts.block
+    one = live_request(
+        Options(probe="softness", settings={"block.size": 0.02, "block.fingers": 1})
+    ).facts.block
     assert largest_squeeze(robot, gripper, 0.005, one) == pytest.approx(0.25)
     drive = robot.drive_trains[gripper]
     faster = replace(drive, finger_travel=FingerTravel((-1.0, 1.0), (-0.015, 0.015)))

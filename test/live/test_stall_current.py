@@ -17,12 +17,16 @@ NAME = "elbow_flex"
 
 def test_they_are_those_of_a_replay() -> None:
     """The same law over all goals at once, with a firmware that moves its goal slowly, sent unevenly and some of it late."""
-    robot, random = load_robot("so101"), np.random.default_rng(4)
+    robot = load_robot("so101")
+    random = np.random.default_rng(4)
     drive = robot.drive_trains[NAME]
     times_s = 0.5 + np.cumsum(random.uniform(0.01, 0.06, 300))
-    sent_s, goals = np.sort(random.uniform(0.0, times_s[-1], 60)), random.uniform(-1.0, 1.0, 60)
+    sent_s = np.sort(random.uniform(0.0, times_s[-1], 60))
+    goals = random.uniform(-1.0, 1.0, 60)
     position = np.interp(times_s, sent_s, goals) + 0.05 * random.standard_normal(300)
-    stall, waiting, found = StallCurrents(robot), list(zip(sent_s.tolist(), goals.tolist(), strict=True)), []
+    stall = StallCurrents(robot)
+    waiting = list(zip(sent_s.tolist(), goals.tolist(), strict=True))
+    found = []
     for time_s, at in zip(times_s.tolist(), position.tolist(), strict=True):
         while waiting and waiting[0][0] <= time_s:
             sent, goal = waiting.pop(0)
@@ -34,7 +38,13 @@ def test_they_are_those_of_a_replay() -> None:
     told = np.isfinite(found)
     assert told.sum() > 250 and np.all(times_s[~told] - robot.delay.value < sent_s[0])
     # a replay takes steps of 2 ms from the first joint state on, and here each goal begins where the last had come to
-    most = law.gain_per_rad * law.goal_speed_rad_s * 0.004 * drive.supply_voltage_V / drive.resistance_ohm
+    most = (
+        law.gain_per_rad
+        * law.goal_speed_rad_s
+        * 0.004
+        * drive.supply_voltage_V
+        / drive.resistance_ohm
+    )
     wanted = duty * drive.supply_voltage_V / drive.resistance_ohm
     assert np.abs(np.array(found)[told] - wanted[told]).max() < most
     stall.hear_voltage(0.0)  # nobody measures it

@@ -96,10 +96,14 @@ def test_the_clock_is_set_in_mid_probe(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     offset = tmp_path / "offset"
     offset.write_bytes((0).to_bytes(8, "little", signed=True))
-    source, library, probe = tmp_path / "shim.c", tmp_path / "shim.so", tmp_path / "push.yaml"
+    source = tmp_path / "shim.c"
+    library = tmp_path / "shim.so"
+    probe = tmp_path / "push.yaml"
     source.write_text(SHIM)
     probe.write_text(one_push(-0.28, 2.0, AWAY))
-    subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True, timeout=60)
+    subprocess.run(
+        ["gcc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True, timeout=60
+    )
     environment = {"LD_PRELOAD": str(library), "TEST_CLOCK_OFFSET": str(offset)}
     # a computer's clock is that of all nodes
     nodes = ("virtual", "driver", "excitation")

@@ -52,7 +52,9 @@ class Demo:
         for process in Path("/proc").glob("[0-9]*"):
             try:
                 if f"PROPRIO_TEST_MARK={self.mark}".encode() in (process / "environ").read_bytes():
-                    found[int(process.name)] = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                    found[int(process.name)] = (
+                        (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                    )
             except OSError:  # it has ended meanwhile
                 continue
         return found
@@ -63,9 +65,19 @@ def start(folder: Path, *more: str) -> Demo:
     mark = uuid.uuid4().hex
     # demos that run side by side must not hear each other
     environment = {**os.environ, "PROPRIO_TEST_MARK": mark, "ROS_DOMAIN_ID": free_domain()}
-    words = [sys.executable, "-m", "proprio_ros.cli", "demo", "--output", str(folder / "demo"), *more]
+    words = [
+        sys.executable,
+        "-m",
+        "proprio_ros.cli",
+        "demo",
+        "--output",
+        str(folder / "demo"),
+        *more,
+    ]
     with (folder / "stdout").open("wb") as stdout, (folder / "stderr").open("wb") as stderr:
-        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, env=environment)
+        process = subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, env=environment
+        )
     return Demo(process, folder, mark)
 
 
@@ -124,21 +136,34 @@ def test_what_it_shows(demo: Demo) -> None:
     """Of each probe, and how near to the truth: test/world/test_demo.py."""
     assert demo.process.wait(LONGEST_S) in (EXIT_OK, EXIT_NO_ANSWER), demo.result + demo.told
     assert not demo.alive()
-    told = ["are starting", "itself: with nothing in its hand", "run 1 of", "robot calibrated on", "done; the nodes are ending"]
+    told = [
+        "are starting",
+        "itself: with nothing in its hand",
+        "run 1 of",
+        "robot calibrated on",
+        "done; the nodes are ending",
+    ]
     places = [demo.told.find(words) for words in told]
     assert -1 not in places and places == sorted(places), demo.told
     if demo.process.returncode == EXIT_OK:
-        assert re.search(r"payload ([\d.]+) g, 95 % interval", demo.result) and "the virtual hand held" in demo.result
+        assert (
+            re.search(r"payload ([\d.]+) g, 95 % interval", demo.result)
+            and "the virtual hand held" in demo.result
+        )
         report = re.search(r"report: (.+)", demo.result)
         assert report and "<svg" in Path(report[1]).read_text()
 
 
-def test_on_a_new_computer_it_shows_what_it_waits_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_new_computer_it_shows_what_it_waits_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "cache"))
     demo = start(tmp_path / "demo")
     try:
         # to the last one: test_start.py
-        assert comes(demo, lambda: re.search(r"proprio: starting: compiling \d+ of 8, once", demo.told)), demo.told
+        assert comes(
+            demo, lambda: re.search(r"proprio: starting: compiling \d+ of 8, once", demo.told)
+        ), demo.told
         assert_interrupted(demo)
     finally:
         end(demo)

@@ -35,11 +35,15 @@ def test_by_default_nobody_on_the_network_finds_a_node() -> None:
 
 
 @pytest.mark.parametrize("environment", SET_BY_THE_USER)
-def test_what_the_user_has_set_counts(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_user_has_set_counts(
+    environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     runtime._stay_on_this_machine()
-    assert {name: os.environ[name] for name in runtime._RANGE_SET_BY if name in os.environ} == environment
+    assert {
+        name: os.environ[name] for name in runtime._RANGE_SET_BY if name in os.environ
+    } == environment
 
 
 def test_peers_that_are_stated_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,7 +79,9 @@ class Published(list[Any]):
 class Arm:
     """An excitation node and an arm behind an effort controller, on a clock of the test's own. No wire, no thread."""
 
-    def __init__(self, context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> None:
+    def __init__(
+        self, context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any
+    ) -> None:
         self.time_s = 100.0
         monkeypatch.setattr(clock, "now", lambda: self.time_s)
         monkeypatch.setattr(clock, "now_ns", lambda: round(1e9 * self.time_s))
@@ -88,7 +90,12 @@ class Arm:
         monkeypatch.setattr(ExcitationNode, "real_time", False)
         probe = folder / "push.yaml"
         probe.write_text(PROBE % given.pop("push_s", 0.3))
-        parameters = {"command_interface": "effort", "controller_joints": ORDER, "probe": str(probe), **given}
+        parameters = {
+            "command_interface": "effort",
+            "controller_joints": ORDER,
+            "probe": str(probe),
+            **given,
+        }
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.node: Any = ExcitationNode(context=context, parameter_overrides=overrides)
         self.node.trigger_configure()
@@ -113,7 +120,9 @@ class Arm:
                 position, velocity, effort = self.driver.states()
                 stamp_ns = round(1e9 * self.time_s)
                 names = list(self.driver.broadcast)
-                self.node._on_joint_state(messages.joint_state(stamp_ns, names, position, velocity, effort))
+                self.node._on_joint_state(
+                    messages.joint_state(stamp_ns, names, position, velocity, effort)
+                )
             if alive and step % 10 == 0:
                 self.node._on_timer()
             for message in self.commands[-1:]:
@@ -239,7 +248,9 @@ def test_what_is_said_for_a_killed_node_holds_the_arm(make: Any, phase: str) -> 
     arm.assert_held(alive=False)
 
 
-def test_an_exception_does_not_keep_a_node_from_its_last_word(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_does_not_keep_a_node_from_its_last_word(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arm = make(push_s=1.0)
     arm.probe()
     pushed = arm.commands[-1].data[0]
@@ -274,15 +285,22 @@ def test_an_arm_that_is_not_where_it_is_held_is_let_go(make: Any) -> None:
 def test_release_lets_go_in_mid_push(make: Any) -> None:
     arm = make(push_s=1.0)
     arm.probe()
-    assert "the efforts are zero" in arm.node._on_release(Trigger.Request(), Trigger.Response()).message
+    assert (
+        "the efforts are zero"
+        in arm.node._on_release(Trigger.Request(), Trigger.Response()).message
+    )
     arm.advance(0.2)
     arm.assert_let_go()
     assert arm.phase == "aborted"
     assert arm.node._on_release(Trigger.Request(), Trigger.Response()).message == "nothing was held"
 
 
-@pytest.mark.parametrize(("lacks", "cure"), [("alive", "start this node again"), ("heard", "has not found")])
-def test_nothing_begins_where_nobody_would_hold_the_arm_of_a_killed_node(make: Any, lacks: str, cure: str) -> None:
+@pytest.mark.parametrize(
+    ("lacks", "cure"), [("alive", "start this node again"), ("heard", "has not found")]
+)
+def test_nothing_begins_where_nobody_would_hold_the_arm_of_a_killed_node(
+    make: Any, lacks: str, cure: str
+) -> None:
     arm = make()
     arm.advance(0.2)
     setattr(arm.speaker, lacks, False)
@@ -303,7 +321,9 @@ def test_the_state_is_told_at_rest_too(make: Any, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.long
-def test_last_words_are_said_when_the_node_is_silent_or_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_last_words_are_said_when_the_node_is_silent_or_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
@@ -312,7 +332,9 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(monkeypatch: pytest
     executor.add_node(node)
     heard: list[list[float]] = []
     topic = "/some_controller/commands"
-    node.create_subscription(Float64MultiArray, topic, lambda message: heard.append(list(message.data)), 10)
+    node.create_subscription(
+        Float64MultiArray, topic, lambda message: heard.append(list(message.data)), 10
+    )
 
     def says(wanted: list[list[float]]) -> bool:
         executor.spin_once(timeout_sec=0.05)
@@ -331,7 +353,9 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(monkeypatch: pytest
         speaker.dismiss()
         speaker.tell([3.0, 4.0])
         speaker.close()
-        assert wait_for(lambda: not says([]) and bool(heard) and heard[-1] == [3.0, 4.0]), "it is gone"
+        assert wait_for(lambda: not says([]) and bool(heard) and heard[-1] == [3.0, 4.0]), (
+            "it is gone"
+        )
         assert wait_for(lambda: not speaker.alive)
         other = LastWords(topic)
         other.tell([5.0, 6.0])
@@ -344,7 +368,9 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(monkeypatch: pytest
         monkeypatch.setattr(last_words, "FOUND_S", 0.0)
         alone = LastWords("/nobody_listens/commands")
         assert alone.alive and not alone.heard
-        listening = node.create_subscription(Float64MultiArray, "/nobody_listens/commands", lambda _: None, 10)
+        listening = node.create_subscription(
+            Float64MultiArray, "/nobody_listens/commands", lambda _: None, 10
+        )
         assert wait_for(lambda: alone.heard)
         node.destroy_subscription(listening)
         assert wait_for(lambda: not alone.heard), "the controller has gone"

@@ -30,10 +30,14 @@ from proprio_ros.nodes.runtime import IDLE_PAUSE_S, STREAM, ManagedNode
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
 
-ELBOW, PUSH_S = "joint3", 0.4
+ELBOW = "joint3"
+PUSH_S = 0.4
 PROBE = one_push(-0.3, PUSH_S, joint=ELBOW)
 STOPPED = messages.status(
-    "warning", "driver: servo bus", "the current is zero; /driver/torque true holds the arm again", {"state": "stopped"}
+    "warning",
+    "driver: servo bus",
+    "the current is zero; /driver/torque true holds the arm again",
+    {"state": "stopped"},
 )
 RUNNING = messages.status("ok", "driver: servo bus", "held", {"state": "running"})
 
@@ -46,7 +50,8 @@ def time_of_the_test() -> Iterator[SimulatedClock]:
 
 @pytest.fixture
 def context(monkeypatch: pytest.MonkeyPatch, time_of_the_test: SimulatedClock) -> Iterator[Any]:
-    monkeypatch.setattr(ExcitationNode, "real_time", False)  # this process is that of the other tests, too
+    # this process is that of the other tests, too
+    monkeypatch.setattr(ExcitationNode, "real_time", False)
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     yield context
@@ -70,7 +75,10 @@ class Arm:
         probe = folder / "push.yaml"
         probe.write_text(PROBE)
         self.node = active(ExcitationNode, context, probe=str(probe), **parameters)
-        self.position = {**dict.fromkeys(load_robot("open_manipulator_x").drive_trains, 0.0), **PARKED}
+        self.position = {
+            **dict.fromkeys(load_robot("open_manipulator_x").drive_trains, 0.0),
+            **PARKED,
+        }
         self.sent: list[tuple[float, Command]] = []
         self.node._send = lambda command: self.sent.append((self.node.now_s(), command))
 
@@ -91,7 +99,9 @@ class Arm:
                 self.position[joint] -= 0.5 * step_s
         velocity = dict.fromkeys(self.position, 0.0)
         self.node._on_joint_state(
-            messages.joint_state(0, list(self.position), list(self.position.values()), list(velocity.values()))
+            messages.joint_state(
+                0, list(self.position), list(self.position.values()), list(velocity.values())
+            )
         )
 
     def until(self, done: Callable[[], bool], step_s: float = 0.01) -> None:
@@ -117,7 +127,9 @@ def test_a_stop_in_mid_probe_is_named(arm: Arm) -> None:
     assert arm.run().success
     arm.until(lambda: arm.machine.phase.value == "probe")
     arm.node._on_driver(STOPPED)
-    assert arm.machine.abort_reason == ("the driver was stopped: the current is zero; /driver/torque true holds the arm again")
+    assert arm.machine.abort_reason == (
+        "the driver was stopped: the current is zero; /driver/torque true holds the arm again"
+    )
     assert not arm.sent[-1][1].current_A and arm.machine.phase.value == "aborted"
 
 
@@ -125,7 +137,10 @@ def test_nothing_begins_while_the_driver_is_stopped(arm: Arm) -> None:
     arm.node._on_driver(STOPPED)
     answer = arm.run()
     assert not answer.success and not arm.machine.busy
-    assert answer.message == "the driver is stopped: the current is zero; /driver/torque true holds the arm again"
+    assert (
+        answer.message
+        == "the driver is stopped: the current is zero; /driver/torque true holds the arm again"
+    )
     arm.node._on_driver(RUNNING)
     assert arm.run().success
 
@@ -150,7 +165,10 @@ def swings(arm: Arm, folder: Path) -> None:
 def test_nothing_swings_where_nobody_says_that_it_was_let_go_of(arm: Arm, tmp_path: Path) -> None:
     swings(arm, tmp_path)
     answer = arm.run()
-    assert not answer.success and "nobody says on /torque_enabled when a joint is let go of" in answer.message
+    assert (
+        not answer.success
+        and "nobody says on /torque_enabled when a joint is let go of" in answer.message
+    )
     arm.node._on_torque_enabled(Bool(data=True))
     assert arm.run().success
 
@@ -172,11 +190,15 @@ def test_a_driver_that_does_not_let_go_is_noticed(arm: Arm, tmp_path: Path, lets
     arm.until(ended)
     assert (arm.machine.phase.value == "aborted") != lets_go
     if not lets_go:
-        assert arm.machine.abort_reason.startswith("the driver does not let go of joint4, or has ended it")
+        assert arm.machine.abort_reason.startswith(
+            "the driver does not let go of joint4, or has ended it"
+        )
         assert not arm.sent[-1][1].current_A
 
 
-def test_the_word_of_a_driver_that_is_gone_does_not_count(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_word_of_a_driver_that_is_gone_does_not_count(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arm.node._on_driver(STOPPED)
     monkeypatch.setattr("proprio_ros.nodes.excitation.DRIVER_SILENT_S", 0.0)
     assert arm.run().success, "a driver that does not publish its state is not asked for it"
@@ -200,13 +222,20 @@ def identifier(context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     node.destroy_node()
 
 
-def test_a_weighing_after_a_stop_is_refused_at_once(identifier: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_weighing_after_a_stop_is_refused_at_once(
+    identifier: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(identifier._excitation.run, "service_is_ready", lambda: True)
     monkeypatch.setattr(identifier._excitation.set_probe, "service_is_ready", lambda: True)
     identifier._inputs._state_at_s = math.inf
-    values = {"driver": "stopped: the current is zero; /driver/torque true holds the arm again", "joint_states": True}
+    values = {
+        "driver": "stopped: the current is zero; /driver/torque true holds the arm again",
+        "joint_states": True,
+    }
     identifier._excitation.on_status(messages.status("ok", "excitation", "waiting", values))
-    with pytest.raises(JobError, match=r"the driver is stopped: the current is zero; /driver/torque true holds"):
+    with pytest.raises(
+        JobError, match=r"the driver is stopped: the current is zero; /driver/torque true holds"
+    ):
         identifier._jobs.await_others(Job("payload", "calibrate_payload"))
     answers: list[tuple[bool, str]] = []
     identifier._begin("payload", lambda success, message: answers.append((success, message)))
@@ -224,11 +253,18 @@ def test_a_sequence_that_does_not_exist_is_refused(identifier: Any, name: str) -
     assert result.successful, result.reason
 
 
-def test_nor_is_the_identifier_configured_with_one(context: Any, capfd: pytest.CaptureFixture[str]) -> None:
-    node = IdentifierNode(context=context, parameter_overrides=[Parameter("softness_sequence", value="nonsense")])
+def test_nor_is_the_identifier_configured_with_one(
+    context: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node = IdentifierNode(
+        context=context, parameter_overrides=[Parameter("softness_sequence", value="nonsense")]
+    )
     try:
         node.trigger_configure()
-        assert "cannot configure: softness_sequence: no 'nonsense' among the probes; there are: " in capfd.readouterr().err
+        assert (
+            "cannot configure: softness_sequence: no 'nonsense' among the probes; there are: "
+            in capfd.readouterr().err
+        )
     finally:
         node.destroy_node()
 

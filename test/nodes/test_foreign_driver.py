@@ -39,15 +39,25 @@ def bridge(*more: str) -> Iterator[None]:
         process.wait()
 
 
-def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_with_another_driver_is_probed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     push = tmp_path / "push.yaml"
     push.write_text(one_push(-0.28, 0.6, AWAY))
-    parameters: dict[str, Any] = {"data_directory": tmp_path / "data", "payload_sequence": str(push)}
+    parameters: dict[str, Any] = {
+        "data_directory": tmp_path / "data",
+        "payload_sequence": str(push),
+    }
     with Graph(tmp_path / "logs") as graph:
         graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.05})
-        graph.start("driver", {"port": tmp_path / "bus", "reply_timeout": 0.1, "command_timeout": 0.5}, namespace="hardware")
-        graph.start("excitation", {"stale_after": 4.0})  # nobody here may take a late message for silence
+        graph.start(
+            "driver",
+            {"port": tmp_path / "bus", "reply_timeout": 0.1, "command_timeout": 0.5},
+            namespace="hardware",
+        )
+        # nobody here may take a late message for silence
+        graph.start("excitation", {"stale_after": 4.0})
         graph.start("identifier", parameters | {"calibration": "none", "report": False})
         client = Client()
         try:
@@ -57,7 +67,11 @@ def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytes
                 return client.excitation.get("joint_states") == "true"
 
             def ready() -> bool:
-                return bool(client.statuses) and values_of(client.statuses[-1])["doing"] == "idle" and listening()
+                return (
+                    bool(client.statuses)
+                    and values_of(client.statuses[-1])["doing"] == "idle"
+                    and listening()
+                )
 
             def deaf() -> bool:
                 return client.excitation.get("joint_states") != "true"
@@ -65,14 +79,20 @@ def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytes
             with bridge():
                 assert comes_up(graph, ready), {name: graph.log(name) for name in graph.processes}
                 answer = client.call("/identifier/calibrate_payload")
-            assert not answer.success and "nothing says what drives the joints" in answer.message, answer.message
+            assert not answer.success and "nothing says what drives the joints" in answer.message, (
+                answer.message
+            )
             assert client.excitation["sequence"] == "0", "nothing was moved"
             assert wait_for(deaf)
             with bridge("--obey"):
                 assert wait_for(listening)
                 answer = client.call("/identifier/calibrate_payload", 3600.0)
-            assert "recording: " in answer.message and "aborted" not in answer.message, answer.message
-            assert "published best effort" in graph.log("identifier") and "published best effort" in graph.log("excitation")
+            assert "recording: " in answer.message and "aborted" not in answer.message, (
+                answer.message
+            )
+            assert "published best effort" in graph.log(
+                "identifier"
+            ) and "published best effort" in graph.log("excitation")
         finally:
             client.close()
     drives = load_robot("open_manipulator_x").drive_trains

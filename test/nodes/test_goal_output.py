@@ -70,7 +70,12 @@ class Arm:
         monkeypatch.setattr(ExcitationNode, "real_time", False)
         probe = folder / "step.yaml"
         probe.write_text(PROBE)
-        given = {"robot": "so101", "command_interface": "position", "controller_joints": ORDER, "probe": str(probe)}
+        given = {
+            "robot": "so101",
+            "command_interface": "position",
+            "controller_joints": ORDER,
+            "probe": str(probe),
+        }
         overrides = [Parameter(name, value=value) for name, value in given.items()]
         self.node: Any = ExcitationNode(context=context, parameter_overrides=overrides)
         self.node.trigger_configure()
@@ -94,7 +99,9 @@ class Arm:
                 positions, _, _ = self.driver.states()
                 names = list(self.driver.broadcast)
                 positions[names.index("wrist_flex")] += self.shift
-                self.node._on_joint_state(messages.joint_state(round(1e9 * self.time_s), names, positions))
+                self.node._on_joint_state(
+                    messages.joint_state(round(1e9 * self.time_s), names, positions)
+                )
             if alive:
                 self.node._on_timer()
             for message in self.commands[-1:]:
@@ -124,7 +131,9 @@ class Arm:
         after = self.driver.arm.position()
         assert max(abs(after[name] - before[name]) for name in after) < 0.005
         assert len(self.last) == len(ORDER) and abs(self.last[ELBOW] - self.pushed[ELBOW]) > 0.02
-        assert all(abs(goal - after[name]) < 0.2 for name, goal in zip(ORDER, self.last, strict=True))
+        assert all(
+            abs(goal - after[name]) < 0.2 for name, goal in zip(ORDER, self.last, strict=True)
+        )
 
 
 @pytest.fixture
@@ -144,7 +153,9 @@ def test_an_abort_and_a_release_hold_the_arm(arm: Arm) -> None:
     arm.node._on_abort(Trigger.Request(), Trigger.Response())
     arm.assert_held()
     # whoever records hears what was sent, once it was taken
-    assert {tuple(each.position) for each in arm.goals} <= {tuple(each.data) for each in arm.commands}
+    assert {tuple(each.position) for each in arm.goals} <= {
+        tuple(each.data) for each in arm.commands
+    }
     assert all(list(each.name) == ORDER for each in arm.goals)
     arm.pushes()
     response = arm.node._on_release(Trigger.Request(), Trigger.Response())
@@ -173,7 +184,10 @@ def test_an_encoder_that_slips_is_followed(arm: Arm) -> None:
     for released in (False, True):
         arm.advance(0.5)
         response = arm.node._on_run(Trigger.Request(), Trigger.Response())
-        assert response.success == released and ("the encoder of wrist_flex jumped" in response.message) != released
+        assert (
+            response.success == released
+            and ("the encoder of wrist_flex jumped" in response.message) != released
+        )
         arm.node._on_release(Trigger.Request(), Trigger.Response())
 
 
@@ -189,7 +203,9 @@ def test_an_encoder_that_slips_while_the_arm_is_held_is_remembered(arm: Arm) -> 
 
 
 @pytest.mark.parametrize("ends", ["finish", "killed", "fails"])
-def test_the_end_of_the_node_holds_the_arm(arm: Arm, ends: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_of_the_node_holds_the_arm(
+    arm: Arm, ends: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Ctrl-C, SIGTERM and whatever escapes a callback come to `finish`; of `kill -9`, what was told."""
     arm.pushes()
     if ends == "killed":

@@ -71,11 +71,16 @@ def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dic
 
 
 def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
-    kinds = {name: importlib.import_module(f"three_msgs.{name}") for name in ("msg", "srv", "action")}
+    kinds = {
+        name: importlib.import_module(f"three_msgs.{name}") for name in ("msg", "srv", "action")
+    }
     server = subprocess.Popen([sys.executable, "-c", SERVER], env=environment)
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
-    node, executor = rclpy.create_node("client", context=context), SingleThreadedExecutor(context=context)
+    node, executor = (
+        rclpy.create_node("client", context=context),
+        SingleThreadedExecutor(context=context),
+    )
     executor.add_node(node)
 
     def spun_until(ready: Any) -> bool:
@@ -102,12 +107,18 @@ def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
         heard: list[float] = []
         action = ActionClient(node, count, "/count")
         assert spun_until(action.server_is_ready)
-        sent = action.send_goal_async(count.Goal(to=3), lambda message: heard.append(message.feedback.fraction))
+        sent = action.send_goal_async(
+            count.Goal(to=3), lambda message: heard.append(message.feedback.fraction)
+        )
         assert spun_until(sent.done) and sent.result().accepted
         result = sent.result().get_result_async()
         assert spun_until(result.done)
         mass = result.result().result.mass
-        assert (mass.mass, list(mass.interval), list(mass.reasons)) == (1.5, [1.0, 2.0], ["one", "two"])
+        assert (mass.mass, list(mass.interval), list(mass.reasons)) == (
+            1.5,
+            [1.0, 2.0],
+            ["one", "two"],
+        )
     finally:
         server.kill()
         server.wait()
@@ -118,13 +129,17 @@ def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
 
 def test_what_does_not_compile_is_said(tmp_path: Path) -> None:
     (tmp_path / "bad_msgs" / "msg").mkdir(parents=True)
-    (tmp_path / "bad_msgs" / "package.xml").write_text(PACKAGE["package.xml"].replace("three", "bad"))
+    (tmp_path / "bad_msgs" / "package.xml").write_text(
+        PACKAGE["package.xml"].replace("three", "bad")
+    )
     (tmp_path / "bad_msgs" / "msg" / "Bad.msg").write_text("no_such_msgs/Thing thing\n")
     with pytest.raises(RuntimeError, match=r"(?s)bad_msgs.*no_such_msgs"):
         build(tmp_path / "bad_msgs", tmp_path / "prefix")
 
 
-def test_without_a_compiler_it_skips_and_fails_in_the_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_it_skips_and_fails_in_the_gate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(message_packages.shutil, "which", lambda name: None)
     monkeypatch.delenv("CI", raising=False)
     with pytest.raises(pytest.skip.Exception, match=r"g\+\+"):

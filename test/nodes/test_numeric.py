@@ -40,9 +40,22 @@ def test_what_is_not_known_is_not_a_number() -> None:
         "verdict": "too_wide", "reason.1": "one", "reason.2": "two",
     }  # fmt: skip
     filled = fill(blank(), probe_named("payload"), entries)
-    assert (filled.mass, filled.std, filled.interval, filled.verdict) == (0.5, 0.25, [0.0, 1.0], "too_wide")
-    assert filled.reasons == ["one", "two"] and vars(filled.centre) == {"x": 0.1, "y": 0.2, "z": 0.3}
-    unknown = {"payload_mass": "not determined", "payload_com": [0.1, None, 0.3], "verdict": "failed"}
+    assert (filled.mass, filled.std, filled.interval, filled.verdict) == (
+        0.5,
+        0.25,
+        [0.0, 1.0],
+        "too_wide",
+    )
+    assert filled.reasons == ["one", "two"] and vars(filled.centre) == {
+        "x": 0.1,
+        "y": 0.2,
+        "z": 0.3,
+    }
+    unknown = {
+        "payload_mass": "not determined",
+        "payload_com": [0.1, None, 0.3],
+        "verdict": "failed",
+    }
     filled = fill(blank(), probe_named("payload"), unknown)
     assert all(map(math.isnan, (filled.mass, filled.std, *filled.interval, filled.centre.y)))
     block = fill(SimpleNamespace(), probe_named("softness"), {"youngs_modulus": 2e5})
@@ -50,7 +63,9 @@ def test_what_is_not_known_is_not_a_number() -> None:
 
 
 def asked(target: str, sequence: str = "", half_interval: float = 0.0) -> Any:
-    return SimpleNamespace(target=target, sequence=sequence, settings=[], half_interval=half_interval, at_most_s=0.0)
+    return SimpleNamespace(
+        target=target, sequence=sequence, settings=[], half_interval=half_interval, at_most_s=0.0
+    )
 
 
 def test_a_goal_may_say_how_sure_it_wants_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,10 +81,14 @@ def test_a_goal_may_say_how_sure_it_wants_to_be(monkeypatch: pytest.MonkeyPatch)
 def test_a_target_that_has_no_mass_is_refused() -> None:
     action: Any = WeighAction.__new__(WeighAction)
     for target, sequence in (("softness", ""), ("elephant", "")):
-        with pytest.raises(ConfigurationError, match="give one of payload, container, contents, weigh"):
+        with pytest.raises(
+            ConfigurationError, match="give one of payload, container, contents, weigh"
+        ):
             action._asked(asked(target, sequence))
     for goal in (asked("weigh", "payload"), asked("weigh", "", half_interval=1e-3)):
-        with pytest.raises(ConfigurationError, match="makes no sequence: leave it empty, and half_interval at 0"):
+        with pytest.raises(
+            ConfigurationError, match="makes no sequence: leave it empty, and half_interval at 0"
+        ):
             action._asked(goal)
 
 
@@ -82,7 +101,9 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.delitem(sys.modules, name)
     weigh: Any = importlib.import_module("proprio_msgs.action").Weigh
     kind: Any = importlib.import_module("proprio_msgs.msg").MassEstimate
-    with running(tmp_path, virtual={"object": 0.05}, environment={"PYTHONPATH": built["PYTHONPATH"]}) as (graph, client):
+    with running(
+        tmp_path, virtual={"object": 0.05}, environment={"PYTHONPATH": built["PYTHONPATH"]}
+    ) as (graph, client):
         masses: list[Any] = []
         client.node.create_subscription(kind, "/identifier/mass_estimate", masses.append, LATCHED)
         action = ActionClient(client.node, weigh, "/identifier/weigh_action")
@@ -91,28 +112,46 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
         def send(**goal: Any) -> Any:
             heard.clear()
-            sent = action.send_goal_async(weigh.Goal(**goal), lambda message: heard.append(message.feedback))
+            sent = action.send_goal_async(
+                weigh.Goal(**goal), lambda message: heard.append(message.feedback)
+            )
             return client.answer(sent, 60.0)
 
         facts = ["payload.shape=cube", "payload.size=0.03"]
         goal = send(sequence="payload_elbow", settings=facts)
         assert goal.accepted
-        assert wait_for(lambda: bool(heard), 120.0), (client.statuses, graph.log("identifier"), graph.log("excitation"))
-        assert not client.answer(action.send_goal_async(weigh.Goal()), 60.0).accepted, "one at a time"
+        assert wait_for(lambda: bool(heard), 120.0), (
+            client.statuses,
+            graph.log("identifier"),
+            graph.log("excitation"),
+        )
+        assert not client.answer(action.send_goal_async(weigh.Goal()), 60.0).accepted, (
+            "one at a time"
+        )
         ended = client.answer(goal.get_result_async(), 600.0)
         result = ended.result
         # the arm is not calibrated, so what the verdict is, is the identification's business; here, that all say the same
         assert (ended.status == GoalStatus.STATUS_SUCCEEDED) == (result.verdict == "accepted")
         assert wait_for(lambda: bool(masses) and masses[-1].final, 60.0)
         assert wait_for(client.final, 60.0)
-        final, stamped = client.estimates[-1], masses[-1]
-        if final["payload_mass"] == "not determined":  # a computer that is busy elsewhere records nothing of use
+        final = client.estimates[-1]
+        stamped = masses[-1]
+        # a computer that is busy elsewhere records nothing of use
+        if final["payload_mass"] == "not determined":
             assert math.isnan(result.mass) and math.isnan(stamped.mass)
         else:
             assert float(final["payload_mass"]) == result.mass == stamped.mass
-            assert json.loads(final["payload_mass.ci95"]) == list(result.interval) == list(stamped.interval)
+            assert (
+                json.loads(final["payload_mass.ci95"])
+                == list(result.interval)
+                == list(stamped.interval)
+            )
         assert final["verdict"] == result.verdict == stamped.verdict
-        assert [final[key] for key in final if key.startswith("reason.")] == list(result.reasons) == list(stamped.reasons)
+        assert (
+            [final[key] for key in final if key.startswith("reason.")]
+            == list(result.reasons)
+            == list(stamped.reasons)
+        )
         assert stamped.header.frame_id == "end_effector_link" and stamped.header.stamp.sec > 0
         assert Path(result.bag).is_dir() and result.bag in result.message
         command = json.loads((Path(result.bag).parent / "estimate.json").read_text())["command"]
@@ -122,7 +161,10 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         # cancelled, what stood is withdrawn, and the next job may come
         goal = send(sequence="payload_elbow")
         assert goal.accepted and wait_for(lambda: bool(heard), 120.0)
-        assert wait_for(lambda: any(each.verdict == "withdrawn" and math.isnan(each.mass) for each in masses), 60.0)
+        assert wait_for(
+            lambda: any(each.verdict == "withdrawn" and math.isnan(each.mass) for each in masses),
+            60.0,
+        )
         client.answer(goal.cancel_goal_async(), 60.0)
         ended = client.answer(goal.get_result_async(), 60.0)
         assert ended.status == GoalStatus.STATUS_CANCELED and "cancelled" in ended.result.message

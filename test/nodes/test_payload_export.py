@@ -37,12 +37,18 @@ BAGS = Path(__file__).resolve().parents[2] / "bags"
 MANIFEST = """<package format="3"><name>{name}</name><version>1.0.0</version><description>d</description>
 <maintainer email="a@b.cc">m</maintainer><license>BSD</license><depend>geometry_msgs</depend></package>"""
 SERVICES = {
-    "ur_msgs": ("SetPayload", "float32 mass\ngeometry_msgs/Vector3 center_of_gravity\n---\nbool success\n"),
+    "ur_msgs": (
+        "SetPayload",
+        "float32 mass\ngeometry_msgs/Vector3 center_of_gravity\n---\nbool success\n",
+    ),
     "franka_msgs": (
         "SetLoad",
         "float64 mass\nfloat64[3] center_of_mass\nfloat64[9] load_inertia\n---\nbool success\nstring error\n",
     ),
-    "xarm_msgs": ("SetTcpLoad", "float32 weight\nfloat32[] center_of_gravity\n---\nint32 ret\nstring message\n"),
+    "xarm_msgs": (
+        "SetTcpLoad",
+        "float32 weight\nfloat32[] center_of_gravity\n---\nint32 ret\nstring message\n",
+    ),
 }
 LOAD = Carried(0.5, [0.01, 0.02, 0.03], np.diag([1e-3, 2e-3, 3e-3]))
 
@@ -54,7 +60,8 @@ def kinds(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     with pytest.MonkeyPatch.context() as patch:
         for package, (name, text) in SERVICES.items():
             folder = tmp_path_factory.mktemp(package)
-            source, prefix = folder / package, folder / "prefix"
+            source = folder / package
+            prefix = folder / "prefix"
             (source / "srv").mkdir(parents=True)
             (source / "package.xml").write_text(MANIFEST.format(name=package))
             (source / "srv" / f"{name}.srv").write_text(text)
@@ -67,11 +74,15 @@ def kinds(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
 
 
 def test_what_is_told_fits_the_makers_messages(kinds: dict[str, Any]) -> None:
-    requests = {name: kinds[controller.package].Request() for name, controller in CONTROLLERS.items()}
+    requests = {
+        name: kinds[controller.package].Request() for name, controller in CONTROLLERS.items()
+    }
     for name, controller in CONTROLLERS.items():
         controller.fill(requests[name], LOAD)
     assert requests["ur"].mass == 0.5 and requests["ur"].center_of_gravity.z == 0.03
-    np.testing.assert_allclose(requests["franka"].load_inertia, [1e-3, 0, 0, 0, 2e-3, 0, 0, 0, 3e-3])
+    np.testing.assert_allclose(
+        requests["franka"].load_inertia, [1e-3, 0, 0, 0, 2e-3, 0, 0, 0, 3e-3]
+    )
     np.testing.assert_allclose(requests["xarm"].center_of_gravity, [10.0, 20.0, 30.0], rtol=1e-6)
     for name, controller in CONTROLLERS.items():
         # a response as it comes by default: the first two have not taken it, and code 0 is taken
@@ -102,10 +113,18 @@ class Stage:
 
 
 @pytest.fixture
-def stage(kinds: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
+def stage(
+    kinds: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Stage]:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    monkeypatch.setattr(identifier, "prepare_identification", lambda *given: None)  # nothing is identified by the node
-    words = {"data_directory": tmp_path, "hand_on": "ur", "hand_on_link": "link5", "hand_on_tool": "0.2, 0.0, 0.0, 0.05"}
+    # nothing is identified by the node
+    monkeypatch.setattr(identifier, "prepare_identification", lambda *given: None)
+    words = {
+        "data_directory": tmp_path,
+        "hand_on": "ur",
+        "hand_on_link": "link5",
+        "hand_on_tool": "0.2, 0.0, 0.0, 0.05",
+    }
     context = rclpy.Context()
     arguments = [word for name, value in words.items() for word in ("-p", f"{name}:={value}")]
     rclpy.init(args=["--ros-args", *arguments], context=context)
@@ -133,12 +152,18 @@ def stage(kinds: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     context.try_shutdown()
 
 
-def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(stage: Stage, tmp_path: Path) -> None:
+def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(
+    stage: Stage, tmp_path: Path
+) -> None:
     success, said = stage.apply()
     assert not success and "no accepted answer stands" in said
     # bags of this repository, an arm that weighed itself and a cube
     stated = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "cube", "payload.size": 0.03}
-    empty = [bag for joint in (2, 3) for bag in sorted(BAGS.glob(f"realistic_s00_empty_*_joint{joint}/bag*"))]
+    empty = [
+        bag
+        for joint in (2, 3)
+        for bag in sorted(BAGS.glob(f"realistic_s00_empty_*_joint{joint}/bag*"))
+    ]
     learnt = calibrate_from_bags(empty, {}, Options(), tmp_path / "arm.yaml")
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
     options = Options(probe="payload", calibration=tmp_path / "arm.yaml", settings=stated)
@@ -154,11 +179,19 @@ def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(stage: S
     mass = estimate.values[0].value
     (request,) = stage.heard
     assert request.mass == pytest.approx(mass + 0.2, rel=1e-6)
-    grasp = setting.robot.model.frame_transform("end_effector_link", dict.fromkeys(setting.robot.model.independent_joints, 0.0))
-    flange = setting.robot.model.frame_transform("link5", dict.fromkeys(setting.robot.model.independent_joints, 0.0))
+    grasp = setting.robot.model.frame_transform(
+        "end_effector_link", dict.fromkeys(setting.robot.model.independent_joints, 0.0)
+    )
+    flange = setting.robot.model.frame_transform(
+        "link5", dict.fromkeys(setting.robot.model.independent_joints, 0.0)
+    )
     away = np.linalg.solve(flange, grasp)[:3, 3]
     told = request.center_of_gravity
-    np.testing.assert_allclose([told.x, told.y, told.z], (mass * away + 0.2 * np.array([0.0, 0.0, 0.05])) / (mass + 0.2), atol=1e-9)
+    np.testing.assert_allclose(
+        [told.x, told.y, told.z],
+        (mass * away + 0.2 * np.array([0.0, 0.0, 0.05])) / (mass + 0.2),
+        atol=1e-9,
+    )
     assert "with the tool" in said and "95 % interval" in said
     stage.success = False
     success, said = stage.apply()
@@ -183,7 +216,9 @@ def test_without_its_messages_or_its_tool_a_controller_is_refused_at_the_start(
     }
     for word, said in cases.items():
         context = rclpy.Context()
-        rclpy.init(args=["--ros-args", "-p", f"data_directory:={tmp_path}", "-p", word], context=context)
+        rclpy.init(
+            args=["--ros-args", "-p", f"data_directory:={tmp_path}", "-p", word], context=context
+        )
         node = identifier.IdentifierNode(context=context)
         try:
             with pytest.raises(ConfigurationError, match=said):

@@ -34,25 +34,36 @@ def test_patience_ends_with_silence_and_not_with_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_the_identifier_says_what_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_identifier_says_what_it_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     empty = {"WARP_CACHE_PATH": str(tmp_path / "cache")}
     # a pendulum's friction does not rise towards standstill, which saves three kernels
-    with running(tmp_path, "identifier", environment=empty, identifier={"robot": "pendulum"}) as (graph, client):
+    with running(tmp_path, "identifier", environment=empty, identifier={"robot": "pendulum"}) as (
+        graph,
+        client,
+    ):
         log = graph.log("identifier")
         assert all(f"compiling {number} of 5" in log for number in range(1, 6)), log
         assert wait_for(lambda: values_of(client.statuses[-1])["doing"] == "idle")
-        told = [status.message for status in client.statuses if values_of(status)["doing"] == "starting"]
+        told = [
+            status.message for status in client.statuses if values_of(status)["doing"] == "starting"
+        ]
         assert told and told[-1].startswith("compiling 5 of 5")
 
 
 @pytest.mark.long
-def test_an_identifier_that_can_keep_no_kernels_ends_with_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_identifier_that_can_keep_no_kernels_ends_with_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     (tmp_path / "file").touch()
     with Graph(tmp_path / "logs", {"WARP_CACHE_PATH": str(tmp_path / "file" / "cache")}) as graph:
         process = graph.start("identifier", {"data_directory": tmp_path, "calibration": "none"})
         assert process.wait(3600.0) == 2
-        with pytest.raises(ConfigurationError, match=r"identifier node has ended: .*set WARP_CACHE_PATH"):
+        with pytest.raises(
+            ConfigurationError, match=r"identifier node has ended: .*set WARP_CACHE_PATH"
+        ):
             graph.check()
         assert "Traceback" not in graph.log("identifier")

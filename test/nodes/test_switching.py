@@ -42,7 +42,8 @@ builtin_interfaces/Duration timeout
 bool ok
 string message
 """
-OURS, THEIRS = "position_controller", "joint_trajectory_controller"
+OURS = "position_controller"
+THEIRS = "joint_trajectory_controller"
 ORDER = ["gripper", "elbow_flex", "shoulder_pan", "wrist_roll", "wrist_flex", "shoulder_lift"]
 ARM: dict[str, Any] = {"robot": "so101", "controller_joints": ORDER}
 PROBE = """
@@ -60,14 +61,17 @@ excitation:
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimpleNamespace]:
     """The service's class, and the environment in which nodes find it."""
     folder = tmp_path_factory.mktemp(PACKAGE)
-    source, prefix = folder / PACKAGE, folder / "prefix"
+    source = folder / PACKAGE
+    prefix = folder / "prefix"
     (source / "srv").mkdir(parents=True)
     (source / "package.xml").write_text(MANIFEST)
     (source / "srv" / "SwitchController.srv").write_text(SWITCH)
     environment = build(source, prefix)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(prefix / "site-packages"))
-        yield SimpleNamespace(kind=importlib.import_module(f"{PACKAGE}.srv").SwitchController, environment=environment)
+        yield SimpleNamespace(
+            kind=importlib.import_module(f"{PACKAGE}.srv").SwitchController, environment=environment
+        )
     for name in [name for name in sys.modules if name.split(".")[0] == PACKAGE]:
         del sys.modules[name]
 
@@ -94,7 +98,8 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
     built: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    probe, endless = tmp_path / "short.yaml", tmp_path / "long.yaml"
+    probe = tmp_path / "short.yaml"
+    endless = tmp_path / "long.yaml"
     probe.write_text(PROBE % 0.2)
     endless.write_text(PROBE % 30.0)
     virtual = {"interface": "position_controller", "state_rate": 50.0, **ARM}
@@ -103,7 +108,14 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         "deactivate_controllers": [THEIRS], **ARM,
     }  # fmt: skip
     environment = {"PYTHONPATH": built.environment["PYTHONPATH"]}
-    with running(tmp_path, "virtual", "excitation", environment=environment, virtual=virtual, excitation=output) as (graph, client):
+    with running(
+        tmp_path,
+        "virtual",
+        "excitation",
+        environment=environment,
+        virtual=virtual,
+        excitation=output,
+    ) as (graph, client):
 
         def sees_the_arm() -> bool:
             return client.excitation.get("joint_states") == "true"
@@ -130,7 +142,9 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         client.call("/excitation/abort")
         # asked for while it is switched back: it waits for that
         assert client.call("/excitation/run").success
-        assert manager.active == OURS and [r.activate_controllers[0] for r in manager.heard[-2:]] == [THEIRS, OURS]
+        assert manager.active == OURS and [
+            r.activate_controllers[0] for r in manager.heard[-2:]
+        ] == [THEIRS, OURS]
         client.wait_for_phase("probe")
         assert THEIRS in client.call("/excitation/release").message
         assert wait_for(lambda: manager.active == THEIRS), "released"
@@ -150,24 +164,38 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
                 assert comes_up(graph, lambda: client.excitation.get("phase") == "idle")
 
 
-def test_without_the_messages_the_node_says_so_and_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_the_messages_the_node_says_so_and_works(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     monkeypatch.setitem(sys.modules, PACKAGE, None)
     monkeypatch.setitem(sys.modules, f"{PACKAGE}.srv", None)
     said: list[str] = []
     monkeypatch.setattr(ExcitationNode, "say", lambda self, severity, words: said.append(words))
     monkeypatch.setattr(ExcitationNode, "real_time", False)
-    speaker = SimpleNamespace(alive=True, due=True, heard=True, close=lambda: None, dismiss=lambda: None, tell=lambda _: None)
+    speaker = SimpleNamespace(
+        alive=True,
+        due=True,
+        heard=True,
+        close=lambda: None,
+        dismiss=lambda: None,
+        tell=lambda _: None,
+    )
     monkeypatch.setattr(excitation, "LastWords", lambda *_given: speaker)
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     given = {"command_interface": "position", "controller_manager": "/controller_manager", **ARM}
-    node: Any = ExcitationNode(context=context, parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
+    node: Any = ExcitationNode(
+        context=context,
+        parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
+    )
     try:
         node.trigger_configure()
         node.trigger_activate()
         assert node.active
-        assert [words for words in said if "controllers are not switched, for the messages of" in words]
+        assert [
+            words for words in said if "controllers are not switched, for the messages of" in words
+        ]
         response = node._on_run(Trigger.Request(), Trigger.Response())
         assert "no joint states" in response.message, "it works as without"
     finally:
@@ -238,7 +266,9 @@ def test_the_arm_is_held_from_before_the_switch_until_it_is_switched_back() -> N
     assert fake.done[-4:] == ["error", "back", "info", "hand over"] and not fake.engaged
 
 
-def test_nothing_begins_where_the_switch_is_refused_and_one_that_is_not_answered_is_taken_back() -> None:
+def test_nothing_begins_where_the_switch_is_refused_and_one_that_is_not_answered_is_taken_back() -> (
+    None
+):
     fake, runs, answers = staged()
     runs.run(lambda *given: answers.append(given))
     fake.answer("refused")

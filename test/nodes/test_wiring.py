@@ -34,7 +34,8 @@ from proprio_ros.virtual.robot import PARKED
 
 pytestmark = pytest.mark.long
 
-ELBOW, PUSH_A = "joint3", -0.28
+ELBOW = "joint3"
+PUSH_A = -0.28
 NODES = ("virtual", "driver", "excitation", "identifier")
 PATIENT: dict[str, dict[str, Any]] = {
     "driver": {"reply_timeout": 0.1, "command_timeout": 0.5}, "excitation": {"stale_after": 4.0},
@@ -66,7 +67,9 @@ class Arm:
     def obeying(self) -> set[bytes]:
         """Subscriptions of the drivers that take positions."""
         infos = self.client.node.get_subscriptions_info_by_topic("/position_command")
-        return {bytes(info.endpoint_gid) for info in infos if info.node_name == "driver"} - self.gone
+        return {
+            bytes(info.endpoint_gid) for info in infos if info.node_name == "driver"
+        } - self.gone
 
     @property
     def data(self) -> Path:
@@ -74,13 +77,20 @@ class Arm:
 
     def parameters(self, node: str) -> dict[str, Any]:
         """With which a node is started again."""
-        own = {"driver": {"port": self.folder / "bus"}, "identifier": {"data_directory": self.data, "calibration": "none"}}
+        own = {
+            "driver": {"port": self.folder / "bus"},
+            "identifier": {"data_directory": self.data, "calibration": "none"},
+        }
         return {**own.get(node, {}), **PATIENT.get(node, {})}
 
     def begin_push(self, service: str = "/excitation/run") -> Any:
         """Ask for one that goes on until something ends it; returns what is answered."""
         endless = str(push_file(self.folder, 20.0))
-        node, name = ("/excitation", "probe") if service == "/excitation/run" else ("/identifier", "payload_sequence")
+        node, name = (
+            ("/excitation", "probe")
+            if service == "/excitation/run"
+            else ("/identifier", "payload_sequence")
+        )
         assert self.client.set(node, name, endless).successful
         future = self.client.begin(service)
         self.client.wait_for_phase("probe")
@@ -89,7 +99,8 @@ class Arm:
 
     def lift(self) -> None:
         """Back to where a probe may begin; the goal is said with every state, for a driver whose bus was lost forgets it."""
-        client, said = self.client, {0}
+        client = self.client
+        said = {0}
 
         def there() -> bool:
             if len(client.motors) not in said:
@@ -118,7 +129,10 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     identifier = {"payload_sequence": str(push_file(folder, 0.6))}
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("ROS_DOMAIN_ID", free_domain())
-        with running(folder, virtual={"object": 0.05}, identifier=identifier, **PATIENT) as (graph, client):
+        with running(folder, virtual={"object": 0.05}, identifier=identifier, **PATIENT) as (
+            graph,
+            client,
+        ):
             assert wait_for(lambda: bool(client.diagnostics))
             yield Arm(graph, client, folder)
 
@@ -130,13 +144,19 @@ def test_a_weighing_goes_through_all_of_them(arm: Arm) -> None:
     final = client.estimates[-1]
     assert answer.success == (final["verdict"] == "accepted")
     results = list(arm.data.glob("*_payload/estimate.json"))
-    assert len(results) == 1, f"{answer.message}\n{arm.graph.log('excitation')}\n{arm.graph.log('identifier')}"
+    assert len(results) == 1, (
+        f"{answer.message}\n{arm.graph.log('excitation')}\n{arm.graph.log('identifier')}"
+    )
     (result,) = results
     assert json.loads(result.read_text())["verdict"] == final["verdict"]
-    assert "<svg" in (result.parent / "report.html").read_text() and list((result.parent / "bag").glob("*.mcap"))
+    assert "<svg" in (result.parent / "report.html").read_text() and list(
+        (result.parent / "bag").glob("*.mcap")
+    )
     late = Client()
     try:
-        assert wait_for(lambda: bool(late.estimates and late.statuses)), "what stands is heard by those who come later"
+        assert wait_for(lambda: bool(late.estimates and late.statuses)), (
+            "what stands is heard by those who come later"
+        )
         assert late.estimates[-1] == final
     finally:
         late.close()
@@ -146,7 +166,10 @@ def test_a_weighing_goes_through_all_of_them(arm: Arm) -> None:
 
 def test_none_of_them_waits_for_other_programs(arm: Arm) -> None:
     """The identifier's threads that hear are scheduled as the driver's are, in real time where that is granted."""
-    policies = {os.sched_getscheduler(arm.graph.processes[node].pid) & ~os.SCHED_RESET_ON_FORK for node in NODES}
+    policies = {
+        os.sched_getscheduler(arm.graph.processes[node].pid) & ~os.SCHED_RESET_ON_FORK
+        for node in NODES
+    }
     assert len(policies) == 1
 
 
@@ -156,29 +179,45 @@ def test_two_hundred_calls_at_once(arm: Arm, service: str) -> None:
     client = arm.client.node.create_client(Trigger, service, qos_profile=QoSProfile(depth=200))
     assert wait_for(client.service_is_ready)
     answers = [client.call_async(Trigger.Request()) for _ in range(200)]
-    assert wait_for(lambda: all(answer.done() for answer in answers)), sum(answer.done() for answer in answers)
+    assert wait_for(lambda: all(answer.done() for answer in answers)), sum(
+        answer.done() for answer in answers
+    )
     arm.client.node.destroy_client(client)
 
 
 @pytest.mark.parametrize("node", NODES)
 def test_a_transition_that_is_not_due(arm: Arm, node: str) -> None:
     """Anyone can ask for one by mistake: it is refused, and the node lives on."""
-    for transition in (Transition(id=Transition.TRANSITION_CONFIGURE), Transition(id=99), Transition(label="fly")):
+    for transition in (
+        Transition(id=Transition.TRANSITION_CONFIGURE),
+        Transition(id=99),
+        Transition(label="fly"),
+    ):
         request = ChangeState.Request(transition=transition)
-        assert not arm.client.answer(arm.client.begin(f"/{node}/change_state", ChangeState, request)).success
-    assert f"lifecycle transition {Transition.TRANSITION_CONFIGURE} is refused" in arm.graph.log(node)
+        assert not arm.client.answer(
+            arm.client.begin(f"/{node}/change_state", ChangeState, request)
+        ).success
+    assert f"lifecycle transition {Transition.TRANSITION_CONFIGURE} is refused" in arm.graph.log(
+        node
+    )
     assert arm.graph.processes[node].poll() is None
 
 
 def test_one_that_is_due(arm: Arm) -> None:
-    for transition, state in ((Transition.TRANSITION_DEACTIVATE, "inactive"), (Transition.TRANSITION_ACTIVATE, "running")):
+    for transition, state in (
+        (Transition.TRANSITION_DEACTIVATE, "inactive"),
+        (Transition.TRANSITION_ACTIVATE, "running"),
+    ):
         request = ChangeState.Request(transition=Transition(id=transition))
-        assert arm.client.answer(arm.client.begin("/driver/change_state", ChangeState, request)).success
+        assert arm.client.answer(
+            arm.client.begin("/driver/change_state", ChangeState, request)
+        ).success
         assert wait_for(lambda state=state: arm.driver_says()[0] == state), arm.driver_says()
 
 
 def test_a_disk_that_is_full(arm: Arm) -> None:
-    client, process = arm.client, arm.graph.processes["identifier"]
+    client = arm.client
+    process = arm.graph.processes["identifier"]
     known = set(arm.data.glob("*_payload/bag"))
     arm.lift()
     assert client.set("/identifier", "payload_sequence", str(push_file(arm.folder, 0.6))).successful
@@ -190,10 +229,14 @@ def test_a_disk_that_is_full(arm: Arm) -> None:
         answer = client.answer(future)
     finally:
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (hard, hard))
-    assert not answer.success and "kept in memory" in answer.message and "\n" not in answer.message, answer.message
+    assert (
+        not answer.success and "kept in memory" in answer.message and "\n" not in answer.message
+    ), answer.message
 
     def saved() -> list[Path]:
-        return [bag for bag in arm.data.glob("*_payload/bag") if bag not in known and any(bag.iterdir())]
+        return [
+            bag for bag in arm.data.glob("*_payload/bag") if bag not in known and any(bag.iterdir())
+        ]
 
     assert wait_for(lambda: bool(saved()) and "is saved now" in arm.graph.log("identifier"))
     assert len(recorded(saved()[0]).joints.times_ns) > 50
@@ -222,7 +265,9 @@ def test_the_identifier_is_killed(arm: Arm) -> None:
     # what came until then is on disk, and a bag as soon as the node is back
     (journal,) = arm.data.glob("*_payload/messages.journal")
     arm.graph.start("identifier", arm.parameters("identifier"))
-    assert wait_for(lambda: (journal.parent / "bag" / "metadata.yaml").exists() and not journal.exists(), UP_S)
+    assert wait_for(
+        lambda: (journal.parent / "bag" / "metadata.yaml").exists() and not journal.exists(), UP_S
+    )
     assert recorded(journal.parent / "bag").inputs is not None
 
 
@@ -239,11 +284,13 @@ def test_the_driver_is_killed(arm: Arm) -> None:
 
 
 @pytest.mark.parametrize(
-    ("node", "number"), [("excitation", signal.SIGTERM), ("identifier", signal.SIGTERM), ("driver", signal.SIGINT)]
+    ("node", "number"),
+    [("excitation", signal.SIGTERM), ("identifier", signal.SIGTERM), ("driver", signal.SIGINT)],
 )
 def test_told_to_end(arm: Arm, node: str, number: int) -> None:
     """The last tests: the nodes are gone afterwards."""
-    client, process = arm.client, arm.graph.processes[node]
+    client = arm.client
+    process = arm.graph.processes[node]
     if node == "excitation":
         arm.lift()
         arm.begin_push()
@@ -251,7 +298,10 @@ def test_told_to_end(arm: Arm, node: str, number: int) -> None:
     assert process.wait(SOON_S) == 0
     assert "Traceback" not in arm.graph.log(node)
     if node == "excitation":
-        assert wait_for(lambda: client.excitation["phase"] == "aborted") and "told to end" in client.excitation["reason"]
+        assert (
+            wait_for(lambda: client.excitation["phase"] == "aborted")
+            and "told to end" in client.excitation["reason"]
+        )
         assert any(client.motors[-1].effort), "the arm is held"
     if node == "driver":
         assert wait_for(lambda: not any(client.motors[-1].effort)), "and let go at the end"
@@ -259,5 +309,7 @@ def test_told_to_end(arm: Arm, node: str, number: int) -> None:
 
 def recorded(bag: Path) -> Any:
     drives = load_robot("open_manipulator_x").drive_trains
-    constants = {name: drive.nominal_torque_constant / drive.transmission for name, drive in drives.items()}
+    constants = {
+        name: drive.nominal_torque_constant / drive.transmission for name, drive in drives.items()
+    }
     return read_recording(bag, nominal_torque_constants=constants, joint_order=list(constants))

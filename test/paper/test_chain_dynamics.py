@@ -42,7 +42,8 @@ def random_urdf(parents: tuple[int, ...], seed: int) -> str:
         second = 1e-3 * factor @ factor.T
         tensor = np.trace(second) * np.eye(3) - second
         entries = " ".join(
-            f'i{a}{b}="{float(tensor["xyz".index(a), "xyz".index(b)])!r}"' for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")
+            f'i{a}{b}="{float(tensor["xyz".index(a), "xyz".index(b)])!r}"'
+            for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")
         )
         kind = rng.choice(["revolute", "prismatic", "continuous"])
         text.append(
@@ -65,7 +66,9 @@ def addresses(model: Any, names: tuple[str, ...]) -> list[int]:
     return [int(model.joint(name).dofadr[0]) for name in names]
 
 
-def mujoco_terms(model: Any, names: tuple[str, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mujoco_terms(
+    model: Any, names: tuple[str, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Mass matrix and inverse dynamics in the order of the named joints."""
     at = addresses(model, names)
     data = mujoco.MjData(model)
@@ -84,7 +87,11 @@ def assert_same_terms(model: Any, ours: ReducedModel, seed: int, tolerance: floa
     q, v, a = rng.uniform(-3.0, 3.0, (3, 5, len(ours.joint_names)))
     masses, torques = rigid_body_terms(ours, q, v, a)
     np.testing.assert_array_equal(mass_matrix(ours, q), masses)
-    np.testing.assert_allclose(np.einsum("bij,bj->bi", masses, a) + bias(ours, q, v), torques, atol=1e-12 * np.abs(torques).max())
+    np.testing.assert_allclose(
+        np.einsum("bij,bj->bi", masses, a) + bias(ours, q, v),
+        torques,
+        atol=1e-12 * np.abs(torques).max(),
+    )
     for state in range(len(q)):
         mass, torque = mujoco_terms(model, ours.joint_names, q[state], v[state], a[state])
         np.testing.assert_allclose(masses[state], mass, atol=tolerance * np.abs(mass).max())
@@ -111,7 +118,9 @@ def test_payload_joint(kind: str, frame: str) -> None:
     """MuJoCo takes two hinges in one body where we have a massless body between them."""
     text = random_urdf((-1, 0), 3)
     axes = np.array([[1.0, 2.0, -1.0], [0.0, 1.0, 2.0]])[: 1 if kind == "prismatic" else 2]
-    ours = attach_payload_joint(reduced(text), frame, kind, axes[0] if kind == "prismatic" else axes, PAYLOAD)
+    ours = attach_payload_joint(
+        reduced(text), frame, kind, axes[0] if kind == "prismatic" else axes, PAYLOAD
+    )
     spec = mujoco.MjSpec.from_string(text)
     spec.option.gravity = GRAVITY
     body = (spec.worldbody if frame == "link_base" else spec.body(frame)).add_body(name="payload")
@@ -119,7 +128,9 @@ def test_payload_joint(kind: str, frame: str) -> None:
     body.fullinertia = [4e-5, 5e-5, 6e-5, 0.0, 0.0, 0.0]
     for name, axis in zip(ours.joint_names[2:], axes, strict=True):
         joint = body.add_joint(name=name, axis=axis)
-        joint.type = mujoco.mjtJoint.mjJNT_SLIDE if kind == "prismatic" else mujoco.mjtJoint.mjJNT_HINGE
+        joint.type = (
+            mujoco.mjtJoint.mjJNT_SLIDE if kind == "prismatic" else mujoco.mjtJoint.mjJNT_HINGE
+        )
     assert ours.frames["payload"][0] == len(ours.joint_names) - 1
     assert_same_terms(spec.compile(), ours, 4)
 
@@ -132,10 +143,15 @@ def test_acceleration(tree: str) -> None:
     ours = reduced(text)
     n = len(ours.joint_names)
     rng = np.random.default_rng(12)
-    values = {name: rng.uniform(0.1, 1.0, n) for name in ("torque_constant", "viscous", "armature", "stiffness", "q0", "v0")}
+    values = {
+        name: rng.uniform(0.1, 1.0, n)
+        for name in ("torque_constant", "viscous", "armature", "stiffness", "q0", "v0")
+    }
     current = rng.uniform(-2.0, 2.0, n)
     h = 1e-3
-    sim = ChainSimulator(ours, [h], [0.0], current[None], friction_velocity=1.0, integrator="semi_implicit", step_s=h)
+    sim = ChainSimulator(
+        ours, [h], [0.0], current[None], friction_velocity=1.0, integrator="semi_implicit", step_s=h
+    )
     q, v = rollout(sim, pack(sim, **values))
 
     model = mujoco.MjModel.from_xml_string(text)
@@ -148,7 +164,9 @@ def test_acceleration(tree: str) -> None:
     data.qfrc_applied[at] = values["torque_constant"] * current
     mujoco.mj_forward(model, data)
     expected = data.qacc[at]
-    np.testing.assert_allclose((v[0, 0] - values["v0"]) / h, expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        (v[0, 0] - values["v0"]) / h, expected, atol=1e-9 * np.abs(expected).max()
+    )
     np.testing.assert_allclose((q[0, 0] - values["q0"]) / h, v[0, 0], rtol=1e-9)
 
 
@@ -164,17 +182,30 @@ def test_one_joint_is_the_one_joint_law(integrator: str) -> None:
     law = {"torque_constant": 1.7, "coulomb": 0.03, "viscous": 0.01, "load_friction": 0.02}
     start = {"delay": 0.004, "q0": 0.5, "v0": -0.1}
     row = np.zeros((1, len(PARAMETERS)))
-    row[0, :4] = mass_matrix(ours, [[0.0]])[0, 0, 0] + 0.012, load[0] - constant, load[1] - constant, constant
+    row[0, :4] = (
+        mass_matrix(ours, [[0.0]])[0, 0, 0] + 0.012,
+        load[0] - constant,
+        load[1] - constant,
+        constant,
+    )
     for name, value in {**law, **start}.items():
         row[0, INDEX[name]] = value
     times = np.linspace(0.001, 0.6, 20)
-    switches, current = np.array([0.0, 0.21]), np.array([-0.3, 0.25])
+    switches = np.array([0.0, 0.21])
+    current = np.array([-0.3, 0.25])
     steps = {"step_s": 1 / 240, "fine_step_s": 1 / 2000}
     supply = (1.0, 2.49, 5.22)
     run = JointRun(times, switches, current, supply=supply, friction_velocity=0.01, **steps)
     q, v = JointSimulator([run], integrator).rollout(np.zeros(1, dtype=np.int32), row)
     sim = ChainSimulator(
-        ours, times, switches, current[:, None], friction_velocity=0.01, supply=[supply], integrator=integrator, **steps
+        ours,
+        times,
+        switches,
+        current[:, None],
+        friction_velocity=0.01,
+        supply=[supply],
+        integrator=integrator,
+        **steps,
     )
     chain_q, chain_v = rollout(sim, pack(sim, **law, **start, armature=0.012))
     assert np.ptp(q) > 0.1
@@ -187,7 +218,9 @@ def test_parameters_by_name() -> None:
     sim = ChainSimulator(ours, [0.1], [0.0], np.zeros((1, 2)), friction_velocity=(0.1, 0.2))
     index = {name: column for column, name in enumerate(sim.parameter_names)}
     assert len(index) == 18 * 2 + 1
-    p = pack(sim, armature=0.01, stiffness=(0.0, 3.0), delay=(0.004, 0.005), q0=[[0.1, 0.2], [0.3, 0.4]])
+    p = pack(
+        sim, armature=0.01, stiffness=(0.0, 3.0), delay=(0.004, 0.005), q0=[[0.1, 0.2], [0.3, 0.4]]
+    )
     assert p.shape == (2, 37)
     assert p[1, index["delay"]] == 0.005
     assert p[1, index["q0[joint_0]"]] == 0.3
@@ -197,9 +230,13 @@ def test_parameters_by_name() -> None:
     assert p[0, index["pi[joint_1][2]"]] == ours.pseudo_inertia[1, 1, 3]
     # -int x y dm: the product of inertia as an entry of the tensor
     assert p[0, index["pi[joint_1][7]"]] == -ours.pseudo_inertia[1, 0, 1]
-    with pytest.raises(SimulationError, match=r"parameters have shape \(37,\): give \(worlds, 37\)"):
+    with pytest.raises(
+        SimulationError, match=r"parameters have shape \(37,\): give \(worlds, 37\)"
+    ):
         rollout(sim, p[0])
-    with pytest.raises(SimulationError, match=r"directions have shape \(2, 37\): give \(2, 37, D\)"):
+    with pytest.raises(
+        SimulationError, match=r"directions have shape \(2, 37\): give \(2, 37, D\)"
+    ):
         sim.jacobian(p, p)
     with pytest.raises(SimulationError, match=r"weights have shape \(1, 1, 2\): give \(2, 1, 2\)"):
         tape_gradient(sim, p, np.zeros((1, 1, 2)))
@@ -212,7 +249,10 @@ def test_parameters_by_name() -> None:
         ({"sample_times_s": []}, "sample_times_s must be"),
         ({"sample_times_s": [0.2, 0.1]}, "sample_times_s must be"),
         ({"input_times_s": [0.1]}, "input_times_s must be"),
-        ({"input_current_A": np.zeros((1, 2))}, r"input_current_A has shape \(1, 2\): give a row for each of the 1 .*joint_0"),
+        (
+            {"input_current_A": np.zeros((1, 2))},
+            r"input_current_A has shape \(1, 2\): give a row for each of the 1 .*joint_0",
+        ),
         ({"step_s": 0.0}, "must be positive"),
         ({"fine_step_s": -1.0}, "must be positive"),
         ({"supply": (12.0, 1.0, 1.0)}, "supply must be"),
@@ -222,7 +262,12 @@ def test_parameters_by_name() -> None:
     ],
 )
 def test_what_cannot_be_simulated_is_said(change: dict[str, Any], message: str) -> None:
-    run = {"sample_times_s": [0.1], "input_times_s": [0.0], "input_current_A": np.zeros((1, 1)), "friction_velocity": 0.1}
+    run = {
+        "sample_times_s": [0.1],
+        "input_times_s": [0.0],
+        "input_current_A": np.zeros((1, 1)),
+        "friction_velocity": 0.1,
+    }
     with pytest.raises(SimulationError, match=message):
         ChainSimulator(reduced(random_urdf((-1,), 1)), **{**run, **change})
 
@@ -238,15 +283,41 @@ def test_a_tape_that_would_not_fit_is_refused() -> None:
     ("frame", "kind", "axes", "pseudo", "message"),
     [
         ("hand", "prismatic", [0, 0, 1], PAYLOAD, "no frame 'hand' .*link_base, link_0"),
-        ("link_0", "ball", [0, 0, 1], PAYLOAD, "unknown payload joint 'ball': choose one of prismatic, universal"),
+        (
+            "link_0",
+            "ball",
+            [0, 0, 1],
+            PAYLOAD,
+            "unknown payload joint 'ball': choose one of prismatic, universal",
+        ),
         ("link_0", "prismatic", [[0, 0, 1]], PAYLOAD, r"needs non-zero axes of shape \(3,\)"),
-        ("link_0", "universal", [[0, 0, 1], [0, 0, 0]], PAYLOAD, r"needs non-zero axes of shape \(2, 3\)"),
-        ("link_0", "universal", [[0, 0, 1], [0, 0, 2]], PAYLOAD, "no inertia against its universal joint"),
-        ("link_0", "prismatic", [0, 0, 1], np.zeros((4, 4)), "no inertia against its prismatic joint"),
+        (
+            "link_0",
+            "universal",
+            [[0, 0, 1], [0, 0, 0]],
+            PAYLOAD,
+            r"needs non-zero axes of shape \(2, 3\)",
+        ),
+        (
+            "link_0",
+            "universal",
+            [[0, 0, 1], [0, 0, 2]],
+            PAYLOAD,
+            "no inertia against its universal joint",
+        ),
+        (
+            "link_0",
+            "prismatic",
+            [0, 0, 1],
+            np.zeros((4, 4)),
+            "no inertia against its prismatic joint",
+        ),
         ("link_0", "prismatic", [0, 0, 1], np.full((4, 4), np.nan), "finite 4 x 4"),
     ],
 )
-def test_what_cannot_be_attached_is_said(frame: str, kind: str, axes: Any, pseudo: np.ndarray, message: str) -> None:
+def test_what_cannot_be_attached_is_said(
+    frame: str, kind: str, axes: Any, pseudo: np.ndarray, message: str
+) -> None:
     with pytest.raises(SimulationError, match=message):
         attach_payload_joint(reduced(random_urdf((-1,), 1)), frame, kind, axes, pseudo)
 

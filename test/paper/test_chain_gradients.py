@@ -43,7 +43,13 @@ def random_model(tree: str) -> ReducedModel:
         placement[i, :3, 3] = rng.uniform(-0.2, 0.2, 3)
         factor = rng.normal(size=(3, 3))
         second = 1e-3 * factor @ factor.T
-        bodies.append(pseudo_inertia(rng.uniform(0.2, 0.6), rng.uniform(-0.1, 0.1, 3), np.trace(second) * np.eye(3) - second))
+        bodies.append(
+            pseudo_inertia(
+                rng.uniform(0.2, 0.6),
+                rng.uniform(-0.1, 0.1, 3),
+                np.trace(second) * np.eye(3) - second,
+            )
+        )
     axes = rng.normal(size=(n, 3))
     return ReducedModel(
         joint_names=tuple(f"joint_{i}" for i in range(n)),
@@ -80,12 +86,16 @@ def points(sim: ChainSimulator) -> np.ndarray:
     rng = np.random.default_rng(3)
     n = len(sim.model.joint_names)
     groups: dict[str, Any] = {
-        name: scale * rng.uniform(0.7, 1.3, (POINTS, n)) for name, scale in SCALES.items() if name not in ("pi", "delay")
+        name: scale * rng.uniform(0.7, 1.3, (POINTS, n))
+        for name, scale in SCALES.items()
+        if name not in ("pi", "delay")
     }
     groups["q0"] *= rng.choice([-1.0, 1.0], (POINTS, n))
     groups["v0"] *= rng.choice([-1.0, 1.0], (POINTS, n))
     groups["delay"] = np.array([0.004, -0.003, 0.0005])
-    groups["pi"] = inertial_parameters(sim.model.pseudo_inertia) * rng.uniform(0.9, 1.1, (POINTS, n, 1))
+    groups["pi"] = inertial_parameters(sim.model.pseudo_inertia) * rng.uniform(
+        0.9, 1.1, (POINTS, n, 1)
+    )
     return pack(sim, **groups)
 
 
@@ -109,16 +119,22 @@ def test_sensitivities_against_central_differences(tree: str, integrator: str) -
     sim = simulator(tree, integrator)
     p = points(sim)
     q, _, exact = sim.jacobian(p, every(p))
-    np.testing.assert_allclose(q, rollout(sim, p)[0], rtol=1e-12, atol=1e-14)  # two kernels: not every processor rounds them alike
+    # two kernels: not every processor rounds them alike
+    np.testing.assert_allclose(q, rollout(sim, p)[0], rtol=1e-12, atol=1e-14)
     largest = np.abs(exact).max(axis=(1, 2))
     for column, name in enumerate(sim.parameter_names):
         step = 3e-7 / np.maximum(largest[:, column], 3e-5 / scale_of(name))
         moved = np.concatenate([p] * 4)
         moved[:, column] += np.outer([-2.0, -1.0, 1.0, 2.0], step).ravel()
         far_below, below, above, far_above = np.split(rollout(sim, moved)[0], 4)
-        difference = (8.0 * (above - below) - (far_above - far_below)) / (12.0 * step[:, None, None])
+        difference = (8.0 * (above - below) - (far_above - far_below)) / (
+            12.0 * step[:, None, None]
+        )
         error = np.abs(difference - exact[..., column]).max(axis=(1, 2))
-        assert np.all(error <= 1e-6 * largest[:, column] + 1e-15 / step), (name, error / largest[:, column])
+        assert np.all(error <= 1e-6 * largest[:, column] + 1e-15 / step), (
+            name,
+            error / largest[:, column],
+        )
 
 
 @pytest.mark.parametrize(("tree", "integrator"), [("2", "rk4"), ("1", "semi_implicit")])
@@ -133,7 +149,9 @@ def test_tape_against_sensitivities(tree: str, integrator: str) -> None:
     tolerance = 1e-10 * np.abs(terms).sum(axis=(1, 2)) + 1e-14 * np.abs(exact).max()
     error = np.abs(tape_gradient(sim, p, weights) - terms.sum(axis=(1, 2)))
     assert np.all(error <= tolerance), {
-        name: error[:, column] for column, name in enumerate(sim.parameter_names) if np.any(error > tolerance, axis=0)[column]
+        name: error[:, column]
+        for column, name in enumerate(sim.parameter_names)
+        if np.any(error > tolerance, axis=0)[column]
     }
 
 
@@ -157,7 +175,9 @@ def test_directions_in_blocks_equal_one_at_a_time() -> None:
     for column in range(19):
         alone_q, _, alone = sim.jacobian(p, directions[..., column : column + 1])
         np.testing.assert_allclose(alone_q, q, rtol=1e-12, atol=1e-14)
-        np.testing.assert_allclose(together[..., column], alone[..., 0], rtol=1e-12, atol=1e-12 * np.abs(alone).max())
+        np.testing.assert_allclose(
+            together[..., column], alone[..., 0], rtol=1e-12, atol=1e-12 * np.abs(alone).max()
+        )
 
 
 def test_worlds_do_not_touch_each_other() -> None:
@@ -167,7 +187,9 @@ def test_worlds_do_not_touch_each_other() -> None:
     gradient = tape_gradient(sim, p, weights)
     for world in range(POINTS):
         alone = slice(world, world + 1)
-        np.testing.assert_array_equal(sim.jacobian(p[alone], every(p)[alone])[2], sim.jacobian(p, every(p))[2][alone])
+        np.testing.assert_array_equal(
+            sim.jacobian(p[alone], every(p)[alone])[2], sim.jacobian(p, every(p))[2][alone]
+        )
         np.testing.assert_array_equal(tape_gradient(sim, p[alone], weights[alone]), gradient[alone])
 
 
@@ -201,7 +223,12 @@ def test_delay_of_a_sample_on_a_change_of_the_input() -> None:
     """
     n = 2
     sim = ChainSimulator(
-        random_model("2"), [0.05, 0.1, 0.13, 0.2], [0.0, 0.1], [[1.0] * n, [-2.0] * n], friction_velocity=0.05, step_s=1 / 240
+        random_model("2"),
+        [0.05, 0.1, 0.13, 0.2],
+        [0.0, 0.1],
+        [[1.0] * n, [-2.0] * n],
+        friction_velocity=0.05,
+        step_s=1 / 240,
     )
     p = points(sim)[:1]
     delay = sim.columns["delay"]

@@ -24,7 +24,9 @@ pytestmark = pytest.mark.long
 
 SHAPE = PayloadShape.of("sphere", 0.04)
 COM = np.array([0.0, 0.0, -0.06])
-PENDULUM = Hung("universal", np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), COM, SHAPE.second_moment_per_mass)
+PENDULUM = Hung(
+    "universal", np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), COM, SHAPE.second_moment_per_mass
+)
 SLIDE = Hung("prismatic", np.array([1.0, 0.0, 0.0]), np.zeros(3), SHAPE.second_moment_per_mass)
 
 
@@ -37,7 +39,9 @@ def swinging() -> tuple[Run, ...]:
 
 def problem(hung: Hung, run: Run) -> HungProblem:
     prepared = prepare_run(known_robot(), run, KnownLoad())
-    return HungProblem(known_robot(), [prepared], hung, hung_unknowns(known_robot(), [prepared], hung))
+    return HungProblem(
+        known_robot(), [prepared], hung, hung_unknowns(known_robot(), [prepared], hung)
+    )
 
 
 @pytest.mark.parametrize("hung", [SLIDE, PENDULUM], ids=["slide", "universal"])
@@ -59,7 +63,13 @@ def test_without_mass_it_is_the_single_joint(hung: Hung, swinging: tuple[Run, ..
 @pytest.mark.parametrize("hung", [SLIDE, PENDULUM], ids=["slide", "universal"])
 def test_sensitivities_against_finite_differences(hung: Hung, swinging: tuple[Run, ...]) -> None:
     ours = problem(hung, swinging[0])
-    columns = np.array([row for row, u in enumerate(ours.unknowns) if u.kind.startswith("payload_") and u.role is Role.FREE])
+    columns = np.array(
+        [
+            row
+            for row, u in enumerate(ours.unknowns)
+            if u.kind.startswith("payload_") and u.role is Role.FREE
+        ]
+    )
     values = ours.base.copy()
     values[ours.index["payload_start_1", 0]] = 0.01
     _, _, exact = ours.simulate(values[None], columns)
@@ -70,31 +80,48 @@ def test_sensitivities_against_finite_differences(hung: Hung, swinging: tuple[Ru
         sides[:, column] += (step, -step)
         q, _, _ = ours.simulate(sides, columns[:1])
         slope = (q[0, 0, :used] - q[1, 0, :used]) / (2.0 * step)
-        assert np.abs(slope).max() > 0.0 or ours.unknowns[column].kind.endswith("_2")  # across the plane of the motion
-        np.testing.assert_allclose(exact[0, 0, :used, place], slope, atol=1e-3 * max(np.abs(slope).max(), 1e-4))
+        # across the plane of the motion
+        assert np.abs(slope).max() > 0.0 or ours.unknowns[column].kind.endswith("_2")
+        np.testing.assert_allclose(
+            exact[0, 0, :used, place], slope, atol=1e-3 * max(np.abs(slope).max(), 1e-4)
+        )
 
 
-def test_a_pendulum_is_weighed_on_its_joint_and_not_as_if_it_were_rigid(swinging: tuple[Run, ...]) -> None:
+def test_a_pendulum_is_weighed_on_its_joint_and_not_as_if_it_were_rigid(
+    swinging: tuple[Run, ...],
+) -> None:
     found = identify_hung(known_robot(), swinging, PENDULUM)
     assert found.verdict == "explained" and found.low <= 0.05 <= found.high
     assert abs(found.value - 0.05) < 0.002
-    rigid = weigh(known_robot(), swinging, PayloadFacts(COM, shape=SHAPE)).value("payload_mass").value
+    rigid = (
+        weigh(known_robot(), swinging, PayloadFacts(COM, shape=SHAPE)).value("payload_mass").value
+    )
     assert rigid is None or abs(rigid - 0.05) > 0.005
 
 
 def test_the_arm_keeps_its_pose_when_something_that_moves_is_put_into_its_hand() -> None:
     """The payload's joints come among the arm's own in MuJoCo's order."""
     robot = stated_robot()
-    arm = VirtualArm(robot, Truth.nominal(robot), position={"joint2": -1.0, "joint3": 0.5, "gripper_left_joint": 0.01})
+    arm = VirtualArm(
+        robot,
+        Truth.nominal(robot),
+        position={"joint2": -1.0, "joint3": 0.5, "gripper_left_joint": 0.01},
+    )
     before = arm.position()
-    for held in (HungPayload(0.05, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=20.0), Payload(0.05), HungPayload(0.02)):
+    for held in (
+        HungPayload(0.05, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=20.0),
+        Payload(0.05),
+        HungPayload(0.02),
+    ):
         arm.hold(held)
         assert arm.position() == before
 
 
 def test_a_sphere_is_put_elsewhere_in_its_box() -> None:
     robot = stated_robot()
-    arm = VirtualArm(robot, Truth.nominal(robot), position={"joint2": -0.6, "joint3": -1.0, "joint4": 0.6})
+    arm = VirtualArm(
+        robot, Truth.nominal(robot), position={"joint2": -0.6, "joint3": -1.0, "joint4": 0.6}
+    )
     held = Container()
     arm.hold(held)
     place = np.array([0.01, -0.005, -0.002])

@@ -35,7 +35,9 @@ def arm(case: speed._Case) -> speed.NewtonArm:
 
 @pytest.mark.long
 @pytest.mark.parametrize("mass", [0.02, 0.05, 0.2])
-def test_newtons_gradient_is_that_of_finite_differences(case: speed._Case, arm: speed.NewtonArm, mass: float) -> None:
+def test_newtons_gradient_is_that_of_finite_differences(
+    case: speed._Case, arm: speed.NewtonArm, mass: float
+) -> None:
     """Central differences; with positions in single precision and these steps they are good to 5e-4, as measured."""
     values = case.problem.coordinates.prior_mean.copy()
     values[0] = mass

@@ -63,7 +63,9 @@ def test_a_restart_computes_nothing_twice(tmp_path: Path, toys: list[tuple[str, 
     del toys[:]
     again = run(Store(tmp_path), [], 4, 1, told.append)
     assert sorted(toys) == [("first", 1), ("first", 3)]
-    assert [rows["rows"] for rows in again["first"][:3]] == [rows["rows"] for rows in found["first"]]
+    assert [rows["rows"] for rows in again["first"][:3]] == [
+        rows["rows"] for rows in found["first"]
+    ]
     assert again["second"] == found["second"]
     del toys[:]
     run(Store(tmp_path), ["second"], 4, 1, told.append)
@@ -92,11 +94,17 @@ def test_an_experiment_that_cannot_be_made_is_told_and_left_out(
     assert any("second, seed 0: robot 0 stood still" in words for words in told)
 
 
-def test_what_is_not_installed_is_said_once(tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_installed_is_said_once(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert main(["paper", "--out", str(tmp_path), "--seeds", "3", "--jobs", "1"]) == 2
     printed = capsys.readouterr()
-    assert printed.err.count("needs MuJoCo") == 1 and printed.out == "" and not (tmp_path / "paper.html").exists()
+    assert (
+        printed.err.count("needs MuJoCo") == 1
+        and printed.out == ""
+        and not (tmp_path / "paper.html").exists()
+    )
 
 
 @pytest.mark.long
@@ -115,7 +123,13 @@ def test_what_is_not_installed_is_said_once_by_several_processes_that_end(tmp_pa
 
 def test_seeds_come_one_after_the_other(toys: list[tuple[str, int]]) -> None:
     """A run that is stopped early has some of everything."""
-    assert tasks_of([], 3) == [("first", 0), ("second", 0), ("first", 1), ("second", 1), ("first", 2)]
+    assert tasks_of([], 3) == [
+        ("first", 0),
+        ("second", 0),
+        ("first", 1),
+        ("second", 1),
+        ("first", 2),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -134,15 +148,26 @@ def test_what_cannot_be_run_is_refused_before_anything_is_made(
     assert not (tmp_path / "made").exists()
 
 
-def test_the_page_says_where_its_recordings_come_from_and_shows_what_was_run(tmp_path: Path) -> None:
+def test_the_page_says_where_its_recordings_come_from_and_shows_what_was_run(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "paper.html"
     page.write_paper_page(synthetic(), path, "proprio paper --out there", 2)
     reader, words = read(path)
-    assert words.index("There is no arm here. The recordings come from MuJoCo") < words.index("Table I")
+    assert words.index("There is no arm here. The recordings come from MuJoCo") < words.index(
+        "Table I"
+    )
     assert quoted.TITLE in words and "proprio paper --out there" in words
-    assert words.count("Table II: first guesses") == 1 and "Figure 4" not in words and "V-B" not in words
+    assert (
+        words.count("Table II: first guesses") == 1
+        and "Figure 4" not in words
+        and "V-B" not in words
+    )
     # mean and standard deviation of 49 and 52 g, rms, least and greatest of their errors, and how many intervals hold
-    assert "50.5 \u00b1 2.1 1.6 (1.0 to 2.0) \u00b13.0 (3.0 to 3.0) 2 of 2 2 accepted 0.10 \u00b1 0.00" in words
+    assert (
+        "50.5 \u00b1 2.1 1.6 (1.0 to 2.0) \u00b13.0 (3.0 to 3.0) 2 of 2 2 accepted 0.10 \u00b1 0.00"
+        in words
+    )
     assert "no interval gives none" in words
     assert reader.tags.count("h2") == 3
 
@@ -157,22 +182,38 @@ def test_the_page_fits_a_phone_and_a_sheet_of_paper(tmp_path: Path) -> None:
     assert reader.classes.count("wide") == reader.tags.count("table")
     for table in re.findall(r"<table.*?</table>", text):
         columns = len(re.findall("<td", re.findall(r"<tr.*?</tr>", table)[-1]))
-        assert columns <= 3 or ("class=folds" in table and table.count("data-name") == table.count("<td"))
+        assert columns <= 3 or (
+            "class=folds" in table and table.count("data-name") == table.count("<td")
+        )
     narrow = STYLE[STYLE.index("@media (max-width: 36rem)") :]
-    assert ".folds td::before { content: attr(data-name)" in narrow and ".folds thead { display: none; }" in narrow
+    assert (
+        ".folds td::before { content: attr(data-name)" in narrow
+        and ".folds thead { display: none; }" in narrow
+    )
     # nothing is wider than the screen, but what scrolls
     widths = re.findall(r"([^{}]+)\{[^{}]*(?<!max-)\bwidth: ([\d.]+)(rem|px)", STYLE)
     for selector, size, unit in widths:
-        assert float(size) * (16.0 if unit == "rem" else 1.0) <= 330.0 or "figure.large" in selector, selector
+        assert (
+            float(size) * (16.0 if unit == "rem" else 1.0) <= 330.0 or "figure.large" in selector
+        ), selector
     assert not re.search(r"<(?:svg class=.chart.|table|div|figure|img)[^>]* width=", text)
     printed = STYLE[STYLE.rindex("@media print") :]
-    assert "@page" in printed and "figure, tr, pre" in printed and ".wide, figure.large { overflow: visible; }" in printed
+    assert (
+        "@page" in printed
+        and "figure, tr, pre" in printed
+        and ".wide, figure.large { overflow: visible; }" in printed
+    )
 
 
 def test_an_answer_without_a_value_leaves_its_place_empty(tmp_path: Path) -> None:
     """A recording that cannot tell: the others of its row are shown, and its verdict counts."""
     found = synthetic()
-    found["objects"][1]["rows"][1] |= {"value": None, "low": None, "high": None, "verdict": "rejected"}
+    found["objects"][1]["rows"][1] |= {
+        "value": None,
+        "low": None,
+        "high": None,
+        "verdict": "rejected",
+    }
     path = tmp_path / "paper.html"
     page.write_paper_page(found, path, "proprio paper --out there", 2)
     _, words = read(path)
@@ -185,10 +226,19 @@ def test_the_documentation_takes_tables_and_figures_from_the_page() -> None:
     assert words.count("<table") == sum(part.count("<table") for part in parts)
     assert list(drawn) == ["table-1_1.svg"] and "](figures/table-1_1.svg)" in words
     picture = drawn["table-1_1.svg"]
-    assert picture.startswith('<svg xmlns="http://www.w3.org/2000/svg" ') and "<script" not in picture
+    assert (
+        picture.startswith('<svg xmlns="http://www.w3.org/2000/svg" ') and "<script" not in picture
+    )
     style = picture[picture.index("<style>") : picture.index("</style>")]
-    assert style.count("{") == style.count("}") and ".chart .dots {" in style and ".answer { --c" in style
-    assert '<a id="table-2"></a>' in words and '<tr id="table-2-4772-as-stated"><td align=right>4772</td>' in words
+    assert (
+        style.count("{") == style.count("}")
+        and ".chart .dots {" in style
+        and ".answer { --c" in style
+    )
+    assert (
+        '<a id="table-2"></a>' in words
+        and '<tr id="table-2-4772-as-stated"><td align=right>4772</td>' in words
+    )
 
 
 def test_every_row_has_an_address_of_its_own(tmp_path: Path) -> None:
@@ -196,7 +246,10 @@ def test_every_row_has_an_address_of_its_own(tmp_path: Path) -> None:
     page.write_paper_page(synthetic(), path, "proprio paper --out there", 2)
     marks = re.findall(r' id="([^"]+)"', path.read_text(encoding="utf-8"))
     assert len(marks) == len(set(marks))
-    assert "table-1-heavy-ball-50-ours-one-lift-calibrated" in marks and "table-2-4772-as-stated" in marks
+    assert (
+        "table-1-heavy-ball-50-ours-one-lift-calibrated" in marks
+        and "table-2-4772-as-stated" in marks
+    )
 
 
 def test_nothing_is_said_of_the_paper_that_is_not_available() -> None:
@@ -211,7 +264,8 @@ def test_tree_parzen_finds_a_valley() -> None:
         asked.append(x)
         return float((x[0] - 0.7) ** 2 + 4.0 * (x[1] + 0.2) ** 2)
 
-    low, high = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
+    low = np.array([-2.0, -2.0])
+    high = np.array([2.0, 2.0])
     best = tree_parzen(cost, low, high, np.array([-1.5, 1.5]), np.random.default_rng(1))
     assert len(asked) == 150 and (np.array(asked) >= low).all() and (np.array(asked) <= high).all()
     np.testing.assert_allclose(best, [0.7, -0.2], atol=0.1)
@@ -220,10 +274,24 @@ def test_tree_parzen_finds_a_valley() -> None:
 @pytest.mark.long
 def test_the_command_on_one_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Starts and effects with one robot: about six seconds of computing."""
-    arguments = ["paper", "--out", str(tmp_path), "--seeds", "1", "--jobs", "1", "--only", "starts", "effects"]
+    arguments = [
+        "paper",
+        "--out",
+        str(tmp_path),
+        "--seeds",
+        "1",
+        "--jobs",
+        "1",
+        "--only",
+        "starts",
+        "effects",
+    ]
     assert main(arguments) == 0
     assert "2 of 2: " in capsys.readouterr().err
-    kept = {path.name: json.loads(path.read_text())["rows"]["rows"] for path in (tmp_path / "rows").iterdir()}
+    kept = {
+        path.name: json.loads(path.read_text())["rows"]["rows"]
+        for path in (tmp_path / "rows").iterdir()
+    }
     starts = [row for row in kept["starts_000.json"] if row["calibrated"]]
     # wherever ours begins it ends at one mass, near the truth; the short schedule stops on its way
     ours = [row["value"] for row in starts if row["way"] == "ours"]

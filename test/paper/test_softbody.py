@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.paper.softbody import KEEP, SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRollout, SoftRun
+from proprio_ros.paper.softbody import (
+    KEEP,
+    SOFT_INDEX,
+    SOFT_PARAMETERS,
+    SoftBody,
+    SoftRollout,
+    SoftRun,
+)
 from proprio_ros.sim.energies import LAWS, lame, lame_of_small_strain
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.quasistatic import QuasiStatic
@@ -45,7 +52,9 @@ def body(n: int = 2, **options: str) -> SoftBody:
 
 
 def run(frames: int, current: float = 0.05, substeps: int = 64) -> SoftRun:
-    return SoftRun(np.array([0.0, 0.05]), np.array([current, 0.7 * current]), frames, substeps=substeps)
+    return SoftRun(
+        np.array([0.0, 0.05]), np.array([current, 0.7 * current]), frames, substeps=substeps
+    )
 
 
 def shaken(sim: SoftBody, places: float, speeds: float) -> tuple[np.ndarray, np.ndarray]:
@@ -67,17 +76,27 @@ def test_forces_are_those_of_the_energy(law: str) -> None:
     force = -np.tensordot(HEAVY, sim.elastic.forces(points), axes=1)
     expected = 1e-6 * force / sim.masses[:, None]
     inner = sim._sides == 0.0
-    np.testing.assert_allclose(result.velocities[0][inner], expected[inner], rtol=1e-9, atol=1e-9 * abs(expected).max())
-    np.testing.assert_allclose(result.velocities[0][:, 1:], expected[:, 1:], rtol=1e-9, atol=1e-9 * abs(expected).max())
+    np.testing.assert_allclose(
+        result.velocities[0][inner], expected[inner], rtol=1e-9, atol=1e-9 * abs(expected).max()
+    )
+    np.testing.assert_allclose(
+        result.velocities[0][:, 1:], expected[:, 1:], rtol=1e-9, atol=1e-9 * abs(expected).max()
+    )
     ends = force[~inner, 0] @ sim._sides[~inner] / 2.0
     inertia = VALUES["inertia"] + TRAVEL**2 / 4.0 * sim.masses[~inner].sum()
     torque = -TRAVEL * ends if TRAVEL * q0 > VALUES["gap"] else 0.0
-    assert result.v[0, 0] == pytest.approx(1e-6 * (torque - VALUES["coulomb"] * 0.0) / inertia, rel=1e-6, abs=1e-12)
+    assert result.v[0, 0] == pytest.approx(
+        1e-6 * (torque - VALUES["coulomb"] * 0.0) / inertia, rel=1e-6, abs=1e-12
+    )
 
 
 def total_energy(sim: SoftBody, result: object, p: np.ndarray, inertia: float) -> float:
-    points, speeds = result.points[0], result.velocities[0]
-    elastic = sim.elastic.energies(points) @ (p[0, SOFT_INDEX["lame_mu"]], p[0, SOFT_INDEX["lame_lambda"]])
+    points = result.points[0]
+    speeds = result.velocities[0]
+    elastic = sim.elastic.energies(points) @ (
+        p[0, SOFT_INDEX["lame_mu"]],
+        p[0, SOFT_INDEX["lame_lambda"]],
+    )
     moving = 0.5 * inertia * result.v[0, -1] ** 2
     return float(elastic + moving + 0.5 * sim.masses @ (speeds**2).sum(axis=1))
 
@@ -92,7 +111,9 @@ def test_energy_is_kept_as_the_steps_shorten(contact: str) -> None:
         one = SoftRun(np.zeros(1), np.zeros(1), 1, frame_s=1e-7, substeps=1)
         begin = total_energy(sim, sim.rollout(one, p), p, VALUES["inertia"])
         drift = [
-            total_energy(sim, sim.rollout(run(frames, substeps=substeps), p), p, VALUES["inertia"]) / begin - 1.0
+            total_energy(sim, sim.rollout(run(frames, substeps=substeps), p), p, VALUES["inertia"])
+            / begin
+            - 1.0
             for frames in (3, 6, 9)
         ]
         errors.append(np.abs(drift).max())
@@ -104,7 +125,10 @@ def test_viscosity_takes_energy_away() -> None:
     sim = body(2)
     kept, lost = (
         total_energy(sim, sim.rollout(run(4), p), p, VALUES["inertia"])
-        for p in (parameters(**{**FREE, "viscosity": eta}, torque_constant=0.0, v0=1.0) for eta in (0.0, 3.0))
+        for p in (
+            parameters(**{**FREE, "viscosity": eta}, torque_constant=0.0, v0=1.0)
+            for eta in (0.0, 3.0)
+        )
     )
     assert 0.9 * kept < lost < 0.995 * kept
 
@@ -119,7 +143,8 @@ def test_momentum_along_frictionless_faces(law: str) -> None:
     momenta = []
     for schedule in (first, run(6)):
         result = sim.rollout(schedule, p, start=start)
-        x, v = result.points[0], result.velocities[0]
+        x = result.points[0]
+        v = result.velocities[0]
         turning = x[:, 1] * v[:, 2] - x[:, 2] * v[:, 1]
         momenta.append(sim.masses @ np.column_stack([v[:, 1:], turning]))
     np.testing.assert_allclose(momenta[1], momenta[0], rtol=1e-6)
@@ -132,7 +157,15 @@ def test_small_oscillation_of_a_gripper_on_a_spring() -> None:
     mu, lam = lame(modulus, 0.3)
     amplitude = 0.01
     # squeezed in the middle of the swing, so that it stays in touch
-    p = parameters(**FREE, lame_mu=mu, lame_lambda=lam, q0=0.0, v0=amplitude * 10.0, gap=-0.1 * EDGE, torque_constant=1.0)
+    p = parameters(
+        **FREE,
+        lame_mu=mu,
+        lame_lambda=lam,
+        q0=0.0,
+        v0=amplitude * 10.0,
+        gap=-0.1 * EDGE,
+        torque_constant=1.0,
+    )
     hold = TRAVEL * modulus * EDGE * 0.1  # k_t i that balances the spring there: travel E A s
     schedule = SoftRun(np.zeros(1), np.array([hold * EDGE]), 60)
     inertia = VALUES["inertia"]
@@ -149,7 +182,14 @@ def test_it_comes_to_rest_where_the_quasi_static_solver_says(law: str, contact: 
     sim = body(2, law=law, contact=contact)
     mu, lam = lame_of_small_strain(law, *HEAVY)
     torque = 0.06
-    p = parameters(lame_mu=mu, lame_lambda=lam, coulomb=0.0, viscous=0.06, torque_constant=torque, viscosity=3.0)
+    p = parameters(
+        lame_mu=mu,
+        lame_lambda=lam,
+        coulomb=0.0,
+        viscous=0.06,
+        torque_constant=torque,
+        viscosity=3.0,
+    )
     q = sim.rollout(SoftRun(np.zeros(1), np.ones(1), 240, substeps=48), p).q[0]
     assert abs(q[-1] - q[-20]) < 1e-8
     squeeze = TRAVEL * q[-1] - VALUES["gap"]
@@ -171,14 +211,19 @@ def test_adjoint_against_central_differences(law: str, contact: str, seed: int) 
     gradient = result.gradient(weights)[0]
     for name, row in SOFT_INDEX.items():
         step = 1e-5 * abs(p[0, row])
-        up, down = p.copy(), p.copy()
+        up = p.copy()
+        down = p.copy()
         up[0, row] += step
         down[0, row] -= step
-        difference = ((sim.rollout(schedule, up).q - sim.rollout(schedule, down).q) * weights).sum() / (2 * step)
+        difference = (
+            (sim.rollout(schedule, up).q - sim.rollout(schedule, down).q) * weights
+        ).sum() / (2 * step)
         assert gradient[row] == pytest.approx(difference, rel=2e-6, abs=1e-9 / abs(p[0, row])), name
     # the second backward pass of a rollout, and one that computes the states again
     np.testing.assert_array_equal(result.gradient(weights)[0], gradient)
-    np.testing.assert_allclose(sim.rollout(schedule, p, "starts").gradient(weights)[0], gradient, rtol=1e-12)
+    np.testing.assert_allclose(
+        sim.rollout(schedule, p, "starts").gradient(weights)[0], gradient, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("law", ["log", "smith", "warp_compat"])
@@ -203,7 +248,9 @@ def test_worlds_do_not_mix() -> None:
     for world in range(3):
         alone = sim.rollout(run(6), p[world : world + 1])
         np.testing.assert_array_equal(alone.q[0], together.q[world])
-        np.testing.assert_allclose(alone.gradient(weights[world : world + 1])[0], gradient[world], rtol=1e-12)
+        np.testing.assert_allclose(
+            alone.gradient(weights[world : world + 1])[0], gradient[world], rtol=1e-12
+        )
 
 
 def test_the_block_rests_until_it_is_touched() -> None:
@@ -263,7 +310,12 @@ def test_the_longest_step_is_where_it_becomes_unstable(contact: str) -> None:
     """A tiny disturbance grows beyond it and does not below; with lambda and viscosity it is a lower bound."""
     sim = body(3, contact=contact)
     mu, lam = HEAVY
-    for bulk, eta, factor, grows in ((0.0, 0.0, 0.98, 0), (0.0, 0.0, 1.03, 1), (lam, 0.0, 0.98, 0), (lam, 3.0, 0.98, 0)):
+    for bulk, eta, factor, grows in (
+        (0.0, 0.0, 0.98, 0),
+        (0.0, 0.0, 1.03, 1),
+        (lam, 0.0, 0.98, 0),
+        (lam, 3.0, 0.98, 0),
+    ):
         frame_s = 300 * factor * sim.most_step_s(mu, bulk, eta)
         schedule = SoftRun(np.zeros(1), np.zeros(1), 4, frame_s, substeps=300)
         p = parameters(lame_lambda=bulk, viscosity=eta, q0=0.0, v0=0.0, gap=1.0)  # never touched

@@ -39,7 +39,9 @@ def pushed() -> Recording:
 def written(folder: Path, record: JointRecord, inputs: InputRecord | None) -> Path:
     # as joint states say it: what a bag's effort is
     effort = record.reported_effort
-    write_recording(folder / "bag", replace(pushed(), joints=replace(record, effort=effort), inputs=inputs))
+    write_recording(
+        folder / "bag", replace(pushed(), joints=replace(record, effort=effort), inputs=inputs)
+    )
     return folder / "bag"
 
 
@@ -53,7 +55,9 @@ def of_joint_states(record: JointRecord, rows: slice, columns: list[int]) -> Joi
 
 
 @pytest.mark.parametrize("folder", PUSHES, ids=lambda folder: folder.name)
-def test_a_run_is_weighed_about_as_well_as_was_said_and_refused_for_the_same_reason(folder: Path) -> None:
+def test_a_run_is_weighed_about_as_well_as_was_said_and_refused_for_the_same_reason(
+    folder: Path,
+) -> None:
     bag = next(folder.glob("bag_*"))
     check = looked_into(bag)
     (run,) = check.runs
@@ -85,10 +89,14 @@ def test_spacing_and_gaps_are_those_of_the_joint_states(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("without", ["joint3", "joint4"])
-def test_a_joint_that_is_missing_is_a_problem_in_the_words_of_replay(tmp_path: Path, without: str) -> None:
+def test_a_joint_that_is_missing_is_a_problem_in_the_words_of_replay(
+    tmp_path: Path, without: str
+) -> None:
     recording = pushed()
     columns = [column for column, name in enumerate(recording.joints.names) if name != without]
-    bag = written(tmp_path, of_joint_states(recording.joints, slice(None), columns), recording.inputs)
+    bag = written(
+        tmp_path, of_joint_states(recording.joints, slice(None), columns), recording.inputs
+    )
     check = looked_into(bag)
     with pytest.raises(ProprioError) as refused:
         replay(bag)
@@ -127,16 +135,28 @@ def test_nothing_given_and_no_bag_are_refused_in_a_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "moves_s"), [(2.0, 2.0), (3.4, 3.4), (9.0, 3.0), (12.0, 12.0)])
-def test_a_motion_is_usable_where_replay_takes_it(tmp_path: Path, seconds: float, moves_s: float) -> None:
+def test_a_motion_is_usable_where_replay_takes_it(
+    tmp_path: Path, seconds: float, moves_s: float
+) -> None:
     """As check says it: what is too short for a fit, or stands still for most of the time, is refused in the words of replay."""
     joints = ("joint1", "joint2", "joint3", "joint4")  # the gripper was not recorded
     times_s = np.arange(0.0, seconds, 0.01)
     phase = 2.0 * np.minimum(times_s, moves_s)[:, None] + np.arange(4)
-    record = JointRecord((1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase))
+    record = JointRecord(
+        (1e9 * (1.0 + times_s)).astype(np.int64),
+        joints,
+        0.4 * np.sin(phase),
+        effort=0.3 * np.cos(phase),
+    )
     write_recording(tmp_path / "bag", Recording("motion", record, None))
     times_s = np.arange(0.0, 15.0, 0.01)
     phase = 1.7 * times_s[:, None] + np.arange(4)
-    empty = JointRecord((1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase))
+    empty = JointRecord(
+        (1e9 * (1.0 + times_s)).astype(np.int64),
+        joints,
+        0.4 * np.sin(phase),
+        effort=0.3 * np.cos(phase),
+    )
     write_recording(tmp_path / "empty", Recording("empty", empty, None))
     options = Options(effort_unit="N.m", baseline=(tmp_path / "empty",))
     check = looked_into(tmp_path / "bag", options)

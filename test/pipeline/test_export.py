@@ -26,7 +26,10 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     folder = tmp_path_factory.mktemp("sensing")
     bare = load_robot(write_sensing_arm(folder, 6, 77))
     arm = SensingArm(folder, 6, 77, 100.0)
-    return replace(bare, motion_calibration=fit_empty(bare, [arm.work(15.0, name=f"empty {n}") for n in range(2)]))
+    return replace(
+        bare,
+        motion_calibration=fit_empty(bare, [arm.work(15.0, name=f"empty {n}") for n in range(2)]),
+    )
 
 
 def test_mujoco_has_the_torques_that_were_learnt(robot: Robot) -> None:
@@ -36,15 +39,21 @@ def test_mujoco_has_the_torques_that_were_learnt(robot: Robot) -> None:
     assert known is not None
     learnt = learnt_urdf(robot)
     model = mujoco.MjModel.from_xml_string(learnt.text)
-    data, count, rng = mujoco.MjData(model), len(known.joints), np.random.default_rng(4)
+    data = mujoco.MjData(model)
+    count = len(known.joints)
+    rng = np.random.default_rng(4)
     assert set(learnt.joints) == set(known.joints)
     reduced = robot.model.lock(list(known.joints), {}, robot.gravity)
     for pose in rng.uniform(-1.5, 1.5, (3, count)):
         data.qpos[:], data.qvel[:] = pose, 0.0
         mujoco.mj_forward(model, data)
-        motion, expected = kinematics(reduced, pose[None], np.zeros((1, count))), np.zeros(count)
+        motion = kinematics(reduced, pose[None], np.zeros((1, count)))
+        expected = np.zeros(count)
         for body in range(count):
-            own = known.values[10 * body : 10 * body + 10] @ gravity_along(reduced, motion, body)[..., 0]
+            own = (
+                known.values[10 * body : 10 * body + 10]
+                @ gravity_along(reduced, motion, body)[..., 0]
+            )
             expected[carriers(reduced, body)] -= own
         assert np.allclose(data.qfrc_bias, expected, atol=1e-4)
     viscous, coulomb = known.values[ARM_TERMS * count :].reshape(3, count)[:2]
@@ -64,7 +73,8 @@ def test_a_body_that_cannot_be_is_refused(robot: Robot) -> None:
 def test_without_motions_friction_is_that_of_the_drive_trains() -> None:
     import mujoco
 
-    robot, force = load_robot("open_manipulator_x"), {}
+    robot = load_robot("open_manipulator_x")
+    force = {}
     for name, drive in robot.drive_trains.items():
         force[name] = replace(drive, coulomb=Quantity(0.06), viscous=Quantity(0.02))
     learnt = learnt_urdf(replace(robot, drive_trains=force, arm_scale=Quantity(1.1)))

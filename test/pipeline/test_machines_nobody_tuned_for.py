@@ -35,7 +35,9 @@ from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
-PUSH, OTHER = (BAGS / f"realistic_s00_{name}" for name in ("fixed_heavy_ball_50g_joint3", "empty_03_joint3"))
+PUSH, OTHER = (
+    BAGS / f"realistic_s00_{name}" for name in ("fixed_heavy_ball_50g_joint3", "empty_03_joint3")
+)
 BALL = {"payload.shape": "sphere", "payload.size": 0.0272}
 real_machines = [pytest.mark.long, pytest.mark.skipif(not REAL.is_dir(), reason=f"needs {REAL}")]
 
@@ -52,7 +54,9 @@ def hold(answers: list[Answer], at_least: float = 1.0) -> None:
     given = [answer for answer in answers if answer.given]
     worst = max(given, key=lambda answer: answer.sigmas)
     assert worst.sigmas < 4.0, worst
-    assert np.mean([answer.holds for answer in given]) >= at_least, [each for each in given if not each.holds]
+    assert np.mean([answer.holds for answer in given]) >= at_least, [
+        each for each in given if not each.holds
+    ]
 
 
 class TestRealMachines:
@@ -84,14 +88,18 @@ class TestRealMachines:
     def test_efforts_of_the_loaded_recording_alone_are_off(self) -> None:
         answers = [answer for answer in real("real_ur10e") if "efforts" in answer.row]
         hold(answers)
-        tenth = [answer for answer in answers if answer.asked.split(":")[0].endswith((", 0.9", ", 1.1"))]
+        tenth = [
+            answer for answer in answers if answer.asked.split(":")[0].endswith((", 0.9", ", 1.1"))
+        ]
         assert [answer.code for answer in tenth] == ["other_torque"] * 4
 
     def test_a_joint_of_the_loaded_recording_alone_is_read_elsewhere(self) -> None:
         """By 0.3 rad 2.169 kg (1.70 to 2.64) were accepted for 2.805."""
         answers = [answer for answer in real("real_ur10e") if "a joint's zero" in answer.row]
         hold(answers)
-        off = [answer for answer in answers if answer.asked.split(":")[0].endswith(("-0.15", "+0.3"))]
+        off = [
+            answer for answer in answers if answer.asked.split(":")[0].endswith(("-0.15", "+0.3"))
+        ]
         assert len(off) == 8 and {answer.code for answer in off} == {"other_zero"}
         for answer in off:
             asked, _, words = answer.asked.partition(": ")
@@ -107,11 +115,16 @@ class TestRealMachines:
 
 @pytest.mark.long
 @pytest.mark.parametrize(("joint", "zero_rad"), [(1, 0.15), (2, -0.15), (2, 0.2)])
-def test_a_joint_that_was_put_together_anew_is_named(tmp_path: Path, joint: int, zero_rad: float) -> None:
+def test_a_joint_that_was_put_together_anew_is_named(
+    tmp_path: Path, joint: int, zero_rad: float
+) -> None:
     pytest.importorskip("mujoco")
-    arm, robot = DifferingArm(3004, SIX, 30.0), load_robot(write_robot(tmp_path))
+    arm = DifferingArm(3004, SIX, 30.0)
+    robot = load_robot(write_robot(tmp_path))
     held = arm.held()
-    empty, loaded, known = arm.recorded("empty"), arm.recorded("loaded", held), arm.recorded("known", held)
+    empty = arm.recorded("empty")
+    loaded = arm.recorded("loaded", held)
+    known = arm.recorded("known", held)
 
     def off(motion: Motion) -> Motion:
         return replace(motion, position=motion.position + zero_rad * np.eye(6)[joint])
@@ -137,7 +150,8 @@ def test_a_calibration_is_used_in_poses_that_it_did_not_cover() -> None:
 def test_an_arm_by_three_empty_recordings_that_differ(tmp_path: Path) -> None:
     """Their torque differs by 3 %, their zeros by 5 mrad; half of that error went into the arm, and 28 g were told for 121."""
     pytest.importorskip("mujoco")
-    robot, answers = load_robot(write_robot(tmp_path)), []
+    robot = load_robot(write_robot(tmp_path))
+    answers = []
     for seed in (1004, 1006, 1016):
         arm = DifferingArm(seed, SIX, 12.0)
         known = fit_empty(robot, [arm.recorded(f"empty {n}") for n in range(3)])
@@ -159,15 +173,21 @@ def test_an_arm_by_three_empty_recordings_that_differ(tmp_path: Path) -> None:
         (lambda: stamps_times(1.03), r"run 3\.0 % faster than the times of recording"),
     ],
 )
-def test_what_a_bag_says_twice_contradicts_itself(tmp_path: Path, bend: Callable[[], Bend], words: str) -> None:
+def test_what_a_bag_says_twice_contradicts_itself(
+    tmp_path: Path, bend: Callable[[], Bend], words: str
+) -> None:
     bag = bent(tmp_path / "bag", bend(), bag_in(PUSH))
     with pytest.raises(ProprioError, match=words):
         replay(bag, Options(robot="open_manipulator_x", settings=BALL))
 
 
 def test_a_driver_s_unit_contradicts_the_command(tmp_path: Path) -> None:
-    with pytest.raises(ProprioError, match=r"1\.78 times the current of /current_command.*--effort-unit"):
-        replay(bag_in(PUSH), Options(robot="open_manipulator_x", driver="ur_current", settings=BALL))
+    with pytest.raises(
+        ProprioError, match=r"1\.78 times the current of /current_command.*--effort-unit"
+    ):
+        replay(
+            bag_in(PUSH), Options(robot="open_manipulator_x", driver="ur_current", settings=BALL)
+        )
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +201,11 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("unknown", "change", "words"),
     [
-        ("arm_scale", lambda value: 0.5 * value, "arm_scale: .*over 10 of the robot file's standard deviations"),
+        (
+            "arm_scale",
+            lambda value: 0.5 * value,
+            "arm_scale: .*over 10 of the robot file's standard deviations",
+        ),
         ("zero[joint3]", lambda value: 100.0 * value, r"zero\[joint3\]: "),
     ],
 )
@@ -203,4 +227,6 @@ def test_an_estimate_below_nothing_is_known_no_better_than_one_at_nothing() -> N
     for value_g in (-30.0, -14.0, 0.0, 5.0):
         low, high = not_negative(value_g, 10.0)
         assert low == 0.0 and high >= norm.ppf(0.975) * 10.0
-        assert norm.cdf(high, value_g, 10.0) - norm.cdf(0.0, value_g, 10.0) >= 0.95 * norm.sf(0.0, value_g, 10.0)
+        assert norm.cdf(high, value_g, 10.0) - norm.cdf(0.0, value_g, 10.0) >= 0.95 * norm.sf(
+            0.0, value_g, 10.0
+        )

@@ -43,7 +43,10 @@ def test_ideal_recordings_to_a_tenth_of_a_gram(recordings: Path, settings: str |
     for folder in fixed(recordings, "ideal_s00"):
         truth = truth_of(folder)
         estimate = weighed(folder, known_drive_train(truth) if settings else None)
-        assert estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), (folder.name, estimate.reasons)
+        assert estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), (
+            folder.name,
+            estimate.reasons,
+        )
         error, hit = error_and_hit(estimate, truth)
         assert abs(error) <= max(1e-4, 2e-3 * truth["payload"]["mass"]), (folder.name, error)
         hits.append(hit)
@@ -56,11 +59,15 @@ def test_ideal_recordings_to_a_tenth_of_a_gram(recordings: Path, settings: str |
 
 @pytest.mark.parametrize("settings", [None, pytest.param("known", marks=pytest.mark.long)])
 def test_quantised_recordings_to_half_a_gram(recordings: Path, settings: str | None) -> None:
-    errors, hits = [], []
+    errors = []
+    hits = []
     for folder in fixed(recordings, "quantised_s00"):
         truth = truth_of(folder)
         estimate = weighed(folder, known_drive_train(truth) if settings else None)
-        assert estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), (folder.name, estimate.reasons)
+        assert estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), (
+            folder.name,
+            estimate.reasons,
+        )
         error, hit = error_and_hit(estimate, truth)
         errors.append(error)
         hits.append(hit)
@@ -72,7 +79,9 @@ def test_quantised_recordings_to_half_a_gram(recordings: Path, settings: str | N
 
 @pytest.mark.long
 def test_friction_recordings_with_the_true_friction(recordings: Path) -> None:
-    errors, hits, refused = [], [], []
+    errors = []
+    hits = []
+    refused = []
     for folder in fixed(recordings, "friction_s00"):
         truth = truth_of(folder)
         estimate = weighed(folder, known_drive_train(truth))
@@ -89,12 +98,16 @@ def test_friction_recordings_with_the_true_friction(recordings: Path) -> None:
     assert all(abs(truth["probe_travel"]) < 0.1 for truth in refused)
 
 
-LONG_LEVELS = [pytest.param(level, marks=pytest.mark.long) for level in ("friction_s00", "hard_s00")]
+LONG_LEVELS = [
+    pytest.param(level, marks=pytest.mark.long) for level in ("friction_s00", "hard_s00")
+]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("level", ["realistic_s00", *LONG_LEVELS])
-def test_without_calibration_the_interval_is_as_wide_as_the_truth_demands(recordings: Path, level: str) -> None:
+def test_without_calibration_the_interval_is_as_wide_as_the_truth_demands(
+    recordings: Path, level: str
+) -> None:
     hits = []
     for folder in fixed(recordings, level):
         estimate = weighed(folder)
@@ -111,12 +124,17 @@ def test_an_empty_hand_reads_zero(recordings: Path) -> None:
         estimate = weighed(folder, known_drive_train(truth))
         if estimate.verdict is Verdict.ACCEPTED:
             value = estimate.value("payload_mass")
-            assert value.value < 2.0 * value.std and value.std < 3e-3 and value.ci95[0] == 0.0, folder.name
+            assert value.value < 2.0 * value.std and value.std < 3e-3 and value.ci95[0] == 0.0, (
+                folder.name
+            )
 
 
 def test_both_storages_give_the_same_numbers(recordings: Path) -> None:
     folder = recordings / "friction_s00" / "fixed_heavy_cube_23g_joint3"
-    one, other = (replay([folder / storage], Options(settings=stated(truth_of(folder)))) for storage in ("bag_mcap", "bag_sqlite3"))
+    one, other = (
+        replay([folder / storage], Options(settings=stated(truth_of(folder))))
+        for storage in ("bag_mcap", "bag_sqlite3")
+    )
     assert one.values == other.values and one.fit == other.fit
 
 
@@ -134,7 +152,9 @@ def test_the_papers_recording(recordings: Path) -> None:
     honest = replay([folder])
     assert honest.verdict is Verdict.REJECTED and honest.value("payload_mass").value is None
     assert any(reason.startswith("misfit") for reason in honest.reasons)
-    assert any(reason.startswith("start velocity") and "rest" in reason for reason in honest.reasons)
+    assert any(
+        reason.startswith("start velocity") and "rest" in reason for reason in honest.reasons
+    )
 
 
 # --- the repository's own bags -----------------------------------------------------------------------------------------
@@ -168,7 +188,10 @@ def test_a_stuck_joint_determines_nothing(bags: Path) -> None:
 
 def test_profile_paper_refuses_a_stuck_joint_too(bags: Path) -> None:
     estimate = weighed(bags / "friction_s00_fixed_random_a_joint3", profile="paper")
-    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("payload_mass").value is None
+    assert (
+        estimate.verdict is Verdict.NOT_IDENTIFIABLE
+        and estimate.value("payload_mass").value is None
+    )
 
 
 def test_a_joint_that_is_fast_from_the_first_sample_is_refused(bags: Path, tmp_path: Path) -> None:
@@ -177,7 +200,9 @@ def test_a_joint_that_is_fast_from_the_first_sample_is_refused(bags: Path, tmp_p
     joints = original.joints
     position = joints.position.copy()
     position[11:, 2] -= 0.2 * np.arange(1, len(position) - 10)  # 8 rad/s from the onset on
-    fast = replace(joints, position=position, velocity=None, effort=None, current=None, reported_effort=None)
+    fast = replace(
+        joints, position=position, velocity=None, effort=None, current=None, reported_effort=None
+    )
     write_recording(tmp_path / "bag", replace(original, joints=fast))
     estimate = replay([tmp_path / "bag"])
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
@@ -196,10 +221,16 @@ def test_friction_that_the_robot_file_does_not_know_widens_the_interval(bags: Pa
 
 
 def test_several_bags_of_one_object_are_pooled(recordings: Path) -> None:
-    folders = [recordings / "quantised_s00" / f"fixed_heavy_ball_50g_{probe}" for probe in ("joint3", "joint3_x1", "joint2")]
+    folders = [
+        recordings / "quantised_s00" / f"fixed_heavy_ball_50g_{probe}"
+        for probe in ("joint3", "joint3_x1", "joint2")
+    ]
     truth = truth_of(folders[0])
     settings = {**stated(truth), **known_drive_train(truth)}
-    alone = [replay([bag_in(folder)], Options(settings=settings)).value("payload_mass").std for folder in folders]
+    alone = [
+        replay([bag_in(folder)], Options(settings=settings)).value("payload_mass").std
+        for folder in folders
+    ]
     pooled = replay([bag_in(folder) for folder in folders], Options(settings=settings))
     assert pooled.runs == 3 and len(pooled.run_fits) == 3 and pooled.verdict is Verdict.ACCEPTED
     assert pooled.value("payload_mass").std < min(alone)
@@ -221,7 +252,10 @@ def test_semi_implicit_euler_is_biased_as_its_step_says(bags: Path) -> None:
     folder = bags / "ideal_s00_fixed_heavy_ball_50g_joint2"
     settings = {**known_drive_train(truth_of(folder)), "paper.starts_kg": [0.05]}
     biases = [
-        weighed(folder, {**settings, "paper.substeps": substeps}, profile="paper").value("payload_mass").value - 0.05
+        weighed(folder, {**settings, "paper.substeps": substeps}, profile="paper")
+        .value("payload_mass")
+        .value
+        - 0.05
         for substeps in (8, 16)
     ]
     assert biases[1] > 1e-4
@@ -246,7 +280,8 @@ def test_an_unknown_centre_of_mass_is_estimated_where_it_is_excited(bags: Path) 
     com = estimate.value("payload_com")
     assert com.unit == "m" and com.value[1] is None and "y" in com.reason
     assert (
-        estimate.value("payload_mass").std > 5 * weighed(folder, known_drive_train(truth_of(folder))).value("payload_mass").std
+        estimate.value("payload_mass").std
+        > 5 * weighed(folder, known_drive_train(truth_of(folder))).value("payload_mass").std
     )  # mass and lever are nearly one number
     assert error_and_hit(estimate, truth_of(folder))[1]
 
@@ -256,7 +291,10 @@ def test_an_unknown_centre_of_mass_is_estimated_where_it_is_excited(bags: Path) 
 
 def recording_of(folder: Path):
     return read_recording(
-        bag_in(folder), effort_unit="N.m", nominal_torque_constants=dict.fromkeys(JOINTS, 1.782608695652174), joint_order=JOINTS
+        bag_in(folder),
+        effort_unit="N.m",
+        nominal_torque_constants=dict.fromkeys(JOINTS, 1.782608695652174),
+        joint_order=JOINTS,
     )
 
 
@@ -269,7 +307,13 @@ def test_no_command_topic(bags: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="--effort-unit"):
         replay([tmp_path / "bag"])
     truth = truth_of(folder)
-    options = Options(settings={**stated(truth), **known_drive_train(truth), "robot.delay_s": {"value": 0.0, "std": 0.0}})
+    options = Options(
+        settings={
+            **stated(truth),
+            **known_drive_train(truth),
+            "robot.delay_s": {"value": 0.0, "std": 0.0},
+        }
+    )
     estimate = replay([tmp_path / "bag"], replace(options, effort_unit="N.m"))
     error, hit = error_and_hit(estimate, truth)
     assert estimate.verdict is Verdict.ACCEPTED and abs(error) < 2e-3 and hit
@@ -320,7 +364,11 @@ def test_a_probe_that_starts_in_motion_is_rejected(bags: Path, tmp_path: Path) -
         joints, times_ns=joints.times_ns[rows], position=joints.position[rows], velocity=None, effort=None, current=None,
         reported_effort=None,
     )  # fmt: skip
-    inputs = replace(original.inputs, times_ns=original.inputs.times_ns[rows], current_A=original.inputs.current_A[rows])
+    inputs = replace(
+        original.inputs,
+        times_ns=original.inputs.times_ns[rows],
+        current_A=original.inputs.current_A[rows],
+    )
     write_recording(tmp_path / "bag", replace(original, joints=late, inputs=inputs))
     estimate = replay([tmp_path / "bag"])
     assert estimate.verdict is Verdict.REJECTED
@@ -362,12 +410,16 @@ def test_unknown_words_list_the_choices(bags: Path) -> None:
         with pytest.raises(ConfigurationError, match=words):
             replay([bag], options)
     with pytest.raises(ConfigurationError, match="profile paper fits one run"):
-        replay([bag, bag_in(bags / "quantised_s00_fixed_light_cube_10g_joint2")], Options(profile="paper"))
+        replay(
+            [bag, bag_in(bags / "quantised_s00_fixed_light_cube_10g_joint2")],
+            Options(profile="paper"),
+        )
 
 
 def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
     """Another robot from its own file and URDF; the truth is an ODE written here and solved to 1e-11."""
-    mass, current = 0.037, 0.35
+    mass = 0.037
+    current = 0.35
     inertia = 0.018008 + mass * 0.3**2
     times_s = np.arange(-8, 25) * 0.025
     motion = solve_ivp(
@@ -380,20 +432,28 @@ def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
     recording = Recording(
         "swing",
         JointRecord(stamps, ("pivot",), position[:, None]),
-        InputRecord(stamps, ("pivot",), np.where(times_s < 0.0, 0.0, current)[:, None], "/current_command"),
+        InputRecord(
+            stamps, ("pivot",), np.where(times_s < 0.0, 0.0, current)[:, None], "/current_command"
+        ),
     )
     write_recording(tmp_path / "swing", recording, storage="sqlite3")
-    estimate = replay([tmp_path / "swing"], Options(robot="pendulum", settings={"payload.shape": "point"}))
+    estimate = replay(
+        [tmp_path / "swing"], Options(robot="pendulum", settings={"payload.shape": "point"})
+    )
     value = estimate.value("payload_mass")
     assert estimate.verdict is Verdict.ACCEPTED and estimate.robot == "pendulum"
     assert value.ci95[0] < mass < value.ci95[1] and value.std < 2e-3
-    assert not any("calibrated" in reason for reason in estimate.reasons)  # its drive train is known exactly
+    # its drive train is known exactly
+    assert not any("calibrated" in reason for reason in estimate.reasons)
 
 
-@pytest.mark.parametrize("way", ["path", "folder above", "link", "file", "copy", "baseline", "both storages"])
+@pytest.mark.parametrize(
+    "way", ["path", "folder above", "link", "file", "copy", "baseline", "both storages"]
+)
 def test_a_recording_counts_once(bags: Path, tmp_path: Path, way: str) -> None:
     bag = bags / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap"
-    other, baseline = bag, ()
+    other = bag
+    baseline = ()
     if way == "folder above":
         other = bag.parent / ".." / bag.parent.name / bag.name
     elif way == "link":
@@ -427,6 +487,9 @@ def test_a_damaged_number_is_left_out(bags: Path, tmp_path: Path) -> None:
     damaged = replace(recording, joints=replace(recording.joints, position=position))
     write_recording(tmp_path / "damaged", damaged, "sqlite3")
     (cleaned,) = bag_runs(tmp_path / "damaged", Request(robot))
-    assert len(cleaned.times_s) == len(run.times_s) - 1 and np.isin(cleaned.position, run.position).all()
+    assert (
+        len(cleaned.times_s) == len(run.times_s) - 1
+        and np.isin(cleaned.position, run.position).all()
+    )
     assert any("in 1 of " in note and "jumps there and back" in note for note in cleaned.notes)
     assert not any("jumps" in note for note in run.notes)

@@ -25,12 +25,20 @@ from proprio_ros.probes import probe_named
 
 
 def test_all_that_options_name_is_in_the_request() -> None:
-    settings = {"robot.arm_scale": 1.1, "held.joint1": 0.2, "payload.frame": "link5", "payload.shape": "cube", "payload.size": 0.03}
+    settings = {
+        "robot.arm_scale": 1.1,
+        "held.joint1": 0.2,
+        "payload.frame": "link5",
+        "payload.shape": "cube",
+        "payload.size": 0.03,
+    }
     request = request_of(Options(settings=settings, effort_unit="A"))
     assert (request.robot.name, request.robot.payload_frame) == (DEFAULT_ROBOT, "link5")
     assert request.robot.arm_scale.value == 1.1 and request.overrides == {"arm_scale": 1.1}
     assert request.locked == {"joint1": 0.2} and request.unit == "A" and request.driver is None
-    assert request.probe is probe_named("payload") and request.facts.payload.shape_std_relative == 0.0
+    assert (
+        request.probe is probe_named("payload") and request.facts.payload.shape_std_relative == 0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -53,15 +61,24 @@ def test_the_profile_of_a_driver_is_read_once(monkeypatch: pytest.MonkeyPatch) -
     load = module.load_driver
     monkeypatch.setattr(module, "load_driver", lambda name: read.append(name) or load(name))
     request = request_of(Options(driver="ros2_control"))
-    assert request.conventions.driver == "ros2_control" and request.unit == request.driver.effort_unit
+    assert (
+        request.conventions.driver == "ros2_control" and request.unit == request.driver.effort_unit
+    )
     replace(request, options=replace(request.options, span=(0, None))).conventions  # noqa: B018
     assert read == ["ros2_control"]
     # whoever has a robot already gets the profile, too
-    assert Request(request.robot, Options(driver="ros2_control", effort_unit="mA")).unit == "mA" and len(read) == 2
+    assert (
+        Request(request.robot, Options(driver="ros2_control", effort_unit="mA")).unit == "mA"
+        and len(read) == 2
+    )
 
 
-def test_a_driver_that_says_nothing_of_effort_is_refused_before_anything_is_read(tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text("title: mine\nextends: ros2_control\nrefused: its effort is a goal\n")
+def test_a_driver_that_says_nothing_of_effort_is_refused_before_anything_is_read(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "mine.yaml").write_text(
+        "title: mine\nextends: ros2_control\nrefused: its effort is a goal\n"
+    )
     assert usable_driver(None) is None
     with pytest.raises(ConfigurationError, match=r"mine.yaml: its effort is a goal"):
         usable_driver(tmp_path / "mine.yaml")
@@ -78,7 +95,10 @@ def test_text_recordings_have_a_robot_of_their_own(tmp_path: Path) -> None:
 
 
 def test_of_a_robot_alone_only_what_is_about_it_is_looked_at() -> None:
-    assert robot_of(Options(settings={"robot.arm_scale": 1.1, "liquid.level": 0.1})).arm_scale.value == 1.1
+    assert (
+        robot_of(Options(settings={"robot.arm_scale": 1.1, "liquid.level": 0.1})).arm_scale.value
+        == 1.1
+    )
     with pytest.raises(RobotError, match="nothing"):
         robot_of(Options(settings={"held.nothing": 0.1}))
 
@@ -93,5 +113,7 @@ def test_settings_that_would_be_without_effect_are_refused(tmp_path: Path) -> No
     with pytest.raises(ConfigurationError, match=r"held.joint1: a plan says where every joint is"):
         plan_excitations([0.05], Options(settings={"held.joint1": 0.1}))
     options = Options(calibration=tmp_path / "old.yaml", settings={"robot.arm_scale": 1.1})
-    with pytest.raises(ConfigurationError, match=r"robot.arm_scale: .*old.yaml says what the robot is"):
+    with pytest.raises(
+        ConfigurationError, match=r"robot.arm_scale: .*old.yaml says what the robot is"
+    ):
         refresh_from_bags(tmp_path / "bag", options)

@@ -25,7 +25,10 @@ def test_every_value_that_is_published_as_a_number_is_of_a_known_kind() -> None:
 
 
 def test_a_name_that_means_something_else_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="unknown payload_mass: there is one of that name already, payload mass"):
+    with pytest.raises(
+        ConfigurationError,
+        match="unknown payload_mass: there is one of that name already, payload mass",
+    ):
 
         class Pounds(Probe[None]):
             unknowns = {"payload_mass": Kind("lb", "mass in pounds")}  # noqa: RUF012

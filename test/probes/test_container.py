@@ -56,7 +56,9 @@ def level_of() -> Callable[[Path, str], Boxes]:
             ]
             estimate = calibrate(robot, empty)
             assert estimate.calibration is not None
-            known[folder, prefix] = Boxes(folder, prefix, robot.with_calibration(estimate.calibration))
+            known[folder, prefix] = Boxes(
+                folder, prefix, robot.with_calibration(estimate.calibration)
+            )
         return known[folder, prefix]
 
     return level
@@ -78,7 +80,9 @@ def error_and_hit(estimate: Estimate, mass: float) -> tuple[float, bool]:
 
 def test_the_repositorys_own_recordings(realistic: Boxes) -> None:
     for folder in realistic.folders("container_sphere_*"):
-        off, hit = error_and_hit(realistic.find([folder]), truth_of(folder)["container"]["sphere_mass"])
+        off, hit = error_and_hit(
+            realistic.find([folder]), truth_of(folder)["container"]["sphere_mass"]
+        )
         assert abs(off) < 1.3e-3 and hit, folder.name
 
 
@@ -92,11 +96,19 @@ def test_the_repositorys_own_recordings(realistic: Boxes) -> None:
         ("realistic_s01", 2.0, 1.0),  # of realistic_s00 are those of the repository
     ],
 )
-def test_every_recording(recordings: Path, level_of: Callable[[Path, str], Boxes], name: str, worst_g: float, rms_g: float) -> None:
+def test_every_recording(
+    recordings: Path,
+    level_of: Callable[[Path, str], Boxes],
+    name: str,
+    worst_g: float,
+    rms_g: float,
+) -> None:
     level = level_of(recordings / name, "")
     results = []
     for folder in level.folders("container_*"):
-        results.append(error_and_hit(level.find([folder]), truth_of(folder)["container"]["sphere_mass"]))
+        results.append(
+            error_and_hit(level.find([folder]), truth_of(folder)["container"]["sphere_mass"])
+        )
     off = 1e3 * np.array([error for error, _ in results])
     assert len(off) == 9
     assert np.abs(off).max() < worst_g and np.sqrt(np.mean(off**2)) < rms_g, off
@@ -112,7 +124,9 @@ def test_friction_that_nobody_stated_is_found(recordings: Path) -> None:
         assert hit and abs(off) < 1.5e-3
 
 
-@pytest.mark.parametrize(("name", "worst_g"), [("ideal_s00", 0.3), ("quantised_s00", 0.3), ("friction_s00", 0.3)])
+@pytest.mark.parametrize(
+    ("name", "worst_g"), [("ideal_s00", 0.3), ("quantised_s00", 0.3), ("friction_s00", 0.3)]
+)
 @pytest.mark.parametrize("sphere", ["12g", "random"])
 def test_three_runs_together(
     recordings: Path, level_of: Callable[[Path, str], Boxes], name: str, worst_g: float, sphere: str
@@ -136,10 +150,17 @@ def test_replay_and_what_it_prints(bags: Path, realistic: Boxes, tmp_path: Path)
     """The same through `replay`, with bags and settings as a user gives them; three bags of one sphere are one estimate."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     empty = [bag_in(path) for path in realistic.folders("container_no_sphere_*")]
-    options = Options(probe="container", settings={**stated_of_box(folder), "container.mass": 0.03}, baseline=empty)
+    options = Options(
+        probe="container",
+        settings={**stated_of_box(folder), "container.mass": 0.03},
+        baseline=empty,
+    )
     estimate = replay([bag_in(folder)], options)
     record = estimate.as_json()
-    assert record["probe"] == "container" and [e["name"] for e in record["estimates"]] == ["sphere_mass", "container_mass"]
+    assert record["probe"] == "container" and [e["name"] for e in record["estimates"]] == [
+        "sphere_mass",
+        "container_mass",
+    ]
     assert record["estimates"][0]["unit"] == "kg" and record["solver"]["starts"] >= 5
     assert json.loads(json.dumps(record)) == record
     # not calibrated: the answer is either wide or none, and says so
@@ -152,13 +173,17 @@ def test_replay_and_what_it_prints(bags: Path, realistic: Boxes, tmp_path: Path)
 def test_neither_baseline_nor_mass(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     facts = container_facts(Settings(stated_of_box(folder)), probe_file("container"))
-    with pytest.raises(ConfigurationError, match=r"--baseline, or its mass with --set container\.mass"):
+    with pytest.raises(
+        ConfigurationError, match=r"--baseline, or its mass with --set container\.mass"
+    ):
         find_sphere(realistic.robot, realistic.runs(folder), facts)
 
 
 def test_the_shells_mass_instead_of_a_baseline(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
-    facts = container_facts(Settings({**stated_of_box(folder), "container.mass": 0.03}), probe_file("container"))
+    facts = container_facts(
+        Settings({**stated_of_box(folder), "container.mass": 0.03}), probe_file("container")
+    )
     estimate = find_sphere(realistic.robot, realistic.runs(folder), facts)
     off, hit = error_and_hit(estimate, 0.012)
     assert hit and abs(off) < 3e-3
@@ -171,13 +196,17 @@ def test_a_baseline_that_was_not_empty(realistic: Boxes) -> None:
     """A sphere in the baseline is found by the container's stated mass, or because it rolls."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     runs = realistic.runs(folder)
-    facts = container_facts(Settings({**stated_of_box(folder), "container.mass": 0.03}), probe_file("container"))
+    facts = container_facts(
+        Settings({**stated_of_box(folder), "container.mass": 0.03}), probe_file("container")
+    )
     estimate = find_sphere(realistic.robot, runs, facts, None, runs)
     assert estimate.verdict is Verdict.REJECTED and estimate.value("sphere_mass").value is None
     assert "baseline was not empty" in estimate.reasons[0]
 
 
-def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callable[[Path, str], Boxes]) -> None:
+def test_a_sphere_that_rolls_in_the_baseline(
+    recordings: Path, level_of: Callable[[Path, str], Boxes]
+) -> None:
     level = level_of(recordings / "ideal_s00", "")
     folder = level.folders("container_sphere_random_joint4_030mA")[0]
     facts = container_facts(Settings(stated_of_box(folder)), probe_file("container"))
@@ -185,7 +214,10 @@ def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callabl
     estimate = find_sphere(level.robot, runs, facts, None, runs)
     assert estimate.verdict is Verdict.REJECTED
     # where the noise is small enough it is also named, elsewhere only what it does to the arm is seen
-    assert "rolling in the container" in estimate.reasons[0] or estimate.reasons[0].code == "far_from_prior"
+    assert (
+        "rolling in the container" in estimate.reasons[0]
+        or estimate.reasons[0].code == "far_from_prior"
+    )
 
 
 def test_a_sphere_that_stays_where_it_is(realistic: Boxes) -> None:
@@ -198,7 +230,10 @@ def test_a_sphere_that_stays_where_it_is(realistic: Boxes) -> None:
 
 
 def test_runs_of_two_spheres_contradict(realistic: Boxes) -> None:
-    folders = [*realistic.folders("container_sphere_12g_joint3_100mA"), *realistic.folders("container_sphere_random_joint4_030mA")]
+    folders = [
+        *realistic.folders("container_sphere_12g_joint3_100mA"),
+        *realistic.folders("container_sphere_random_joint4_030mA"),
+    ]
     estimate = realistic.find(folders)
     assert estimate.verdict is Verdict.REJECTED
     assert estimate.value("sphere_mass").reason
@@ -208,7 +243,9 @@ def test_too_wide_an_interval_is_given_and_not_accepted(realistic: Boxes) -> Non
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     facts = container_facts(Settings(stated_of_box(folder)), probe_file("container"))
     options = ContainerOptions(wide_share=1e-3, wide_floor_kg=0.0)
-    estimate = find_sphere(realistic.robot, realistic.runs(folder), facts, options, realistic.baseline())
+    estimate = find_sphere(
+        realistic.robot, realistic.runs(folder), facts, options, realistic.baseline()
+    )
     assert estimate.verdict is Verdict.TOO_WIDE and reason_codes(estimate.reasons)[0] == "too_wide"
     low, high = estimate.value("sphere_mass").ci95
     assert low <= 0.012 <= high
@@ -224,7 +261,10 @@ def test_too_wide_an_interval_is_given_and_not_accepted(realistic: Boxes) -> Non
         ({"container.inner_size": [0.06, 0.04]}, "expected [x, y, z] in m"),
         ({"container.shape": "bottle"}, "choose one of box, cylinder, sphere"),
         ({"container.shape": "cylinder"}, "give [diameter, length]"),
-        ({"container.shape": "sphere", "container.inner_size": [0.05, 0.06, 0.05]}, "give one diameter"),
+        (
+            {"container.shape": "sphere", "container.inner_size": [0.05, 0.06, 0.05]},
+            "give one diameter",
+        ),
         ({"sphere.radius": 0.025}, "does not fit"),
         ({"sphere.radius": -0.01}, "positive"),
         ({"container.mass": -1.0}, "must not be negative"),
@@ -261,7 +301,9 @@ def test_other_solvers_are_refused(realistic: Boxes) -> None:
 
 def plain_run(gravity: np.ndarray, shape: str = "box") -> SphereRun:
     joint = JointRun(np.array([0.1]), np.zeros(1), np.zeros(1))
-    return SphereRun(joint, "revolute", np.array([0.0, 1.0, 0.0]), np.array([-0.2, 0.0, 0.0]), gravity)
+    return SphereRun(
+        joint, "revolute", np.array([0.0, 1.0, 0.0]), np.array([-0.2, 0.0, 0.0]), gravity
+    )
 
 
 def test_where_a_sphere_settles() -> None:
@@ -269,7 +311,9 @@ def test_where_a_sphere_settles() -> None:
     tilted = start_prior(plain_run(np.array([5.0, 0.0, -8.0])), box, 0.0)
     deep = np.array([5.0, 0.0, -8.0]) / box.contact_frequency**2
     np.testing.assert_allclose(tilted.mean, [0.02 + deep[0], 0.0, -0.01 + deep[2]])
-    assert len(tilted.guesses) == 1, "along the joint's axis it may be anywhere, and it makes no difference"
+    assert len(tilted.guesses) == 1, (
+        "along the joint's axis it may be anywhere, and it makes no difference"
+    )
     assert tilted.std[1] > 5e-3 > tilted.std[0]
     level = start_prior(plain_run(np.array([0.1, 0.0, -9.8])), box, 0.0)
     assert len(level.guesses) == 3 and level.std[0] > 1e-2
@@ -277,25 +321,38 @@ def test_where_a_sphere_settles() -> None:
     lying = start_prior(plain_run(np.array([0.0, 0.0, -9.8])), tin, 0.0)
     assert lying.mean[2] < -0.03 and np.all(lying.mean[:2] == 0.0)
     rim = start_prior(plain_run(np.array([6.0, 8.0, 0.0])), tin, 0.0)
-    np.testing.assert_allclose(rim.mean[:2], (0.02 + 10.0 / tin.contact_frequency**2) * np.array([0.6, 0.8]))
+    np.testing.assert_allclose(
+        rim.mean[:2], (0.02 + 10.0 / tin.contact_frequency**2) * np.array([0.6, 0.8])
+    )
     ball = ContainerFacts(Enclosure("sphere", np.full(3, 0.05), 0.01))
     np.testing.assert_allclose(
-        start_prior(plain_run(np.array([0.0, 6.0, -8.0])), ball, 0.0).mean / 0.015, [0.0, 0.6, -0.8], rtol=6e-3
+        start_prior(plain_run(np.array([0.0, 6.0, -8.0])), ball, 0.0).mean / 0.015,
+        [0.0, 0.6, -0.8],
+        rtol=6e-3,
     )
     for prior in (tilted, level, lying, rim):
         assert np.all(prior.lower <= prior.mean) and np.all(prior.mean <= prior.upper)
 
 
 def problem_of(
-    level: Boxes, folders: list[Path], tracks: list[SphereTrack | None] | None = None, law: str = "ramped"
+    level: Boxes,
+    folders: list[Path],
+    tracks: list[SphereTrack | None] | None = None,
+    law: str = "ramped",
 ) -> ContainerProblem:
-    facts = container_facts(Settings({**stated_of_box(folders[0]), "contact.law": law}), probe_file("container"))
-    runs = [prepare_run(level.robot, run, None, facts.shell) for f in folders for run in level.runs(f)]
+    facts = container_facts(
+        Settings({**stated_of_box(folders[0]), "contact.law": law}), probe_file("container")
+    )
+    runs = [
+        prepare_run(level.robot, run, None, facts.shell) for f in folders for run in level.runs(f)
+    ]
     empty = [prepare_run(level.robot, run, None, facts.shell) for run in level.baseline()]
     rolling = [True] * len(runs) + [False] * len(empty)
     everything = [*runs, *empty]
     nothing = JointRun(np.array([0.1]), np.zeros(1), np.zeros(1))
-    priors = [start_prior(sphere_run(level.robot, r, facts, nothing), facts, r.rest.value) for r in runs]
+    priors = [
+        start_prior(sphere_run(level.robot, r, facts, nothing), facts, r.rest.value) for r in runs
+    ]
     unknowns = container_unknowns(level.robot, everything, rolling, facts, priors, Role.FREE)
     seen = [*(tracks or [None] * len(runs)), *[None] * len(empty)]
     return ContainerProblem(level.robot, everything, facts, rolling, unknowns, tracks=seen)
@@ -303,7 +360,15 @@ def problem_of(
 
 @pytest.mark.parametrize(
     ("law", "mass"),
-    [("ramped", 0.0), ("ramped", 0.004), ("ramped", 0.012), ("ramped", 0.05), ("paper", 0.004), ("paper", 0.012), ("paper", 0.05)],
+    [
+        ("ramped", 0.0),
+        ("ramped", 0.004),
+        ("ramped", 0.012),
+        ("ramped", 0.05),
+        ("paper", 0.004),
+        ("paper", 0.012),
+        ("paper", 0.05),
+    ],
 )
 def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     """Every unknown, through the simulator, the baseline, the encoder's error and the camera, against finite differences."""
@@ -317,10 +382,8 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     base += 0.1 * np.where(np.isfinite(spread), spread, 0.0) * rng.standard_normal(len(base))
     names = [problem.unknowns[row].name for row in problem.free]
     base[names.index("sphere_mass")], base[names.index("payload_mass")] = mass, 0.03
-    lower, upper = (
-        problem.coordinates.physical(problem.coordinates.lower),
-        problem.coordinates.physical(problem.coordinates.upper),
-    )
+    lower = problem.coordinates.physical(problem.coordinates.lower)
+    upper = problem.coordinates.physical(problem.coordinates.upper)
     for row, name in enumerate(names):
         if name.startswith("sphere_") and name != "sphere_mass":
             base[row] *= 0.98  # off the wall, where the force has a kink
@@ -331,13 +394,17 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     gradient = problem.linearise(internal[None])[1][0]
     steps = 1e-5 * problem.coordinates.natural
     for row in range(len(names)):
-        up, down = internal.copy(), internal.copy()
+        up = internal.copy()
+        down = internal.copy()
         up[row] += steps[row]
         down[row] -= steps[row]
         cost = problem.linearise(np.array([up, down]))[0]
         slope = (cost[0] - cost[1]) / (2.0 * steps[row])
         scale = max(
-            abs(gradient[row]), 1e-3 * np.abs(gradient * problem.coordinates.natural).max() / problem.coordinates.natural[row]
+            abs(gradient[row]),
+            1e-3
+            * np.abs(gradient * problem.coordinates.natural).max()
+            / problem.coordinates.natural[row],
         )
         assert abs(slope - gradient[row]) < 2e-4 * scale, names[row]
 
@@ -354,7 +421,10 @@ def test_a_camera_makes_it_surer(realistic: Boxes) -> None:
     assert both.camera_rms(values) < 1e-6
     assert both.samples == alone.samples + path.size
     row = both.index["sphere_x", 0]
-    assert Posterior(both, values).whole_covariance()[row, row] < Posterior(alone, values).whole_covariance()[row, row]
+    assert (
+        Posterior(both, values).whole_covariance()[row, row]
+        < Posterior(alone, values).whole_covariance()[row, row]
+    )
 
 
 def test_tracks_are_read(tmp_path: Path, realistic: Boxes) -> None:

@@ -28,9 +28,15 @@ from proprio_ros.virtual.objects import Payload
 
 ROBOT = load_robot("open_manipulator_x")
 PROBE = probe_named("container")
-BOX = ["container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01"]
+BOX = [
+    "container.inner_size=[0.06,0.04,0.04]",
+    "container.centre=[0.035,0,0]",
+    "sphere.radius=0.01",
+]
 SHELL_KG = 0.03
-JOB = PROBE.facts(Settings(parse_settings([*BOX, f"container.mass={SHELL_KG}", "container.mass_std=1e-4"])))
+JOB = PROBE.facts(
+    Settings(parse_settings([*BOX, f"container.mass={SHELL_KG}", "container.mass_std=1e-4"]))
+)
 UNTIL = Until(1e-3, "kg", 60.0)
 BENT = {"joint1": 0.0, "joint2": -1.0, "joint3": 0.6, "joint4": 0.4, "gripper_left_joint": 0.0}
 
@@ -45,7 +51,11 @@ def chooser() -> SphereUntilSure:
 
 def test_the_shipped_sequence_says_what_it_wants() -> None:
     sequence = load_sequence("container_until", ROBOT)
-    assert sequence.until == Until(2e-3, "kg", 60.0) and sequence.hand == "container" and not sequence.runs
+    assert (
+        sequence.until == Until(2e-3, "kg", 60.0)
+        and sequence.hand == "container"
+        and not sequence.runs
+    )
 
 
 def test_a_shell_that_nobody_knows_is_refused() -> None:
@@ -65,7 +75,9 @@ def test_every_push_rolls_the_sphere_out_of_a_known_end(chooser: SphereUntilSure
         there = start_prior(geometry, JOB.container, begins)
         gone = start_prior(geometry, JOB.container, begins + push.travel)
         assert len(there.guesses) == 1, "where it lies is known"
-        assert np.linalg.norm(geometry.across @ (gone.mean - there.mean)) > 5e-3, "and it would not stay there"
+        assert np.linalg.norm(geometry.across @ (gone.mean - there.mean)) > 5e-3, (
+            "and it would not stay there"
+        )
         assert abs(push.travel) >= LITTLE_TRAVEL and push.time_s > push.duration_s
         check_sequence(chooser.sequence_of(chooser.run_of(push)), ROBOT)
 
@@ -74,13 +86,17 @@ def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: Sphere
     """The filter against all samples of a run at once."""
     pushes = [replace(push, duration_s=0.5) for push in chooser.ranked(BENT, 0.0)[:6]]
     problem = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
-    shared, covariance = chooser._shared, chooser._covariance
+    shared = chooser._shared
+    covariance = chooser._covariance
     values = problem.base.copy()
     values[problem.index["sphere_mass"]] = 0.02
     _, v, dq = problem.simulate(values[None], problem.free)
     weight = (np.arange(v.shape[2]) < 20) / problem.runs[0].sigma[0] * np.ones((len(pushes), 1))
     free = [problem.unknowns[row] for row in problem.free]
-    own = [[f for f, u in enumerate(free) if not u.shared and u.scope == run] for run in range(len(pushes))]
+    own = [
+        [f for f, u in enumerate(free) if not u.shared and u.scope == run]
+        for run in range(len(pushes))
+    ]
     rows = np.zeros((len(pushes), v.shape[2], len(shared.keys) + len(own[0])))
     rows[..., [shared.at[u.key] for u in free if u.shared]] = dq[0][..., [u.shared for u in free]]
     for run, columns in enumerate(own):
@@ -88,7 +104,9 @@ def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: Sphere
     variance = np.array([[free[f].std ** 2 for f in columns] for columns in own])
     seen = np.zeros((*rows.shape[:2], 3, rows.shape[2]))
     seen[:, :, 0, shared.at["sphere_mass"]] = 1.0
-    stds, spreads = shared.stds_along(rows * weight[..., None], variance, covariance, "sphere_mass", seen)
+    stds, spreads = shared.stds_along(
+        rows * weight[..., None], variance, covariance, "sphere_mass", seen
+    )
     at = shared.at["sphere_mass"]
     for run, whitened in enumerate(rows * weight[..., None]):
         before = np.diag([*np.zeros(len(shared.keys)), *variance[run]])
@@ -112,7 +130,9 @@ class Weighed:
         return self.decisions[-1].ended_by
 
 
-def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | None = None) -> Weighed:
+def weighed(
+    held: Container | Payload, until: Until = UNTIL, empty: Payload | None = None
+) -> Weighed:
     """Weigh what is held until sure, after runs with the empty container, or with its mass stated where there are none."""
     pytest.importorskip("mujoco")
     from support.pushed_arm import Hand
@@ -122,7 +142,9 @@ def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | No
     from proprio_ros.virtual.truth import Truth
 
     robot = paper_hand.known_robot()
-    arm = VirtualArm(robot, Truth.nominal(robot), position=PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
+    arm = VirtualArm(
+        robot, Truth.nominal(robot), position=PARKED, seed=1, control_period_s=paper_hand.PERIOD_S
+    )
     hand = Hand(robot, arm)
     job = JOB if empty is None else PROBE.facts(Settings(parse_settings(BOX)))
     if empty is not None:
@@ -133,7 +155,9 @@ def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | No
     sequence = replace(load_sequence("container_until", robot), until=until)
     PROBE.prepare(robot, job)
     chooser = PROBE.chooser(robot, job, sequence, baseline)
-    began, decisions, promised = hand.time_s, [], []
+    began = hand.time_s
+    decisions = []
+    promised = []
     while not decisions or decisions[-1].run is not None:
         decisions.append(chooser.next(hand.runs, hand.sample().position, hand.time_s - began))
         if len(decisions) > 1:
@@ -142,16 +166,24 @@ def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | No
             promised.append((push.std, chooser.found.std))
         if (run := decisions[-1].run) is not None:
             hand.make(chooser.sequence_of(run))
-    return Weighed(decisions, promised, find_sphere(robot, hand.runs, job.container, job.solving, baseline))
+    return Weighed(
+        decisions, promised, find_sphere(robot, hand.runs, job.container, job.solving, baseline)
+    )
 
 
 @pytest.mark.long
 def test_it_ends_when_the_sphere_is_sure() -> None:
     box = Container(SHELL_KG, sphere_mass_kg=0.012)
     it = weighed(box, Until(1.5e-3, "kg", 60.0), box.emptied)
-    half, mass = half_of(it.answer), it.answer.value("sphere_mass").value
+    half = half_of(it.answer)
+    mass = it.answer.value("sphere_mass").value
     assert it.ended_by == "target" and it.decisions[-1].reason.startswith("sure: +-")
-    assert half is not None and half <= 1.5e-3 and isinstance(mass, float) and abs(mass - 0.012) <= half
+    assert (
+        half is not None
+        and half <= 1.5e-3
+        and isinstance(mass, float)
+        and abs(mass - 0.012) <= half
+    )
 
 
 @pytest.mark.long
@@ -167,6 +199,7 @@ def test_a_push_tells_what_was_foreseen() -> None:
 @pytest.mark.long
 def test_an_empty_container_is_found_to_be_empty() -> None:
     it = weighed(Container(SHELL_KG).emptied, Until(3e-3, "kg", 60.0))
-    half, mass = half_of(it.answer), it.answer.value("sphere_mass").value
+    half = half_of(it.answer)
+    mass = it.answer.value("sphere_mass").value
     assert it.ended_by == "target"
     assert half is None or (isinstance(mass, float) and mass <= half)

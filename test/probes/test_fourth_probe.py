@@ -42,14 +42,21 @@ def test_it_is_in_the_registry_behind_the_others(registered: None) -> None:
 
 def test_no_file_of_the_package_knows_it() -> None:
     package = TEST.parent / "proprio_ros"
-    assert not [path for path in package.rglob("*.py") if re.search("spring_(stiffness|probe)", path.read_text())]
+    assert not [
+        path
+        for path in package.rglob("*.py")
+        if re.search("spring_(stiffness|probe)", path.read_text())
+    ]
 
 
 def test_a_virtual_hand_can_hold_its_object(registered: None) -> None:
     from support.spring_probe import VirtualSpring
 
     assert virtual_object("spring:0.4") == VirtualSpring(0.4)
-    for text, said in (("spring:-1", "a spring pulls back"), ("brick:1", "| spring:0.4 (kg, m, Pa)")):
+    for text, said in (
+        ("spring:-1", "a spring pulls back"),
+        ("brick:1", "| spring:0.4 (kg, m, Pa)"),
+    ):
         with pytest.raises(ConfigurationError, match=re.escape(said)):
             virtual_object(text)
 
@@ -66,7 +73,8 @@ def test_the_virtual_arm_and_its_sequence_show_the_spring(registered: None) -> N
     assert calibration is not None
     sequence = load_sequence(Spring.default_sequence, ROBOT)
     runs, baseline = (made(sequence, Hand(1, held))[1] for held in (VirtualSpring(0.4), None))
-    robot, widths = ROBOT.with_calibration(calibration), []
+    robot = ROBOT.with_calibration(calibration)
+    widths = []
     for without in ((), baseline):
         estimate = find_spring(robot, runs, 1.0, without)
         assert estimate.values[0].ci95 is not None, estimate.reasons
@@ -77,7 +85,9 @@ def test_the_virtual_arm_and_its_sequence_show_the_spring(registered: None) -> N
 
 
 @pytest.mark.long
-def test_a_recording_is_replayed_with_it(registered: None, bags: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_is_replayed_with_it(
+    registered: None, bags: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """There is no spring at this arm: 0 lies in the interval, which the calibration makes narrow."""
     code = main(["replay", *(str(bags / bag) for bag in BAGS), "--probe", "spring", "--json"])
     said = json.loads(capsys.readouterr().out)
@@ -100,16 +110,22 @@ def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> N
     direction[0, STIFFNESS] = 1.0
     for stiffness in (0.0, 0.3, 1.2):
         p[0, STIFFNESS] = stiffness
-        q, _, dq = (array.copy() for array in simulator.jacobian(np.zeros(1, dtype=np.int32), p, direction))
+        q, _, dq = (
+            array.copy() for array in simulator.jacobian(np.zeros(1, dtype=np.int32), p, direction)
+        )
         step = 1e-5
         high, low = (
-            simulator.jacobian(np.zeros(1, dtype=np.int32), p + sign * step * direction[..., 0], direction)[0].copy()
+            simulator.jacobian(
+                np.zeros(1, dtype=np.int32), p + sign * step * direction[..., 0], direction
+            )[0].copy()
             for sign in (1.0, -1.0)
         )
         np.testing.assert_allclose(dq[..., 0], (high - low) / (2.0 * step), rtol=1e-6, atol=1e-9)
         if stiffness > 0.0:  # constant torque on a spring: x = tau / k (1 - cos(w t))
             turn = np.sqrt(stiffness / 0.05)
-            np.testing.assert_allclose(q[0], 0.18 / stiffness * (1.0 - np.cos(turn * run.sample_times_s)), rtol=1e-6)
+            np.testing.assert_allclose(
+                q[0], 0.18 / stiffness * (1.0 - np.cos(turn * run.sample_times_s)), rtol=1e-6
+            )
 
 
 @pytest.mark.long
@@ -140,7 +156,9 @@ def test_the_identifier_has_a_service_for_it(registered: None) -> None:
         "names = [parameter.name for parameter in IdentifierNode.parameters]\n"
         "print(services()['spring'], services()['spring_baseline'], {'spring_sequence', 'spring_baseline'} <= set(names))"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert said.split() == ["calibrate_spring", "record_spring_baseline", "True"]
 
 
@@ -164,7 +182,9 @@ def test_the_demo_shows_it(registered: None, tmp_path: Path) -> None:
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     found = re.match(r"spring ([0-9.]+) N m/rad, 95 % interval", done.stdout)
-    assert found is not None and "the virtual arm's spring was 0.4 N m/rad" in done.stdout, done.stdout
+    assert found is not None and "the virtual arm's spring was 0.4 N m/rad" in done.stdout, (
+        done.stdout
+    )
     assert abs(float(found[1]) - 0.4) < 0.05 and "baseline" in done.stdout, done.stdout
     assert "now an arm without its spring is in its hand" in done.stderr
     (page,) = (tmp_path / "demo").glob("*_spring/report.html")

@@ -45,9 +45,20 @@ def robot() -> Robot:
         "armature_kg_m2": DRIVE["armature"],
         **dict.fromkeys(("coulomb_N_m", "load_friction", "zero_rad", "stribeck"), 0.0),
     }
-    rest = {"torque_disturbance_N_m": 0.0, "onset_jitter_s": 0.0, "delay_s": 0.0, "stamp_jitter_s": 0.0}
-    rest |= {f"{encoder}resolution_rad": 0.0, f"{encoder}noise_rad": 1e-4, f"{encoder}once_per_turn_rad": 0.0}
-    return load_robot("open_manipulator_x").with_overrides({**{gripper + key: v for key, v in known.items()}, **rest})
+    rest = {
+        "torque_disturbance_N_m": 0.0,
+        "onset_jitter_s": 0.0,
+        "delay_s": 0.0,
+        "stamp_jitter_s": 0.0,
+    }
+    rest |= {
+        f"{encoder}resolution_rad": 0.0,
+        f"{encoder}noise_rad": 1e-4,
+        f"{encoder}once_per_turn_rad": 0.0,
+    }
+    return load_robot("open_manipulator_x").with_overrides(
+        {**{gripper + key: v for key, v in known.items()}, **rest}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,10 +71,19 @@ def travel(robot: Robot) -> float:
 
 
 def currents_A(robot: Robot, table: Response, modulus: float, ratio: float) -> list[float]:
-    return [travel(robot) * modulus * EDGE**2 * float(table(squeeze, ratio)[0]) / DRIVE["torque_constant"] for squeeze in SQUEEZES]
+    return [
+        travel(robot)
+        * modulus
+        * EDGE**2
+        * float(table(squeeze, ratio)[0])
+        / DRIVE["torque_constant"]
+        for squeeze in SQUEEZES
+    ]
 
 
-def explicit(robot: Robot, frames: int, current_A: float, moduli: np.ndarray, mass: float, substeps: int) -> np.ndarray:
+def explicit(
+    robot: Robot, frames: int, current_A: float, moduli: np.ndarray, mass: float, substeps: int
+) -> np.ndarray:
     """Shaft angles at the end of every frame [rad] for some pairs of modulus and ratio, shape (W, frames)."""
     rows = []
     for modulus, ratio in moduli:
@@ -81,9 +101,12 @@ def explicit(robot: Robot, frames: int, current_A: float, moduli: np.ndarray, ma
 
 @pytest.mark.long
 @pytest.mark.parametrize("cube", CUBES)
-def test_explicit_squeezes_identified_by_the_quasi_static_solver(robot: Robot, table: Response, cube: str) -> None:
+def test_explicit_squeezes_identified_by_the_quasi_static_solver(
+    robot: Robot, table: Response, cube: str
+) -> None:
     modulus, ratio, mass = CUBES[cube]
-    start_m, before_s = 0.01, np.arange(-20, 0) * FRAME_S
+    start_m = 0.01
+    before_s = np.arange(-20, 0) * FRAME_S
     runs = []
     for number, current_A in enumerate(currents_A(robot, table, modulus, ratio)):
         q = explicit(robot, 40, current_A, np.array([[modulus, ratio]]), mass, 128)[0]
@@ -105,10 +128,13 @@ def test_explicit_squeezes_identified_by_the_quasi_static_solver(robot: Robot, t
             )
         )
     starts = tuple((modulus * FACTORS).tolist())
-    estimate = find_softness(robot, runs, BlockFacts(np.full(3, EDGE)), SqueezeOptions(starts_Pa=starts))
+    estimate = find_softness(
+        robot, runs, BlockFacts(np.full(3, EDGE)), SqueezeOptions(starts_Pa=starts)
+    )
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     assert estimate.solver is not None and estimate.solver.starts_agreeing == 5
-    told, told_ratio = estimate.value("youngs_modulus"), estimate.value("poissons_ratio")
+    told = estimate.value("youngs_modulus")
+    told_ratio = estimate.value("poissons_ratio")
     # by how much the solvers differ, which no interval knows
     assert told.value == pytest.approx(modulus, rel=0.005)
     assert told_ratio.value == pytest.approx(ratio, abs=0.02)
@@ -116,9 +142,13 @@ def test_explicit_squeezes_identified_by_the_quasi_static_solver(robot: Robot, t
 
 @pytest.mark.long
 @pytest.mark.parametrize("cube", CUBES)
-def test_quasi_static_squeezes_identified_by_the_explicit_solver(robot: Robot, table: Response, cube: str) -> None:
+def test_quasi_static_squeezes_identified_by_the_explicit_solver(
+    robot: Robot, table: Response, cube: str
+) -> None:
     modulus, ratio, mass = CUBES[cube]
-    frames, substeps = 40, {"light": 96, "heavy": 192}[cube]  # short enough steps for ten times the modulus
+    # short enough steps for ten times the modulus
+    frames = 40
+    substeps = {"light": 96, "heavy": 192}[cube]
     times_s = np.arange(1, frames + 1) * FRAME_S
     p = np.zeros((1, len(SQUEEZE_PARAMETERS)))
     for name, value in {
@@ -129,13 +159,17 @@ def test_quasi_static_squeezes_identified_by_the_explicit_solver(robot: Robot, t
     pushed = currents_A(robot, table, modulus, ratio)[::2]
     recorded = []
     for current_A in pushed:
-        joint = JointRun(times_s, np.zeros(1), np.array([current_A]), step_s=1 / 960, fine_step_s=1 / 960)
+        joint = JointRun(
+            times_s, np.zeros(1), np.array([current_A]), step_s=1 / 960, fine_step_s=1 / 960
+        )
         run = SqueezeRun(joint, EDGE, EDGE**2, travel(robot), table)
         recorded.append(SqueezeSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)[0][0])
 
     def simulated(points: np.ndarray) -> np.ndarray:
         moduli = np.stack([np.exp(points[:, 0]), points[:, 1]], axis=1)
-        return np.hstack([explicit(robot, frames, current_A, moduli, mass, substeps) for current_A in pushed])
+        return np.hstack(
+            [explicit(robot, frames, current_A, moduli, mass, substeps) for current_A in pushed]
+        )
 
     def residual(point: np.ndarray) -> np.ndarray:
         return (simulated(point[None])[0] - np.hstack(recorded)) / 1e-3
@@ -149,6 +183,8 @@ def test_quasi_static_squeezes_identified_by_the_explicit_solver(robot: Robot, t
     bounds = ([np.log(modulus * 0.05), 0.0], [np.log(modulus * 20.0), 0.45])
     for factor in FACTORS:
         begin = np.array([np.log(modulus * factor), 0.3])
-        found = least_squares(residual, begin, jacobian, bounds, x_scale=np.array([1.0, 0.3]), xtol=1e-6, max_nfev=40)
+        found = least_squares(
+            residual, begin, jacobian, bounds, x_scale=np.array([1.0, 0.3]), xtol=1e-6, max_nfev=40
+        )
         assert np.exp(found.x[0]) == pytest.approx(modulus, rel=0.01), factor
         assert found.x[1] == pytest.approx(ratio, abs=0.02), factor

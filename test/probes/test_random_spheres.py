@@ -10,7 +10,18 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from support.rolling_box import ARM_AT_M, ARM_KG, FACTS, REACH_M, SHELL_KG, TORQUE_CONSTANT, Case, draw, known_robot, recorded
+from support.rolling_box import (
+    ARM_AT_M,
+    ARM_KG,
+    FACTS,
+    REACH_M,
+    SHELL_KG,
+    TORQUE_CONSTANT,
+    Case,
+    draw,
+    known_robot,
+    recorded,
+)
 
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import Findings
@@ -101,7 +112,8 @@ def test_bounces_of_another_law(robot: Robot) -> None:
     Whatever is told is right, and what is not told has its reason.
     """
     case = draw(SEED)[3]
-    half_s, count = 0.1, 15
+    half_s = 0.1
+    count = 15
     hold = -9.81 * (ARM_KG * ARM_AT_M + (SHELL_KG + case.mass_kg) * REACH_M) / TORQUE_CONSTANT
     wild = replace(
         case,
@@ -114,29 +126,45 @@ def test_bounces_of_another_law(robot: Robot) -> None:
     estimate = find_sphere(robot, [run], facts)
     mass = estimate.value("sphere_mass")
     if mass.value is not None:
-        assert estimate.verdict is Verdict.ACCEPTED and abs(mass.value / case.mass_kg - 1.0) < 0.02, estimate.reasons
+        assert (
+            estimate.verdict is Verdict.ACCEPTED and abs(mass.value / case.mass_kg - 1.0) < 0.02
+        ), estimate.reasons
     else:
         assert estimate.verdict is not Verdict.ACCEPTED
-        assert any("the first half of the runs is explained" in r or "bounces" in r for r in estimate.reasons)
+        assert any(
+            "the first half of the runs is explained" in r or "bounces" in r
+            for r in estimate.reasons
+        )
 
 
-def test_where_nobody_can_say_where_the_sphere_is(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nobody_can_say_where_the_sphere_is(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From a start that is only known to 6 mm its bounces are soon anybody's guess; the samples after that are left out."""
     _, run, _ = drawn(3)
-    facts = replace(FACTS, start=np.array([0.0, 0.0, 0.008]), start_std=6e-3, damping_ratio=Quantity(0.03, 0.02))
+    facts = replace(
+        FACTS, start=np.array([0.0, 0.0, 0.008]), start_std=6e-3, damping_ratio=Quantity(0.03, 0.02)
+    )
     estimate = find_sphere(robot, [run], facts)
-    assert any("bounces make its place unpredictable" in reason for reason in estimate.reasons), estimate.reasons
+    assert any("bounces make its place unpredictable" in reason for reason in estimate.reasons), (
+        estimate.reasons
+    )
     assert estimate.detail.paths[0].times_s[-1] < run.times_s[-1]
     monkeypatch.setattr(container_search, "LOST_SHARE", 1e-6)
     monkeypatch.setattr(container_search, "LOST_GROWTH", 0.5)
     estimate = find_sphere(robot, [run], facts)
-    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and "bounces too chaotically" in estimate.reasons[0]
+    assert (
+        estimate.verdict is Verdict.NOT_IDENTIFIABLE
+        and "bounces too chaotically" in estimate.reasons[0]
+    )
 
 
 def test_more_than_one_mass(robot: Robot) -> None:
     """Two ends of the search that explain the recording alike are both named."""
     _, run, _ = drawn(0)
-    search = SphereSearch(robot, FACTS, ContainerOptions()).added(prepare_run(robot, run, None, FACTS.shell), True)
+    search = SphereSearch(robot, FACTS, ContainerOptions()).added(
+        prepare_run(robot, run, None, FACTS.shell), True
+    )
     nominal, fit = search.fits()
     other = fit.solution.internal[fit.solution.best].copy()
     other[fit.column("sphere_mass")] += 0.5
@@ -147,10 +175,15 @@ def test_more_than_one_mass(robot: Robot) -> None:
         path=np.stack([fit.solution.path[:, fit.solution.best]] * 2, axis=1),
         path_cost=np.stack([fit.solution.path_cost[:, fit.solution.best]] * 2, axis=1),
     )
-    estimate = WeighedSphere(nominal, replace(fit, solution=solution), Findings(), 1, search).estimate()
+    estimate = WeighedSphere(
+        nominal, replace(fit, solution=solution), Findings(), 1, search
+    ).estimate()
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
     assert estimate.reasons[0].startswith("more than one mass explains the recording: ")
-    masses = [float(words.split()[0]) for words in estimate.reasons[0].split(": ")[1].split(";")[0].split(", ")]
+    masses = [
+        float(words.split()[0])
+        for words in estimate.reasons[0].split(": ")[1].split(";")[0].split(", ")
+    ]
     assert masses[1] > 1.3 * masses[0]
 
 
@@ -164,7 +197,8 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
     """
     from spheres import EFFECTS, one_robot
 
-    answers, refused = [], []
+    answers = []
+    refused = []
     for seed in (2000, 2003):
         found, why = one_robot((seed, EFFECTS))
         answers += found
@@ -191,7 +225,9 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
         (3.0, 4.1, None, "runs_contradict"),
     ],
 )
-def test_when_masses_contradict_each_other(one_g: float, others_g: float, half_g: float | None, code: str | None) -> None:
+def test_when_masses_contradict_each_other(
+    one_g: float, others_g: float, half_g: float | None, code: str | None
+) -> None:
     """Masses within 1 g or 10 % do not contradict each other, and half of the difference is uncertainty."""
     apart = compared("odd", 1e-3 * one_g, 1e-3 * others_g, 0.5e-3 * (one_g + others_g))
     assert getattr(apart.sentence, "code", None) == code
@@ -213,15 +249,24 @@ def test_a_run_that_nothing_can_be_compared_with_contradicts_the_others(robot: R
 @pytest.mark.parametrize(("factor", "accepted"), [(1.02, True), (1.3, False)])
 def test_runs_of_nearly_the_same_sphere(robot: Robot, factor: float, accepted: bool) -> None:
     """Two spheres that differ by 2 % are one answer that covers both; spheres that differ by 30 % are none."""
-    case, other = draw(SEED)[0], draw(SEED)[2]
+    case = draw(SEED)[0]
+    other = draw(SEED)[2]
     mass = 0.03
-    runs = [recorded(replace(case, mass_kg=mass), SEED)[0], recorded(replace(other, mass_kg=factor * mass), SEED)[0]]
+    runs = [
+        recorded(replace(case, mass_kg=mass), SEED)[0],
+        recorded(replace(other, mass_kg=factor * mass), SEED)[0],
+    ]
     estimate = find_sphere(robot, runs, FACTS)
     value = estimate.value("sphere_mass")
     if accepted:
         assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
-        assert any("the interval carries half of that" in reason for reason in estimate.reasons), estimate.reasons
+        assert any("the interval carries half of that" in reason for reason in estimate.reasons), (
+            estimate.reasons
+        )
         assert value.std is not None and value.std > 0.4 * (factor - 1.0) * mass
         assert value.ci95[0] < mass and value.ci95[1] > factor * mass
     else:
-        assert estimate.verdict is Verdict.REJECTED and "contradicts the other runs" in estimate.reasons[0]
+        assert (
+            estimate.verdict is Verdict.REJECTED
+            and "contradicts the other runs" in estimate.reasons[0]
+        )

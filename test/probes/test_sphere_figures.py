@@ -38,11 +38,18 @@ def rolled(
 ) -> SpherePath:
     """A sphere that rolls along x while the container turns by 100 degrees about ``across``."""
     times = np.linspace(0.0, 0.6, count)
-    position = np.outer(np.linspace(-0.012, 0.008, count), [1.0, 0.0, 0.0]) + np.array([0.0, 0.001, -0.007])
+    position = np.outer(np.linspace(-0.012, 0.008, count), [1.0, 0.0, 0.0]) + np.array(
+        [0.0, 0.001, -0.007]
+    )
     axis = np.array(across)
-    turns = [(np.eye(3) if first is None else first) @ rotation(axis, angle) for angle in np.linspace(0.0, 1.75, count)]
+    turns = [
+        (np.eye(3) if first is None else first) @ rotation(axis, angle)
+        for angle in np.linspace(0.0, 1.75, count)
+    ]
     std = np.full((count, 3), std_m)
-    return SpherePath("run", shape, np.array(INSIDES[shape]), 0.008, times, position, std, np.array(turns), axis)
+    return SpherePath(
+        "run", shape, np.array(INSIDES[shape]), 0.008, times, position, std, np.array(turns), axis
+    )
 
 
 def numbers(text: str) -> np.ndarray:
@@ -66,7 +73,9 @@ def test_start_and_end_are_where_the_path_says_in_mm() -> None:
     path = rolled()
     lifted = replace(path, position=path.position + np.array([0.0, 0.5, 0.003]))
     start = next(c for c in drawn(path_figure(lifted, 1), "circle") if c.get("class") == "start")
-    assert (start.attrib["cx"], start.attrib["cy"]) == ("-12", "-4"), "z shows, and y, the line of sight, does not"
+    assert (start.attrib["cx"], start.attrib["cy"]) == ("-12", "-4"), (
+        "z shows, and y, the line of sight, does not"
+    )
 
 
 @pytest.mark.parametrize(
@@ -97,7 +106,9 @@ def test_the_inside_as_large_as_it_looks_from_there(
 def test_corners_of_a_box_and_roundness_of_the_others() -> None:
     box = silhouette(path_figure(rolled("box"), 1))
     assert sorted(map(tuple, box)) == [(-30, -20), (-30, 20), (30, -20), (30, 20)]
-    assert np.linalg.norm(silhouette(path_figure(rolled("sphere"), 1)), axis=1) == pytest.approx(35.0, abs=0.02)
+    assert np.linalg.norm(silhouette(path_figure(rolled("sphere"), 1)), axis=1) == pytest.approx(
+        35.0, abs=0.02
+    )
 
 
 def axes_by_gravity(path: SpherePath) -> np.ndarray:
@@ -113,13 +124,27 @@ def test_in_the_moving_picture_everything_is_where_it_was_in_the_world(seed: int
     """The sphere's place, turned as the page turns it, is its place in the world as seen by one who looks along the joint."""
     rng = np.random.default_rng(seed)
     across = rng.normal(size=3)
-    path = rolled(("box", "cylinder", "sphere")[seed % 3], tuple(across), rotation(rng.normal(size=3), rng.uniform(0, 6)))
+    path = rolled(
+        ("box", "cylinder", "sphere")[seed % 3],
+        tuple(across),
+        rotation(rng.normal(size=3), rng.uniform(0, 6)),
+    )
     [turn] = drawn(moving_figure(path, 1), "animateTransform")
-    moves = {a.attrib["attributeName"]: numbers(a.attrib["values"]) for a in drawn(moving_figure(path, 1), "animate")}
+    moves = {
+        a.attrib["attributeName"]: numbers(a.attrib["values"])
+        for a in drawn(moving_figure(path, 1), "animate")
+    }
     angle = np.radians(numbers(turn.attrib["values"]))
-    x, y = moves["cx"], moves["cy"]
-    page = np.stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1)
-    world = 1e3 * np.einsum("kij,kj->ki", path.world_from_container, path.position) @ axes_by_gravity(path).T
+    x = moves["cx"]
+    y = moves["cy"]
+    page = np.stack(
+        [np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1
+    )
+    world = (
+        1e3
+        * np.einsum("kij,kj->ki", path.world_from_container, path.position)
+        @ axes_by_gravity(path).T
+    )
     assert page[:-1] == pytest.approx(world, abs=0.02)
     assert page[-1] == pytest.approx(page[-2]), "it rests before it starts again"
 
@@ -128,7 +153,9 @@ def test_the_moving_picture_takes_five_times_as_long() -> None:
     text = moving_figure(rolled(), 1)
     keys = numbers(drawn(text, "animateTransform")[0].attrib["keyTimes"])
     assert keys[0] == 0.0 and keys[-1] == 1.0 and (np.diff(keys) > 0.0).all()
-    assert {a.attrib["dur"] for a in [*drawn(text, "animate"), *drawn(text, "animateTransform")]} == {"4.00s"}
+    assert {
+        a.attrib["dur"] for a in [*drawn(text, "animate"), *drawn(text, "animateTransform")]
+    } == {"4.00s"}
     assert keys[:-1] * 4.0 == pytest.approx(5.0 * rolled().times_s, abs=1e-3)
     for moving in drawn(text, "animate"):
         assert len(numbers(moving.attrib["keyTimes"])) == len(moving.attrib["values"].split(";"))
@@ -146,13 +173,20 @@ def test_the_clock_shows_one_time_at_a_time() -> None:
             if change["values"].split(";")[row] == "visible":
                 shown.append(float(text.text.split()[0]))
         [time] = shown
-        assert time <= min(share * 4.0 / 5.0, 0.6) + 0.006 and time > min(share * 4.0 / 5.0, 0.6) - 0.032
+        assert (
+            time <= min(share * 4.0 / 5.0, 0.6) + 0.006
+            and time > min(share * 4.0 / 5.0, 0.6) - 0.032
+        )
 
 
 def arrows(text: str) -> np.ndarray:
     """From tail to tip of every arrow, upwards counted positive, shape (N, 2)."""
     groups = [group for group in drawn(text, "g") if group.get("class") == "gravity"]
-    shafts = [numbers(path.attrib["d"]).reshape(2, 2) for group in groups for path in group.iter(SVG + "path")]
+    shafts = [
+        numbers(path.attrib["d"]).reshape(2, 2)
+        for group in groups
+        for path in group.iter(SVG + "path")
+    ]
     return np.array([(shaft[1] - shaft[0]) * [1.0, -1.0] for shaft in shafts])
 
 
@@ -162,7 +196,10 @@ def test_gravity_at_the_start_and_the_end() -> None:
     assert start / np.linalg.norm(start) == pytest.approx([0.0, -1.0], abs=1e-3)
     # the container turned by 1.75 rad about y, so in it gravity turned back by as much: x = sin, z = -cos
     assert end / np.linalg.norm(end) == pytest.approx([np.sin(1.75), -np.cos(1.75)], abs=1e-3)
-    assert arrows(moving_figure(path, 1)).shape == (1, 2) and arrows(moving_figure(path, 1))[0][1] < 0.0
+    assert (
+        arrows(moving_figure(path, 1)).shape == (1, 2)
+        and arrows(moving_figure(path, 1))[0][1] < 0.0
+    )
 
 
 def test_a_joint_that_stands_upright_has_gravity_along_the_line_of_sight() -> None:
@@ -180,10 +217,14 @@ def test_the_band_is_two_standard_deviations_and_only_where_it_shows() -> None:
     assert len(ellipses) == len(path.times_s)
     sizes = [float(ellipses[0].attrib[key]) for key in ("rx", "ry")]
     turn = numbers(ellipses[0].attrib["transform"])[2]
-    assert sizes == [4.0, 2.0] and abs(turn) == pytest.approx(90.0), "longest upwards, along z; y is the line of sight"
+    assert sizes == [4.0, 2.0] and abs(turn) == pytest.approx(90.0), (
+        "longest upwards, along z; y is the line of sight"
+    )
     assert not drawn(path_figure(rolled(std_m=1e-6), 1), "ellipse")
     flat = replace(path, std=path.std * [1.0, 1.0, 0.0])
-    assert all(float(e.attrib["ry"]) > 0.0 for e in drawn(path_figure(flat, 1), "ellipse")), "without width it would vanish"
+    assert all(float(e.attrib["ry"]) > 0.0 for e in drawn(path_figure(flat, 1), "ellipse")), (
+        "without width it would vanish"
+    )
 
 
 def test_samples_that_are_no_numbers_are_left_out() -> None:
@@ -195,7 +236,9 @@ def test_samples_that_are_no_numbers_are_left_out() -> None:
     for text in (path_figure(shown, 1), moving_figure(shown, 1)):
         assert "nan" not in text
     assert drawable(replace(path, position=np.full_like(position, np.nan))) is None
-    one = drawable(replace(path, position=np.where(np.arange(25)[:, None] == 3, path.position, np.nan)))
+    one = drawable(
+        replace(path, position=np.where(np.arange(25)[:, None] == 3, path.position, np.nan))
+    )
     assert one is not None and "nan" not in path_figure(one, 1) + moving_figure(one, 1)
 
 
@@ -223,7 +266,9 @@ def estimate() -> Estimate:
         ),
         unknowns=(),  # those of a payload
         run_fits=weighed.run_fits * 6,
-        detail=ContainerDetail(tuple(replace(rolled(shape), run=f"tilted <{shape}>") for shape in INSIDES)),
+        detail=ContainerDetail(
+            tuple(replace(rolled(shape), run=f"tilted <{shape}>") for shape in INSIDES)
+        ),
     )
 
 
@@ -234,14 +279,20 @@ def test_the_page_of_three_runs(estimate: Estimate, tmp_path: Path) -> None:
     assert page.stat().st_size < 300_000
     assert [reader.classes.count(kind) for kind in ("chart", "arm", "sphere")] == [6 + 2, 1, 3 * 2]
     assert "container in the hand of open_manipulator_x, 3 runs" in text
-    for words in ("11.9 g sphere mass, 95 % interval 10.6 to 13.2 g", "30.3 g container mass", "Misfit over sphere mass"):
+    for words in (
+        "11.9 g sphere mass, 95 % interval 10.6 to 13.2 g",
+        "30.3 g container mass",
+        "Misfit over sphere mass",
+    ):
         assert words in text
     assert "payload mass" not in text and text.count("sphere mass (g)") == 2, "in the plots, too"
     for shape in INSIDES:
         assert f"tilted <{shape}>" in text
     assert "moved by up to 20.0 mm" in text
     ids = re.findall(r'\bid="([^"]+)"', page.read_text())
-    assert [i for i in ids if i.startswith("sphere-time")] == [f"sphere-time-{n}" for n in (1, 2, 3)]
+    assert [i for i in ids if i.startswith("sphere-time")] == [
+        f"sphere-time-{n}" for n in (1, 2, 3)
+    ]
     pointed_at = re.findall(r'(?:xlink:href="#|url\(#)([^")]+)', page.read_text())
     assert pointed_at and set(pointed_at) <= set(ids)
     pictures = reader.tags.count("svg") - reader.classes.count("plot")

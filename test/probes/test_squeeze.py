@@ -39,8 +39,13 @@ def calibrated(recordings: Path) -> Callable[[str], Robot]:
     def robot_of(level: str) -> Robot:
         if level not in known:
             robot = load_robot("open_manipulator_x")
-            folders = [*sorted((recordings / level).glob("empty_*")), *sorted((recordings / level).glob("squeeze_empty_*"))]
-            estimate = calibrate(robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)])
+            folders = [
+                *sorted((recordings / level).glob("empty_*")),
+                *sorted((recordings / level).glob("squeeze_empty_*")),
+            ]
+            estimate = calibrate(
+                robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)]
+            )
             assert estimate.calibration is not None
             known[level] = robot.with_calibration(estimate.calibration)
         return known[level]
@@ -66,7 +71,9 @@ def of_heavy(recordings: Path, calibrated: Callable[[str], Robot]) -> Estimate:
         pytest.param("hard_s00", 0.1, marks=pytest.mark.long),
     ],
 )
-def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], level: str, worst: float) -> None:
+def test_youngs_modulus(
+    recordings: Path, calibrated: Callable[[str], Robot], level: str, worst: float
+) -> None:
     for name in BLOCKS:
         folder = recordings / level / f"squeeze_{name}"
         _, modulus, _ = cube_of(folder)
@@ -83,19 +90,26 @@ def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], le
 
 
 @pytest.mark.long
-def test_squeezes_of_two_blocks_contradict_each_other(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
-    robot, level = calibrated("friction_s00"), recordings / "friction_s00"
+def test_squeezes_of_two_blocks_contradict_each_other(
+    recordings: Path, calibrated: Callable[[str], Robot]
+) -> None:
+    robot = calibrated("friction_s00")
+    level = recordings / "friction_s00"
     runs = [*runs_of(level / "squeeze_light", robot), *runs_of(level / "squeeze_heavy", robot)]
     estimate = find_softness(robot, runs, BlockFacts(np.full(3, 0.03)))
     assert estimate.verdict is Verdict.REJECTED and estimate.value("youngs_modulus").value is None
     sentence = estimate.reasons[0]
     assert "contradicts the other runs" in sentence and "was the same block held" in sentence
-    said = sorted(float(word.split(" kPa")[0]) for word in sentence.split("it says ")[1].split("they say "))
+    said = sorted(
+        float(word.split(" kPa")[0]) for word in sentence.split("it says ")[1].split("they say ")
+    )
     assert said == pytest.approx([45.2, 201.2], rel=0.05)
 
 
 @pytest.mark.long
-def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+def test_poissons_ratio_where_the_squeeze_is_large(
+    recordings: Path, calibrated: Callable[[str], Robot]
+) -> None:
     for name in ("light", "random"):
         folder = recordings / "ideal_s00" / f"squeeze_{name}"
         value = squeezed(calibrated("ideal_s00"), folder).value("poissons_ratio")
@@ -103,11 +117,16 @@ def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated:
 
 
 @pytest.mark.long
-def test_a_ratio_at_the_end_of_the_search_is_not_stated(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+def test_a_ratio_at_the_end_of_the_search_is_not_stated(
+    recordings: Path, calibrated: Callable[[str], Robot]
+) -> None:
     folder = recordings / "realistic_s01" / "squeeze_random"
     estimate = squeezed(calibrated("realistic_s01"), folder, poissons_ratio=Quantity(0.0, 0.001))
-    ratio, lam = estimate.value("poissons_ratio"), estimate.value("lame_lambda")
-    assert ratio.value is None and lam.value is None and "the end of what is searched" in ratio.reason
+    ratio = estimate.value("poissons_ratio")
+    lam = estimate.value("lame_lambda")
+    assert (
+        ratio.value is None and lam.value is None and "the end of what is searched" in ratio.reason
+    )
     assert estimate.value("lame_mu").value is not None
     assert estimate.detail.joint is not None and not estimate.detail.joint.determined
 
@@ -127,7 +146,9 @@ def test_a_stiff_block_that_is_pressed_by_a_fifth(
         assert ratio.value is None and ratio.reason.startswith("prior_dominated")
 
 
-def test_what_the_squeeze_does_not_determine_is_not_stated(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+def test_what_the_squeeze_does_not_determine_is_not_stated(
+    recordings: Path, calibrated: Callable[[str], Robot]
+) -> None:
     """With a prior that is narrower than what the recording determines, Poisson's ratio is the prior's, and lambda with it."""
     folder = recordings / "quantised_s00" / "squeeze_heavy"
     estimate = squeezed(calibrated("quantised_s00"), folder, poissons_ratio=Quantity(0.3, 0.03))
@@ -139,12 +160,18 @@ def test_what_the_squeeze_does_not_determine_is_not_stated(recordings: Path, cal
 
 
 def test_lame_parameters_follow(recordings: Path, of_heavy: Estimate) -> None:
-    folder, estimate = recordings / "friction_s00" / "squeeze_heavy", of_heavy
-    mu, lam = estimate.value("lame_mu"), estimate.value("lame_lambda")
+    folder = recordings / "friction_s00" / "squeeze_heavy"
+    estimate = of_heavy
+    mu = estimate.value("lame_mu")
+    lam = estimate.value("lame_lambda")
     back = young(mu.value, lam.value)
-    np.testing.assert_allclose(back, [estimate.values[0].value, estimate.values[1].value], rtol=1e-12)
+    np.testing.assert_allclose(
+        back, [estimate.values[0].value, estimate.values[1].value], rtol=1e-12
+    )
     cube = json.loads((folder / "truth.json").read_text())["cube"]
-    assert mu.ci95[0] <= cube["k_mu"] <= mu.ci95[1] and lam.ci95[0] <= cube["k_lambda"] <= lam.ci95[1]
+    assert (
+        mu.ci95[0] <= cube["k_mu"] <= mu.ci95[1] and lam.ci95[0] <= cube["k_lambda"] <= lam.ci95[1]
+    )
 
 
 @pytest.mark.long
@@ -156,19 +183,34 @@ def test_uncalibrated_is_wide_and_says_so(recordings: Path) -> None:
     if value.value is None:
         assert estimate.verdict is not Verdict.ACCEPTED and "calibrat" in " ".join(estimate.reasons)
     else:
-        assert value.std > 0.05 * value.value and any("not been calibrated" in reason for reason in estimate.reasons)
+        assert value.std > 0.05 * value.value and any(
+            "not been calibrated" in reason for reason in estimate.reasons
+        )
 
 
-def test_an_empty_gripper_squeezes_nothing(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+def test_an_empty_gripper_squeezes_nothing(
+    recordings: Path, calibrated: Callable[[str], Robot]
+) -> None:
     robot = calibrated("realistic_s00")
-    estimate = find_softness(robot, runs_of(recordings / "realistic_s00" / "squeeze_empty_1", robot), BlockFacts(np.full(3, 0.03)))
-    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("youngs_modulus").value is None
+    estimate = find_softness(
+        robot,
+        runs_of(recordings / "realistic_s00" / "squeeze_empty_1", robot),
+        BlockFacts(np.full(3, 0.03)),
+    )
+    assert (
+        estimate.verdict is Verdict.NOT_IDENTIFIABLE
+        and estimate.value("youngs_modulus").value is None
+    )
 
 
 def test_only_fingers_squeeze(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     robot = calibrated("realistic_s00")
     with pytest.raises(RecordingError, match="slides no finger"):
-        find_softness(robot, runs_of(recordings / "realistic_s00" / "empty_00_joint3", robot), BlockFacts(np.full(3, 0.03)))
+        find_softness(
+            robot,
+            runs_of(recordings / "realistic_s00" / "empty_00_joint3", robot),
+            BlockFacts(np.full(3, 0.03)),
+        )
 
 
 @pytest.mark.parametrize(
@@ -192,21 +234,36 @@ def test_bad_facts_get_one_line(recordings: Path, settings: dict[str, Any], word
 
 
 def test_facts_from_settings() -> None:
-    facts = block_facts(Settings({"block.size": 0.02, "block.contact": "bonded"}), probe_file("softness")["block"])
-    assert facts.size.tolist() == [0.02] * 3 and facts.contact == "bonded" and facts.area == pytest.approx(4e-4)
+    facts = block_facts(
+        Settings({"block.size": 0.02, "block.contact": "bonded"}), probe_file("softness")["block"]
+    )
+    assert (
+        facts.size.tolist() == [0.02] * 3
+        and facts.contact == "bonded"
+        and facts.area == pytest.approx(4e-4)
+    )
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("modulus", [2e4, 1e5, 5e5])
 @pytest.mark.parametrize("baseline", [False, True])
-def test_gradient_of_the_cost(recordings: Path, calibrated: Callable[[str], Robot], modulus: float, baseline: bool) -> None:
+def test_gradient_of_the_cost(
+    recordings: Path, calibrated: Callable[[str], Robot], modulus: float, baseline: bool
+) -> None:
     """Every unknown, through simulator, gap, viscosity and the runs without a block, against finite differences."""
     robot = calibrated("realistic_s00")
     level = recordings / "realistic_s00"
     folders = [level / "squeeze_heavy", *([level / "squeeze_empty_1"] * baseline)]
-    runs = [prepare_run(robot, run, KnownLoad(), past_fast=True) for f in folders for run in runs_of(f, robot)]
-    facts, squeezing = BlockFacts(np.full(3, 0.03)), [True, *([False] * baseline)]
-    problem = SqueezeProblem(robot, runs, facts, squeezing, block_unknowns(robot, runs, squeezing, facts, Role.FREE))
+    runs = [
+        prepare_run(robot, run, KnownLoad(), past_fast=True)
+        for f in folders
+        for run in runs_of(f, robot)
+    ]
+    facts = BlockFacts(np.full(3, 0.03))
+    squeezing = [True, *([False] * baseline)]
+    problem = SqueezeProblem(
+        robot, runs, facts, squeezing, block_unknowns(robot, runs, squeezing, facts, Role.FREE)
+    )
     base = problem.coordinates.prior_mean.copy()
     names = [problem.unknowns[row].name for row in problem.free]
     base[names.index("youngs_modulus")] = modulus
@@ -217,15 +274,20 @@ def test_gradient_of_the_cost(recordings: Path, calibrated: Callable[[str], Robo
             base[row] = max(base[row], 1e-2)
     internal = problem.coordinates.internal(base)
     gradient = problem.linearise(internal[None])[1][0]
-    steps = 1e-6 * problem.coordinates.natural  # the fingers stop for a moment, and a longer step may change when
+    # the fingers stop for a moment, and a longer step may change when
+    steps = 1e-6 * problem.coordinates.natural
     for row, name in enumerate(names):
-        up, down = internal.copy(), internal.copy()
+        up = internal.copy()
+        down = internal.copy()
         up[row] += steps[row]
         down[row] -= steps[row]
         cost = problem.linearise(np.array([up, down]))[0]
         slope = (cost[0] - cost[1]) / (2.0 * steps[row])
         scale = max(
-            abs(gradient[row]), 1e-4 * np.abs(gradient * problem.coordinates.natural).max() / problem.coordinates.natural[row]
+            abs(gradient[row]),
+            1e-4
+            * np.abs(gradient * problem.coordinates.natural).max()
+            / problem.coordinates.natural[row],
         )
         assert abs(slope - gradient[row]) < 2e-4 * scale, name
 
@@ -240,7 +302,9 @@ def test_starts_over_two_orders_of_magnitude(of_heavy: Estimate) -> None:
 def test_replay_is_the_same(recordings: Path, tmp_path: Path) -> None:
     """Through `replay`, uncalibrated: the same number as by hand."""
     folder = recordings / "friction_s00" / "squeeze_heavy"
-    estimate = replay([bag_in(folder)], Options(probe="softness", settings={"block.size": [0.03, 0.03, 0.03]}))
+    estimate = replay(
+        [bag_in(folder)], Options(probe="softness", settings={"block.size": [0.03, 0.03, 0.03]})
+    )
     own = squeezed(load_robot("open_manipulator_x"), folder)
     assert replace(estimate.values[0]) == own.values[0]
     assert estimate.as_json()["probe"] == "softness"
@@ -249,8 +313,13 @@ def test_replay_is_the_same(recordings: Path, tmp_path: Path) -> None:
 def test_from_a_clone(bags: Path) -> None:
     """The recordings that come with the package, and nothing else: 7 % off at most, as on the others of that robot."""
     robot = load_robot("open_manipulator_x")
-    folders = [*sorted(bags.glob("realistic_s00_empty_*")), *sorted(bags.glob("realistic_s00_squeeze_empty_*"))]
-    known = calibrate(robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)]).calibration
+    folders = [
+        *sorted(bags.glob("realistic_s00_empty_*")),
+        *sorted(bags.glob("realistic_s00_squeeze_empty_*")),
+    ]
+    known = calibrate(
+        robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)]
+    ).calibration
     assert known is not None
     for name in ("light", "heavy"):
         folder = bags / f"realistic_s00_squeeze_{name}"
@@ -266,9 +335,13 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
     cube = box(np.full(3, 30.0), (2, 2, 2))
     path = tmp_path / "cube.vtk"
     meshio.write(path, meshio.Mesh(cube.points, [("tetra", cube.tets)]))
-    bag = bag_in(bags / "realistic_s00_squeeze_heavy")  # not squeezed beyond 60 %, where the table of a mesh ends
+    # not squeezed beyond 60 %, where the table of a mesh ends
+    bag = bag_in(bags / "realistic_s00_squeeze_heavy")
     settings = {"block.mesh": str(path), "block.mesh_scale": 0.001}
-    told, boxed = (replay([bag], Options(probe="softness", settings=given)).values[0] for given in (settings, {"block.size": 0.03}))
+    told, boxed = (
+        replay([bag], Options(probe="softness", settings=given)).values[0]
+        for given in (settings, {"block.size": 0.03})
+    )
     assert told.value == pytest.approx(boxed.value, rel=1e-3)
     with pytest.raises(ProprioError, match=r"block\.mesh_scale=0\.001"):
         replay([bag], Options(probe="softness", settings={"block.mesh": str(path)}))
@@ -276,9 +349,12 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
         replay([bag], Options(probe="softness", settings={"block.mesh": "nowhere.msh"}))
 
 
-def test_the_modulus_goes_with_the_fingers_travel(recordings: Path, calibrated: Callable[[str], Robot], of_heavy: Estimate) -> None:
+def test_the_modulus_goes_with_the_fingers_travel(
+    recordings: Path, calibrated: Callable[[str], Robot], of_heavy: Estimate
+) -> None:
     """A linkage that was measured: the same line as the ratio changes nothing, fingers that move less make the block stiffer."""
-    robot, folder = calibrated("friction_s00"), recordings / "friction_s00" / "squeeze_heavy"
+    robot = calibrated("friction_s00")
+    folder = recordings / "friction_s00" / "squeeze_heavy"
     drive = robot.drive_trains["gripper_left_joint"]
 
     def told(openings: list[float]) -> Estimate:
@@ -295,12 +371,15 @@ def test_the_modulus_goes_with_the_fingers_travel(recordings: Path, calibrated: 
     assert less.values[0].value == pytest.approx(plain.values[0].value / 0.9**2, rel=0.05)
 
 
-def test_both_lame_parameters_together(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+def test_both_lame_parameters_together(
+    recordings: Path, calibrated: Callable[[str], Robot]
+) -> None:
     folder = recordings / "friction_s00" / "squeeze_light"
     estimate = squeezed(calibrated("friction_s00"), folder)
     joint = estimate.detail.joint
     assert joint is not None and joint.determined and joint.names == ("lame_mu", "lame_lambda")
-    mu, lam = estimate.value("lame_mu"), estimate.value("lame_lambda")
+    mu = estimate.value("lame_mu")
+    lam = estimate.value("lame_lambda")
     np.testing.assert_allclose(joint.value, [mu.value, lam.value])
     np.testing.assert_allclose(np.sqrt(np.diag(joint.covariance)), [mu.std, lam.std])
     cube = json.loads((folder / "truth.json").read_text())["cube"]
@@ -309,7 +388,13 @@ def test_both_lame_parameters_together(recordings: Path, calibrated: Callable[[s
     # together the region is narrower than the two intervals make it
     inside = joint.outline - joint.value
     assert np.abs(inside[:, 0]).max() > 1.9 * mu.std and np.ptp(joint.outline[:, 1]) > 2.0 * lam.std
-    assert set(estimate.as_json()["joint_interval"]) == {"names", "unit", "value", "covariance", "outline95"}
+    assert set(estimate.as_json()["joint_interval"]) == {
+        "names",
+        "unit",
+        "value",
+        "covariance",
+        "outline95",
+    }
     json.dumps(estimate.as_json())
     of_prior = squeezed(calibrated("friction_s00"), folder, poissons_ratio=Quantity(0.13, 0.003))
     joint = of_prior.detail.joint
@@ -319,7 +404,11 @@ def test_both_lame_parameters_together(recordings: Path, calibrated: Callable[[s
 def test_the_report_shows_them(of_heavy: Estimate, tmp_path: Path) -> None:
     write_report(of_heavy, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
-    assert "Both Lamé parameters together" in page and "lambda (kPa)" in page and "force on a finger (N)" in page
+    assert (
+        "Both Lamé parameters together" in page
+        and "lambda (kPa)" in page
+        and "force on a finger (N)" in page
+    )
 
 
 @pytest.mark.long

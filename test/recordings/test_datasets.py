@@ -57,18 +57,24 @@ def test_an_episode_has_the_numbers_that_were_written(tmp_path: Path, version: s
     folder = write(tmp_path, *motions, version=version)
     assert is_data_set(folder) and not is_data_set(tmp_path)
     data = open_data_set(folder)
-    assert [each.length for each in data.episodes.values()] == [len(each.times_s) for each in motions]
+    assert [each.length for each in data.episodes.values()] == [
+        len(each.times_s) for each in motions
+    ]
     for index, written in enumerate(motions):
         recording = read(folder, index)
         assert recording.name == f"set#{index}" and recording.notes == ()
         assert recording.joints.names == JOINTS
-        assert np.allclose(1e-9 * recording.joints.times_ns, written.times_s, atol=1e-6)  # columns are float32
+        # columns are float32
+        assert np.allclose(1e-9 * recording.joints.times_ns, written.times_s, atol=1e-6)
         assert np.allclose(recording.joints.position, written.position, atol=1e-6)
         assert recording.inputs is not None and recording.inputs.source == MEASURED_EFFORT
         assert np.allclose(recording.inputs.current_A, written.current_A, atol=1e-6)
         assert recording.joints.effort is not None
-        assert np.allclose(recording.joints.effort, written.current_A * np.array(CONSTANTS), atol=1e-6)
-        assert recording.signals is not None and recording.signals.names == JOINTS  # where they were sent: action
+        assert np.allclose(
+            recording.joints.effort, written.current_A * np.array(CONSTANTS), atol=1e-6
+        )
+        # where they were sent: action
+        assert recording.signals is not None and recording.signals.names == JOINTS
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -80,26 +86,36 @@ def test_parts_cover_an_episode(tmp_path: Path, version: str) -> None:
     parts = [read(folder, 1, span=span).joints for span in spans]
     assert max(len(part.times_ns) for part in parts) <= 90
     assert np.array_equal(np.concatenate([part.position for part in parts]), whole.position)
-    with pytest.raises(RecordingError, match="no frames in this part of the recording; it has 300 in all"):
+    with pytest.raises(
+        RecordingError, match="no frames in this part of the recording; it has 300 in all"
+    ):
         read(folder, 1, span=(10**12, None))
 
 
 def test_the_meaning_of_effort_is_stated_or_left_out(tmp_path: Path) -> None:
     folder = write(tmp_path)
     recording = read(folder, effort_unit=None)
-    assert recording.inputs is None and recording.joints.effort is None and recording.joints.current is None
+    assert (
+        recording.inputs is None
+        and recording.joints.effort is None
+        and recording.joints.current is None
+    )
     assert recording.joints.reported_effort is not None
     current = read(folder, effort_unit="mA").inputs
     assert current is not None
     assert np.allclose(current.current_A, 1e-3 * recording.joints.reported_effort)
-    with pytest.raises(ConfigurationError, match=r"'counts' is not known; choose from N\.m, A, mA, raw"):
+    with pytest.raises(
+        ConfigurationError, match=r"'counts' is not known; choose from N\.m, A, mA, raw"
+    ):
         read(folder, effort_unit="counts")
 
 
 def test_joints_get_the_robots_names(tmp_path: Path) -> None:
     folder = write(tmp_path)
     assert read(folder, prefix="j", names={"1": "base"}).joints.names == ("base", "2", "3", "4")
-    with pytest.raises(RecordingError, match=r"two joints of observation\.state would have one name"):
+    with pytest.raises(
+        RecordingError, match=r"two joints of observation\.state would have one name"
+    ):
         read(folder, names={"j1": "j2"})
 
 
@@ -108,7 +124,13 @@ def test_units_are_those_of_the_profile(tmp_path: Path) -> None:
     degrees = replace(written, position=np.rad2deg(written.position))
     folder = write(tmp_path, degrees)
     given: dict[str, Any] = {"nominal_torque_constants": {"j1": 1.0}}
-    found = read(folder, 0, Columns(position_unit="deg", percent=("j4",)), limits={"j4": (-1.0, 1.0)}, **given)
+    found = read(
+        folder,
+        0,
+        Columns(position_unit="deg", percent=("j4",)),
+        limits={"j4": (-1.0, 1.0)},
+        **given,
+    )
     assert np.allclose(found.joints.position[:, :3], written.position[:, :3], atol=1e-5)
     assert np.allclose(found.joints.position[:, 3], -1.0 + 0.02 * degrees.position[:, 3], atol=1e-4)
     assert found.joints.current is not None and np.isnan(found.joints.current[:, 1]).all()
@@ -121,7 +143,9 @@ def test_frames_without_a_position_are_left_out_and_counted(tmp_path: Path) -> N
     written.position[[5, 6, 40], 2] = np.nan
     recording = read(write(tmp_path, written))
     assert len(recording.joints.times_ns) == len(written.times_s) - 3
-    assert recording.notes == (f"3 of {len(written.times_s)} frames have no finite position or no new time; they were left out.",)
+    assert recording.notes == (
+        f"3 of {len(written.times_s)} frames have no finite position or no new time; they were left out.",
+    )
     written.position[3:] = np.nan
     with pytest.raises(RecordingError, match="only 3 frames are usable, at least 5 are needed"):
         read(write(tmp_path / "few", written))
@@ -137,7 +161,10 @@ def test_an_effort_that_is_missing_in_some_frames_is_held_as_in_a_bag(tmp_path: 
 
 def test_marked_episodes(tmp_path: Path) -> None:
     folder = write(tmp_path, motion(), motion(), extra={"hand_empty": [1.0, 0.0]})
-    assert [marked(open_data_set(folder), index, "hand_empty") for index in range(2)] == [True, False]
+    assert [marked(open_data_set(folder), index, "hand_empty") for index in range(2)] == [
+        True,
+        False,
+    ]
     with pytest.raises(RecordingError, match="no column success; there are: "):
         marked(open_data_set(folder), 0, "success")
 
@@ -151,7 +178,9 @@ def test_a_data_set_that_is_not_whole_is_refused_in_a_line(tmp_path: Path) -> No
     episodes = folder / "meta" / "episodes.jsonl"
     episodes.write_text(episodes.read_text().replace("200", "201"))
     (folder / "meta" / "info.json").touch()
-    with pytest.raises(RecordingError, match=r"201 frames by meta, 200 in .*: the data set is not whole"):
+    with pytest.raises(
+        RecordingError, match=r"201 frames by meta, 200 in .*: the data set is not whole"
+    ):
         read(folder)
     next(folder.glob("data/*/*.parquet")).unlink()
     with pytest.raises(RecordingError, match="is missing: download the data set again"):

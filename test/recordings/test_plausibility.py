@@ -16,7 +16,13 @@ from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_
 from proprio_ros.pipeline.loading import bag_recording, bag_runs
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.motions import motion_of
-from proprio_ros.recordings.plausibility import effort_per_torque, effort_units, findings, gravity_torque, velocity_lag_s
+from proprio_ros.recordings.plausibility import (
+    effort_per_torque,
+    effort_units,
+    findings,
+    gravity_torque,
+    velocity_lag_s,
+)
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot, with_recorded_torque
@@ -36,7 +42,9 @@ def rate(times_s: np.ndarray) -> np.ndarray:
     return 0.72 * np.cos(0.9 * times_s) + 0.69 * np.cos(2.3 * times_s)
 
 
-def recording(effort: np.ndarray | None = None, velocity: np.ndarray | None = None, **changes: Any) -> Recording:
+def recording(
+    effort: np.ndarray | None = None, velocity: np.ndarray | None = None, **changes: Any
+) -> Recording:
     """Joint a moves, joint b stands still."""
     times_ns = np.round(1e9 * TIMES_S).astype(np.int64)
 
@@ -44,7 +52,9 @@ def recording(effort: np.ndarray | None = None, velocity: np.ndarray | None = No
         return None if values is None else np.column_stack([values, np.zeros(len(times_ns))])
 
     position = np.column_stack([np.round(angle(TIMES_S), 3), np.full(len(times_ns), 0.2)])
-    joints = JointRecord(times_ns, ("a", "b"), position, column(velocity), reported_effort=column(effort))
+    joints = JointRecord(
+        times_ns, ("a", "b"), position, column(velocity), reported_effort=column(effort)
+    )
     return Recording("bag", joints, changes.get("inputs"))
 
 
@@ -64,10 +74,17 @@ def test_a_recording_without_traps_shows_none() -> None:
 def test_velocity_that_lags_is_timed(lag_s: float) -> None:
     late = rate(TIMES_S - lag_s) + noise(0.02)
     seen = velocity_lag_s(TIMES_S, np.round(angle(TIMES_S), 3), late)
-    assert seen is not None and seen[0] == pytest.approx(lag_s, abs=0.003) and seen[1] == pytest.approx(1.0, abs=0.03)
+    assert (
+        seen is not None
+        and seen[0] == pytest.approx(lag_s, abs=0.003)
+        and seen[1] == pytest.approx(1.0, abs=0.03)
+    )
     found = findings(recording(velocity=late))
     assert [finding.code for finding in found] == ["velocity_lags"] and found[0].joints == ("a",)
-    assert found[0].values["a"] == pytest.approx(1e3 * lag_s, abs=3.0) and f"{1e3 * lag_s:.0f}"[:-1] in found[0].sentence
+    assert (
+        found[0].values["a"] == pytest.approx(1e3 * lag_s, abs=3.0)
+        and f"{1e3 * lag_s:.0f}"[:-1] in found[0].sentence
+    )
 
 
 def test_velocity_of_the_last_two_positions_is_not_said_to_lag() -> None:
@@ -102,7 +119,10 @@ def test_effort_that_is_read_seldom() -> None:
     assert found.code == "effort_stale" and found.values["a"] == pytest.approx(0.2)
     # a motor that is off most of the time, or at its limit, is none
     off = np.where(TIMES_S % 4.0 < 3.0, 0.0, -3.0 * angle(TIMES_S) + noise(0.1))
-    assert codes(recording(off)) == [] and codes(recording(np.clip(-9.0 * angle(TIMES_S), -3.0, 3.0))) == []
+    assert (
+        codes(recording(off)) == []
+        and codes(recording(np.clip(-9.0 * angle(TIMES_S), -3.0, 3.0))) == []
+    )
 
 
 def test_effort_that_is_the_command() -> None:
@@ -110,14 +130,18 @@ def test_effort_that_is_the_command() -> None:
     command = -3.0 * angle(TIMES_S)
     given = InputRecord(times_ns, ("a",), command[:, None], "/current_command")
     assert codes(recording(1.78 * command, inputs=given)) == ["effort_is_command"]
-    assert codes(recording(np.roll(1.78 * command, 1) * (TIMES_S > 0.0), inputs=given)) == ["effort_is_command"]
+    assert codes(recording(np.roll(1.78 * command, 1) * (TIMES_S > 0.0), inputs=given)) == [
+        "effort_is_command"
+    ]
     assert codes(recording(1.78 * command + noise(0.01), inputs=given)) == []
 
 
 def test_what_held_a_joint_did_not_drive_it() -> None:
     times_ns = np.round(1e9 * TIMES_S).astype(np.int64)
     both = np.column_stack([-3.0 * angle(TIMES_S), np.full(len(TIMES_S), 0.4)])
-    (found,) = findings(recording(inputs=InputRecord(times_ns, ("a", "b"), both, "/current_command")))
+    (found,) = findings(
+        recording(inputs=InputRecord(times_ns, ("a", "b"), both, "/current_command"))
+    )
     assert found.code == "held" and found.joints == ("b",)
 
 
@@ -133,9 +157,13 @@ def test_effort_is_compared_with_gravity(tmp_path: Path) -> None:
     robot = load_robot(tmp_path / "p.urdf", with_recorded_torque(tmp_path / "p.urdf", {}))
     model = robot.model.lock(["a"], {})
     q = angle(TIMES_S)
-    np.testing.assert_allclose(gravity_torque(model, q[:, None])[:, 0], 5.886 * np.sin(q), atol=1e-12)
+    np.testing.assert_allclose(
+        gravity_torque(model, q[:, None])[:, 0], 5.886 * np.sin(q), atol=1e-12
+    )
     acceleration = np.gradient(rate(TIMES_S), TIMES_S)
-    torque = 5.886 * np.sin(q) + 0.19 * acceleration + 0.5 * np.sign(rate(TIMES_S)) + 0.3 + noise(0.2)
+    torque = (
+        5.886 * np.sin(q) + 0.19 * acceleration + 0.5 * np.sign(rate(TIMES_S)) + 0.3 + noise(0.2)
+    )
     recorded = recording(500.0 * torque)
     recorded = replace(
         recorded,
@@ -155,7 +183,13 @@ def test_effort_is_compared_with_gravity(tmp_path: Path) -> None:
     assert [unit.unit for unit in effort_units(per_torque, {"b": 2.0}, 0.00269)] == ["N.m"]
     assert [unit.unit for unit in effort_units(per_torque, {}, 0.00269)] == ["N.m"]
     # noise alone, or a joint that gravity does not load, says nothing
-    assert effort_per_torque(replace(recorded, joints=replace(recorded.joints, reported_effort=noise(1.0)[:, None])), robot) == {}
+    assert (
+        effort_per_torque(
+            replace(recorded, joints=replace(recorded.joints, reported_effort=noise(1.0)[:, None])),
+            robot,
+        )
+        == {}
+    )
 
 
 def test_a_few_damaged_rows_are_left_out_and_many_are_not(tmp_path: Path) -> None:
@@ -169,7 +203,10 @@ def test_a_few_damaged_rows_are_left_out_and_many_are_not(tmp_path: Path) -> Non
         if kept:
             found = read_recording(path, nominal_torque_constants={}, joint_order=["a"])
             assert len(found.joints.times_ns) == len(TIMES_S) - len(rows)
-            assert any("2 of 2000 messages hold numbers that no joint can have" in note for note in found.notes)
+            assert any(
+                "2 of 2000 messages hold numbers that no joint can have" in note
+                for note in found.notes
+            )
         else:
             with pytest.raises(Exception, match="degrees"):
                 read_recording(path, nominal_torque_constants={}, joint_order=["a"])
@@ -199,23 +236,36 @@ def shown(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @real
-def test_real_servos_whose_effort_is_of_no_use(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_real_servos_whose_effort_is_of_no_use(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "p.urdf").write_text(PENDULUM.replace('name="a"', 'name="pendulum"'))
     robot = ("--robot", str(tmp_path / "p.urdf"), "--effort-unit", "raw")
     found = checked(capsys, str(REAL / "xl330_kp400_sin_sin"), *robot)
-    assert any("16-bit register that was read as unsigned" in note for note in found["notes"]), "mended when it was read"
+    assert any("16-bit register that was read as unsigned" in note for note in found["notes"]), (
+        "mended when it was read"
+    )
     found = checked(capsys, str(REAL / "sts3215_sin_sin_0.535kg"), *robot)
-    assert {"effort_without_sign", "effort_stale"} <= {finding["code"] for finding in found["findings"]}
+    assert {"effort_without_sign", "effort_stale"} <= {
+        finding["code"] for finding in found["findings"]
+    }
     # signed, and read as often as it is published
     found = checked(capsys, str(REAL / "xl330_kp100_sin_sin"), *robot)
-    assert {finding["code"] for finding in found["findings"]} == {"velocity_lags", "no_torque_constants"}
+    assert {finding["code"] for finding in found["findings"]} == {
+        "velocity_lags",
+        "no_torque_constants",
+    }
 
 
 @real
 def test_a_urdf_alone_is_enough_to_look(capsys: pytest.CaptureFixture[str]) -> None:
     """The arm's own controller says 11.98 and 9.84 N m/A at shoulder and elbow; nothing is held here."""
-    found = checked(capsys, str(REAL / "ur10e_empty_14"), "--robot", str(REAL / "models" / "ur10e.urdf"))
-    constants = [1.0 / found["effort_per_N_m"][name] for name in ("shoulder_lift_joint", "elbow_joint")]
+    found = checked(
+        capsys, str(REAL / "ur10e_empty_14"), "--robot", str(REAL / "models" / "ur10e.urdf")
+    )
+    constants = [
+        1.0 / found["effort_per_N_m"][name] for name in ("shoulder_lift_joint", "elbow_joint")
+    ]
     assert constants == pytest.approx([11.976, 9.838], rel=0.25)
     assert not any(unit["plausible"] for unit in found["effort_units"])
     assert found["tells"]["mass_half_width_per_kg"] is None
@@ -223,7 +273,9 @@ def test_a_urdf_alone_is_enough_to_look(capsys: pytest.CaptureFixture[str]) -> N
 
 
 @real
-def test_without_the_right_robot_it_still_says_what_moves(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_the_right_robot_it_still_says_what_moves(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     found = checked(capsys, str(REAL / "dfki_pd"))
     assert found["moves"] == ["pendulum"] and found["findings"][-1]["code"] == "other_robot"
 
@@ -239,17 +291,30 @@ def test_a_motion_tells_about_what_came_out_of_it(tmp_path: Path) -> None:
     assert 0.05 < width_kg < 0.25 and per_kg == pytest.approx(1.96 * 0.1, rel=0.01)
     # from a quarter of the time it is less certain, whatever flowed
     short = whole.times_s < 0.25 * whole.times_s[-1]
-    quarter = replace(whole, times_s=whole.times_s[short], position=whole.position[short], current_A=0.0 * whole.current_A[short])
+    quarter = replace(
+        whole,
+        times_s=whole.times_s[short],
+        position=whole.position[short],
+        current_A=0.0 * whole.current_A[short],
+    )
     assert mass_from_motion(robot, quarter)[0] > 1.3 * width_kg
 
 
 def test_a_run_tells_about_what_comes_out_of_it() -> None:
     """Uncalibrated, these two give 0 to 131 g and 0 to 133 g."""
     robot = load_robot("open_manipulator_x")
-    for name in ("quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_fixed_light_ball_20g_joint3"):
+    for name in (
+        "quantised_s00_fixed_heavy_ball_50g_joint3",
+        "realistic_s00_fixed_light_ball_20g_joint3",
+    ):
         (run,) = bag_runs(ROOT / "bags" / name / "bag_mcap", Request(robot))
         width_kg = mass_from_run(robot, run)
         assert width_kg is not None and 0.065 < width_kg < 0.15
     # a controller's current is no push
     swinging = np.where(np.arange(6) % 2, 0.1, -0.1)
-    assert mass_from_run(robot, replace(run, input_times_s=0.05 * np.arange(6), input_current_A=swinging)) is None
+    assert (
+        mass_from_run(
+            robot, replace(run, input_times_s=0.05 * np.arange(6), input_current_A=swinging)
+        )
+        is None
+    )

@@ -31,7 +31,9 @@ BAGS = Path(__file__).parents[2] / "bags"
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_folder_file_and_folder_without_metadata_give_the_same(tmp_path: Path, storage: str) -> None:
+def test_folder_file_and_folder_without_metadata_give_the_same(
+    tmp_path: Path, storage: str
+) -> None:
     folder = write_bag(tmp_path / "bag", states() + commands(), storage)
     whole = read(folder)
     (file,) = (path for path in folder.iterdir() if path.suffix in (".mcap", ".db3"))
@@ -59,7 +61,9 @@ def test_storage_files_without_metadata_are_read_as_one_bag(tmp_path: Path) -> N
 def test_types_that_nobody_knows_are_skipped(tmp_path: Path, storage: str) -> None:
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     with Writer(tmp_path / "bag", version=9, storage_plugin=plugin) as writer:
-        odd = writer.add_connection("/odd", "odd_msgs/msg/Odd", msgdef="nonsense $$ x", rihs01="RIHS01_0")
+        odd = writer.add_connection(
+            "/odd", "odd_msgs/msg/Odd", msgdef="nonsense $$ x", rihs01="RIHS01_0"
+        )
         writer.write(odd, ONSET_NS, b"not even CDR")
         for message in states()[:20]:
             if message.time_ns == times()[0]:
@@ -74,7 +78,10 @@ def test_types_that_nobody_knows_are_skipped(tmp_path: Path, storage: str) -> No
 def test_paths_that_are_no_bag(tmp_path: Path) -> None:
     with refused("no such bag"):
         read(tmp_path / "missing")
-    for name, pattern in (("notes.txt", "not a bag"), ("old.bag", "ROS 1 bag; convert it with `rosbags-convert`")):
+    for name, pattern in (
+        ("notes.txt", "not a bag"),
+        ("old.bag", "ROS 1 bag; convert it with `rosbags-convert`"),
+    ):
         (tmp_path / name).write_text("hello")
         with refused(pattern):
             read(tmp_path / name)
@@ -92,7 +99,9 @@ def test_paths_that_are_no_bag(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("bare", [False, True], ids=["folder", "file"])
-def test_a_truncated_file_is_one_line_wherever_it_is_cut(tmp_path: Path, storage: str, bare: bool) -> None:
+def test_a_truncated_file_is_one_line_wherever_it_is_cut(
+    tmp_path: Path, storage: str, bare: bool
+) -> None:
     folder = write_bag(tmp_path / "bag", states() + commands(), storage)
     (file,) = (path for path in folder.iterdir() if path.suffix in (".mcap", ".db3"))
     whole = file.read_bytes()
@@ -104,8 +113,14 @@ def test_a_truncated_file_is_one_line_wherever_it_is_cut(tmp_path: Path, storage
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(data=st.data())
-def test_flipped_bytes_are_read_or_refused_and_never_crash(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    source = BAGS / "friction_s00_fixed_heavy_ball_50g_joint3" / data.draw(st.sampled_from(["bag_mcap", "bag_sqlite3"]))
+def test_flipped_bytes_are_read_or_refused_and_never_crash(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    source = (
+        BAGS
+        / "friction_s00_fixed_heavy_ball_50g_joint3"
+        / data.draw(st.sampled_from(["bag_mcap", "bag_sqlite3"]))
+    )
     folder = tmp_path_factory.mktemp("flipped") / "bag"
     shutil.copytree(source, folder)
     file = data.draw(st.sampled_from(sorted(folder.iterdir())))
@@ -124,7 +139,9 @@ def test_a_bag_that_holds_less_than_its_metadata_promises(tmp_path: Path) -> Non
     metadata = folder / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("message_count: 41", "message_count: 50"))
     assert "/joint_states: the bag promises 50 messages but holds 41." in read(folder).notes
-    metadata.write_text(metadata.read_text().replace("name: /current_command", "name: /applied/current_command"))
+    metadata.write_text(
+        metadata.read_text().replace("name: /current_command", "name: /applied/current_command")
+    )
     with refused("/applied/current_command should hold 50 messages but holds none"):
         read(folder)
 
@@ -138,7 +155,9 @@ def test_a_write_ahead_log_that_was_not_merged_is_reported(tmp_path: Path) -> No
 
 def test_another_serialisation_is_refused(tmp_path: Path) -> None:
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=TYPES, serialization_format="json")
+        connection = writer.add_connection(
+            "/joint_states", JOINT_STATE, typestore=TYPES, serialization_format="json"
+        )
         writer.write(connection, ONSET_NS, b"{}")
     with refused("only 'cdr' can be read"):
         read(tmp_path / "bag")

@@ -15,7 +15,14 @@ import pytest
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.records import MEASURED_EFFORT, FloatArray, InputRecord, JointRecord, Recording, TimeArray
+from proprio_ros.records import (
+    MEASURED_EFFORT,
+    FloatArray,
+    InputRecord,
+    JointRecord,
+    Recording,
+    TimeArray,
+)
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4", "gripper_left_joint")
 ROBOT_JOINTS = JOINTS
@@ -25,7 +32,9 @@ BAGS = Path(__file__).parents[2] / "bags"
 
 
 def cycles(end_s: float = 0.75, start_s: float = -0.25) -> FloatArray:
-    return np.arange(round(start_s / CYCLE_S), round(end_s / CYCLE_S) + 1).astype(np.float64) * CYCLE_S
+    return (
+        np.arange(round(start_s / CYCLE_S), round(end_s / CYCLE_S) + 1).astype(np.float64) * CYCLE_S
+    )
 
 
 def ns(times_s: FloatArray) -> TimeArray:
@@ -43,13 +52,17 @@ def recording(
     """Positions of joint k are k + its time, unless given."""
     times_s = cycles() if times_s is None else times_s
     input_times_s = times_s if input_times_s is None else input_times_s
-    position = np.array([(positions or {}).get(name, column + times_s) for column, name in enumerate(JOINTS)]).T
+    position = np.array(
+        [(positions or {}).get(name, column + times_s) for column, name in enumerate(JOINTS)]
+    ).T
     current = np.array([currents.get(name, np.zeros(len(input_times_s))) for name in JOINTS]).T
     inputs = InputRecord(ns(input_times_s), JOINTS, current, source)
     return Recording("bag", JointRecord(ns(times_s), JOINTS, position), inputs)
 
 
-def step(times_s: FloatArray, start_s: float = 0.0, end_s: float = 0.6, value: float = -0.3) -> FloatArray:
+def step(
+    times_s: FloatArray, start_s: float = 0.0, end_s: float = 0.6, value: float = -0.3
+) -> FloatArray:
     return np.where((times_s > start_s - 1e-9) & (times_s < end_s - 1e-9), value, 0.0)
 
 
@@ -84,7 +97,9 @@ def test_what_the_joint_does_after_its_run_is_carried_along_until_the_next() -> 
     assert run.after_position == pytest.approx(2.0 + run.after_times_s)
     currents = {"joint3": step(times_s), "joint2": step(times_s, 0.7, 1.2)}
     first, second = cut_runs(recording(currents, times_s), joints=ROBOT_JOINTS)
-    assert first.after_times_s == pytest.approx([0.625, 0.65, 0.675]) and len(second.after_times_s) in (11, 12)
+    assert first.after_times_s == pytest.approx([0.625, 0.65, 0.675]) and len(
+        second.after_times_s
+    ) in (11, 12)
 
 
 def test_the_held_joints_are_averaged_from_the_rest_to_the_end() -> None:
@@ -108,10 +123,14 @@ def test_positions_of_held_joints_may_be_given() -> None:
     [(0.0, 25, 0.6), (34e-9, 25, 0.6), (-34e-9, 25, 0.6 - 34e-9), (2e-6, 24, 0.575)],
     ids=["on the end", "a rounding after", "a rounding before", "after"],
 )
-def test_the_sample_at_the_end_belongs_to_the_run(late_s: float, samples: int, last_s: float) -> None:
+def test_the_sample_at_the_end_belongs_to_the_run(
+    late_s: float, samples: int, last_s: float
+) -> None:
     times_s = cycles()
     times_s[34] += late_s  # the cycle at 0.6 s
-    (run,) = cut_runs(recording({"joint3": step(cycles())}, times_s, input_times_s=cycles()), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(cycles())}, times_s, input_times_s=cycles()), joints=ROBOT_JOINTS
+    )
     assert len(run.times_s) == samples
     assert run.times_s[-1] == pytest.approx(last_s, abs=1e-10)
     assert run.times_s[-1] <= run.duration_s
@@ -121,7 +140,10 @@ def test_two_runs_are_numbered_and_keep_away_from_each_other() -> None:
     times_s = cycles(2.5)
     currents = {"joint3": step(times_s), "joint4": step(times_s, 1.0, 1.6, 0.1)}
     first, second = cut_runs(recording(currents, times_s), joints=ROBOT_JOINTS)
-    assert [(run.name, run.joint) for run in (first, second)] == [("bag#1", "joint3"), ("bag#2", "joint4")]
+    assert [(run.name, run.joint) for run in (first, second)] == [
+        ("bag#1", "joint3"),
+        ("bag#2", "joint4"),
+    ]
     assert second.onset_ns == ONSET_NS + 1_000_000_000
     assert second.input_current_A.tolist() == [0.1]
     # 0.3 s after the first ended at 0.6 s
@@ -162,7 +184,9 @@ def test_commands_sent_only_when_they_change() -> None:
     input_times_s = np.array([-0.2, 0.0, 0.2, 0.6, 1.6, 2.2])
     current = np.array([0.0, -0.3, -0.1, 0.0, 0.2, 0.0])
     times_s = cycles(2.5)
-    first, second = cut_runs(recording({"joint3": current}, times_s, input_times_s=input_times_s), joints=ROBOT_JOINTS)
+    first, second = cut_runs(
+        recording({"joint3": current}, times_s, input_times_s=input_times_s), joints=ROBOT_JOINTS
+    )
     assert first.duration_s == second.duration_s == 0.6
     assert first.input_times_s == pytest.approx([0.0, 0.2])
     assert first.input_current_A.tolist() == [-0.3, -0.1]
@@ -173,7 +197,9 @@ def test_lost_commands_hold_the_last_one_and_are_reported() -> None:
     keep = np.ones(41, dtype=bool)
     keep[15:25] = False
     input_times_s = cycles()[keep]
-    (run,) = cut_runs(recording({"joint3": step(input_times_s)}, input_times_s=input_times_s), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(input_times_s)}, input_times_s=input_times_s), joints=ROBOT_JOINTS
+    )
     assert run.input_times_s.tolist() == [0.0]
     assert run.duration_s == 0.6
     assert "no input came for 275 ms" in " ".join(run.notes)
@@ -181,7 +207,9 @@ def test_lost_commands_hold_the_last_one_and_are_reported() -> None:
 
 def test_commands_that_stop_are_held_until_the_last_joint_state() -> None:
     input_times_s = cycles(0.5)
-    (run,) = cut_runs(recording({"joint3": step(input_times_s)}, input_times_s=input_times_s), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(input_times_s)}, input_times_s=input_times_s), joints=ROBOT_JOINTS
+    )
     assert run.duration_s == 0.75
     assert run.times_s[-1] == 0.75
     assert "the input ends while joint3 is still driven" in " ".join(run.notes)
@@ -196,13 +224,17 @@ def test_a_recording_that_starts_driven_has_no_rest() -> None:
 
 def test_a_joint_that_moves_before_it_is_driven_is_reported() -> None:
     moving = recording({"joint3": step(cycles())})
-    assert "joint3 moved by 0.225 before it was driven" in " ".join(cut_runs(moving, joints=ROBOT_JOINTS)[0].notes)
+    assert "joint3 moved by 0.225 before it was driven" in " ".join(
+        cut_runs(moving, joints=ROBOT_JOINTS)[0].notes
+    )
     still = recording({"joint3": step(cycles())}, positions={"joint3": np.maximum(cycles(), 0.0)})
     assert cut_runs(still, joints=ROBOT_JOINTS)[0].notes == ()
 
 
 def test_a_command_of_almost_nothing_is_zero() -> None:
-    with refused("no joint was driven: /current_command is zero throughout .*record the probe.*--command-topic"):
+    with refused(
+        "no joint was driven: /current_command is zero throughout .*record the probe.*--command-topic"
+    ):
         cut_runs(recording({"joint3": step(cycles(), value=1e-7)}), joints=ROBOT_JOINTS)
 
 
@@ -234,12 +266,22 @@ def test_a_push_that_was_broken_off_at_once_does_not_cost_the_others() -> None:
 def test_too_few_samples() -> None:
     with refused(r"only 4 joint states lie in the 0.075 s in which joint3 was driven; at least 5"):
         cut_runs(recording({"joint3": step(cycles(), end_s=0.075)}), joints=ROBOT_JOINTS)
-    assert len(cut_runs(recording({"joint3": step(cycles(), end_s=0.1)}), joints=ROBOT_JOINTS)[0].times_s) == 5
+    assert (
+        len(
+            cut_runs(recording({"joint3": step(cycles(), end_s=0.1)}), joints=ROBOT_JOINTS)[
+                0
+            ].times_s
+        )
+        == 5
+    )
 
 
 def test_input_and_joint_states_that_do_not_meet() -> None:
     with refused("only 0 joint states lie in"):
-        cut_runs(recording({"joint3": step(cycles())}, cycles() + 100.0, input_times_s=cycles()), joints=ROBOT_JOINTS)
+        cut_runs(
+            recording({"joint3": step(cycles())}, cycles() + 100.0, input_times_s=cycles()),
+            joints=ROBOT_JOINTS,
+        )
 
 
 def test_no_input() -> None:
@@ -252,7 +294,10 @@ def test_no_input() -> None:
 
 
 def measured(
-    currents: Mapping[str, FloatArray], sigma_A: float = 0.003, rest_A: Sequence[float] = (0.0,) * 5, seed: int = 0
+    currents: Mapping[str, FloatArray],
+    sigma_A: float = 0.003,
+    rest_A: Sequence[float] = (0.0,) * 5,
+    seed: int = 0,
 ) -> Recording:
     """What motors report: noise on all joints, a rest level each, and still joints but for the one that moves most."""
     generator = np.random.default_rng(seed)
@@ -261,7 +306,9 @@ def measured(
         for name, rest in zip(JOINTS, rest_A, strict=True)
     }
     still = {name: np.zeros(len(cycles())) for name in JOINTS}
-    return recording(noisy, positions=still | {"joint3": np.maximum(cycles(), 0.0)}, source=MEASURED_EFFORT)
+    return recording(
+        noisy, positions=still | {"joint3": np.maximum(cycles(), 0.0)}, source=MEASURED_EFFORT
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -289,7 +336,9 @@ def test_measured_noise_alone_is_no_run() -> None:
 
 def test_measured_rest_levels_of_holding_joints_are_no_drive() -> None:
     rest = (0.0, 0.2, -0.1, 0.05, 0.0)
-    (run,) = cut_runs(measured({"joint3": step(cycles(), CYCLE_S)}, rest_A=rest), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        measured({"joint3": step(cycles(), CYCLE_S)}, rest_A=rest), joints=ROBOT_JOINTS
+    )
     assert run.joint == "joint3"
     # the current itself, not its change
     assert run.input_current_A.mean() == pytest.approx(-0.4, abs=0.003)
@@ -318,7 +367,9 @@ def test_measured_currents_of_motors_that_the_robot_does_not_have_are_ignored() 
 
 def read(path: Path, effort_unit: str | None = None) -> Recording:
     constants = dict.fromkeys(JOINTS, 1.7826)
-    return read_recording(path, effort_unit=effort_unit, nominal_torque_constants=constants, joint_order=JOINTS)
+    return read_recording(
+        path, effort_unit=effort_unit, nominal_torque_constants=constants, joint_order=JOINTS
+    )
 
 
 def check_against_truth(folder: Path) -> int:
@@ -354,7 +405,9 @@ def test_every_simulated_recording_is_one_run_of_its_probe(recordings: Path, lev
 
 def test_both_storages_hold_the_same() -> None:
     folder = BAGS / "friction_s00_fixed_heavy_ball_50g_joint3"
-    one, other = (read(folder / f"bag_{storage}", effort_unit="N.m") for storage in ("mcap", "sqlite3"))
+    one, other = (
+        read(folder / f"bag_{storage}", effort_unit="N.m") for storage in ("mcap", "sqlite3")
+    )
     for quantity in ("times_ns", "position", "velocity", "effort", "current"):
         assert np.array_equal(getattr(one.joints, quantity), getattr(other.joints, quantity))
     assert one.inputs is not None and other.inputs is not None
@@ -372,7 +425,9 @@ def test_measured_effort_finds_the_commanded_run() -> None:
         assert run.joint == commanded.joint
         assert abs(run.onset_ns - commanded.onset_ns) < 20e6
         assert run.duration_s == pytest.approx(0.6, abs=0.04)
-        assert np.median(run.input_current_A) == pytest.approx(commanded.input_current_A[0], abs=0.01)
+        assert np.median(run.input_current_A) == pytest.approx(
+            commanded.input_current_A[0], abs=0.01
+        )
 
 
 # --- joint states that repeat ----------------------------------------------------------------------------------------
@@ -381,7 +436,9 @@ def test_measured_effort_finds_the_commanded_run() -> None:
 def broadcast(original: Recording, times: int) -> Recording:
     """What a broadcaster makes of a recording that is so many times faster than the hardware: every state again and again."""
     joints = original.joints
-    gaps = np.diff(joints.times_ns, append=joints.times_ns[-1] + int(np.median(np.diff(joints.times_ns))))
+    gaps = np.diff(
+        joints.times_ns, append=joints.times_ns[-1] + int(np.median(np.diff(joints.times_ns)))
+    )
     stamps = (joints.times_ns[:, None] + gaps[:, None] * np.arange(times) // times).ravel()
 
     def again(values: FloatArray | None) -> FloatArray | None:
@@ -394,10 +451,14 @@ def broadcast(original: Recording, times: int) -> Recording:
     return replace(original, joints=faster)
 
 
-@pytest.mark.parametrize("name", ["quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_empty_00_joint3"])
+@pytest.mark.parametrize(
+    "name", ["quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_empty_00_joint3"]
+)
 def test_a_state_that_is_published_again_and_again_counts_once(name: str) -> None:
     """At 200 Hz from servos that are read at 40 Hz the joint seems to stand and to jump: no model explains that."""
-    original = read_recording(BAGS / name / "bag_mcap", nominal_torque_constants={}, joint_order=JOINTS)
+    original = read_recording(
+        BAGS / name / "bag_mcap", nominal_torque_constants={}, joint_order=JOINTS
+    )
     (expected,) = cut_runs(original, joints=ROBOT_JOINTS)
     assert not [note for note in expected.notes if "repeat" in note]
     (run,) = cut_runs(broadcast(original, 5), joints=ROBOT_JOINTS)
@@ -409,7 +470,10 @@ def test_a_state_that_is_published_again_and_again_counts_once(name: str) -> Non
     )
     kept = np.isin(run.times_s, expected.times_s)
     assert kept.sum() >= len(expected.times_s) - 2 and np.count_nonzero(~kept) <= 1
-    assert run.position[kept].tolist() == expected.position[np.isin(expected.times_s, run.times_s)].tolist()
+    assert (
+        run.position[kept].tolist()
+        == expected.position[np.isin(expected.times_s, run.times_s)].tolist()
+    )
 
 
 def test_a_joint_that_stands_or_creeps_repeats_its_position_rightly() -> None:
@@ -418,5 +482,8 @@ def test_a_joint_that_stands_or_creeps_repeats_its_position_rightly() -> None:
     creeping = 0.001534 * np.floor(12.0 * np.maximum(times_s, 0.0))
     still = {name: np.zeros_like(times_s) for name in JOINTS}
     for position in (np.zeros_like(times_s), creeping):
-        (run,) = cut_runs(recording({"joint3": step(times_s)}, positions={**still, "joint3": position}), joints=ROBOT_JOINTS)
+        (run,) = cut_runs(
+            recording({"joint3": step(times_s)}, positions={**still, "joint3": position}),
+            joints=ROBOT_JOINTS,
+        )
         assert len(run.times_s) == 25 and not run.notes

@@ -45,7 +45,9 @@ def test_a_plain_bag_needs_no_repair(tmp_path: Path, storage: str) -> None:
 
 
 def test_extra_joints_are_kept_and_may_turn_far(tmp_path: Path) -> None:
-    messages = [state(time_ns, [120.0, *positions(time_ns)], ["wheel", *JOINTS]) for time_ns in times()]
+    messages = [
+        state(time_ns, [120.0, *positions(time_ns)], ["wheel", *JOINTS]) for time_ns in times()
+    ]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert recording.joints.names == ("wheel", *JOINTS)
     assert recording.notes == ()
@@ -86,7 +88,9 @@ def test_messages_that_lack_a_needed_joint_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_messages_with_positions_that_are_no_numbers_are_left_out(tmp_path: Path, bad: float) -> None:
+def test_messages_with_positions_that_are_no_numbers_are_left_out(
+    tmp_path: Path, bad: float
+) -> None:
     messages = states()
     for row in (3, 20, 21):
         values = positions(times()[row])
@@ -106,7 +110,9 @@ def test_a_joint_that_is_never_finite_is_left_out(tmp_path: Path) -> None:
 
 
 def test_too_few_usable_samples(tmp_path: Path) -> None:
-    messages = [state(t, positions(t) if row < 4 else [np.nan] * 5) for row, t in enumerate(times())]
+    messages = [
+        state(t, positions(t) if row < 4 else [np.nan] * 5) for row, t in enumerate(times())
+    ]
     with refused("only 4 of 41 messages .* at least 5 .*NaN"):
         read(write_bag(tmp_path / "nan", messages + commands()))
     with refused("no finite position in 41 messages"):
@@ -117,7 +123,9 @@ def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
     messages = states()
     stamps = times()
     stamps[10], stamps[11] = stamps[11], stamps[10]
-    messages = [state(t, positions(stamp), stamp_ns=stamp) for t, stamp in zip(times(), stamps, strict=True)]
+    messages = [
+        state(t, positions(stamp), stamp_ns=stamp) for t, stamp in zip(times(), stamps, strict=True)
+    ]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert "1 of 41 stamps go back in time" in notes(recording)
     assert recording.joints.times_ns.tolist() == times()
@@ -136,7 +144,9 @@ def test_lost_messages_are_reported(tmp_path: Path) -> None:
     messages = states()
     del messages[30:32], messages[12]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
-    assert notes(recording) == ("/joint_states: messages were lost: 1 gaps of more than 2.5 periods (25.0 ms), the longest 75 ms.")
+    assert notes(recording) == (
+        "/joint_states: messages were lost: 1 gaps of more than 2.5 periods (25.0 ms), the longest 75 ms."
+    )
 
 
 def test_without_header_stamps_the_time_of_recording_is_used(tmp_path: Path) -> None:
@@ -150,7 +160,8 @@ def test_another_clock_in_the_headers_moves_unstamped_messages_and_commands(tmp_
     simulated = 3_000_000_001
     offset = simulated - ONSET_NS
     messages = [
-        state(time_ns, positions(time_ns), stamp_ns=0 if row == 5 else time_ns + offset) for row, time_ns in enumerate(times())
+        state(time_ns, positions(time_ns), stamp_ns=0 if row == 5 else time_ns + offset)
+        for row, time_ns in enumerate(times())
     ]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert recording.joints.times_ns.tolist() == [time_ns + offset for time_ns in times()]
@@ -169,7 +180,10 @@ def test_positions_that_are_no_radians(tmp_path: Path, scale: float) -> None:
 
 @pytest.mark.parametrize("where", ["position", "velocity", "effort"])
 def test_numbers_of_unwritten_memory_are_left_out_and_counted(tmp_path: Path, where: str) -> None:
-    messages = [state(time_ns, positions(time_ns), velocity=[0.0] * 5, effort=[0.1] * 5) for time_ns in times(100)]
+    messages = [
+        state(time_ns, positions(time_ns), velocity=[0.0] * 5, effort=[0.1] * 5)
+        for time_ns in times(100)
+    ]
     expected = read(write_bag(tmp_path / "clean", messages + commands()))
     for row in (20, 21, 60):
         getattr(messages[row].content, where)[1] = -1.1e282
@@ -177,11 +191,15 @@ def test_numbers_of_unwritten_memory_are_left_out_and_counted(tmp_path: Path, wh
     assert len(recording.joints.times_ns) == len(expected.joints.times_ns) - 3
     assert np.isin(recording.joints.times_ns, expected.joints.times_ns).all()
     assert np.abs(recording.joints.position).max() < 2.0
-    assert any("3 of 100 messages hold numbers that no joint can have" in note for note in recording.notes)
+    assert any(
+        "3 of 100 messages hold numbers that no joint can have" in note for note in recording.notes
+    )
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_a_few_samples_elsewhere_are_damage_and_more_are_a_slipped_encoder(tmp_path: Path, count: int) -> None:
+def test_a_few_samples_elsewhere_are_damage_and_more_are_a_slipped_encoder(
+    tmp_path: Path, count: int
+) -> None:
     messages = [state(time_ns, positions(time_ns)) for time_ns in times(100)]
     for row in range(50, 50 + count):
         messages[row].content.position[2] += 1.0
@@ -192,9 +210,17 @@ def test_a_few_samples_elsewhere_are_damage_and_more_are_a_slipped_encoder(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("unit", "current", "effort"), [("N.m", 0.8 / 1.783, 0.8), ("A", 0.8, None), ("mA", 0.8e-3, None), ("raw", 0.8 * 0.00269, None)]
+    ("unit", "current", "effort"),
+    [
+        ("N.m", 0.8 / 1.783, 0.8),
+        ("A", 0.8, None),
+        ("mA", 0.8e-3, None),
+        ("raw", 0.8 * 0.00269, None),
+    ],
 )
-def test_units_of_measured_effort(tmp_path: Path, unit: str, current: float, effort: float | None) -> None:
+def test_units_of_measured_effort(
+    tmp_path: Path, unit: str, current: float, effort: float | None
+) -> None:
     recording = read(write_bag(tmp_path / "bag", states(effort=[0.8] * 5)), effort_unit=unit)
     assert recording.joints.current is not None
     assert recording.joints.current == pytest.approx(np.full((41, 5), current), rel=1e-15)
@@ -226,12 +252,20 @@ def test_the_meaning_of_effort_is_not_asked_where_a_command_gives_the_input(tmp_
 
 def test_joints_without_torque_constant(tmp_path: Path) -> None:
     some = {"joint3": 2.0}
-    measured = read(write_bag(tmp_path / "measured", states(effort=[0.8] * 5)), effort_unit="N.m", nominal_torque_constants=some)
+    measured = read(
+        write_bag(tmp_path / "measured", states(effort=[0.8] * 5)),
+        effort_unit="N.m",
+        nominal_torque_constants=some,
+    )
     assert measured.inputs is not None
     assert measured.inputs.names == ("joint3",)
     assert measured.inputs.current_A[0, 0] == 0.4
-    applied = [state(t, [], effort=[0.0, 0.0, 0.6, 0.0, 0.0], topic="/applied_effort") for t in times()]
-    recording = read(write_bag(tmp_path / "applied", states() + applied), nominal_torque_constants=some)
+    applied = [
+        state(t, [], effort=[0.0, 0.0, 0.6, 0.0, 0.0], topic="/applied_effort") for t in times()
+    ]
+    recording = read(
+        write_bag(tmp_path / "applied", states() + applied), nominal_torque_constants=some
+    )
     assert recording.inputs is not None
     assert recording.inputs.current_A[0].tolist() == [0.0, 0.0, 0.3, 0.0, 0.0]
     with refused("effort on joint3, whose nominal torque constant is not known; .* joint2"):
@@ -244,7 +278,9 @@ def test_positions_alone_have_no_input(tmp_path: Path) -> None:
 
 def test_commands_that_never_push(tmp_path: Path) -> None:
     with refused("no joint was driven: /current_command is zero throughout"):
-        cut_runs(read(write_bag(tmp_path / "bag", [*states(), command(ONSET_NS, [])])), joints=JOINTS)
+        cut_runs(
+            read(write_bag(tmp_path / "bag", [*states(), command(ONSET_NS, [])])), joints=JOINTS
+        )
 
 
 def test_commands_that_are_no_numbers_or_repeat_a_stamp(tmp_path: Path) -> None:
@@ -253,7 +289,9 @@ def test_commands_that_are_no_numbers_or_repeat_a_stamp(tmp_path: Path) -> None:
     messages.insert(20, command(times()[19], currents(times()[19], -0.1)))
     recording = read(write_bag(tmp_path / "bag", states() + messages))
     assert recording.inputs is not None
-    assert "1 of 42 messages have NaN or infinite values; the last finite one was held" in notes(recording)
+    assert "1 of 42 messages have NaN or infinite values; the last finite one was held" in notes(
+        recording
+    )
     assert "1 of 42 stamps are repeated; the last message" in notes(recording)
     expected = [currents(t) for t in times()]
     expected[19] = currents(times()[19], -0.1)
@@ -269,7 +307,9 @@ def test_real_recordings(shared: Path) -> None:
     assert arm.inputs is not None and arm.joints.current is not None
     assert arm.inputs.names == JOINTS[:4]
     # its README: the measured current follows one cycle later at 0.98-0.99 of the command
-    gain = np.linalg.lstsq(arm.inputs.current_A[:-1, 1:2], arm.joints.current[1:, 1], rcond=None)[0][0]
+    gain = np.linalg.lstsq(arm.inputs.current_A[:-1, 1:2], arm.joints.current[1:, 1], rcond=None)[
+        0
+    ][0]
     assert 0.97 < gain < 1.0
     pendulum = read(real / "sts3215_release_0.535kg")
     assert pendulum.inputs is None

@@ -20,11 +20,17 @@ def test_the_papers_recording(recordings: Path) -> None:
     assert (recording.name, recording.joint) == ("paper_heavy_ball", "joint3")
     t = recording.times_s
     # its README: the samples are this cubic
-    assert recording.relative_position == pytest.approx(1.41992 * t**3 - 1.04018 * t**2 - 1.62633 * t, abs=2e-5)
+    assert recording.relative_position == pytest.approx(
+        1.41992 * t**3 - 1.04018 * t**2 - 1.62633 * t, abs=2e-5
+    )
     assert recording.setting["torque_N_m"] == -0.49
 
 
-SETTING = {"moving_joint": "joint3", "torque_N_m": -0.49, "start_pose_rad": {"joint2": 0.0, "joint3": 0.4}}
+SETTING = {
+    "moving_joint": "joint3",
+    "torque_N_m": -0.49,
+    "start_pose_rad": {"joint2": 0.0, "joint3": 0.4},
+}
 TABLE = "time_s,joint3_relative_rad\n" + "".join(f"{row / 60},{-row / 50}\n" for row in range(6))
 
 
@@ -53,7 +59,10 @@ def test_a_text_recording(tmp_path: Path) -> None:
         ({"moving_joint": "joint3"}, "torque_N_m, start_pose_rad missing"),
         (SETTING | {"moving_joint": "joint9"}, "'joint9' too"),
         (SETTING | {"moving_joint": ["joint3"]}, "moving_joint must be a name"),
-        (SETTING | {"start_pose_rad": {"joint3": "up"}}, r"start_pose_rad\.joint3 must be a number, got 'up'"),
+        (
+            SETTING | {"start_pose_rad": {"joint3": "up"}},
+            r"start_pose_rad\.joint3 must be a number, got 'up'",
+        ),
         (SETTING | {"torque_N_m": None}, "torque_N_m must be a number"),
         (SETTING | {"true_mass_kg": True}, "true_mass_kg must be a number"),
     ],
@@ -66,7 +75,10 @@ def test_settings_that_are_refused(tmp_path: Path, setting: Any, pattern: str) -
 @pytest.mark.parametrize(
     ("change", "pattern"),
     [
-        (lambda table: table.replace("joint3", "joint2"), "the header must be time_s,joint3_relative_rad, got"),
+        (
+            lambda table: table.replace("joint3", "joint2"),
+            "the header must be time_s,joint3_relative_rad, got",
+        ),
         (lambda table: table + "0.2,abc\n", "not a table of numbers"),
         (lambda table: table + "0.2\n", "not a table of numbers"),
         (lambda table: table + "0.2,nan\n", "finite numbers"),
@@ -75,6 +87,8 @@ def test_settings_that_are_refused(tmp_path: Path, setting: Any, pattern: str) -
         (lambda table: "", "not a table of numbers"),
     ],
 )
-def test_tables_that_are_refused(tmp_path: Path, change: Callable[[str], str], pattern: str) -> None:
+def test_tables_that_are_refused(
+    tmp_path: Path, change: Callable[[str], str], pattern: str
+) -> None:
     with refused(pattern):
         read_text_recording(write_text_recording(tmp_path / "text", table=change(TABLE)))

@@ -25,10 +25,18 @@ from support.small_bags import (
 from proprio_ros.records import MEASURED_EFFORT
 
 
-def test_applied_effort_comes_before_commands_and_they_before_measured_effort(tmp_path: Path) -> None:
+def test_applied_effort_comes_before_commands_and_they_before_measured_effort(
+    tmp_path: Path,
+) -> None:
     measured = states(effort=[0.5] * 5)
     applied = [
-        state(t, [], effort=[1.783 * i for i in currents(t, -0.2)][::-1], names=JOINTS[::-1], topic="/applied_effort")
+        state(
+            t,
+            [],
+            effort=[1.783 * i for i in currents(t, -0.2)][::-1],
+            names=JOINTS[::-1],
+            topic="/applied_effort",
+        )
         for t in times()
     ]
     all_three = read(write_bag(tmp_path / "all", measured + commands() + applied))
@@ -69,14 +77,19 @@ def test_each_arm_has_its_own_input(tmp_path: Path) -> None:
 
 
 def test_the_only_joint_state_topic_is_taken_whatever_its_name(tmp_path: Path) -> None:
-    applied = [state(t, [], effort=[1.783 * i for i in currents(t)], topic="/applied_effort") for t in times()]
+    applied = [
+        state(t, [], effort=[1.783 * i for i in currents(t)], topic="/applied_effort")
+        for t in times()
+    ]
     recording = read(write_bag(tmp_path / "bag", states(topic="/feedback") + applied))
     assert recording.inputs is not None
     assert recording.inputs.source == "/applied_effort"
 
 
 def test_the_other_joint_states_are_the_command_that_the_user_names(tmp_path: Path) -> None:
-    desired = [state(t, [], effort=[1.783 * i for i in currents(t)], topic="/desired") for t in times()]
+    desired = [
+        state(t, [], effort=[1.783 * i for i in currents(t)], topic="/desired") for t in times()
+    ]
     path = write_bag(tmp_path / "bag", states(topic="/feedback") + desired)
     with refused("choose with --state-topic from: /desired .*, /feedback"):
         read(path)
@@ -87,7 +100,9 @@ def test_the_other_joint_states_are_the_command_that_the_user_names(tmp_path: Pa
 
 
 def test_several_inputs_are_not_chosen_from(tmp_path: Path) -> None:
-    messages = states() + commands(topic="/a/current_command") + commands(topic="/b/current_command")
+    messages = (
+        states() + commands(topic="/a/current_command") + commands(topic="/b/current_command")
+    )
     path = write_bag(tmp_path / "bag", messages)
     with refused("choose with --command-topic from: /a/current_command .*/b/current_command"):
         read(path)
@@ -115,12 +130,23 @@ def test_joint_states_named_as_command_are_measured_effort(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("options", "pattern"),
     [
-        ({"state_topic": "/nope"}, r"--state-topic /nope is not in the bag; choose from: /joint_states"),
-        ({"state_topic": "/current_command"}, "is std_msgs/msg/Float64MultiArray; choose from: /joint_states"),
-        ({"command_topic": "/nope"}, r"--command-topic /nope is not in the bag; .*/current_command"),
+        (
+            {"state_topic": "/nope"},
+            r"--state-topic /nope is not in the bag; choose from: /joint_states",
+        ),
+        (
+            {"state_topic": "/current_command"},
+            "is std_msgs/msg/Float64MultiArray; choose from: /joint_states",
+        ),
+        (
+            {"command_topic": "/nope"},
+            r"--command-topic /nope is not in the bag; .*/current_command",
+        ),
     ],
 )
-def test_a_named_topic_that_does_not_fit(tmp_path: Path, options: dict[str, str], pattern: str) -> None:
+def test_a_named_topic_that_does_not_fit(
+    tmp_path: Path, options: dict[str, str], pattern: str
+) -> None:
     with refused(pattern):
         read(write_bag(tmp_path / "bag", states() + commands()), **options)
 
@@ -128,7 +154,9 @@ def test_a_named_topic_that_does_not_fit(tmp_path: Path, options: dict[str, str]
 def test_no_messages_and_no_joint_states(tmp_path: Path) -> None:
     with refused("holds no messages"):
         read(write_bag(tmp_path / "empty", []))
-    with refused(r"no JointState topic in the bag; it holds: /current_command \(std_msgs/Float64MultiArray\)"):
+    with refused(
+        r"no JointState topic in the bag; it holds: /current_command \(std_msgs/Float64MultiArray\)"
+    ):
         read(write_bag(tmp_path / "commands", commands()))
     with Writer(tmp_path / "silent", version=9) as writer:
         writer.add_connection("/joint_states", JOINT_STATE, typestore=TYPES)

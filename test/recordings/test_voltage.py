@@ -30,7 +30,9 @@ LOADS_KG = (0.3, 0.45, 0.6)
 POINT = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "point"}
 
 
-def robot_file(folder: Path, driven_by: str = SERVO, more: str = "", delay: str = "{value: 0.02, std: 0.01}") -> Path:
+def robot_file(
+    folder: Path, driven_by: str = SERVO, more: str = "", delay: str = "{value: 0.02, std: 0.01}"
+) -> Path:
     pendulum_urdf(folder, "servo", 0.01, 0.1)
     path = folder / "servo.yaml"
     path.write_text(
@@ -45,14 +47,26 @@ def robot_file(folder: Path, driven_by: str = SERVO, more: str = "", delay: str 
 def driven(load_kg: float, seed: int, *, seconds: float = 8.0) -> dict[str, np.ndarray]:
     """A servo under its own position law that swings a point mass at 0.1 m, integrated here in steps of 0.2 ms."""
     random = np.random.default_rng(seed)
-    torque_constant, resistance, emf, armature = 1.3, 2.0, 1.3, 0.01
-    coulomb, lost, viscous = 0.05 * random.uniform(0.9, 1.1), 0.1, 0.02
-    gain, limit, fastest, delay = 2.5, 0.9, 5.0, 0.025
+    torque_constant = 1.3
+    resistance = 2.0
+    emf = 1.3
+    armature = 0.01
+    coulomb = 0.05 * random.uniform(0.9, 1.1)
+    lost = 0.1
+    viscous = 0.02
+    gain = 2.5
+    limit = 0.9
+    fastest = 5.0
+    delay = 0.025
     step_s = 0.0002
-    phases, speeds = random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.0, 5.0, 3)
+    phases = random.uniform(0.0, 2.0 * np.pi, 3)
+    speeds = random.uniform(1.0, 5.0, 3)
     angle = speed = moved_goal = 0.0
-    inertia, moment = load_kg * 0.01 + 0.01 * 0.01 / 3.0, (load_kg + 0.005) * 0.1
-    rows: dict[str, list[float]] = {name: [] for name in ("t", "position", "goal", "duty", "voltage")}
+    inertia = load_kg * 0.01 + 0.01 * 0.01 / 3.0
+    moment = (load_kg + 0.005) * 0.1
+    rows: dict[str, list[float]] = {
+        name: [] for name in ("t", "position", "goal", "duty", "voltage")
+    }
     sent = 0.0
     for k in range(round(seconds / step_s)):
         t = k * step_s
@@ -80,14 +94,18 @@ def driven(load_kg: float, seed: int, *, seconds: float = 8.0) -> dict[str, np.n
 
 
 def test_a_duty_cycle_is_its_counts() -> None:
-    duty = DutyCycle(-0.001).duty(np.arange(3.0), np.zeros(3), np.array([100.0, -2000.0, 0.0]), None, 0.0)
+    duty = DutyCycle(-0.001).duty(
+        np.arange(3.0), np.zeros(3), np.array([100.0, -2000.0, 0.0]), None, 0.0
+    )
     np.testing.assert_allclose(duty, [-0.1, 1.0, 0.0])
 
 
 def test_a_position_servo_pushes_towards_its_goal_beyond_a_dead_band_and_up_to_a_limit() -> None:
     servo = PositionServo(gain_per_rad=2.0, limit=0.5, dead_band_rad=0.01)
     goal = Goal(np.array([0.0, 1.0]), np.array([0.0, 0.11]))
-    duty = servo.duty(np.array([0.5, 1.05, 1.15, 1.2]), np.array([0.005, 0.0, 0.0, 1.0]), None, goal, 0.1)
+    duty = servo.duty(
+        np.array([0.5, 1.05, 1.15, 1.2]), np.array([0.005, 0.0, 0.0, 1.0]), None, goal, 0.1
+    )
     np.testing.assert_allclose(duty, [0.0, 0.0, 0.2, -0.5])
 
 
@@ -113,7 +131,9 @@ def test_a_goal_moves_no_faster_than_the_firmware_lets_it() -> None:
         ("{kind: position_servo, gain_per_rad: 2, limit: 97}", "limit: must be"),
     ],
 )
-def test_what_drives_a_motor_is_stated_or_refused_in_one_line(tmp_path: Path, driven_by: str, words: str) -> None:
+def test_what_drives_a_motor_is_stated_or_refused_in_one_line(
+    tmp_path: Path, driven_by: str, words: str
+) -> None:
     with pytest.raises(RobotError, match=words) as error:
         load_robot(robot_file(tmp_path, driven_by))
     assert "\n" not in str(error.value) and "driven_by" in str(error.value)
@@ -141,7 +161,9 @@ def rows() -> dict[str, np.ndarray]:
     return driven(0.45, 1, seconds=4.0)
 
 
-def test_the_stall_current_follows_from_goal_position_and_voltage(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+def test_the_stall_current_follows_from_goal_position_and_voltage(
+    tmp_path: Path, rows: dict[str, np.ndarray]
+) -> None:
     bag = write(tmp_path / "bag", rows)
     robot = load_robot(robot_file(tmp_path, delay="{value: 0.025, std: 0.0}"))
     motion: Any = bag_runs_or_motion(bag, Request(robot))
@@ -150,9 +172,13 @@ def test_the_stall_current_follows_from_goal_position_and_voltage(tmp_path: Path
     assert np.sqrt(np.mean(np.square(motion.current_A[:, 0] - true))) < 0.05 * np.std(true)
 
 
-def test_a_duty_cycle_needs_no_goal_and_no_unit(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+def test_a_duty_cycle_needs_no_goal_and_no_unit(
+    tmp_path: Path, rows: dict[str, np.ndarray]
+) -> None:
     counts = np.round(1000.0 * rows["duty"])
-    bag = write(tmp_path / "bag", rows, np.where(counts < 0.0, counts + 65536.0, counts), ("voltage",))
+    bag = write(
+        tmp_path / "bag", rows, np.where(counts < 0.0, counts + 65536.0, counts), ("voltage",)
+    )
     motion: Any = bag_runs_or_motion(bag, Request(load_robot(robot_file(tmp_path, DUTY))))
     np.testing.assert_allclose(motion.current_A[:, 0], rows["duty"] * 6.0, atol=0.15)
     stated = load_robot(robot_file(tmp_path, DUTY, more="      supply_voltage_V: 12.0\n"))
@@ -180,7 +206,11 @@ def test_check_says_what_drives_the_joint(tmp_path: Path, rows: dict[str, np.nda
     stale = np.repeat(np.abs(rows["duty"])[::25], 25)[: len(rows["t"])]
     bag = write(tmp_path / "bag", rows, stale)
     _, (check,) = check_bags(bag, Options(robot=str(robot_file(tmp_path))))
-    assert check.usable == 1 and check.input is not None and check.input.startswith("stall current, from goal")
+    assert (
+        check.usable == 1
+        and check.input is not None
+        and check.input.startswith("stall current, from goal")
+    )
     assert [finding.code for finding in check.findings] == ["voltage_driven"]
     assert "a voltage drives pendulum (position_servo in servo.yaml)" in check.as_text()
 
@@ -190,7 +220,9 @@ def test_without_known_loads_no_mass_is_said(tmp_path: Path, rows: dict[str, np.
     estimate = replay(bag, Options(robot=str(robot_file(tmp_path))))
     assert estimate.values[0].value is None and estimate.verdict is not Verdict.ACCEPTED
     with pytest.raises(RecordingError, match="3 at least"):
-        calibrate_from_bags([], {bag: 0.45}, Options(robot=str(robot_file(tmp_path)), settings=POINT))
+        calibrate_from_bags(
+            [], {bag: 0.45}, Options(robot=str(robot_file(tmp_path)), settings=POINT)
+        )
 
 
 # --- weighing ----------------------------------------------------------------------------------------------------------
@@ -201,7 +233,9 @@ def test_the_spread_is_what_errors_exceed_their_own_word_by() -> None:
     apart = np.array([0.1, -0.1, 0.1, -0.1, 0.1, -0.1])
     for nothing in (0.0, 1e-12):
         posterior = spread_posterior(apart, np.full(6, nothing))
-        assert posterior.sum() == pytest.approx(1.0) and spread_of(posterior) == pytest.approx(0.1, rel=0.15)
+        assert posterior.sum() == pytest.approx(1.0) and spread_of(posterior) == pytest.approx(
+            0.1, rel=0.15
+        )
         # six say little: twice as much is not excluded
         assert 0.005 < posterior[SPREADS > 0.17].sum() < 0.1
     assert spread_of(spread_posterior(apart, np.full(6, 0.04))) < 0.06
@@ -222,7 +256,10 @@ def test_the_delay_is_looked_for_where_it_was_stated() -> None:
 def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
     """Integrated here, under the law of a position servo; the file's torque constant and delay are off."""
     robot = robot_file(tmp_path)
-    references = {write(tmp_path / f"known{seed}", driven(kg, seed)): kg for seed, kg in enumerate((*LOADS_KG, *LOADS_KG))}
+    references = {
+        write(tmp_path / f"known{seed}", driven(kg, seed)): kg
+        for seed, kg in enumerate((*LOADS_KG, *LOADS_KG))
+    }
     options = Options(robot=str(robot), settings=POINT)
     learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
@@ -231,7 +268,9 @@ def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
     assert read.joint_calibration is not None and learnt.joint is not None
     np.testing.assert_allclose(read.joint_calibration.without, learnt.joint.without, rtol=1e-12)
     scale, armature = learnt.joint.values[:2]
-    assert scale == pytest.approx(1.0 / 1.3, rel=0.05) and armature / scale == pytest.approx(0.01, abs=0.004)
+    assert scale == pytest.approx(1.0 / 1.3, rel=0.05) and armature / scale == pytest.approx(
+        0.01, abs=0.004
+    )
     for seed, kg in ((10, 0.35), (11, 0.55)):
         bag = write(tmp_path / f"asked{seed}", driven(kg, seed))
         estimate = replay(bag, Options(calibration=tmp_path / "known.yaml", settings=POINT))
@@ -257,11 +296,18 @@ def test_known_loads_do_not_make_a_torque_of_a_stale_magnitude(tmp_path: Path) -
 XL330 = ("sin_sin", "sin_time_square", "up_and_down")
 STS = ("sin_sin", "sin_time_square", "up_and_down")
 STS_LAW = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_rad_s: 5.215}"
-STS_OBJECT = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0]}
+STS_OBJECT = {
+    "payload.com": [0.0, 0.0, 0.0],
+    "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0],
+}
 
 
-def weighed(robot: Path, references: dict[Path, float], asked: Path, settings: dict[str, Any], output: Path) -> Estimate:
-    learnt = calibrate_from_bags([], dict(references), Options(robot=str(robot), settings=settings), output, force=True)
+def weighed(
+    robot: Path, references: dict[Path, float], asked: Path, settings: dict[str, Any], output: Path
+) -> Estimate:
+    learnt = calibrate_from_bags(
+        [], dict(references), Options(robot=str(robot), settings=settings), output, force=True
+    )
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
     return replay(asked, Options(calibration=output, settings=settings))
 
@@ -269,13 +315,19 @@ def weighed(robot: Path, references: dict[Path, float], asked: Path, settings: d
 def checked(estimate: Estimate, truth_kg: float, within: float) -> None:
     mass = estimate.values[0]
     if estimate.verdict is Verdict.ACCEPTED:
-        assert mass.ci95[0] < truth_kg < mass.ci95[1] and mass.value == pytest.approx(truth_kg, rel=within)
+        assert mass.ci95[0] < truth_kg < mass.ci95[1] and mass.value == pytest.approx(
+            truth_kg, rel=within
+        )
     else:
-        assert mass.value is None and [reason.code for reason in estimate.reasons] == ["says_too_little"]  # type: ignore
+        assert mass.value is None and [reason.code for reason in estimate.reasons] == [
+            "says_too_little"
+        ]  # type: ignore
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("asked", [f"{gain}_{motion}" for gain in ("kp100", "kp400") for motion in XL330])
+@pytest.mark.parametrize(
+    "asked", [f"{gain}_{motion}" for gain in ("kp100", "kp400") for motion in XL330]
+)
 def test_a_real_servo_that_reports_its_duty_cycle(tmp_path: Path, asked: str) -> None:
     """Calibrated on the servo under another gain; its gears lose half of what they lift.
 
@@ -288,7 +340,9 @@ def test_a_real_servo_that_reports_its_duty_cycle(tmp_path: Path, asked: str) ->
     references = {REAL / f"xl330_{other}_{motion}": 0.49 for motion in XL330}
     estimate = weighed(robot, references, REAL / f"xl330_{asked}", POINT, tmp_path / "known.yaml")
     if asked == "kp400_sin_sin":
-        assert estimate.values[0].value is None and "not explained by any load" in estimate.reasons[0]
+        assert (
+            estimate.values[0].value is None and "not explained by any load" in estimate.reasons[0]
+        )
         return
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     checked(estimate, 0.49, 0.16)
@@ -302,9 +356,17 @@ def test_a_real_position_servo_that_reports_nothing(tmp_path: Path, asked: str, 
     if not REAL.exists():
         pytest.skip("needs the real recordings")
     robot = robot_file(tmp_path, STS_LAW, delay="{value: 0.02, std: 0.02}")
-    every = {REAL / f"sts3215_{motion}_{load}kg": float(load) for motion in STS for load in ("0.535", "1.168")}
+    every = {
+        REAL / f"sts3215_{motion}_{load}kg": float(load)
+        for motion in STS
+        for load in ("0.535", "1.168")
+    }
     bag = REAL / f"sts3215_{asked}_{kg}kg"
     references = {path: load for path, load in every.items() if path != bag}
     estimate = weighed(robot, references, bag, STS_OBJECT, tmp_path / "known.yaml")
-    assert estimate.verdict is Verdict.ACCEPTED or asked == "up_and_down" or bag.name.endswith("square_0.535kg")
+    assert (
+        estimate.verdict is Verdict.ACCEPTED
+        or asked == "up_and_down"
+        or bag.name.endswith("square_0.535kg")
+    )
     checked(estimate, float(kg), 0.1 if asked != "up_and_down" else 0.2)

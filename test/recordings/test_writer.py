@@ -25,9 +25,17 @@ def test_what_is_written_is_read_back_bit_by_bit(
 ) -> None:
     count = data.draw(st.integers(5, 12))
     gaps = data.draw(st.lists(st.integers(10**6, 10**9), min_size=count, max_size=count))
-    names = tuple(data.draw(st.lists(st.text("abcXYZ_0189", min_size=1, max_size=6), min_size=1, unique=True, max_size=4)))
+    names = tuple(
+        data.draw(
+            st.lists(
+                st.text("abcXYZ_0189", min_size=1, max_size=6), min_size=1, unique=True, max_size=4
+            )
+        )
+    )
     finite = st.floats(-49.0, 49.0, allow_subnormal=True)
-    table = st.lists(st.lists(finite, min_size=len(names), max_size=len(names)), min_size=count, max_size=count)
+    table = st.lists(
+        st.lists(finite, min_size=len(names), max_size=len(names)), min_size=count, max_size=count
+    )
     times_ns = ONSET_NS + np.cumsum(gaps)
     velocity = data.draw(st.none() | table)
     effort = data.draw(st.none() | table)
@@ -45,7 +53,8 @@ def test_what_is_written_is_read_back_bit_by_bit(
     assert again.name == "trip"
     assert again.joints.names == names
     for quantity in ("times_ns", "position", "velocity", "effort"):
-        before, after = getattr(joints, quantity), getattr(again.joints, quantity)
+        before = getattr(joints, quantity)
+        after = getattr(again.joints, quantity)
         assert (before is None) == (after is None)
         assert before is None or before.tobytes() == after.tobytes()
     assert again.inputs is not None
@@ -67,7 +76,9 @@ def test_writing_without_an_input_and_refusals(tmp_path: Path) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(places=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8))
-def test_a_bag_of_ours_that_was_damaged_is_refused(tmp_path_factory: pytest.TempPathFactory, places: list[float]) -> None:
+def test_a_bag_of_ours_that_was_damaged_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, places: list[float]
+) -> None:
     """Bits of the messages, wherever they are: MCAP has a checksum, and what we write carries it."""
     folder = tmp_path_factory.mktemp("ours") / "bag"
     write_recording(folder, read(BAGS / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap"))

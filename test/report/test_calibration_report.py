@@ -27,7 +27,9 @@ def estimate(bags: Path) -> CalibrationEstimate:
 @pytest.mark.long
 def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
-    write_calibration_report(estimate, path, command="proprio calibrate <bag>", sources=["one & two"])
+    write_calibration_report(
+        estimate, path, command="proprio calibrate <bag>", sources=["one & two"]
+    )
     reader, words = read(path)
     assert reader.tags.count("svg") == 4
     for sentence in (*estimate.reasons, *estimate.not_separated, *estimate.notes):
@@ -40,7 +42,9 @@ def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path
     rounded = re.findall(r">(-?[\d.]+) ± ([\d.]+)<", path.read_text())
     assert len(rounded) == 2 * len(estimate.unknowns)
     for value, error in rounded:
-        assert len(value.partition(".")[2]) <= len(error.partition(".")[2]) + 1, f"{value} ± {error}: digits are noise"
+        assert len(value.partition(".")[2]) <= len(error.partition(".")[2]) + 1, (
+            f"{value} ± {error}: digits are noise"
+        )
 
 
 @pytest.mark.long
@@ -52,7 +56,9 @@ def test_names_are_escaped(estimate: CalibrationEstimate, tmp_path: Path) -> Non
 
 
 def test_a_calibration_that_is_none_has_a_page_too(tmp_path: Path) -> None:
-    none = CalibrationEstimate("arm", Verdict.NOT_IDENTIFIABLE, ("no run can be used",), 3, None, notes=("it stuck",))
+    none = CalibrationEstimate(
+        "arm", Verdict.NOT_IDENTIFIABLE, ("no run can be used",), 3, None, notes=("it stuck",)
+    )
     write_calibration_report(none, tmp_path / "page.html")
     words = read(tmp_path / "page.html")[1]
     assert "not identifiable" in words and "no run can be used" in words and "it stuck" in words
@@ -62,7 +68,9 @@ def test_motions_that_the_others_weigh_are_listed_with_their_loads(tmp_path: Pat
     runs = ({"name": "up", "duration_s": 9.0, "load_kg": 0.49, "read_kg": 0.52, "std_kg": 0.0286},)
     joint = JointCalibration("pendulum", 1.0, np.zeros(6), np.zeros((1, 6)), 0.03, 0.01, runs)
     weighed = (EmptyHandEstimate("up", 0.52, 0.0286, 1.96),)
-    servo = CalibrationEstimate("servo", Verdict.ACCEPTED, (), 1, None, joint=joint, weighed_empty=weighed)
+    servo = CalibrationEstimate(
+        "servo", Verdict.ACCEPTED, (), 1, None, joint=joint, weighed_empty=weighed
+    )
     write_calibration_report(servo, tmp_path / "page.html")
     assert "up 490 g 520 g ± 56 g" in read(tmp_path / "page.html")[1]
 

@@ -42,7 +42,9 @@ def loaded() -> tuple[Motion, Motion]:
 
 @pytest.fixture(scope="module")
 def weighed(folder: Path, loaded: tuple[Motion, Motion]) -> Weighing:
-    bar, empty = (write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in loaded)
+    bar, empty = (
+        write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in loaded
+    )
     return weigh(bar, baseline=empty, robot=write_robot(folder), effort_unit="N.m")
 
 
@@ -51,13 +53,17 @@ def estimate(weighed: Weighing) -> Estimate:
     return weighed.estimate
 
 
-def test_what_is_drawn_is_what_was_recorded_and_fitted(estimate: Estimate, loaded: tuple[Motion, Motion], tmp_path: Path) -> None:
+def test_what_is_drawn_is_what_was_recorded_and_fitted(
+    estimate: Estimate, loaded: tuple[Motion, Motion], tmp_path: Path
+) -> None:
     assert [fit.joint for fit in estimate.joint_fits] == list(SIX.joints)
     for fit in estimate.joint_fits:
         column = SIX.joints.index(fit.joint)
         torque = SIX.constants[column] * loaded[0].current_A[:, column]
         near = [torque[np.abs(loaded[0].times_s - at) < 0.25].mean() for at in fit.times_s]
-        assert np.std(fit.measured - near) < 0.2 * np.std(near), "windows of half a second at their times"
+        assert np.std(fit.measured - near) < 0.2 * np.std(near), (
+            "windows of half a second at their times"
+        )
         off = fit.measured - fit.explained
         assert np.sqrt(np.mean(off**2)) == pytest.approx(fit.left_over, rel=0.1)
         assert fit.left_over < 0.15 * np.sqrt(np.mean(fit.measured**2))
@@ -68,13 +74,17 @@ def test_what_is_drawn_is_what_was_recorded_and_fitted(estimate: Estimate, loade
     drawn = curves((tmp_path / "page.html").read_text(), "explained")
     assert len(drawn) == 6
     most = max(estimate.joint_fits, key=lambda fit: fit.told.sum())
-    assert drawn[0] == pytest.approx(np.stack([most.times_s, most.explained], axis=1), abs=2e-3 * np.ptp(most.explained))
+    assert drawn[0] == pytest.approx(
+        np.stack([most.times_s, most.explained], axis=1), abs=2e-3 * np.ptp(most.explained)
+    )
 
 
 def test_the_torque_of_the_payload_is_apart(estimate: Estimate, folder: Path) -> None:
     """Joint 2 lifts it: what the payload makes of its torque is gravity on it, while nothing accelerates."""
-    robot, lift = load_robot(folder / "twin.yaml"), estimate.joint_fits[1]
-    mass, reach = estimate.value("payload_mass").value, np.abs(lift.payload).max()
+    robot = load_robot(folder / "twin.yaml")
+    lift = estimate.joint_fits[1]
+    mass = estimate.value("payload_mass").value
+    reach = np.abs(lift.payload).max()
     assert 0.3 * mass * 9.81 < reach < 1.5 * mass * 9.81 * 0.9, "its lever is between 0.3 and 0.9 m"
     assert robot.payload_frame == "hand"
 
@@ -90,19 +100,31 @@ def test_the_page_has_everything(estimate: Estimate, tmp_path: Path) -> None:
         "Values and intervals",
     ):
         assert heading in text
-    assert [reader.classes.count(kind) for kind in ("chart", "plot", "arm", "strip")] == [6, 12, 4, 6]
+    assert [reader.classes.count(kind) for kind in ("chart", "plot", "arm", "strip")] == [
+        6,
+        12,
+        4,
+        6,
+    ]
     headlines = re.findall(r"<p class=\"value[^>]*>([^<]*)<", (tmp_path / "page.html").read_text())
-    assert len(headlines) == 2 and headlines[1].endswith(" mm"), "mass and centre; the inertia is in the table"
+    assert len(headlines) == 2 and headlines[1].endswith(" mm"), (
+        "mass and centre; the inertia is in the table"
+    )
     assert "?" not in text and "kg m^2" not in text
     inertia = estimate.value("payload_inertia")
     for name, value in zip(("xx", "xy", "xz", "yy", "yz", "zz"), inertia.value, strict=True):
         assert (f"inertia, {name}" in text) or value is None
-    assert "centre of mass of the payload, y" in text and (tmp_path / "page.html").stat().st_size < 180_000
+    assert (
+        "centre of mass of the payload, y" in text
+        and (tmp_path / "page.html").stat().st_size < 180_000
+    )
 
 
 def test_what_is_withheld_is_said_in_words(estimate: Estimate, tmp_path: Path) -> None:
     none = [None] * 6
-    withheld = Value("payload_inertia", "kg m^2", none, none, none, "too little is held to say how it is spread")
+    withheld = Value(
+        "payload_inertia", "kg m^2", none, none, none, "too little is held to say how it is spread"
+    )
     write_report(replace(estimate, values=(*estimate.values[:2], withheld)), tmp_path / "page.html")
     _, text = read(tmp_path / "page.html")
     assert "?" not in text and "payload inertia: too little is held to say how it is spread" in text
@@ -110,24 +132,34 @@ def test_what_is_withheld_is_said_in_words(estimate: Estimate, tmp_path: Path) -
 
 def test_a_terminal_has_the_digits_of_the_page(estimate: Estimate) -> None:
     centre = estimate.value("payload_com")
-    some = replace(estimate.value("payload_inertia"), value=[0.25, None, None, 0.5, None, None], std=[0.01] * 6)
+    some = replace(
+        estimate.value("payload_inertia"), value=[0.25, None, None, 0.5, None, None], std=[0.01] * 6
+    )
     assert re.fullmatch(r"\[(-?\d+\.\d(, )?){3}\] mm", centre.in_words())
     assert some.in_words() == "xx 0.250, yy 0.500 kg m^2"
     for value, words in ((centre, centre.in_words()), (some, some.in_words())):
-        assert f"{value.name}: {words}" in estimate_as_text(replace(estimate, values=(*estimate.values[:1], value)))
+        assert f"{value.name}: {words}" in estimate_as_text(
+            replace(estimate, values=(*estimate.values[:1], value))
+        )
 
 
-def test_the_page_of_a_calibration_shows_what_the_arm_explains(folder: Path, loaded: tuple[Motion, Motion], tmp_path: Path) -> None:
+def test_the_page_of_a_calibration_shows_what_the_arm_explains(
+    folder: Path, loaded: tuple[Motion, Motion], tmp_path: Path
+) -> None:
     bag = write_bag(folder / "learnt", loaded[1], constants=SIX.constants)
     learnt = calibrate(bag, robot=write_robot(folder), effort_unit="N.m")
     fits = learnt.estimate.joint_fits
-    assert [fit.joint for fit in fits] == list(SIX.joints) and not any(fit.payload.any() for fit in fits)
+    assert [fit.joint for fit in fits] == list(SIX.joints) and not any(
+        fit.payload.any() for fit in fits
+    )
     for fit in fits:
         assert fit.left_over < 0.15 * np.sqrt(np.mean(fit.measured**2))
     assert "joint_fits" not in learnt.as_json()
     reader, text = read(learnt.report(tmp_path / "page.html"))
     assert [reader.classes.count(kind) for kind in ("chart", "plot")] == [6, 12]
-    assert "by the arm and its friction as they were identified" in text and "of the mass" not in text
+    assert (
+        "by the arm and its friction as they were identified" in text and "of the mass" not in text
+    )
     assert "torque beyond what its constant says" in text and "Every shared unknown" in text
     drawn = curves((tmp_path / "page.html").read_text(), "measured")
     lift = np.stack([fits[1].times_s, fits[1].measured], axis=1)
@@ -142,12 +174,18 @@ def test_a_notebook_plots_it(weighed: Weighing) -> None:
 
 def test_the_ellipsoid_is_the_homogeneous_one(tmp_path: Path) -> None:
     """Half axes of 3, 2 and 1 cm along those of the hand, seen along two of them."""
-    robot, half = load_robot(write_robot(tmp_path)), np.array([0.03, 0.02, 0.01])
-    mass, square = 2.0, half**2
+    robot = load_robot(write_robot(tmp_path))
+    half = np.array([0.03, 0.02, 0.01])
+    mass = 2.0
+    square = half**2
     inertia = mass / 5.0 * np.diag(square.sum() - square)
-    still = Motion("still", SIX.joints, np.arange(80.0), np.zeros((80, 6)), np.zeros((80, 6)), {}, "")
+    still = Motion(
+        "still", SIX.joints, np.arange(80.0), np.zeros((80, 6)), np.zeros((80, 6)), {}, ""
+    )
     side, above = held_views(robot, still, (mass, CENTRE_M, inertia), "stated", 0.5 * half)
-    assert held_views(robot, still, (0.0, CENTRE_M, inertia), "assumed", 0.5 * half)[0].body is None, "nothing has no body"
+    assert (
+        held_views(robot, still, (0.0, CENTRE_M, inertia), "assumed", 0.5 * half)[0].body is None
+    ), "nothing has no body"
     assert (side.side, above.side) == ("from the side", "from above")
     for view, axes in ((side, [0, 2]), (above, [0, 1])):
         assert view.centre - view.hand == pytest.approx(CENTRE_M[axes])
@@ -155,5 +193,7 @@ def test_the_ellipsoid_is_the_homogeneous_one(tmp_path: Path) -> None:
         assert 0.5 * np.ptp(view.within, axis=0) == pytest.approx(0.5 * half[axes], rel=5e-3)
         assert np.abs(view.arm[-1] - view.hand).min() < 1e-9, "the arm ends in the hand"
         assert "NaN" not in held_figure(view) and held_figure(view).count("<circle") == 1
-    bare = held_views(robot, replace(still, joints=SIX.joints[:5], position=np.zeros((80, 5))), None)
+    bare = held_views(
+        robot, replace(still, joints=SIX.joints[:5], position=np.zeros((80, 5))), None
+    )
     assert bare == (), "nobody knows where the last joint stood"

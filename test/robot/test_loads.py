@@ -28,7 +28,10 @@ def kinetic_J(robot: Robot, pose: dict[str, float], joint: str) -> float:
     """Of all links, with one joint at 1 rad/s or 1 m/s: ``tr(Tdot P Tdot^T) / 2``, derivative by differences."""
     total = 0.0
     for link in robot.model.links:
-        ahead, behind = (robot.model.frame_transform(link.name, {**pose, joint: pose[joint] + s}) for s in (STEP, -STEP))
+        ahead, behind = (
+            robot.model.frame_transform(link.name, {**pose, joint: pose[joint] + s})
+            for s in (STEP, -STEP)
+        )
         rate = (ahead - behind) / (2.0 * STEP)
         total += 0.5 * float(np.trace(rate @ link.pseudo_inertia @ rate.T))
     return total
@@ -42,20 +45,31 @@ def test_gravity_is_the_slope_of_the_potential_energy_and_inertia_twice_the_kine
         ahead, behind = (potential_J(robot, {**POSE, name: POSE[name] + s}) for s in (STEP, -STEP))
         assert effort[name] == pytest.approx((ahead - behind) / (2.0 * STEP), abs=1e-7)
         # fingers that follow move the other way: their cross term vanishes
-        assert inertia[name] == pytest.approx(2.0 * kinetic_J(robot, POSE, name), rel=1e-6, abs=1e-9)
+        assert inertia[name] == pytest.approx(
+            2.0 * kinetic_J(robot, POSE, name), rel=1e-6, abs=1e-9
+        )
     assert min(abs(effort[name]) for name in ("joint2", "joint3", "joint4")) > 0.05
 
 
 def test_what_the_hand_holds_pulls_where_the_hand_is() -> None:
-    robot, held_kg = load_robot("open_manipulator_x"), 0.3
-    empty, loaded = Loads(robot).at(POSE), Loads(robot).at(POSE, held_kg)
+    robot = load_robot("open_manipulator_x")
+    held_kg = 0.3
+    empty = Loads(robot).at(POSE)
+    loaded = Loads(robot).at(POSE, held_kg)
     for name, effort in empty.gravity.items():
-        heights = [robot.model.frame_transform(robot.payload_frame, {**POSE, name: POSE[name] + s})[2, 3] for s in (STEP, -STEP)]
+        heights = [
+            robot.model.frame_transform(robot.payload_frame, {**POSE, name: POSE[name] + s})[2, 3]
+            for s in (STEP, -STEP)
+        ]
         lever_m = (heights[0] - heights[1]) / (2.0 * STEP)
         assert loaded.per_kg[name] == pytest.approx(9.81 * lever_m, rel=1e-3, abs=1e-6)
-        assert loaded.gravity[name] == pytest.approx(effort + held_kg * loaded.per_kg[name], abs=1e-9)
+        assert loaded.gravity[name] == pytest.approx(
+            effort + held_kg * loaded.per_kg[name], abs=1e-9
+        )
     reach_m = np.linalg.norm(robot.model.frame_transform(robot.payload_frame, POSE)[:2, 3])
-    assert loaded.inertia["joint1"] - empty.inertia["joint1"] == pytest.approx(held_kg * reach_m**2, rel=0.2)
+    assert loaded.inertia["joint1"] - empty.inertia["joint1"] == pytest.approx(
+        held_kg * reach_m**2, rel=0.2
+    )
 
 
 def test_all_masses_scale_together() -> None:
@@ -72,17 +86,23 @@ def test_a_joint_that_moves_pulls_at_the_others_as_the_equations_of_motion_say()
     names = ("joint1", "joint2", "joint3", "joint4")
     held = {name: value for name, value in POSE.items() if name not in names}
     model = robot.model.lock(names, held, robot.gravity)
-    speed, acceleration = 2.3, -7.0
+    speed = 2.3
+    acceleration = -7.0
     for moved in names:
         motions = [
-            tuple(np.array([value]) for value in (POSE[name], speed * (name == moved), acceleration * (name == moved)))
+            tuple(
+                np.array([value])
+                for value in (POSE[name], speed * (name == moved), acceleration * (name == moved))
+            )
             for name in model.joint_names
         ]
         for name in names:
             if name == moved:
                 continue
             row = model.joint_names.index(name)
-            torque = float(joint_torque(model, motions, row, np.array([model.pseudo_inertia]))[0, 0])  # type: ignore[arg-type]
+            torque = float(
+                joint_torque(model, motions, row, np.array([model.pseudo_inertia]))[0, 0]
+            )  # type: ignore[arg-type]
             by_acceleration, by_speed = reactions[moved][name]
             expected = by_acceleration * acceleration + by_speed * speed**2
             assert gravity[name] + expected == pytest.approx(torque, abs=1e-9), (moved, name)

@@ -28,14 +28,20 @@ MARKED = "nominal_torque_constant_N_m_per_A: null"
 
 def written(folder: Path, urdf: str = THREE) -> str:
     (folder / "arm.urdf").write_text(urdf)
-    assert main(["robot", "new", str(folder / "arm.urdf"), "--output", str(folder / "new.yaml")]) == 0
+    assert (
+        main(["robot", "new", str(folder / "arm.urdf"), "--output", str(folder / "new.yaml")]) == 0
+    )
     return (folder / "new.yaml").read_text()
 
 
 def test_every_key_is_there_with_its_default(tmp_path: Path) -> None:
     text = written(tmp_path)
     content = yaml_of(text)
-    assert set(content) == {*ROBOT, "urdf", "joints"} - {"calibration", "joint_calibration", "model_fingerprint"}
+    assert set(content) == {*ROBOT, "urdf", "joints"} - {
+        "calibration",
+        "joint_calibration",
+        "model_fingerprint",
+    }
     assert set(content["joints"]) == {"a", "b"}, "c is fixed"
     assert set(content["joints"]["b"]["motor"]) == set(MOTOR)
     assert set(content["joints"]["b"]["drive_train"]) == set(DRIVE_TRAIN)
@@ -48,23 +54,41 @@ def test_every_key_is_there_with_its_default(tmp_path: Path) -> None:
 def test_filled_in_it_holds_what_would_hold_without_it(tmp_path: Path) -> None:
     text = written(tmp_path)
     assert text.count("# STATE THIS") == 2 and "CHECK THIS" in text
-    (tmp_path / "new.yaml").write_text(text.replace(MARKED, "nominal_torque_constant_N_m_per_A: 2.0"))
+    (tmp_path / "new.yaml").write_text(
+        text.replace(MARKED, "nominal_torque_constant_N_m_per_A: 2.0")
+    )
     (tmp_path / "short.yaml").write_text(
         "name: arm\nurdf: arm.urdf\npayload_frame: three\njoints:\n"
         "  a: {motor: {nominal_torque_constant_N_m_per_A: 2}}\n  b: {motor: {nominal_torque_constant_N_m_per_A: 2}}\n"
     )
-    full, short = load_robot(tmp_path / "new.yaml"), load_robot(tmp_path / "short.yaml")
+    full = load_robot(tmp_path / "new.yaml")
+    short = load_robot(tmp_path / "short.yaml")
     assert full.drive_trains == short.drive_trains and full.motors == short.motors
-    for name in ("delay", "arm_scale", "stamp_jitter_s", "torque_disturbance", "link_com_std", "payload_frame"):
+    for name in (
+        "delay",
+        "arm_scale",
+        "stamp_jitter_s",
+        "torque_disturbance",
+        "link_com_std",
+        "payload_frame",
+    ):
         assert getattr(full, name) == getattr(short, name), name
 
 
-def test_until_then_all_that_is_missing_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    slide = chain(joint("a"), joint("finger", "one", "two", kind="prismatic"), joint("c", "two", "three", kind="fixed"))
+def test_until_then_all_that_is_missing_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slide = chain(
+        joint("a"),
+        joint("finger", "one", "two", kind="prismatic"),
+        joint("c", "two", "three", kind="fixed"),
+    )
     written(tmp_path, slide)
     assert main(["plan", "--mass", "0.1", "--robot", str(tmp_path / "new.yaml")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith("proprio: new.yaml: missing: motor.nominal_torque_constant_N_m_per_A of a, finger; transmission_m")
+    assert said.startswith(
+        "proprio: new.yaml: missing: motor.nominal_torque_constant_N_m_per_A of a, finger; transmission_m"
+    )
     assert "_per_rad (slide per rad of the motor) of finger; state each" in said
 
 
@@ -76,8 +100,15 @@ def test_an_older_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "--force" in capsys.readouterr().err
     assert main([*words, "--force", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert said["joints"] == ["a", "b"] and said["payload_frame"] == "three" and len(said["to_state"]) == 2
-    assert main(["robot", "new", str(tmp_path / "leg.urdf"), "--output", str(tmp_path / "leg.yaml")]) == 2
+    assert (
+        said["joints"] == ["a", "b"]
+        and said["payload_frame"] == "three"
+        and len(said["to_state"]) == 2
+    )
+    assert (
+        main(["robot", "new", str(tmp_path / "leg.urdf"), "--output", str(tmp_path / "leg.yaml")])
+        == 2
+    )
     assert not (tmp_path / "leg.yaml").exists()
 
 
@@ -85,7 +116,10 @@ def test_names_that_yaml_would_take_for_something_else(tmp_path: Path) -> None:
     names = ("on", "1", 'a: "b"', "#c")
     links = "".join(link(name) for name in ("base", "l0", "l1", "l2", "l3"))
     quoted = [name.replace('"', "&quot;") for name in names]
-    text = written(tmp_path, chain(*(joint(name, "base", f"l{n}") for n, name in enumerate(quoted)), links=links))
+    text = written(
+        tmp_path,
+        chain(*(joint(name, "base", f"l{n}") for n, name in enumerate(quoted)), links=links),
+    )
     assert list(yaml_of(text)["joints"]) == list(names)
 
 
@@ -94,8 +128,14 @@ def test_a_bag_brings_its_description(tmp_path: Path, storage: StoragePlugin) ->
     """As a recorder keeps a latched topic: one message, or the same again after each start of the recorder."""
     text = THREE.replace("<robot", f"<!-- {'x' * 300_000} --><robot", 1)
     bag(tmp_path / "bag", storage, [text, text])
-    assert main(["robot", "new", str(tmp_path / "bag"), "--output", str(tmp_path / "new.yaml")]) == 0
-    content = (tmp_path / "new.yaml").read_text().replace(MARKED, "nominal_torque_constant_N_m_per_A: 2.0")
+    assert (
+        main(["robot", "new", str(tmp_path / "bag"), "--output", str(tmp_path / "new.yaml")]) == 0
+    )
+    content = (
+        (tmp_path / "new.yaml")
+        .read_text()
+        .replace(MARKED, "nominal_torque_constant_N_m_per_A: 2.0")
+    )
     (tmp_path / "new.yaml").write_text(content)
     with pytest.raises(RobotError, match="is a bag, which only a reader of bags"):
         load_robot(tmp_path / "new.yaml")
@@ -113,13 +153,17 @@ def test_a_bag_without_one_description(tmp_path: Path) -> None:
         description_of(tmp_path / "none")
 
 
-def bag(path: Path, storage: StoragePlugin, texts: list[str], topic: str = "/robot_description") -> None:
+def bag(
+    path: Path, storage: StoragePlugin, texts: list[str], topic: str = "/robot_description"
+) -> None:
     types = message_types()
     with Writer(path, version=9, storage_plugin=storage) as writer:
         connection = writer.add_connection(topic, "std_msgs/msg/String", typestore=types)
         for number, text in enumerate(texts):
             message = types.types["std_msgs/msg/String"](data=text)
-            writer.write(connection, 10**9 + number, types.serialize_cdr(message, "std_msgs/msg/String"))
+            writer.write(
+                connection, 10**9 + number, types.serialize_cdr(message, "std_msgs/msg/String")
+            )
 
 
 def test_the_guessed_hand_is_no_finger(tmp_path: Path) -> None:
@@ -180,10 +224,13 @@ def test_the_guessed_hand_of_arms_whose_last_joint_is_a_jaw() -> None:
         assert hand_link(load_robot(name).model) == hand
 
 
-def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_urdf_does(tmp_path: Path) -> None:
+def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_urdf_does(
+    tmp_path: Path,
+) -> None:
     """Its torque constants were 15 % uncertain where those of the URDF alone are 10 %, and so were its masses."""
     gripper = chain(
-        joint("a", limit='<limit lower="-1" upper="1" effort="1.23456" velocity="1"/>'), finger("f", "one", "two", kind="prismatic")
+        joint("a", limit='<limit lower="-1" upper="1" effort="1.23456" velocity="1"/>'),
+        finger("f", "one", "two", kind="prismatic"),
     )
     for number, urdf in enumerate((THREE, gripper)):
         folder = tmp_path / str(number)
@@ -195,7 +242,10 @@ def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_u
             output = folder / f"new{len(flags)}.yaml"
             assert main(["robot", "new", source, "--output", str(output), *flags]) == 0
             if not flags and urdf == gripper:
-                with pytest.raises(RobotError, match=r"or `proprio robot new --effort-unit N\.m`, where torque was recorded"):
+                with pytest.raises(
+                    RobotError,
+                    match=r"or `proprio robot new --effort-unit N\.m`, where torque was recorded",
+                ):
                     load_robot(output)
                 continue
             assert ("# STATE THIS" in output.read_text()) is not bool(flags)
@@ -203,22 +253,28 @@ def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_u
             assert list(file.drive_trains) == list(bare.drive_trains)
             for name, drive in bare.drive_trains.items():
                 for entry in fields(drive):
-                    known, was = getattr(file.drive_trains[name], entry.name), getattr(drive, entry.name)
+                    known = getattr(file.drive_trains[name], entry.name)
+                    was = getattr(drive, entry.name)
                     if isinstance(was, Quantity):
-                        known, was = (known.value, known.std), (was.value, was.std)
+                        known = (known.value, known.std)
+                        was = (was.value, was.std)
                     exact = was is None or isinstance(was, bool)
                     assert known == (was if exact else pytest.approx(was, rel=1e-3)), entry.name
             assert file.torque_disturbance == pytest.approx(bare.torque_disturbance, rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ["ur5e", "ur10e", "so101"])
-def test_in_ampere_the_filled_in_file_knows_what_the_urdf_with_its_constants_does(tmp_path: Path, name: str) -> None:
+def test_in_ampere_the_filled_in_file_knows_what_the_urdf_with_its_constants_does(
+    tmp_path: Path, name: str
+) -> None:
     """Stating more never knows less: no spread of the file is wider than that of the URDF and the same constants."""
     urdf = Path(__file__).resolve().parents[2] / "urdf" / f"{name}.urdf"
     constant = "nominal_torque_constant_N_m_per_A"
     text = written(tmp_path, urdf.read_text())
     joints = [
-        key.split(".")[1] for key in new_robot_file(str(urdf), tmp_path / "x.yaml", description_of).to_state if constant in key
+        key.split(".")[1]
+        for key in new_robot_file(str(urdf), tmp_path / "x.yaml", description_of).to_state
+        if constant in key
     ]
     (tmp_path / "new.yaml").write_text(text.replace(MARKED, f"{constant}: 2.0"))
     stated = {f"joints.{each}.motor.{constant}": 2.0 for each in joints}
@@ -229,7 +285,10 @@ def test_in_ampere_the_filled_in_file_knows_what_the_urdf_with_its_constants_doe
         for term in fields(file.drive_trains[each]):
             mine, other = (getattr(robot.drive_trains[each], term.name) for robot in (file, alone))
             assert not isinstance(mine, Quantity) or mine.std <= other.std, (each, term.name)
-    assert file.arm_scale.std <= alone.arm_scale.std and file.torque_disturbance <= alone.torque_disturbance
+    assert (
+        file.arm_scale.std <= alone.arm_scale.std
+        and file.torque_disturbance <= alone.torque_disturbance
+    )
 
 
 def test_a_nominal_constant_of_one_is_recorded_torque_too(tmp_path: Path) -> None:
@@ -237,7 +296,9 @@ def test_a_nominal_constant_of_one_is_recorded_torque_too(tmp_path: Path) -> Non
     (tmp_path / "new.yaml").write_text(text)
     path = tmp_path / "new.yaml"
     assert load_robot(path).drive_trains["a"].torque_constant == Quantity(1.0, 0.15)
-    assert load_robot(path, with_recorded_torque(path, {})).drive_trains["a"].torque_constant == Quantity(1.0, 0.1)
+    assert load_robot(path, with_recorded_torque(path, {})).drive_trains[
+        "a"
+    ].torque_constant == Quantity(1.0, 0.1)
 
 
 @pytest.mark.skipif(not UR10E.exists(), reason="needs the real recordings")
@@ -247,5 +308,8 @@ def test_a_real_arms_urdf(tmp_path: Path) -> None:
     content = yaml_of((tmp_path / "ur10e.yaml").read_text())
     assert len(content["joints"]) == 6 and content["payload_frame"] == "ee_link"
     # 330 N m by its URDF
-    assert content["joints"]["shoulder_lift_joint"]["drive_train"]["coulomb_N_m"] == {"value": 0, "std": 33}
+    assert content["joints"]["shoulder_lift_joint"]["drive_train"]["coulomb_N_m"] == {
+        "value": 0,
+        "std": 33,
+    }
     assert not set(JOINT) & {"transmission_m_per_rad"} & set(content["joints"]["elbow_joint"])

@@ -79,46 +79,116 @@ def test_open_manipulator_states_what_is_uncertain() -> None:
 
 
 BAD_FILES = {
-    "unknown key": ("payload_frame: two", "payload_frame: two\npaylod: 1", "arm.yaml: unknown key 'paylod'; did you mean"),
-    "unknown motor key": ("{nominal", "{torque: 1, nominal", "joints: a: motor: unknown key 'torque'"),
+    "unknown key": (
+        "payload_frame: two",
+        "payload_frame: two\npaylod: 1",
+        "arm.yaml: unknown key 'paylod'; did you mean",
+    ),
+    "unknown motor key": (
+        "{nominal",
+        "{torque: 1, nominal",
+        "joints: a: motor: unknown key 'torque'",
+    ),
     "unknown quantity key": (
         "std: 0.02",
         "sdt: 0.02",
         "coulomb_N_m: unknown key 'sdt'; did you mean 'std'? valid keys: value, std",
     ),
     "missing value": ("{value: 0.1, std: 0.02}", "{std: 0.02}", "coulomb_N_m: value is missing"),
-    "text for a number": ("load_friction: 0", "load_friction: little", "load_friction: expected a number, got 'little'"),
-    "truth for a number": ("load_friction: 0", "load_friction: yes", "load_friction: expected a number, got 'yes'"),
-    "NaN": ("load_friction: 0", "load_friction: .nan", "load_friction: expected a finite number, got nan"),
-    "negative std": ("std: 0.02", "std: -0.02", "coulomb_N_m: std: must not be negative, got -0.02"),
+    "text for a number": (
+        "load_friction: 0",
+        "load_friction: little",
+        "load_friction: expected a number, got 'little'",
+    ),
+    "truth for a number": (
+        "load_friction: 0",
+        "load_friction: yes",
+        "load_friction: expected a number, got 'yes'",
+    ),
+    "NaN": (
+        "load_friction: 0",
+        "load_friction: .nan",
+        "load_friction: expected a finite number, got nan",
+    ),
+    "negative std": (
+        "std: 0.02",
+        "std: -0.02",
+        "coulomb_N_m: std: must not be negative, got -0.02",
+    ),
     "negative friction": ("value: 0.1", "value: -0.1", "coulomb_N_m: value: must not be negative"),
-    "zero torque constant": ("A: 2.0,", "A: 0.0,", "nominal_torque_constant_N_m_per_A: must be positive, got 0.0"),
-    "perfect encoder": ("0.001", "0, encoder_noise_rad: 0", "encoder_resolution_rad and encoder_noise_rad are both 0"),
-    "voltage without resistance": ("{nominal", "{supply_voltage_V: 12, nominal", "supply_voltage_V needs resistance_ohm"),
-    "bus id": ("{nominal", "{id: 300, nominal", "id: expected a whole number from 0 to 252, got 300"),
-    "transmission of a turning joint": ("    motor:", "    transmission_m_per_rad: 0.1\n    motor:", "is for a prismatic joint"),
-    "unknown joint": ("  a:", "  elbow:", "joints: arm has no joint 'elbow' that a motor could drive; choose from: a, b"),
+    "zero torque constant": (
+        "A: 2.0,",
+        "A: 0.0,",
+        "nominal_torque_constant_N_m_per_A: must be positive, got 0.0",
+    ),
+    "perfect encoder": (
+        "0.001",
+        "0, encoder_noise_rad: 0",
+        "encoder_resolution_rad and encoder_noise_rad are both 0",
+    ),
+    "voltage without resistance": (
+        "{nominal",
+        "{supply_voltage_V: 12, nominal",
+        "supply_voltage_V needs resistance_ohm",
+    ),
+    "bus id": (
+        "{nominal",
+        "{id: 300, nominal",
+        "id: expected a whole number from 0 to 252, got 300",
+    ),
+    "transmission of a turning joint": (
+        "    motor:",
+        "    transmission_m_per_rad: 0.1\n    motor:",
+        "is for a prismatic joint",
+    ),
+    "unknown joint": (
+        "  a:",
+        "  elbow:",
+        "joints: arm has no joint 'elbow' that a motor could drive; choose from: a, b",
+    ),
     "fixed joint": ("  a:", "  c:", "no joint 'c' that a motor could drive"),
-    "unknown frame": ("frame: two", "frame: hand", "payload_frame: arm has no link 'hand'; links: base, one, two, three"),
+    "unknown frame": (
+        "frame: two",
+        "frame: hand",
+        "payload_frame: arm has no link 'hand'; links: base, one, two, three",
+    ),
     "no frame": ("payload_frame: two\n", "", "arm.yaml: missing: payload_frame; state each"),
     "no urdf": ("urdf: arm.urdf\n", "", "arm.yaml: urdf is missing"),
     "urdf not there": ("arm.urdf", "leg.urdf", "urdf: there is no"),
-    "flat gravity": ("name: arm", "name: arm\ngravity: [0, 9.81]", "gravity: expected three numbers [x, y, z], got [0, 9.81]"),
-    "calibrated": ("name: arm", "name: arm\ncalibrated: 1", "calibrated: expected true or false, got 1"),
+    "flat gravity": (
+        "name: arm",
+        "name: arm\ngravity: [0, 9.81]",
+        "gravity: expected three numbers [x, y, z], got [0, 9.81]",
+    ),
+    "calibrated": (
+        "name: arm",
+        "name: arm\ncalibrated: 1",
+        "calibrated: expected true or false, got 1",
+    ),
     "not YAML": ("name: arm", "name: [arm", "not YAML"),
     "key given twice": ("name: arm", "name: arm\nname: leg", "duplicate key"),
     "no mapping": (MINIMAL, "- 1", "arm.yaml: expected keys and values, got [1]"),
     "empty": (MINIMAL, "", "arm.yaml: expected keys and values, got None"),
-    "joints is a list": (MINIMAL[MINIMAL.index("joints:") :], "joints: [a]", "joints: expected keys and values, got ['a']"),
+    "joints is a list": (
+        MINIMAL[MINIMAL.index("joints:") :],
+        "joints: [a]",
+        "joints: expected keys and values, got ['a']",
+    ),
     "no joints": (MINIMAL[MINIMAL.index("joints:") :], "", "joints is missing or empty"),
     "other URDF": ("name: arm", "name: arm\nmodel_fingerprint: abc", "was made with another URDF"),
     "extends nothing": ("name: arm", "extends: leg", "unknown robot 'leg'; known robots: "),
-    "extends itself": ("name: arm", "extends: arm.yaml", "extend each other in a circle: arm.yaml -> arm.yaml"),
+    "extends itself": (
+        "name: arm",
+        "extends: arm.yaml",
+        "extend each other in a circle: arm.yaml -> arm.yaml",
+    ),
 }
 
 
 @pytest.mark.parametrize(("old", "new", "message"), BAD_FILES.values(), ids=BAD_FILES.keys())
-def test_bad_robot_file_is_refused_in_one_line(folder: Path, old: str, new: str, message: str) -> None:
+def test_bad_robot_file_is_refused_in_one_line(
+    folder: Path, old: str, new: str, message: str
+) -> None:
     assert old in MINIMAL
     (folder / "arm.yaml").write_text(MINIMAL.replace(old, new, 1))
     with pytest.raises(RobotError) as caught:
@@ -128,7 +198,9 @@ def test_bad_robot_file_is_refused_in_one_line(folder: Path, old: str, new: str,
 
 
 def test_wrong_robot_names_are_refused(folder: Path) -> None:
-    with pytest.raises(RobotError, match=r"unknown robot 'scara'; known robots: .*open_manipulator_x.*pendulum"):
+    with pytest.raises(
+        RobotError, match=r"unknown robot 'scara'; known robots: .*open_manipulator_x.*pendulum"
+    ):
         load_robot("scara")
     with pytest.raises(RobotError, match="there is no robot file"):
         load_robot(folder / "leg.yaml")
@@ -143,10 +215,18 @@ def test_what_a_file_leaves_out_is_not_known_exactly(folder: Path) -> None:
     robot = load_robot(folder / "arm.yaml")
     drive = robot.drive_trains["a"]
     assert (drive.torque_constant.value, drive.torque_constant.std) == pytest.approx((2.0, 0.3))
-    assert (drive.coulomb.std, drive.viscous.std, drive.armature.std) == pytest.approx((0.1, 0.05, 0.01))
+    assert (drive.coulomb.std, drive.viscous.std, drive.armature.std) == pytest.approx(
+        (0.1, 0.05, 0.01)
+    )
     open_numbers = (drive.load_friction, drive.zero, drive.stribeck, robot.delay, robot.arm_scale)
     assert all(number.std > 0.0 for number in open_numbers)
-    spreads = (robot.stamp_jitter_s, robot.onset_jitter_s, robot.torque_disturbance, robot.link_mass_std, robot.link_com_std)
+    spreads = (
+        robot.stamp_jitter_s,
+        robot.onset_jitter_s,
+        robot.torque_disturbance,
+        robot.link_mass_std,
+        robot.link_com_std,
+    )
     assert all(spread > 0.0 for spread in (*spreads, robot.link_inertia_std, drive.encoder_noise))
     # null is left out, too: a new robot file has it where something must be stated
     (folder / "arm.yaml").write_text(MINIMAL.replace("1e-2", "null"))
@@ -156,14 +236,31 @@ def test_what_a_file_leaves_out_is_not_known_exactly(folder: Path) -> None:
 def test_the_pendulum_is_exact_because_its_file_says_so() -> None:
     robot = load_robot("pendulum")
     drive = robot.drive_trains["pivot"]
-    numbers = (drive.torque_constant, drive.coulomb, drive.viscous, drive.load_friction, drive.armature, drive.zero)
-    assert all(number.std == 0.0 for number in (*numbers, drive.stribeck, robot.delay, robot.arm_scale))
-    spreads = (robot.stamp_jitter_s, robot.onset_jitter_s, robot.torque_disturbance, robot.link_mass_std, robot.link_com_std)
+    numbers = (
+        drive.torque_constant,
+        drive.coulomb,
+        drive.viscous,
+        drive.load_friction,
+        drive.armature,
+        drive.zero,
+    )
+    assert all(
+        number.std == 0.0 for number in (*numbers, drive.stribeck, robot.delay, robot.arm_scale)
+    )
+    spreads = (
+        robot.stamp_jitter_s,
+        robot.onset_jitter_s,
+        robot.torque_disturbance,
+        robot.link_mass_std,
+        robot.link_com_std,
+    )
     assert not any((*spreads, robot.link_inertia_std, drive.encoder_once_per_turn))
 
 
 def test_all_that_is_missing_is_said_at_once(folder: Path) -> None:
-    (folder / "arm.yaml").write_text("name: arm\nurdf: arm.urdf\njoints: {a: {motor: {id: 1}}, b: null}\n")
+    (folder / "arm.yaml").write_text(
+        "name: arm\nurdf: arm.urdf\njoints: {a: {motor: {id: 1}}, b: null}\n"
+    )
     with pytest.raises(RobotError) as caught:
         load_robot(folder / "arm.yaml")
     assert str(caught.value) == (
@@ -181,14 +278,20 @@ def test_all_that_is_missing_is_said_at_once(folder: Path) -> None:
 
 
 def test_a_mistyped_key_is_not_called_missing(folder: Path) -> None:
-    for old, new, meant in (("payload_frame", "payload_fram", "payload_frame"), ("{nominal_t", "{nominl_t", "nominal_t")):
+    for old, new, meant in (
+        ("payload_frame", "payload_fram", "payload_frame"),
+        ("{nominal_t", "{nominl_t", "nominal_t"),
+    ):
         (folder / "arm.yaml").write_text(MINIMAL.replace(old, new, 1))
         with pytest.raises(RobotError, match=f"did you mean '{meant}"):
             load_robot(folder / "arm.yaml")
 
 
 def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Path) -> None:
-    stated = {f"joints.{name}.drive_train.torque_constant_N_m_per_A": {"value": 3.0, "std": 0.2} for name in "ab"}
+    stated = {
+        f"joints.{name}.drive_train.torque_constant_N_m_per_A": {"value": 3.0, "std": 0.2}
+        for name in "ab"
+    }
     robot = load_robot(folder / "arm.urdf", stated)
     assert robot.drive_trains["b"].nominal_torque_constant == 3.0
     assert robot.drive_trains["b"].torque_constant.std == 0.2
@@ -197,7 +300,9 @@ def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Pat
     assert torque.drive_trains["a"].nominal_torque_constant == 1.0
     assert torque.drive_trains["a"].torque_constant.std == pytest.approx(0.1)
     # what is stated of a joint stands alone: torque over that constant is the current again
-    mixed = with_recorded_torque(folder / "arm.urdf", {"joints.b.drive_train.torque_constant_N_m_per_A": 3.0})
+    mixed = with_recorded_torque(
+        folder / "arm.urdf", {"joints.b.drive_train.torque_constant_N_m_per_A": 3.0}
+    )
     drive = load_robot(folder / "arm.urdf", mixed).drive_trains["b"]
     assert (drive.nominal_torque_constant, drive.torque_constant.value) == (3.0, 3.0)
     # a calibration's file extends it like any other
@@ -210,8 +315,12 @@ def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Pat
 
 def test_links_that_move_without_mass_are_named(folder: Path) -> None:
     links = link("base") + link("one", "") + link("two") + link("three", "")
-    (folder / "arm.urdf").write_text(chain(joint("a"), joint("b", "base", "two"), joint("c", "two", "three"), links=links))
-    with pytest.raises(RobotError, match=r"arm\.urdf: no <inertial> in links that move: one, three; state mass"):
+    (folder / "arm.urdf").write_text(
+        chain(joint("a"), joint("b", "base", "two"), joint("c", "two", "three"), links=links)
+    )
+    with pytest.raises(
+        RobotError, match=r"arm\.urdf: no <inertial> in links that move: one, three; state mass"
+    ):
         load_robot(folder / "arm.urdf")
 
 
@@ -222,7 +331,9 @@ def test_what_does_not_move_need_not_be_there(folder: Path) -> None:
         '<transmission name="t"><type>x</type><joint name="a"/></transmission>'
     )
     mesh = '<visual><geometry><mesh filename="package://nowhere/two.dae"/></geometry></visual>'
-    text = THREE.replace("</robot>", more + "</robot>").replace('<link name="two">', f'<link name="two">{mesh}')
+    text = THREE.replace("</robot>", more + "</robot>").replace(
+        '<link name="two">', f'<link name="two">{mesh}'
+    )
     text = text.replace('<link name="three">' + INERTIAL, '<link name="three">')
     (folder / "arm.urdf").write_text(text)
     assert set(bare_settings(str(folder / "arm.urdf"))["joints"]) == {"a", "b"}
@@ -235,14 +346,19 @@ def test_descriptions_by_name(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
             load_robot("robot_descriptions:arm")
     package = types.ModuleType("robot_descriptions")
     package.__path__ = []
-    arm, mjcf = types.ModuleType("robot_descriptions.arm_description"), types.ModuleType("only_mjcf")
+    arm = types.ModuleType("robot_descriptions.arm_description")
+    mjcf = types.ModuleType("only_mjcf")
     arm.URDF_PATH = str(folder / "arm.urdf")
     monkeypatch.setitem(sys.modules, "robot_descriptions", package)
     monkeypatch.setitem(sys.modules, "robot_descriptions.arm_description", arm)
     monkeypatch.setitem(sys.modules, "robot_descriptions.only_description", mjcf)
     (folder / "arm.yaml").write_text(MINIMAL.replace("arm.urdf", "robot_descriptions:arm"))
     assert load_robot(folder / "arm.yaml").model.independent_joints == ("a", "b")
-    for name, words in (("leg", "no such description"), ("only", "has no URDF"), ("os.path", "no name of a")):
+    for name, words in (
+        ("leg", "no such description"),
+        ("only", "has no URDF"),
+        ("os.path", "no name of a"),
+    ):
         with pytest.raises(RobotError, match=words):
             load_robot(f"robot_descriptions:{name}")
 
@@ -275,13 +391,21 @@ def test_a_fingers_travel_as_measured(folder: Path) -> None:
     (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % (angle.tolist(), crank(angle).tolist()))
     drive = load_robot(folder / "arm.yaml").drive_trains["a"]
     assert drive.finger_travel is not None and drive.transmission == 0.012
-    np.testing.assert_allclose(drive.finger_travel.ratio_at(angle[1:-1]), 0.0125 * np.cos(angle[1:-1]), rtol=0.01)
+    np.testing.assert_allclose(
+        drive.finger_travel.ratio_at(angle[1:-1]), 0.0125 * np.cos(angle[1:-1]), rtol=0.01
+    )
     powers = angle[:, None] ** np.arange(1, 4)
     np.testing.assert_allclose(powers @ drive.travel_coefficients, crank(angle) - 0.003, atol=5e-5)
     (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % ([-0.5, 0.5], [0.001, 0.0125]))
-    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == pytest.approx((0.0115, 0.0, 0.0))
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == pytest.approx(
+        (0.0115, 0.0, 0.0)
+    )
     (folder / "arm.yaml").write_text(MINIMAL + "    transmission_m_per_rad: 0.012\n")
-    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == (0.012, 0.0, 0.0)
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == (
+        0.012,
+        0.0,
+        0.0,
+    )
 
 
 @pytest.mark.parametrize(
@@ -292,11 +416,17 @@ def test_a_fingers_travel_as_measured(folder: Path) -> None:
         ([0.0, 0.5, 1.0], [0.0, 0.01], "3 angles and 2 openings"),
         ([0.0, 1.0, 0.5], [0.0, 0.01, 0.02], "expected rising numbers"),
         ([0.0], [0.0], "two or more numbers"),
-        ([0.0, 1.0], [0.0, 0.03], "opens by 30 mm per rad of the motor, transmission_m_per_rad is 12 mm per rad"),
+        (
+            [0.0, 1.0],
+            [0.0, 0.03],
+            "opens by 30 mm per rad of the motor, transmission_m_per_rad is 12 mm per rad",
+        ),
         ([0.0, 0.1, 0.2, 1.0], [0.0, 0.006, 0.0061, 0.0062], "turns back in between"),
     ],
 )
-def test_a_fingers_travel_that_cannot_be(folder: Path, at_rad: list[float], open_m: list[float], message: str) -> None:
+def test_a_fingers_travel_that_cannot_be(
+    folder: Path, at_rad: list[float], open_m: list[float], message: str
+) -> None:
     (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
     (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % (at_rad, open_m))
     with pytest.raises(RobotError) as caught:
@@ -310,7 +440,8 @@ def test_extends_gives_only_what_differs(folder: Path) -> None:
     (below / "mine.yaml").write_text(
         "extends: ../arm.yaml\ncalibrated: true\njoints: {a: {drive_train: {coulomb_N_m: {std: 0.001}, load_friction: 0.1}}}\n"
     )
-    robot, base = load_robot(below / "mine.yaml"), load_robot(folder / "arm.yaml")
+    robot = load_robot(below / "mine.yaml")
+    base = load_robot(folder / "arm.yaml")
     drive = robot.drive_trains["a"]
     assert (drive.coulomb.value, drive.coulomb.std) == (0.1, 0.001)
     assert drive.load_friction.value == 0.1
@@ -318,7 +449,9 @@ def test_extends_gives_only_what_differs(folder: Path) -> None:
     assert robot.is_calibrated() and not base.is_calibrated()
     # the URDF is found beside the file that names it, not beside the one that extends it
     assert robot.model.fingerprint() == base.model.fingerprint()
-    (below / "bound.yaml").write_text(f"extends: ../arm.yaml\nmodel_fingerprint: {base.model.fingerprint()}\n")
+    (below / "bound.yaml").write_text(
+        f"extends: ../arm.yaml\nmodel_fingerprint: {base.model.fingerprint()}\n"
+    )
     assert load_robot(below / "bound.yaml").name == "arm"
 
 
@@ -341,10 +474,15 @@ def test_overrides_by_dotted_keys(folder: Path) -> None:
     assert changed.payload_frame == "three"
     assert changed.gravity[2] == -9.805
     assert robot.drive_trains["a"].coulomb.value == 0.1, "the original stays as it was"
-    again = changed.with_overrides({"joints.a.drive_train.coulomb_N_m": {"value": 0.06, "std": 0.01}})
+    again = changed.with_overrides(
+        {"joints.a.drive_train.coulomb_N_m": {"value": 0.06, "std": 0.01}}
+    )
     assert (again.drive_trains["a"].coulomb.value, again.delay.value) == (0.06, 0.004)
     only_std = robot.with_overrides({"joints.a.drive_train.coulomb_N_m": {"std": 0.3}})
-    assert (only_std.drive_trains["a"].coulomb.value, only_std.drive_trains["a"].coulomb.std) == (0.1, 0.3)
+    assert (only_std.drive_trains["a"].coulomb.value, only_std.drive_trains["a"].coulomb.std) == (
+        0.1,
+        0.3,
+    )
 
 
 @pytest.mark.parametrize(
@@ -369,7 +507,9 @@ def test_bad_overrides_are_refused(folder: Path, key: str, value: object, messag
 def test_joint_names_with_dots_can_be_overridden(folder: Path) -> None:
     (folder / "arm.urdf").write_text(THREE.replace('name="a"', 'name="left.a"'))
     (folder / "arm.yaml").write_text(MINIMAL.replace("  a:", "  left.a:"))
-    robot = load_robot(folder / "arm.yaml").with_overrides({"joints.left.a.drive_train.load_friction": 0.02})
+    robot = load_robot(folder / "arm.yaml").with_overrides(
+        {"joints.left.a.drive_train.load_friction": 0.02}
+    )
     assert robot.drive_trains["left.a"].load_friction.value == 0.02
 
 

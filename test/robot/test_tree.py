@@ -23,7 +23,9 @@ GRAVITY = np.array([0.7, -1.9, -9.4])  # not along an axis, so that no component
 # ------------------------------------------------------------------------------ the reduced model's equations of motion
 
 
-def series(reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def series(
+    reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """base_T_body of every body, its derivative by each position, and its second one by time at constant rates."""
     count = len(reduced.joint_names)
     pose = np.zeros((count, 4, 4))
@@ -38,14 +40,23 @@ def series(reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray)
             moved = np.eye(4) + twist * positions[i]
         else:
             twist[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-            moved = np.eye(4) + math.sin(positions[i]) * twist + (1.0 - math.cos(positions[i])) * twist @ twist
+            moved = (
+                np.eye(4)
+                + math.sin(positions[i]) * twist
+                + (1.0 - math.cos(positions[i])) * twist @ twist
+            )
         # exp(twist q) commutes with its twist: derivatives by time are moved @ twist * v and moved @ twist^2 * v^2
         local = reduced.placement[i] @ moved
-        local_rate, local_bias = local @ twist * velocities[i], local @ twist @ twist * velocities[i] ** 2
+        local_rate = local @ twist * velocities[i]
+        local_bias = local @ twist @ twist * velocities[i] ** 2
         parent = reduced.parents[i]
-        before, before_rate, before_bias = np.eye(4), np.zeros((4, 4)), np.zeros((4, 4))
+        before = np.eye(4)
+        before_rate = np.zeros((4, 4))
+        before_bias = np.zeros((4, 4))
         if parent >= 0:
-            before, before_rate, before_bias = pose[parent], rate[parent], bias[parent]
+            before = pose[parent]
+            before_rate = rate[parent]
+            before_bias = bias[parent]
             by_position[i] = by_position[parent] @ local
         pose[i] = before @ local
         rate[i] = before_rate @ local + before @ local_rate
@@ -54,12 +65,16 @@ def series(reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray)
     return pose, by_position, bias
 
 
-def mass_matrix_and_bias(reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mass_matrix_and_bias(
+    reduced: ReducedModel, positions: np.ndarray, velocities: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Lagrange's equations of ``T = 1/2 sum tr(X' P X'^T)`` and ``V = -sum g . X (h, m)``."""
     _, by_position, bias = series(reduced, positions, velocities)
     mass = np.einsum("biuv,bvw,bjuw->ij", by_position, reduced.pseudo_inertia, by_position)
     coriolis = np.einsum("biuv,bvw,buw->i", by_position, reduced.pseudo_inertia, bias)
-    weight = np.einsum("biuv,bv,u->i", by_position[:, :, :3, :], reduced.pseudo_inertia[:, :, 3], reduced.gravity)
+    weight = np.einsum(
+        "biuv,bv,u->i", by_position[:, :, :3, :], reduced.pseudo_inertia[:, :, 3], reduced.gravity
+    )
     return mass, coriolis - weight
 
 
@@ -87,13 +102,19 @@ def random_urdf(seed: int) -> tuple[str, int]:
     """A tree of one to seven moving joints, with fixed joints between and massless frames at the ends."""
     rng = np.random.default_rng(seed)
     moving = 1 + seed % 7
-    kinds = ["fixed"] * int(rng.integers(0, 4)) + [str(rng.choice(JOINT_KINDS[:3])) for _ in range(moving)]
+    kinds = ["fixed"] * int(rng.integers(0, 4)) + [
+        str(rng.choice(JOINT_KINDS[:3])) for _ in range(moving)
+    ]
     rng.shuffle(kinds)
     parts = [f'<link name="link0">{random_inertial(rng)}</link>']
     for number, kind in enumerate(kinds, start=1):
         # mostly a chain, sometimes a branch
         parent = number - 1 if rng.uniform() < 0.8 else int(rng.integers(0, number))
-        limit = '<limit lower="-9" upper="9" effort="9" velocity="9"/>' if kind in ("revolute", "prismatic") else ""
+        limit = (
+            '<limit lower="-9" upper="9" effort="9" velocity="9"/>'
+            if kind in ("revolute", "prismatic")
+            else ""
+        )
         axis = "" if kind == "fixed" else f'<axis xyz="{numbers(rng.normal(size=3))}"/>'
         parts.append(f'<link name="link{number}">{random_inertial(rng)}</link>')
         parts.append(
@@ -114,12 +135,17 @@ class Mujoco:
     def __init__(self, urdf: str) -> None:
         self.library = pytest.importorskip("mujoco")
         options = '<mujoco><compiler fusestatic="false" balanceinertia="false" discardvisual="true"/></mujoco>'
-        self.model = self.library.MjModel.from_xml_string(urdf.replace("</robot>", options + "</robot>"))
+        self.model = self.library.MjModel.from_xml_string(
+            urdf.replace("</robot>", options + "</robot>")
+        )
         self.model.opt.gravity[:] = GRAVITY
         self.data = self.library.MjData(self.model)
 
     def mass_matrix_and_bias(
-        self, names: tuple[str, ...], positions: Mapping[str, float], velocities: Mapping[str, float]
+        self,
+        names: tuple[str, ...],
+        positions: Mapping[str, float],
+        velocities: Mapping[str, float],
     ) -> tuple[np.ndarray, np.ndarray]:
         for name in positions:
             joint = self.model.joint(name)
@@ -154,14 +180,22 @@ def test_equations_of_motion_and_frames_agree_with_mujoco(seed: int) -> None:
     positions, velocities = random_state(model.independent_joints, seed)
     reduced = model.lock(model.independent_joints, {}, GRAVITY)
     names = reduced.joint_names
-    mass, bias = mass_matrix_and_bias(reduced, np.array([positions[n] for n in names]), np.array([velocities[n] for n in names]))
+    mass, bias = mass_matrix_and_bias(
+        reduced, np.array([positions[n] for n in names]), np.array([velocities[n] for n in names])
+    )
     mujoco = Mujoco(urdf)
     expected_mass, expected_bias = mujoco.mass_matrix_and_bias(names, positions, velocities)
     # rounding of MuJoCo's principal axes and of its sums, relative to the largest entry
-    np.testing.assert_allclose(mass, expected_mass, rtol=0.0, atol=1e-9 * np.abs(expected_mass).max())
-    np.testing.assert_allclose(bias, expected_bias, rtol=0.0, atol=1e-9 * max(1.0, np.abs(expected_bias).max()))
+    np.testing.assert_allclose(
+        mass, expected_mass, rtol=0.0, atol=1e-9 * np.abs(expected_mass).max()
+    )
+    np.testing.assert_allclose(
+        bias, expected_bias, rtol=0.0, atol=1e-9 * max(1.0, np.abs(expected_bias).max())
+    )
     for part in model.links:
-        np.testing.assert_allclose(model.frame_transform(part.name, positions), mujoco.frame(part.name), atol=1e-12)
+        np.testing.assert_allclose(
+            model.frame_transform(part.name, positions), mujoco.frame(part.name), atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("seed", range(1, 21))
@@ -178,12 +212,24 @@ def test_holding_joints_leaves_their_rows_out(seed: int) -> None:
     reduced = model.lock(active, positions, GRAVITY)
     assert reduced.joint_names == tuple(name for name in names if name in active)
     mass, bias = mass_matrix_and_bias(
-        reduced, np.array([positions[n] for n in reduced.joint_names]), np.array([velocities[n] for n in reduced.joint_names])
+        reduced,
+        np.array([positions[n] for n in reduced.joint_names]),
+        np.array([velocities[n] for n in reduced.joint_names]),
     )
-    expected_mass, expected_bias = Mujoco(urdf).mass_matrix_and_bias(reduced.joint_names, positions, velocities)
-    np.testing.assert_allclose(mass, expected_mass, rtol=0.0, atol=1e-9 * np.abs(expected_mass).max())
-    np.testing.assert_allclose(bias, expected_bias, rtol=0.0, atol=1e-9 * max(1.0, np.abs(expected_bias).max()))
-    pose, _, _ = series(reduced, np.array([positions[n] for n in reduced.joint_names]), np.zeros(len(reduced.joint_names)))
+    expected_mass, expected_bias = Mujoco(urdf).mass_matrix_and_bias(
+        reduced.joint_names, positions, velocities
+    )
+    np.testing.assert_allclose(
+        mass, expected_mass, rtol=0.0, atol=1e-9 * np.abs(expected_mass).max()
+    )
+    np.testing.assert_allclose(
+        bias, expected_bias, rtol=0.0, atol=1e-9 * max(1.0, np.abs(expected_bias).max())
+    )
+    pose, _, _ = series(
+        reduced,
+        np.array([positions[n] for n in reduced.joint_names]),
+        np.zeros(len(reduced.joint_names)),
+    )
     for part in model.links:
         body, body_from_link = reduced.frames[part.name]
         placed = body_from_link if body < 0 else pose[body] @ body_from_link
@@ -210,13 +256,20 @@ def test_open_manipulator_matches_independent_numbers() -> None:
     """Currents that hold the empty arm at its home pose, and the inertia that moves, from another model of this arm."""
     robot = load_robot("open_manipulator_x")
     home = dict.fromkeys(robot.model.independent_joints, 0.0)
-    for name, current_A, inertia in (("joint2", 0.338, 0.020), ("joint3", 0.285, 0.009), ("joint4", 0.077, 0.0013)):
+    for name, current_A, inertia in (
+        ("joint2", 0.338, 0.020),
+        ("joint3", 0.285, 0.009),
+        ("joint4", 0.077, 0.0013),
+    ):
         reduced = robot.model.lock([name], home, robot.gravity)
         mass, bias = mass_matrix_and_bias(reduced, np.zeros(1), np.zeros(1))
-        assert abs(bias[0]) / robot.drive_trains[name].nominal_torque_constant == pytest.approx(current_A, abs=0.0005)
+        assert abs(bias[0]) / robot.drive_trains[name].nominal_torque_constant == pytest.approx(
+            current_A, abs=0.0005
+        )
         assert mass[0, 0] == pytest.approx(inertia, abs=0.0005)
     np.testing.assert_allclose(
-        robot.model.frame_transform("end_effector_link", home)[:3, 3], [0.012 + 0.024 + 0.124 + 0.126, 0.0, 0.2045]
+        robot.model.frame_transform("end_effector_link", home)[:3, 3],
+        [0.012 + 0.024 + 0.124 + 0.126, 0.0, 0.2045],
     )
 
 
@@ -227,7 +280,8 @@ def test_fingers_mirror_each_other() -> None:
     for opening in (-0.01, 0.0, 0.019):
         positions = dict.fromkeys(model.independent_joints, 0.0) | {"gripper_left_joint": opening}
         moved = [
-            np.linalg.inv(model.frame_transform("link5", positions)) @ model.frame_transform(name, positions)
+            np.linalg.inv(model.frame_transform("link5", positions))
+            @ model.frame_transform(name, positions)
             for name in ("gripper_left_link", "gripper_right_link")
         ]
         left = moved[0] @ links["gripper_left_link"] @ moved[0].T
@@ -246,14 +300,22 @@ def test_a_follower_moves_with_its_source_through_others() -> None:
     assert model.independent_joints == ("a",)
     # all three turn about z: c = -0.5 a + 0.2, b = 2 c + 0.1
     angle = 0.6 + (2.0 * (-0.3 + 0.2) + 0.1) + (-0.3 + 0.2)
-    np.testing.assert_allclose(model.frame_transform("three", {"a": 0.6})[:3, :3], rotation_from_rpy([0.0, 0.0, angle]), atol=1e-15)
+    np.testing.assert_allclose(
+        model.frame_transform("three", {"a": 0.6})[:3, :3],
+        rotation_from_rpy([0.0, 0.0, angle]),
+        atol=1e-15,
+    )
 
 
 def test_fingerprint_sees_mass_and_geometry_only() -> None:
     text = resource("urdf", "pendulum").read_text()
     known = RobotModel.from_urdf_string(text).fingerprint()
     assert len(known) == 64
-    same = text.replace('velocity="20"', 'velocity="10"').replace('rpy="0 0 0"', "").replace("-0.3", "-0.30")
+    same = (
+        text.replace('velocity="20"', 'velocity="10"')
+        .replace('rpy="0 0 0"', "")
+        .replace("-0.3", "-0.30")
+    )
     assert RobotModel.from_urdf_string(same).fingerprint() == known
     for changed in (
         text.replace('mass value="0.2"', 'mass value="0.2001"'),
@@ -276,31 +338,48 @@ def test_ur10e_as_published(shared: Path) -> None:
     positions, velocities = random_state(model.independent_joints, 1)
     reduced = model.lock(model.independent_joints, {}, GRAVITY)
     assert reduced.frames["tool0"][0] == 5
-    mass, bias = mass_matrix_and_bias(reduced, np.array(list(positions.values())), np.array(list(velocities.values())))
+    mass, bias = mass_matrix_and_bias(
+        reduced, np.array(list(positions.values())), np.array(list(velocities.values()))
+    )
     bare = ElementTree.parse(path).getroot()  # MuJoCo does need the meshes
     for element in list(bare.iter()):
-        for part in [part for part in element if part.tag in ("visual", "collision", "gazebo", "transmission")]:
+        for part in [
+            part
+            for part in element
+            if part.tag in ("visual", "collision", "gazebo", "transmission")
+        ]:
             element.remove(part)
     mujoco = Mujoco(ElementTree.tostring(bare, encoding="unicode"))
-    expected_mass, expected_bias = mujoco.mass_matrix_and_bias(reduced.joint_names, positions, velocities)
+    expected_mass, expected_bias = mujoco.mass_matrix_and_bias(
+        reduced.joint_names, positions, velocities
+    )
     np.testing.assert_allclose(mass, expected_mass, atol=1e-9 * np.abs(expected_mass).max())
     np.testing.assert_allclose(bias, expected_bias, atol=1e-9 * np.abs(expected_bias).max())
 
 
 # ------------------------------------------------------------------------------------------------- what users get wrong
 
-FOLLOWED = chain(joint("a"), joint("b", "one", "two", mimic='<mimic joint="a"/>'), joint("c", "two", "three"))
+FOLLOWED = chain(
+    joint("a"), joint("b", "one", "two", mimic='<mimic joint="a"/>'), joint("c", "two", "three")
+)
 BAD_LOCKS = {
     "unknown": (THREE, ["elbow"], {}, "arm has no joint 'elbow'; its joints: a, b, c"),
     "none": (THREE, [], {}, "no joint of arm was chosen to move; choose from: a, b"),
     "fixed": (THREE, ["c"], {}, "joint 'c' of arm is fixed and cannot move; choose from: a, b"),
     "twice": (THREE, ["a", "a"], {"b": 0.0}, "joint 'a' of arm was chosen to move twice"),
-    "missing": (THREE, ["a"], {}, "no position of joint 'b' of arm is known: state it with --set held.b=VALUE"),
+    "missing": (
+        THREE,
+        ["a"],
+        {},
+        "no position of joint 'b' of arm is known: state it with --set held.b=VALUE",
+    ),
     "NaN": (THREE, ["a"], {"b": math.nan}, "the position of joint 'b' is nan"),
     "follower": (FOLLOWED, ["b"], {}, "joint 'b' of arm only follows 'a'; choose from: a, c"),
     "followed": (FOLLOWED, ["a"], {"c": 0.0}, "joint 'a' of arm drives 'b' too"),
     "massless": (
-        chain(joint("a"), joint("b", "one", "two"), links=link("base") + link("one", "") + link("two")),
+        chain(
+            joint("a"), joint("b", "one", "two"), links=link("base") + link("one", "") + link("two")
+        ),
         ["a", "b"],
         {},
         "nothing that moves with joint 'a' of arm has mass: give link 'one' an <inertial>",
@@ -308,8 +387,12 @@ BAD_LOCKS = {
 }
 
 
-@pytest.mark.parametrize(("urdf", "active", "positions", "message"), BAD_LOCKS.values(), ids=BAD_LOCKS.keys())
-def test_bad_lock_is_refused_in_one_line(urdf: str, active: list[str], positions: dict[str, float], message: str) -> None:
+@pytest.mark.parametrize(
+    ("urdf", "active", "positions", "message"), BAD_LOCKS.values(), ids=BAD_LOCKS.keys()
+)
+def test_bad_lock_is_refused_in_one_line(
+    urdf: str, active: list[str], positions: dict[str, float], message: str
+) -> None:
     model = RobotModel.from_urdf_string(urdf)
     with pytest.raises(RobotError) as caught:
         model.lock(active, positions)
@@ -321,7 +404,9 @@ def test_bad_gravity_and_unknown_frame_are_refused() -> None:
     model = RobotModel.from_urdf_string(THREE)
     with pytest.raises(RobotError, match="gravity must be three finite numbers"):
         model.lock(["a"], {"b": 0.0}, [0.0, -9.81])
-    with pytest.raises(RobotError, match="arm has no link 'hand'; its links: base, one, two, three"):
+    with pytest.raises(
+        RobotError, match="arm has no link 'hand'; its links: base, one, two, three"
+    ):
         model.frame_transform("hand", {})
 
 
@@ -334,6 +419,11 @@ def test_massless_link_that_merges_with_a_heavy_one_is_fine() -> None:
 def test_models_cannot_be_changed_behind_ones_back() -> None:
     model = RobotModel.from_urdf_string(THREE)
     reduced = model.lock(["a"], {"b": 0.0})
-    for array in (model.joints[0].origin, model.links[0].pseudo_inertia, reduced.placement, reduced.frames["two"][1]):
+    for array in (
+        model.joints[0].origin,
+        model.links[0].pseudo_inertia,
+        reduced.placement,
+        reduced.frames["two"][1],
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0

@@ -19,7 +19,10 @@ BAD_URDF = {
     "xacro": ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>', "xacro"),
     "no links": ("<robot/>", "no <link>"),
     "nameless link": ("<robot><link/></robot>", "a <link> has no name"),
-    "floating": (chain(joint("a", kind="floating")), "'floating' is not supported; supported: revolute, continuous"),
+    "floating": (
+        chain(joint("a", kind="floating")),
+        "'floating' is not supported; supported: revolute, continuous",
+    ),
     "planar": (chain(joint("a", kind="planar")), "'planar' is not supported"),
     "no kind": (chain(joint("a", kind="")), "type '' is not supported"),
     "no mass": (inertial(mass="0"), "link 'one': mass must be positive, got 0.0 kg"),
@@ -33,34 +36,81 @@ BAD_URDF = {
     "triangle": (inertial(izz="0.0201"), "link 'one': the inertia breaks the triangle inequality"),
     "triangle by products": (inertial(ixx="0.02", ixy="0.009"), "triangle inequality"),
     "inertial without inertia": (
-        chain(joint("a"), links=link("base") + link("one", '<inertial><mass value="1"/></inertial>')),
+        chain(
+            joint("a"), links=link("base") + link("one", '<inertial><mass value="1"/></inertial>')
+        ),
         "link 'one': <inertial> needs both <mass> and <inertia>",
     ),
     "inertia without izz": (chain(joint("a")).replace(' izz="0.01"', ""), "<inertia> has no izz"),
-    "unknown parent": (chain(joint("a", parent="bsae")), "joint 'a' names an unknown parent link 'bsae'; links: base, one"),
+    "unknown parent": (
+        chain(joint("a", parent="bsae")),
+        "joint 'a' names an unknown parent link 'bsae'; links: base, one",
+    ),
     "unknown child": (chain(joint("a", child="hand")), "unknown child link 'hand'"),
-    "no parent": (chain(joint("a").replace('<parent link="base"/>', "")), "joint 'a': has no <parent link=.../>"),
-    "two links of a name": (chain(joint("a"), links=link("base") + link("one") + link("one")), "two links are named 'one'"),
-    "two joints of a name": (chain(joint("a"), joint("a", "one", "two")), "two joints are named 'a'"),
-    "two parents": (chain(joint("a"), joint("b", "base", "two"), joint("c", "one", "two")), "child of both 'b' and 'c'"),
-    "all in a loop": (chain(joint("a"), joint("b", "one", "base"), links=link("base") + link("one")), "no link is the root"),
-    "loop apart": (chain(joint("a"), joint("b", "two", "three"), joint("c", "three", "two")), "joints b, c form a loop"),
-    "two roots": (chain(joint("a"), links=link("base") + link("one") + link("world")), "no parent: base, world"),
-    "no limits": (chain(joint("a", limit="")), "joint 'a': a revolute joint needs <limit lower=.. upper=../>"),
-    "no upper limit": (chain(joint("a", kind="prismatic", limit='<limit lower="0"/>')), "a prismatic joint needs <limit"),
-    "limits crossed": (chain(joint("a", limit='<limit lower="1" upper="-1"/>')), "above the upper limit"),
-    "limit is NaN": (chain(joint("a", limit='<limit lower="nan" upper="1"/>')), "lower='nan' of <limit> must be finite"),
-    "negative effort": (chain(joint("a", limit='<limit lower="0" upper="1" effort="-1"/>')), "must not be negative"),
+    "no parent": (
+        chain(joint("a").replace('<parent link="base"/>', "")),
+        "joint 'a': has no <parent link=.../>",
+    ),
+    "two links of a name": (
+        chain(joint("a"), links=link("base") + link("one") + link("one")),
+        "two links are named 'one'",
+    ),
+    "two joints of a name": (
+        chain(joint("a"), joint("a", "one", "two")),
+        "two joints are named 'a'",
+    ),
+    "two parents": (
+        chain(joint("a"), joint("b", "base", "two"), joint("c", "one", "two")),
+        "child of both 'b' and 'c'",
+    ),
+    "all in a loop": (
+        chain(joint("a"), joint("b", "one", "base"), links=link("base") + link("one")),
+        "no link is the root",
+    ),
+    "loop apart": (
+        chain(joint("a"), joint("b", "two", "three"), joint("c", "three", "two")),
+        "joints b, c form a loop",
+    ),
+    "two roots": (
+        chain(joint("a"), links=link("base") + link("one") + link("world")),
+        "no parent: base, world",
+    ),
+    "no limits": (
+        chain(joint("a", limit="")),
+        "joint 'a': a revolute joint needs <limit lower=.. upper=../>",
+    ),
+    "no upper limit": (
+        chain(joint("a", kind="prismatic", limit='<limit lower="0"/>')),
+        "a prismatic joint needs <limit",
+    ),
+    "limits crossed": (
+        chain(joint("a", limit='<limit lower="1" upper="-1"/>')),
+        "above the upper limit",
+    ),
+    "limit is NaN": (
+        chain(joint("a", limit='<limit lower="nan" upper="1"/>')),
+        "lower='nan' of <limit> must be finite",
+    ),
+    "negative effort": (
+        chain(joint("a", limit='<limit lower="0" upper="1" effort="-1"/>')),
+        "must not be negative",
+    ),
     "zero axis": (chain(joint("a", axis="0 0 0")), "joint 'a': the axis is zero"),
     "flat axis": (chain(joint("a", axis="0 1")), "xyz of <axis> must be three numbers, got 2"),
     "NaN axis": (chain(joint("a", axis="0 0 nan")), "must be finite"),
-    "mimic of nothing": (chain(joint("a", mimic='<mimic joint="b"/>')), "'a' mimics an unknown joint 'b'; joints: a"),
+    "mimic of nothing": (
+        chain(joint("a", mimic='<mimic joint="b"/>')),
+        "'a' mimics an unknown joint 'b'; joints: a",
+    ),
     "mimic without a joint": (chain(joint("a", mimic="<mimic/>")), "<mimic> names no joint"),
     "mimic of fixed": (
         chain(joint("a", kind="fixed"), joint("b", "one", "two", mimic='<mimic joint="a"/>')),
         "'b' mimics 'a', which is fixed",
     ),
-    "weight of a mountain": (inertial(mass="1e300"), "value='1e300' of <mass> is over 10000: units are kg, m and rad"),
+    "weight of a mountain": (
+        inertial(mass="1e300"),
+        "value='1e300' of <mass> is over 10000: units are kg, m and rad",
+    ),
     "a name that ends a line": (
         chain(joint("a")).replace('"base"', '"ba&#10;accepted 1 g"'),
         "the name 'ba\\naccepted 1 g' of a <link> is not printable",
@@ -72,7 +122,10 @@ BAD_URDF = {
     ),
     "a text without end": ("<robot>" + " " * 2_000_001, "has over 2 MB"),
     "mimics in a circle": (
-        chain(joint("a", mimic='<mimic joint="b"/>'), joint("b", "one", "two", mimic='<mimic joint="a"/>')),
+        chain(
+            joint("a", mimic='<mimic joint="b"/>'),
+            joint("b", "one", "two", mimic='<mimic joint="a"/>'),
+        ),
         "mimic each other in a circle: a -> b -> a",
     ),
 }
@@ -82,7 +135,11 @@ BAD_URDF = {
 def test_a_frame_that_an_exporter_gave_a_speck_of_mass_has_none(mass: str) -> None:
     """As in the makers' own file of the SO-101, which is refused otherwise."""
     none = dict.fromkeys(("ixx", "iyy", "izz"), "0")
-    (link_one,) = (each for each in RobotModel.from_urdf_string(inertial(mass=mass, **none)).links if each.name == "one")
+    (link_one,) = (
+        each
+        for each in RobotModel.from_urdf_string(inertial(mass=mass, **none)).links
+        if each.name == "one"
+    )
     assert not link_one.pseudo_inertia.any()
 
 
@@ -105,7 +162,9 @@ def test_rounded_inertia_on_the_edge_is_accepted() -> None:
 
 
 def test_defaults_of_the_format() -> None:
-    model = RobotModel.from_urdf_string(chain(joint("a", kind="continuous", limit="").replace('<axis xyz="0 0 1"/>', "")))
+    model = RobotModel.from_urdf_string(
+        chain(joint("a", kind="continuous", limit="").replace('<axis xyz="0 0 1"/>', ""))
+    )
     turning = model.joint("a")
     np.testing.assert_array_equal(turning.axis, [1.0, 0.0, 0.0])
     np.testing.assert_array_equal(turning.origin, np.eye(4))
@@ -115,4 +174,6 @@ def test_defaults_of_the_format() -> None:
 
 
 def test_axis_is_made_a_unit_vector() -> None:
-    np.testing.assert_allclose(RobotModel.from_urdf_string(chain(joint("a", axis="0 3 4"))).joint("a").axis, [0, 0.6, 0.8])
+    np.testing.assert_allclose(
+        RobotModel.from_urdf_string(chain(joint("a", axis="0 3 4"))).joint("a").axis, [0, 0.6, 0.8]
+    )

@@ -24,7 +24,9 @@ from proprio_ros.sim.energies import (
 MATERIALS = [(749.6, 264.3), (5097.6, 5430.4), (1.0, -0.3), (300.0, 9000.0)]
 
 
-def stress(law: str, f: np.ndarray, mu: float, lam: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stress(
+    law: str, f: np.ndarray, mu: float, lam: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Energy density, first Piola-Kirchhoff stress and its tangent where j is each tetrahedron's own."""
     w, by_f, curvature = shear_energy(law, f)
     j, j_by_f, j_curvature = volume(law, f)
@@ -51,13 +53,16 @@ def test_stress_and_tangent_against_central_differences(law: str, mu: float, lam
     for entry in range(9):
         moved = np.zeros((3, 3))
         moved.flat[entry] = step
-        up, down = stress(law, f + moved, mu, lam), stress(law, f - moved, mu, lam)
+        up = stress(law, f + moved, mu, lam)
+        down = stress(law, f - moved, mu, lam)
         difference = (up[0] - down[0]) / (2 * step)
         assert np.abs((difference - exact.reshape(-1, 9)[:, entry]) / scale).max() < 1e-6
         slope = ((up[1] - down[1]) / (2 * step)).reshape(-1, 9)
         size = np.abs(tangent).max(axis=(1, 2))[:, None]
         assert np.abs((slope - tangent[:, :, entry]) / size).max() < 1e-6
-    np.testing.assert_allclose(tangent, tangent.swapaxes(1, 2), rtol=1e-12, atol=1e-12 * np.abs(tangent).max())
+    np.testing.assert_allclose(
+        tangent, tangent.swapaxes(1, 2), rtol=1e-12, atol=1e-12 * np.abs(tangent).max()
+    )
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -76,8 +81,10 @@ def test_the_slope_at_rest_is_hooke_s_law(law: str, mu: float, lam: float) -> No
 
 def test_formulae_as_published() -> None:
     f = deformations(6, 0.15)
-    mu, lam = 700.0, 900.0
-    j, ic = np.linalg.det(f), np.einsum("mab,mab->m", f, f)
+    mu = 700.0
+    lam = 900.0
+    j = np.linalg.det(f)
+    ic = np.einsum("mab,mab->m", f, f)
     eq4 = mu / 2 * (ic - 3) - mu * np.log(j) + lam / 2 * np.log(j) ** 2
     np.testing.assert_allclose(stress("log", f, mu, lam)[0], eq4)
     # Smith 2018 with its rest constant a = 1 + mu' / lambda' and without its logarithm, lambda' = lambda + mu
@@ -122,7 +129,9 @@ def test_logarithm_is_continued_smoothly_and_pushes_back() -> None:
 def test_moduli_there_and_back(ratio: float) -> None:
     assert young(*lame(1234.0, ratio)) == pytest.approx((1234.0, ratio))
     for law in LAWS:
-        assert small_strain_lame(law, *lame_of_small_strain(law, 3.0, 1.5)) == pytest.approx((3.0, 1.5))
+        assert small_strain_lame(law, *lame_of_small_strain(law, 3.0, 1.5)) == pytest.approx(
+            (3.0, 1.5)
+        )
     step = 1e-6
     difference = (np.array(lame(1.0, ratio + step)) - lame(1.0, ratio - step)) / (2 * step)
     assert lame_by_poissons_ratio(ratio) == pytest.approx(difference, rel=1e-6)

@@ -46,7 +46,9 @@ def simulator(integrator: str) -> JointSimulator:
 
 def point(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    p = np.array([[SCALES[name] for name in PARAMETERS]]) * rng.uniform(0.7, 1.3, (1, len(PARAMETERS)))
+    p = np.array([[SCALES[name] for name in PARAMETERS]]) * rng.uniform(
+        0.7, 1.3, (1, len(PARAMETERS))
+    )
     p[0, INDEX["delay"]] *= rng.choice([-1.0, 1.0])
     return p
 
@@ -54,12 +56,14 @@ def point(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(POINTS))
 def test_sensitivities_against_central_differences(integrator: str, seed: int) -> None:
-    sim, p = simulator(integrator), point(seed)
+    sim = simulator(integrator)
+    p = point(seed)
     exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])[2].copy()
     for name, row in INDEX.items():
         # the rise of friction at rest moves little: its difference must rise above the rounding of a stiff rollout
         step = 1e-4 if name.startswith("stribeck") else 1e-6 * max(1e-1, abs(SCALES[name]))
-        up, down = p.copy(), p.copy()
+        up = p.copy()
+        down = p.copy()
         up[0, row] += step
         down[0, row] -= step
         difference = (sim.rollout(ONE, up)[0] - sim.rollout(ONE, down)[0]) / (2.0 * step)
@@ -71,7 +75,8 @@ def test_sensitivities_against_central_differences(integrator: str, seed: int) -
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(POINTS))
 def test_tape_against_sensitivities(integrator: str, seed: int) -> None:
-    sim, p = simulator(integrator), point(seed)
+    sim = simulator(integrator)
+    p = point(seed)
     q, _, exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])
     weights = np.random.default_rng(seed).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
@@ -84,7 +89,8 @@ def test_tape_against_sensitivities(integrator: str, seed: int) -> None:
 
 
 def test_many_directions_equal_one_at_a_time() -> None:
-    sim, p = simulator("rk4"), point(0)
+    sim = simulator("rk4")
+    p = point(0)
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(1, len(PARAMETERS), 20))
     together = sim.jacobian(ONE, p, directions)[2].copy()

@@ -42,7 +42,10 @@ def test_pendulum_with_large_swing(amplitude: float) -> None:
 
 def test_slide_under_constant_force_is_a_parabola() -> None:
     times = np.linspace(0.01, 1.0, 17)
-    mass, force, gravity, v0 = 0.7, 2.0, 0.9, -0.4
+    mass = 0.7
+    force = 2.0
+    gravity = 0.9
+    v0 = -0.4
     run = constant_run(times, current=force)
     q, v = JointSimulator([run]).rollout(
         ONE, parameters(inertia=mass, torque_constant=1.0, gravity_constant=gravity, v0=v0, q0=0.1)
@@ -54,14 +57,18 @@ def test_slide_under_constant_force_is_a_parabola() -> None:
 
 def test_viscous_decay() -> None:
     times = np.linspace(0.01, 1.0, 9)
-    q, v = JointSimulator([constant_run(times)]).rollout(ONE, parameters(inertia=0.02, viscous=0.05, v0=1.0))
+    q, v = JointSimulator([constant_run(times)]).rollout(
+        ONE, parameters(inertia=0.02, viscous=0.05, v0=1.0)
+    )
     np.testing.assert_allclose(v[0], np.exp(-2.5 * times), rtol=1e-9)
     np.testing.assert_allclose(q[0], (1.0 - np.exp(-2.5 * times)) / 2.5, rtol=1e-9)
 
 
 def test_dry_friction_stops_a_sliding_joint_where_energy_says() -> None:
     """J v0^2 / 2 = f_c travel; the smoothing adds at most a creep of the order of the smoothing velocity x time."""
-    inertia, friction, v0 = 0.02, 0.05, 1.0
+    inertia = 0.02
+    friction = 0.05
+    v0 = 1.0
     stop = inertia * v0 / friction
     run = constant_run(np.array([0.5 * stop, stop + 0.2]), step_s=1 / 240, fine_step_s=1e-4)
     q, v = JointSimulator([run]).rollout(ONE, parameters(inertia=inertia, coulomb=friction, v0=v0))
@@ -71,7 +78,9 @@ def test_dry_friction_stops_a_sliding_joint_where_energy_says() -> None:
 
 def test_dry_friction_holds_what_it_can_hold() -> None:
     run = constant_run(np.array([0.6]), current=0.02, step_s=1 / 240, fine_step_s=1e-4)
-    q, _ = JointSimulator([run]).rollout(ONE, parameters(inertia=0.02, torque_constant=2.0, coulomb=0.05))
+    q, _ = JointSimulator([run]).rollout(
+        ONE, parameters(inertia=0.02, torque_constant=2.0, coulomb=0.05)
+    )
     assert abs(q[0, 0]) < 1.2e-3  # creep at v_s atanh(0.8)
 
 
@@ -82,7 +91,9 @@ def test_back_emf_limits_the_speed() -> None:
     np.testing.assert_allclose(v[0, 0], 0.5 * 1.78 / 0.02 * 0.02, rtol=1e-9)  # not limited yet
     np.testing.assert_allclose(v[0, 1], 12.0 / 2.49, rtol=1e-6)
     braking = JointRun(np.array([0.01]), np.zeros(1), np.array([-0.5]), supply=(12.0, 2.49, 5.22))
-    _, v = JointSimulator([braking]).rollout(ONE, parameters(inertia=0.02, torque_constant=1.78, v0=10.0))
+    _, v = JointSimulator([braking]).rollout(
+        ONE, parameters(inertia=0.02, torque_constant=1.78, v0=10.0)
+    )
     np.testing.assert_allclose(v[0, 0], 10.0 - 0.5 * 1.78 / 0.02 * 0.01, rtol=1e-9)
 
 
@@ -99,7 +110,8 @@ def test_against_an_independent_solver(delay: float) -> None:
     """All terms at once, irregular stamps, a current that changes three times; LSODA at rtol 1e-11 piece by piece."""
     rng = np.random.default_rng(3)
     times = np.sort(rng.uniform(0.0, 0.6, 24))
-    switches, currents = np.array([0.0, 0.13, 0.31, 0.5]), np.array([-0.3, -0.22, 0.05, -0.36])
+    switches = np.array([0.0, 0.13, 0.31, 0.5])
+    currents = np.array([-0.3, -0.22, 0.05, -0.36])
     law = {
         "inertia": 0.027, "gravity_cos": 0.31, "gravity_sin": -0.11, "torque_constant": 1.71, "coulomb": 0.04, "viscous": 0.013,
         "load_friction": 0.02, "q0": 0.4, "v0": 0.05, "delay": delay,
@@ -109,7 +121,9 @@ def test_against_an_independent_solver(delay: float) -> None:
     def motion(_: float, state: np.ndarray, current: float) -> list[float]:
         q, v = state
         motor = law["torque_constant"] * current
-        friction = (law["coulomb"] + law["load_friction"] * abs(motor)) * np.tanh(v / vs) + law["viscous"] * v
+        friction = (law["coulomb"] + law["load_friction"] * abs(motor)) * np.tanh(v / vs) + law[
+            "viscous"
+        ] * v
         load = law["gravity_cos"] * np.cos(q) + law["gravity_sin"] * np.sin(q)
         return [v, (motor - friction - load) / law["inertia"]]
 
@@ -119,11 +133,20 @@ def test_against_an_independent_solver(delay: float) -> None:
     for begin, end, current in zip(switches, [*switches[1:], 0.7], currents, strict=True):
         inside = (wanted > begin) & (wanted <= end)
         solution = solve_ivp(
-            motion, (begin, end), state, method="LSODA", rtol=1e-11, atol=1e-13, t_eval=[*wanted[inside], end], args=(current,)
+            motion,
+            (begin, end),
+            state,
+            method="LSODA",
+            rtol=1e-11,
+            atol=1e-13,
+            t_eval=[*wanted[inside], end],
+            args=(current,),
         )
         exact[inside] = solution.y[0, : inside.sum()]
         state = solution.y[:, -1]
-    run = JointRun(times, switches, currents, friction_velocity=vs, step_s=1 / 240, fine_step_s=1 / 20000)
+    run = JointRun(
+        times, switches, currents, friction_velocity=vs, step_s=1 / 240, fine_step_s=1 / 20000
+    )
     q, _ = JointSimulator([run]).rollout(ONE, parameters(**law))
     np.testing.assert_allclose(q[0], exact, atol=2e-8)
 
@@ -135,7 +158,10 @@ def test_integrator_orders() -> None:
     exact = JointSimulator([constant_run(times, step_s=1e-4)]).rollout(ONE, law)[0][0, 0]
     for integrator, ratio in (("rk4", 16.0), ("semi_implicit", 2.0)):
         errors = [
-            JointSimulator([constant_run(times, step_s=step, fine_step_s=step)], integrator).rollout(ONE, law)[0][0, 0] - exact
+            JointSimulator(
+                [constant_run(times, step_s=step, fine_step_s=step)], integrator
+            ).rollout(ONE, law)[0][0, 0]
+            - exact
             for step in (1 / 400, 1 / 800)
         ]
         assert errors[0] / errors[1] == pytest.approx(ratio, rel=0.2)
@@ -144,7 +170,8 @@ def test_integrator_orders() -> None:
 def test_semi_implicit_is_equation_two_to_the_letter() -> None:
     """v' = v + h a(q, v), q' = q + h v', 60 frames per second, 16 substeps."""
     h = 1.0 / 60.0 / 16.0
-    q, v = 0.3, 0.0
+    q = 0.3
+    v = 0.0
     expected = []
     for step in range(36 * 16):
         a = (-0.3 * 1.78 - 0.01 * v - 0.2 * np.cos(q)) / 0.03
@@ -173,7 +200,9 @@ def test_runs_of_different_length_share_a_launch() -> None:
 
 def test_windows_count_samples_by_time() -> None:
     simulator = JointSimulator([constant_run(np.arange(1, 25) * 0.025)])
-    np.testing.assert_array_equal([simulator.windows(f)[0] for f in (0.01, 0.25, 0.5, 1.0)], [3, 6, 12, 24])
+    np.testing.assert_array_equal(
+        [simulator.windows(f)[0] for f in (0.01, 0.25, 0.5, 1.0)], [3, 6, 12, 24]
+    )
 
 
 def test_what_cannot_be_simulated_is_said() -> None:
@@ -193,7 +222,9 @@ def test_a_guess_that_is_no_number_ends(name: str) -> None:
     p[0, INDEX["inertia"]] = p[0, INDEX["stribeck_velocity"]] = 1.0
     for value in (np.nan, np.inf, -np.inf):
         p[0, INDEX[name]] = value
-        run = JointRun(np.array([0.1, 0.2]), np.array([0.0, 0.05]), np.array([1.0, 2.0]), fine_step_s=1e-3)
+        run = JointRun(
+            np.array([0.1, 0.2]), np.array([0.0, 0.05]), np.array([1.0, 2.0]), fine_step_s=1e-3
+        )
         with np.errstate(invalid="ignore"):
             q, _ = JointSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)
         assert np.isnan(q).all()

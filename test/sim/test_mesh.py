@@ -11,22 +11,35 @@ import pytest
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.sim.mesh import TetMesh, box, read_mesh
 
-SIZES = [((0.03, 0.03, 0.03), (1, 1, 1)), ((0.03, 0.02, 0.05), (2, 3, 4)), ((1.0, 2.0, 0.7), (4, 4, 3))]
+SIZES = [
+    ((0.03, 0.03, 0.03), (1, 1, 1)),
+    ((0.03, 0.02, 0.05), (2, 3, 4)),
+    ((1.0, 2.0, 0.7), (4, 4, 3)),
+]
 
 
 @pytest.mark.parametrize(("size", "cells"), SIZES)
-def test_the_tetrahedra_fill_the_box_without_cracks(size: tuple[float, ...], cells: tuple[int, int, int]) -> None:
+def test_the_tetrahedra_fill_the_box_without_cracks(
+    size: tuple[float, ...], cells: tuple[int, int, int]
+) -> None:
     mesh = box(np.array(size), cells)
     assert len(mesh.tets) == 5 * np.prod(cells)
     assert mesh.volumes.min() > 0.0
     assert mesh.volumes.sum() == pytest.approx(np.prod(size), rel=1e-12)
     # a crack would have its two sides in the surface
     corners = mesh.points[mesh.surface]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    area = (
+        np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        ).sum()
+        / 2
+    )
     x, y, z = size
     assert area == pytest.approx(2 * (x * y + y * z + z * x), rel=1e-12)
     assert mesh.area == pytest.approx(y * z)
-    assert mesh.end_area(False) == pytest.approx(y * z) and mesh.end_area(True) == pytest.approx(y * z)
+    assert mesh.end_area(False) == pytest.approx(y * z) and mesh.end_area(True) == pytest.approx(
+        y * z
+    )
     shares = np.bincount(mesh.cells, mesh.volumes)
     np.testing.assert_allclose(shares, np.prod(size) / np.prod(cells), rtol=1e-9)
 
@@ -42,7 +55,9 @@ def test_an_even_box_is_its_mirror_image() -> None:
     number = {tuple(key): at for at, key in enumerate(np.round(mesh.points, 9).tolist())}
     mirrored = mesh.points * [-1.0, 1.0, 1.0]
     swap = np.array([number[tuple(key)] for key in (np.round(mirrored, 9) + 0.0).tolist()])
-    assert {frozenset(tet) for tet in mesh.tets.tolist()} == {frozenset(tet) for tet in swap[mesh.tets].tolist()}
+    assert {frozenset(tet) for tet in mesh.tets.tolist()} == {
+        frozenset(tet) for tet in swap[mesh.tets].tolist()
+    }
 
 
 def test_linear_functions_are_exact() -> None:
@@ -78,7 +93,12 @@ def test_bad_meshes() -> None:
     cases = [
         (good.points, good.tets[:, [0, 1, 3, 2]], good.cells, "inside out"),
         (good.points, good.tets + 1, good.cells, "no node"),
-        (np.concatenate([good.points, [[9.0, 9.0, 9.0]]]), good.tets, good.cells, "belong to no tetrahedron"),
+        (
+            np.concatenate([good.points, [[9.0, 9.0, 9.0]]]),
+            good.tets,
+            good.cells,
+            "belong to no tetrahedron",
+        ),
         (far, twice, np.tile(good.cells, 2), "2 pieces"),
         (np.tile(good.points, (2, 1)), twice, np.tile(good.cells, 2), "same place"),
         (good.points, good.tets, alone, "one cell number"),
@@ -102,7 +122,9 @@ def test_a_mesh_comes_back_from_a_file(tmp_path: Path, suffix: str) -> None:
     assert again.volumes.min() > 0.0 and again.cell_count == len(again.tets)
 
 
-def test_without_meshio_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_meshio_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(ConfigurationError, match=r"proprio_ros\[mesh\]"):
         read_mesh(tmp_path / "block.vtk")
@@ -114,7 +136,9 @@ def test_bad_mesh_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
         read_mesh(tmp_path / "none.vtk")
     broken = tmp_path / "broken.vtk"
     broken.write_text("no mesh")
-    with pytest.raises(ConfigurationError, match=r"broken\.vtk: meshio cannot read .*(?i:vtk|header|data)"):
+    with pytest.raises(
+        ConfigurationError, match=r"broken\.vtk: meshio cannot read .*(?i:vtk|header|data)"
+    ):
         read_mesh(broken)
     assert capfd.readouterr() == ("", "")
     flat = tmp_path / "flat.vtk"
@@ -134,4 +158,6 @@ def test_the_surface_seen_from_outside_encloses_the_volume() -> None:
     corners = cube.points[cube.surface]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
     assert (corners.mean(axis=1) * normals).sum() / 3.0 == pytest.approx(6e-6, rel=1e-12)
-    assert len({tuple(sorted(face)) for face in cube.surface.tolist()}) == 2 * 2 * (2 * 3 + 3 * 2 + 2 * 2)
+    assert len({tuple(sorted(face)) for face in cube.surface.tolist()}) == 2 * 2 * (
+        2 * 3 + 3 * 2 + 2 * 2
+    )

@@ -56,9 +56,13 @@ def uniaxial(law: str, stretch: float, mu: float, lam: float) -> float:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("cells", [(1, 1, 1), (2, 2, 2), (3, 2, 4), (5, 1, 2)])
 @pytest.mark.parametrize(("mu", "lam"), MATERIALS)
-def test_frictionless_faces_have_a_closed_form(law: str, cells: tuple[int, int, int], mu: float, lam: float) -> None:
+def test_frictionless_faces_have_a_closed_form(
+    law: str, cells: tuple[int, int, int], mu: float, lam: float
+) -> None:
     size = np.array([0.03, 0.02, 0.025])
-    curve = QuasiStatic(box(size, cells), law, "frictionless").curve(np.array([0.02, 0.1, 0.3]) * size[0], mu, lam)
+    curve = QuasiStatic(box(size, cells), law, "frictionless").curve(
+        np.array([0.02, 0.1, 0.3]) * size[0], mu, lam
+    )
     exact = [size[1] * size[2] * uniaxial(law, stretch, mu, lam) for stretch in (0.98, 0.9, 0.7)]
     np.testing.assert_allclose(curve.force, exact, rtol=1e-8)
 
@@ -120,27 +124,42 @@ def test_an_octant_is_the_block() -> None:
         whole = QuasiStatic(cube(4), contact=contact).curve(squeezes, *HEAVY)
         eighth = QuasiStatic(octant(2), contact=contact, octant=True).curve(squeezes, *HEAVY)
         for name in ("force", "by_squeeze", "by_mu", "by_lambda", "least_j"):
-            np.testing.assert_allclose(getattr(eighth, name), getattr(whole, name), rtol=1e-9, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(eighth, name), getattr(whole, name), rtol=1e-9, err_msg=name
+            )
 
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("contact", ["bonded", "frictionless"])
 @pytest.mark.parametrize(("mu", "lam"), MATERIALS)
-def test_sensitivities_against_central_differences(law: str, contact: str, mu: float, lam: float) -> None:
+def test_sensitivities_against_central_differences(
+    law: str, contact: str, mu: float, lam: float
+) -> None:
     solver = QuasiStatic(box(np.array([0.03, 0.02, 0.025]), (3, 2, 2)), law, contact)
     squeeze = np.array([0.08, 0.25]) * 0.03
     curve = solver.curve(squeeze, mu, lam)
     step = 1e-5
     for name, difference in {
-        "by_mu": (solver.curve(squeeze, mu * (1 + step), lam).force - solver.curve(squeeze, mu * (1 - step), lam).force)
+        "by_mu": (
+            solver.curve(squeeze, mu * (1 + step), lam).force
+            - solver.curve(squeeze, mu * (1 - step), lam).force
+        )
         / (2 * step * mu),
-        "by_lambda": (solver.curve(squeeze, mu, lam * (1 + step)).force - solver.curve(squeeze, mu, lam * (1 - step)).force)
+        "by_lambda": (
+            solver.curve(squeeze, mu, lam * (1 + step)).force
+            - solver.curve(squeeze, mu, lam * (1 - step)).force
+        )
         / (2 * step * lam),
-        "by_squeeze": (solver.curve(squeeze + step * 0.03, mu, lam).force - solver.curve(squeeze - step * 0.03, mu, lam).force)
+        "by_squeeze": (
+            solver.curve(squeeze + step * 0.03, mu, lam).force
+            - solver.curve(squeeze - step * 0.03, mu, lam).force
+        )
         / (2 * step * 0.03),
     }.items():
         exact = getattr(curve, name)
-        np.testing.assert_allclose(exact, difference, rtol=1e-6, atol=1e-6 * np.abs(exact).max(), err_msg=name)
+        np.testing.assert_allclose(
+            exact, difference, rtol=1e-6, atol=1e-6 * np.abs(exact).max(), err_msg=name
+        )
 
 
 @pytest.mark.parametrize("law", ["log", "smith"])
@@ -154,13 +173,17 @@ def test_the_work_of_the_fingers_is_the_energy(law: str) -> None:
     assert weights @ curve.force == pytest.approx(energy, rel=1e-6)
     force = np.tensordot(HEAVY, solver.elastic.forces(curve.points[-1]), axes=1)
     assert np.abs(force.sum(axis=0)).max() < 1e-9 * curve.force[-1]
-    assert np.abs(np.cross(curve.points[-1], force).sum(axis=0)).max() < 1e-9 * EDGE * curve.force[-1]
+    assert (
+        np.abs(np.cross(curve.points[-1], force).sum(axis=0)).max() < 1e-9 * EDGE * curve.force[-1]
+    )
 
 
 def test_force_is_linear_in_young_s_modulus() -> None:
     squeeze = [0.2 * EDGE]
     one = QuasiStatic(cube(2)).curve(squeeze, *lame(1.0, 0.3)).force
-    np.testing.assert_allclose(QuasiStatic(cube(2)).curve(squeeze, *lame(1e6, 0.3)).force, 1e6 * one, rtol=1e-9)
+    np.testing.assert_allclose(
+        QuasiStatic(cube(2)).curve(squeeze, *lame(1e6, 0.3)).force, 1e6 * one, rtol=1e-9
+    )
 
 
 def test_one_big_step_ends_where_small_ones_do() -> None:

@@ -32,7 +32,13 @@ def coarse() -> Response:
     return build(CUBE, cells=2)
 
 
-@pytest.mark.parametrize("law", ["smith", *(pytest.param(law, marks=pytest.mark.long) for law in ("log", "linear", "warp_compat"))])
+@pytest.mark.parametrize(
+    "law",
+    [
+        "smith",
+        *(pytest.param(law, marks=pytest.mark.long) for law in ("log", "linear", "warp_compat")),
+    ],
+)
 def test_between_the_nodes_it_is_the_finite_elements(law: str) -> None:
     """Force to 2e-4 and stiffness to 1e-2, at places in the middle of the table's cells."""
     table = build(SLAB, law, cells=2)
@@ -50,15 +56,22 @@ def test_between_the_nodes_it_is_the_finite_elements(law: str) -> None:
 @pytest.mark.long
 def test_its_gradient_is_that_of_its_values(coarse: Response) -> None:
     rng = np.random.default_rng(0)
-    s, nu = rng.uniform(0.0, 0.75, 400), rng.uniform(-0.1, 0.6, 400)  # also beyond the table
+    # also beyond the table
+    s = rng.uniform(0.0, 0.75, 400)
+    nu = rng.uniform(-0.1, 0.6, 400)
     step = 1e-6
     _, by_s, by_nu = coarse(s, nu)
-    np.testing.assert_allclose((coarse(s + step, nu)[0] - coarse(s - step, nu)[0]) / (2 * step), by_s, atol=2e-5)
-    np.testing.assert_allclose((coarse(s, nu + step)[0] - coarse(s, nu - step)[0]) / (2 * step), by_nu, atol=2e-5)
+    np.testing.assert_allclose(
+        (coarse(s + step, nu)[0] - coarse(s - step, nu)[0]) / (2 * step), by_s, atol=2e-5
+    )
+    np.testing.assert_allclose(
+        (coarse(s, nu + step)[0] - coarse(s, nu - step)[0]) / (2 * step), by_nu, atol=2e-5
+    )
     np.testing.assert_allclose(coarse(0.0, nu)[0], 0.0, atol=1e-12)
     # the gradient has no jumps
     for edge in coarse.squeeze[1:]:
-        below, above = coarse(edge - 1e-9, nu), coarse(edge + 1e-9, nu)
+        below = coarse(edge - 1e-9, nu)
+        above = coarse(edge + 1e-9, nu)
         np.testing.assert_allclose(below[1], above[1], atol=1e-6)
 
 
@@ -80,11 +93,14 @@ def _read(
 @pytest.mark.long
 def test_kernels_read_the_same(coarse: Response) -> None:
     rng = np.random.default_rng(1)
-    s, nu = rng.uniform(-0.05, 0.75, 300), rng.uniform(-0.1, 0.6, 300)
+    s = rng.uniform(-0.05, 0.75, 300)
+    nu = rng.uniform(-0.1, 0.6, 300)
     s[:2], nu[:2] = [0.0, 0.6], [0.0, 0.48]
     out = wp.zeros((3, 300), dtype=FLOAT)
     given = [wp.array(part, dtype=FLOAT) for part in (s, nu, coarse.grid)]
-    nodes = wp.array(np.stack([0.0 * coarse.nodes, coarse.nodes]), dtype=wp.types.vector(length=4, dtype=FLOAT))
+    nodes = wp.array(
+        np.stack([0.0 * coarse.nodes, coarse.nodes]), dtype=wp.types.vector(length=4, dtype=FLOAT)
+    )
     wp.launch(_read, dim=300, inputs=[*given, nodes], outputs=[out])
     np.testing.assert_allclose(out.numpy(), coarse(s, nu), rtol=1e-11, atol=1e-11)
 
@@ -105,7 +121,9 @@ def test_a_block_that_is_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RATIOS", (0.1, 0.4, 4))
     cube = box(CUBE, (3, 3, 3))
     narrower = 1.0 - 0.4 * (cube.points[:, :1] / CUBE[0] + 0.5)
-    mesh = TetMesh(cube.points * np.hstack([np.ones_like(narrower), narrower, narrower]), cube.tets, cube.cells)
+    mesh = TetMesh(
+        cube.points * np.hstack([np.ones_like(narrower), narrower, narrower]), cube.tets, cube.cells
+    )
     table = response_of_mesh(mesh)
     mu, lam = lame(3000.0, 0.23)
     curve = QuasiStatic(mesh).curve(np.array([0.13 * CUBE[0]]), mu, lam)
@@ -137,7 +155,14 @@ def test_the_cache_is_used_and_checked(monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_array_equal(get().nodes, first.nodes)
     assert len(built) == 5
     # numbers that were changed by hand
-    np.savez(path, made_of=first.made_of, squeeze=first.squeeze, ratio=first.ratio, nodes=2 * first.nodes, digest="x")
+    np.savez(
+        path,
+        made_of=first.made_of,
+        squeeze=first.squeeze,
+        ratio=first.ratio,
+        nodes=2 * first.nodes,
+        digest="x",
+    )
     np.testing.assert_array_equal(get().nodes, first.nodes)
     # other code makes another table
     monkeypatch.setattr(module, "_code_hash", lambda: "other")
@@ -145,7 +170,9 @@ def test_the_cache_is_used_and_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(built) == 7 and len(list(cache_folder().iterdir())) == 2
 
 
-def test_a_cache_that_cannot_be_written_is_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_cache_that_cannot_be_written_is_no_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert response(CUBE, contact="frictionless").reach == pytest.approx(0.6)

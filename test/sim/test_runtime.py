@@ -33,9 +33,12 @@ def kernel_of(number: float) -> Any:
     return write
 
 
-def test_what_is_compiled_is_said_and_only_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_compiled_is_said_and_only_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    kernels, heard = [kernel_of(1.5), kernel_of(2.5)], []
+    kernels = [kernel_of(1.5), kernel_of(2.5)]
+    heard = []
     with progress.listening(heard.append):
         runtime.load(kernels, "cpu")
         assert heard == [f"compiling {number} of 2, {COMPILING}" for number in (1, 2)]
@@ -50,17 +53,23 @@ def test_what_is_compiled_is_said_and_only_once(tmp_path: Path, monkeypatch: pyt
     assert len(heard) == 4, "nobody listens any more"
 
 
-def test_a_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It was there when Warp started, and is not when a kernel is to be kept."""
     (tmp_path / "file").touch()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
-    with pytest.raises(ConfigurationError, match="set WARP_CACHE_PATH to a folder that can be written") as error:
+    with pytest.raises(
+        ConfigurationError, match="set WARP_CACHE_PATH to a folder that can be written"
+    ) as error:
         runtime.load([kernel_of(6.5)], "cpu")
     assert "\n" not in str(error.value) and str(tmp_path) in str(error.value)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("words", [["replay", "BAG", "--probe", "payload"], ["warmup"]], ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "words", [["replay", "BAG", "--probe", "payload"], ["warmup"]], ids=lambda words: words[0]
+)
 def test_the_command_line_says_so_in_one_line(words: list[str], bags: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     bag = str(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
@@ -85,14 +94,24 @@ def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
         return done.stderr.splitlines()
 
     lines = said()
-    assert lines == [f"proprio: compiling kernel {number}, {COMPILING}" for number in range(1, len(lines) + 1)] and lines
+    assert (
+        lines
+        == [
+            f"proprio: compiling kernel {number}, {COMPILING}"
+            for number in range(1, len(lines) + 1)
+        ]
+        and lines
+    )
     assert said() == []
 
 
-def kernels_loaded(monkeypatch: pytest.MonkeyPatch, do: Callable[[], Any], really: bool = True) -> set[str]:
+def kernels_loaded(
+    monkeypatch: pytest.MonkeyPatch, do: Callable[[], Any], really: bool = True
+) -> set[str]:
     """Names of the modules of kernels that something loads."""
     names: set[str] = set()
-    load, launch = runtime.load, runtime.launch
+    load = runtime.load
+    launch = runtime.launch
 
     def loaded(kernels: list[Any], device: Any) -> None:
         names.update(kernel.module.name for kernel in kernels)
@@ -110,15 +129,23 @@ def kernels_loaded(monkeypatch: pytest.MonkeyPatch, do: Callable[[], Any], reall
     return names
 
 
-def compiled_for(monkeypatch: pytest.MonkeyPatch, probe: str, robot: str = "open_manipulator_x") -> set[str]:
-    return kernels_loaded(monkeypatch, lambda: compile_for(Options(probe=probe, robot=robot)), really=False)
+def compiled_for(
+    monkeypatch: pytest.MonkeyPatch, probe: str, robot: str = "open_manipulator_x"
+) -> set[str]:
+    return kernels_loaded(
+        monkeypatch, lambda: compile_for(Options(probe=probe, robot=robot)), really=False
+    )
 
 
 def test_a_probe_compiles_what_it_needs_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     kernels = {probe.name: compiled_for(monkeypatch, probe.name) for probe in all_probes()}
-    assert len(kernels["payload"]) == 8, "four sizes, with friction that rises towards standstill and without"
+    assert len(kernels["payload"]) == 8, (
+        "four sizes, with friction that rises towards standstill and without"
+    )
     assert kernels["payload"] < kernels["container"] and kernels["payload"] < kernels["softness"]
-    assert not any(name.startswith("tangent") for name in kernels["payload"] | kernels["softness"]), "the sphere's"
+    assert not any(
+        name.startswith("tangent") for name in kernels["payload"] | kernels["softness"]
+    ), "the sphere's"
     # a pendulum's friction does not rise: only where every parameter has its direction
     counts = {
         probe: (len(kernels[probe]), len(compiled_for(monkeypatch, probe, "pendulum")))

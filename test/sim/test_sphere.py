@@ -34,7 +34,9 @@ HARD = Contact.of(400.0, 0.4, 0.35)
 HELD = 1e9  # kg m^2: nothing that a sphere does turns this joint
 
 
-def parameters(contact: Contact = HARD, start: ArrayLike = (0.0, 0.0, 0.0), **values: float) -> np.ndarray:
+def parameters(
+    contact: Contact = HARD, start: ArrayLike = (0.0, 0.0, 0.0), **values: float
+) -> np.ndarray:
     p = np.zeros((1, len(SPHERE_PARAMETERS)))
     known = {
         "inertia": 0.02, "sphere_mass": 0.03, "stiffness": contact.stiffness, "damping": contact.damping,
@@ -79,16 +81,22 @@ def test_a_sphere_that_touches_nothing_is_a_projectile(kind: str) -> None:
     """Its centre flies on a parabola in the world while the container turns around it."""
     times = np.linspace(0.01, 0.3, 30)
     large = Enclosure("box", np.full(3, 3.0), 0.01)
-    start, q0, v0 = np.array([0.03, -0.02, 0.05]), 0.4, 1.5
+    start = np.array([0.03, -0.02, 0.05])
+    q0 = 0.4
+    v0 = 1.5
     sim = simulator(times, large, kind, current=0.05, step=1e-3)
-    q, v, x, u, spin = (s[0] for s in states_of(sim, ONE, parameters(start=start, q0=q0, v0=v0, gravity_cos=0.03)))
+    q, v, x, u, spin = (
+        s[0] for s in states_of(sim, ONE, parameters(start=start, q0=q0, v0=v0, gravity_cos=0.03))
+    )
     assert abs(v[-1] - v[0]) > 0.1
     begin = world_place(kind, np.array([q0]), start[None])[0]
     if kind == "revolute":
-        velocity, spinning = v0 * np.cross(AXIS, begin), v0 * AXIS
+        velocity = v0 * np.cross(AXIS, begin)
+        spinning = v0 * AXIS
         to_world = Rotation.from_rotvec(q[:, None] * AXIS)
     else:
-        velocity, spinning = v0 * AXIS, np.zeros(3)
+        velocity = v0 * AXIS
+        spinning = np.zeros(3)
         to_world = Rotation.identity(len(q))
     flight = begin + times[:, None] * velocity + 0.5 * times[:, None] ** 2 * GRAVITY
     np.testing.assert_allclose(world_place(kind, q, x), flight, atol=1e-9)
@@ -106,7 +114,9 @@ def test_a_sphere_without_mass_leaves_the_joint_alone(integrator: str) -> None:
         sphere_mass=0.0, gravity_cos=0.1, gravity_sin=-0.05, gravity_constant=0.02, torque_constant=1.78, coulomb=0.03,
         viscous=0.01, load_friction=0.05, delay=0.004, q0=0.3, v0=0.2, stribeck=0.3, stribeck_velocity=0.2,
     )  # fmt: skip
-    sim = SphereSimulator([SphereRun(joint, "revolute", AXIS, ORIGIN, GRAVITY)], BOX, integrator=integrator)
+    sim = SphereSimulator(
+        [SphereRun(joint, "revolute", AXIS, ORIGIN, GRAVITY)], BOX, integrator=integrator
+    )
     q, v, x, *_ = states_of(sim, ONE, p)
     alone = JointSimulator([joint], integrator).rollout(ONE, p[:, : len(PARAMETERS)])
     np.testing.assert_allclose(q, alone[0], atol=1e-13)
@@ -120,31 +130,50 @@ def test_a_sphere_without_mass_leaves_the_joint_alone(integrator: str) -> None:
 def test_a_sphere_at_rest_in_a_corner_stays_there(law: str) -> None:
     """Three walls carry it, each pressed as deep as its share of the weight asks for."""
     start = resting_on(GRAVITY, BOX, HARD)
-    states = states_of(simulator(np.linspace(0.05, 1.0, 20), law=law), ONE, parameters(start=start, inertia=HELD))
+    states = states_of(
+        simulator(np.linspace(0.05, 1.0, 20), law=law), ONE, parameters(start=start, inertia=HELD)
+    )
     np.testing.assert_allclose(states[2][0], np.tile(start, (20, 1)), atol=1e-9)
     # and it comes to rest there from elsewhere
     off = start - 0.003 * np.sign(GRAVITY)
-    x = states_of(simulator(np.linspace(1.0, 2.0, 20), law=law), ONE, parameters(start=off, inertia=HELD))[2][0]
+    x = states_of(
+        simulator(np.linspace(1.0, 2.0, 20), law=law), ONE, parameters(start=off, inertia=HELD)
+    )[2][0]
     np.testing.assert_allclose(x, np.tile(start, (20, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
     """A joint so heavy that it hardly moves feels the sphere's weight at the sphere's place; a light one a rigid load."""
-    start, mass = resting_on(GRAVITY, BOX, HARD), 0.05
-    heavy, time = 1e4, 0.2
-    _, v, *_ = states_of(simulator(np.array([time]), kind=kind), ONE, parameters(start=start, inertia=heavy, sphere_mass=mass))
-    load = AXIS @ np.cross(start - ORIGIN, mass * GRAVITY) if kind == "revolute" else mass * AXIS @ GRAVITY
+    start = resting_on(GRAVITY, BOX, HARD)
+    mass = 0.05
+    heavy = 1e4
+    time = 0.2
+    _, v, *_ = states_of(
+        simulator(np.array([time]), kind=kind),
+        ONE,
+        parameters(start=start, inertia=heavy, sphere_mass=mass),
+    )
+    load = (
+        AXIS @ np.cross(start - ORIGIN, mass * GRAVITY)
+        if kind == "revolute"
+        else mass * AXIS @ GRAVITY
+    )
     assert v[0, 0] == pytest.approx(load / heavy * time, rel=1e-5)
 
-    arm, stiff = 0.01 if kind == "revolute" else 0.1, Contact.of(3000.0, 0.7, 1.0, 3000.0)
+    arm = 0.01 if kind == "revolute" else 0.1
+    stiff = Contact.of(3000.0, 0.7, 1.0, 3000.0)
     start = resting_on(GRAVITY, BOX, stiff)
     times = np.linspace(0.02, 0.15, 14)
-    held_back = 0.6 * load  # so that the container does not fall freely, in which the sphere would float
+    # so that the container does not fall freely, in which the sphere would float
+    held_back = 0.6 * load
     q, v, x, *_ = states_of(
-        simulator(times, kind=kind, current=-held_back, step=5e-5), ONE, parameters(stiff, start, inertia=arm, sphere_mass=mass)
+        simulator(times, kind=kind, current=-held_back, step=5e-5),
+        ONE,
+        parameters(stiff, start, inertia=arm, sphere_mass=mass),
     )
-    lever, weight = start - ORIGIN, mass * GRAVITY
+    lever = start - ORIGIN
+    weight = mass * GRAVITY
     inertia = arm + mass * (np.cross(AXIS, lever) @ np.cross(AXIS, lever) + 0.4 * BOX.radius**2)
     if kind == "prismatic":
         inertia = arm + mass
@@ -175,7 +204,9 @@ def test_a_ball_on_an_inclined_plane(law: str, kappa: float, tilt: float, fricti
     _, _, x, u, spin = (s[0] for s in states_of(sim, ONE, parameters(contact, start, inertia=HELD)))
     acceleration = np.diff(u[:, 0])[0] / 0.4
     rolls = np.tan(tilt) < friction * (1.0 + 1.0 / kappa)
-    expected = G * np.sin(tilt) / (1.0 + kappa) if rolls else G * (np.sin(tilt) - friction * np.cos(tilt))
+    expected = (
+        G * np.sin(tilt) / (1.0 + kappa) if rolls else G * (np.sin(tilt) - friction * np.cos(tilt))
+    )
     assert acceleration == pytest.approx(expected, rel=0.01 if not rolls else 1e-3)
     torque = 1.0 if rolls else friction * G * np.cos(tilt) / (kappa * long.radius)
     assert spin[1, 1] == pytest.approx(u[1, 0] / long.radius if rolls else torque * 0.5, rel=0.01)
@@ -195,20 +226,33 @@ def spring_energy(inside: Enclosure, x: np.ndarray, stiffness: float) -> np.ndar
     if inside.shape == "box":
         depths = np.abs(x) - inside.room
     elif inside.shape == "cylinder":
-        depths = np.array([np.hypot(x[:, 0], x[:, 1]) - inside.room[0], np.abs(x[:, 2]) - inside.room[2]]).T
+        depths = np.array(
+            [np.hypot(x[:, 0], x[:, 1]) - inside.room[0], np.abs(x[:, 2]) - inside.room[2]]
+        ).T
     else:
         depths = np.linalg.norm(x, axis=1, keepdims=True) - inside.room[0]
     return 0.5 * stiffness * (np.maximum(depths, 0.0) ** 2).sum(axis=1)
 
 
-def energy(kind: str, inside: Enclosure, p: np.ndarray, states: tuple[np.ndarray, ...]) -> np.ndarray:
+def energy(
+    kind: str, inside: Enclosure, p: np.ndarray, states: tuple[np.ndarray, ...]
+) -> np.ndarray:
     """Of joint and sphere [J], shape (T,): motion, spin, height and springs."""
     q, v, x, u, spin = (s[0] for s in states)
     value = {name: p[0, row] for name, row in SPHERE_INDEX.items()}
     inertia = inside.inertia_factor * inside.radius**2
     height = -world_place(kind, q, x) @ GRAVITY
-    sphere = 0.5 * (u**2).sum(1) + 0.5 * inertia * (spin**2).sum(1) + height + spring_energy(inside, x, value["stiffness"])
-    joint = 0.5 * value["inertia"] * v**2 + value["gravity_cos"] * np.sin(q) - value["gravity_sin"] * np.cos(q)
+    sphere = (
+        0.5 * (u**2).sum(1)
+        + 0.5 * inertia * (spin**2).sum(1)
+        + height
+        + spring_energy(inside, x, value["stiffness"])
+    )
+    joint = (
+        0.5 * value["inertia"] * v**2
+        + value["gravity_cos"] * np.sin(q)
+        - value["gravity_sin"] * np.cos(q)
+    )
     return joint + value["gravity_constant"] * q + value["sphere_mass"] * sphere
 
 
@@ -221,7 +265,9 @@ FALLS = {"gravity_cos": 0.1, "gravity_sin": 0.07, "q0": -0.3, "v0": 0.4}
 def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> None:
     """Energy stays, and momentum about the joint's axis changes by gravity's impulse alone, through every bounce."""
     inside = ROUND[shape]
-    p = parameters(Contact(HARD.stiffness, 0.0, 0.0, 0.0), (0.006, 0.004, -0.005), sphere_mass=0.1, **FALLS)
+    p = parameters(
+        Contact(HARD.stiffness, 0.0, 0.0, 0.0), (0.006, 0.004, -0.005), sphere_mass=0.1, **FALLS
+    )
     if kind == "prismatic":
         p[0, SPHERE_INDEX["inertia"]] = 0.3
     step = 2e-4
@@ -237,11 +283,14 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
     exchanged = 0.5 * 0.1 * np.ptp((u**2).sum(1))
     assert drift[0] < 1e-3 * exchanged  # integration error: a wall is met inside a step
     assert drift[1] < 0.5 * drift[0] + 1e-7 * exchanged
-    mass, load = 0.1, FALLS["gravity_cos"] * np.cos(q) + FALLS["gravity_sin"] * np.sin(q)
+    mass = 0.1
+    load = FALLS["gravity_cos"] * np.cos(q) + FALLS["gravity_sin"] * np.sin(q)
     if kind == "revolute":
         place = world_place(kind, q, x)
         velocity = Rotation.from_rotvec(q[:, None] * AXIS).apply(u)
-        momentum = 0.02 * v + mass * (np.cross(place, velocity) + 0.4 * inside.radius**2 * spin) @ AXIS
+        momentum = (
+            0.02 * v + mass * (np.cross(place, velocity) + 0.4 * inside.radius**2 * spin) @ AXIS
+        )
         torque = mass * np.cross(place, GRAVITY) @ AXIS - load
     else:
         momentum = 0.3 * v + mass * u @ AXIS
@@ -275,9 +324,15 @@ def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, l
     assert np.abs(spin).max() > 1.0
     load = FALLS["gravity_cos"] * np.cos(q) + FALLS["gravity_sin"] * np.sin(q)
     if kind == "revolute":
-        place, turned = world_place(kind, q, x), Rotation.from_rotvec(q[:, None] * AXIS)
+        place = world_place(kind, q, x)
+        turned = Rotation.from_rotvec(q[:, None] * AXIS)
         # a force at the touch has no moment about it: spin and flight together exchange with the joint
-        momentum = 0.02 * v + 0.1 * (np.cross(place, turned.apply(u)) + 0.4 * inside.radius**2 * turned.apply(spin)) @ AXIS
+        momentum = (
+            0.02 * v
+            + 0.1
+            * (np.cross(place, turned.apply(u)) + 0.4 * inside.radius**2 * turned.apply(spin))
+            @ AXIS
+        )
         torque = 0.1 * np.cross(place, GRAVITY) @ AXIS - load
     else:
         momentum = 0.3 * v + 0.1 * u @ AXIS
@@ -291,8 +346,14 @@ def test_walls_of_a_corner_push_at_once() -> None:
     depths = np.array([1e-4, 2e-4, 3e-4])
     signs = np.array([1.0, -1.0, 1.0])
     time = 1e-5
-    states = states_of(simulator(np.array([time]), step=time), ONE, parameters(start=signs * (BOX.room + depths), inertia=HELD))
-    np.testing.assert_allclose(states[3][0, 0] / time, GRAVITY - HARD.stiffness * signs * depths, rtol=1e-2)
+    states = states_of(
+        simulator(np.array([time]), step=time),
+        ONE,
+        parameters(start=signs * (BOX.room + depths), inertia=HELD),
+    )
+    np.testing.assert_allclose(
+        states[3][0, 0] / time, GRAVITY - HARD.stiffness * signs * depths, rtol=1e-2
+    )
 
 
 @pytest.mark.parametrize(("law", "pulls"), [("ramped", False), ("paper", True)])
@@ -320,13 +381,26 @@ def test_only_the_papers_law_pulls(law: str, pulls: bool) -> None:
 def test_integrator_orders(shape: str, law: str, integrator: str) -> None:
     """While a sphere rolls on a wall and touches no other, halving the step divides the error by 16, or by 2."""
     soft = Contact.of(60.0, 0.3, 1.0, 60.0)
-    start = {"box": (0.0, 0.0, -0.0128), "cylinder": (0.0, -0.0165, 0.0), "sphere": (0.003, -0.0045, -0.0146)}[shape]
-    gravity = {"box": (0.6, 0.4, -9.0), "cylinder": (1.5, -9.0, 0.4), "sphere": (2.0, -4.0, -9.0)}[shape]
+    start = {
+        "box": (0.0, 0.0, -0.0128),
+        "cylinder": (0.0, -0.0165, 0.0),
+        "sphere": (0.003, -0.0045, -0.0146),
+    }[shape]
+    gravity = {"box": (0.6, 0.4, -9.0), "cylinder": (1.5, -9.0, 0.4), "sphere": (2.0, -4.0, -9.0)}[
+        shape
+    ]
     p = parameters(soft, start, gravity_cos=0.2, v0=0.1)
     inside = Enclosure(shape, ROUND[shape].inner_size, 0.01, ramp_depth=1e-9)
 
     def end(step: float, scheme: str) -> np.ndarray:
-        sim = simulator(np.array([0.12]), inside, gravity=np.array(gravity), step=step, law=law, integrator=scheme)
+        sim = simulator(
+            np.array([0.12]),
+            inside,
+            gravity=np.array(gravity),
+            step=step,
+            law=law,
+            integrator=scheme,
+        )
         q, v, x, u, spin = (s[0, 0] for s in states_of(sim, ONE, p))
         return np.concatenate([[q, v], x, u, spin])
 
@@ -340,7 +414,9 @@ def test_integrator_orders(shape: str, law: str, integrator: str) -> None:
 def test_the_papers_constants_are_newtons() -> None:
     """A sphere pressed 1 mm deep by k_e = 1000 N/m is pushed with 1 N, whatever it weighs."""
     for mass in (0.005, 0.05):
-        p = parameters(paper_contact(mass), (0.0, 0.0, -BOX.room[2] - 1e-3), inertia=HELD, sphere_mass=mass)
+        p = parameters(
+            paper_contact(mass), (0.0, 0.0, -BOX.room[2] - 1e-3), inertia=HELD, sphere_mass=mass
+        )
         sim = simulator(np.array([1e-6]), gravity=np.zeros(3), step=1e-6, law="paper")
         assert mass * states_of(sim, ONE, p)[3][0, 0, 2] / 1e-6 == pytest.approx(1.0, rel=1e-3)
 
@@ -354,14 +430,18 @@ def test_what_cannot_be_simulated_is_said() -> None:
         Enclosure("box", np.array([0.06, 0.04, 0.02]), 0.01)
 
 
-def in_world_coordinates(inside: Enclosure, p: np.ndarray, kind: str, current: float, times: np.ndarray) -> tuple[np.ndarray, ...]:
+def in_world_coordinates(
+    inside: Enclosure, p: np.ndarray, kind: str, current: float, times: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """The same box, sphere and joint written down in the world's frame and integrated to 1e-10: q, v (T,), three of (T, 3).
 
     These are the sphere's place in the container, its velocity and its spin against the ground along the container's axes.
     """
     value = {name: p[0, row] for name, row in SPHERE_INDEX.items()}
     k, c, kf, mu = (value[name] for name in ("stiffness", "damping", "traction", "friction"))
-    mass, kappa, radius = value["sphere_mass"], inside.inertia_factor, inside.radius
+    mass = value["sphere_mass"]
+    kappa = inside.inertia_factor
+    radius = inside.radius
 
     def pose(q: float) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of the container and where its centre is, the axis through the origin."""
@@ -374,9 +454,15 @@ def in_world_coordinates(inside: Enclosure, p: np.ndarray, kind: str, current: f
         return v * np.cross(AXIS, at) if kind == "revolute" else v * AXIS
 
     def rates(_: float, state: np.ndarray) -> np.ndarray:
-        q, v, place, velocity, spin = state[0], state[1], state[2:5], state[5:8], state[8:11]
+        q = state[0]
+        v = state[1]
+        place = state[2:5]
+        velocity = state[5:8]
+        spin = state[8:11]
         turned, centre = pose(q)
-        force, moment, on_joint = mass * GRAVITY, np.zeros(3), 0.0
+        force = mass * GRAVITY
+        moment = np.zeros(3)
+        on_joint = 0.0
         for axis in range(3):
             for side in (-1.0, 1.0):
                 inward = -side * turned[:, axis]
@@ -391,7 +477,9 @@ def in_world_coordinates(inside: Enclosure, p: np.ndarray, kind: str, current: f
                 normal = max(k * depth - c * min(depth / inside.ramp_depth, 1.0) * leaving, 0.0)
                 push = mass * normal * inward
                 if normal > 0.0:
-                    push = push - mass * kf * mu * normal * slip / np.sqrt((kf * slip) @ (kf * slip) + (mu * normal) ** 2)
+                    push = push - mass * kf * mu * normal * slip / np.sqrt(
+                        (kf * slip) @ (kf * slip) + (mu * normal) ** 2
+                    )
                 force = force + push
                 moment = moment + np.cross(at - place, push)
                 on_joint -= push @ (np.cross(AXIS, at) if kind == "revolute" else AXIS)
@@ -404,26 +492,45 @@ def in_world_coordinates(inside: Enclosure, p: np.ndarray, kind: str, current: f
     start = centre + turned @ p[0, [SPHERE_INDEX[f"start_{axis}"] for axis in "xyz"]]
     spin = value["v0"] * AXIS if kind == "revolute" else np.zeros(3)
     state = np.concatenate([[value["q0"], value["v0"]], start, carried(value["v0"], start), spin])
-    solution = solve_ivp(rates, (0.0, times[-1]), state, rtol=1e-10, atol=1e-12, t_eval=times, max_step=1e-3)
+    solution = solve_ivp(
+        rates, (0.0, times[-1]), state, rtol=1e-10, atol=1e-12, t_eval=times, max_step=1e-3
+    )
     seen = []
     for column in solution.y.T:
         turned, centre = pose(column[0])
-        seen.append([turned.T @ (column[2:5] - centre), turned.T @ column[5:8], turned.T @ column[8:11]])
+        seen.append(
+            [turned.T @ (column[2:5] - centre), turned.T @ column[5:8], turned.T @ column[8:11]]
+        )
     return solution.y[0], solution.y[1], *np.array(seen).swapaxes(0, 1)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_against_plain_equations_in_the_world(kind: str) -> None:
     """Falls, bounces off several walls, slips and rolls, on a joint that moves; other frame, other integrator."""
-    p = parameters(HARD, (-0.005, 0.003, -0.008), sphere_mass=0.04, viscous=0.01, gravity_cos=0.1, q0=-0.4, v0=1.5)
+    p = parameters(
+        HARD,
+        (-0.005, 0.003, -0.008),
+        sphere_mass=0.04,
+        viscous=0.01,
+        gravity_cos=0.1,
+        q0=-0.4,
+        v0=1.5,
+    )
     if kind == "prismatic":
         p[0, SPHERE_INDEX["inertia"]] = 0.3
     times = np.linspace(0.01, 0.3, 30)
     exact = in_world_coordinates(BOX, p, kind, 0.12, times)
-    states = states_of(simulator(times, kind=kind, current=0.12, step=HARD.step_s(0.4) / 2.0), ONE, p)
+    states = states_of(
+        simulator(times, kind=kind, current=0.12, step=HARD.step_s(0.4) / 2.0), ONE, p
+    )
     without = p.copy()
     without[0, SPHERE_INDEX["sphere_mass"]] = 0.0
-    assert np.abs(states_of(simulator(times, kind=kind, current=0.12), ONE, without)[0] - states[0]).max() > 1e-3
+    assert (
+        np.abs(
+            states_of(simulator(times, kind=kind, current=0.12), ONE, without)[0] - states[0]
+        ).max()
+        > 1e-3
+    )
     q, v, x, u, spin = (state[0] for state in states)
     assert (np.diff(np.sign(np.diff(x, axis=0)), axis=0) != 0).any()  # it bounced
     np.testing.assert_allclose(q, exact[0], atol=1e-5)
@@ -440,15 +547,19 @@ def of_mujoco(
     import mujoco
 
     value = {name: p[0, row] for name, row in SPHERE_INDEX.items()}
-    half, thick, radius = BOX.inner_size / 2.0, 0.05, BOX.radius
+    half = BOX.inner_size / 2.0
+    thick = 0.05
+    radius = BOX.radius
 
     def text(*values: float) -> str:
         return " ".join(f"{value:.12g}" for value in values)
 
     walls = ""
     for wall in range(6):
-        along, way = np.arange(3) == wall // 2, 2.0 * (wall % 2) - 1.0
-        size, pos = np.where(along, thick / 2.0, half + thick), np.where(along, way * (half + thick / 2.0), 0.0)
+        along = np.arange(3) == wall // 2
+        way = 2.0 * (wall % 2) - 1.0
+        size = np.where(along, thick / 2.0, half + thick)
+        pos = np.where(along, way * (half + thick / 2.0), 0.0)
         walls += f'<geom type="box" mass="0" contype="1" conaffinity="0" size="{text(*size)}" pos="{text(*pos)}"/>'
     inertia = 0.4 * value["sphere_mass"] * radius**2
     model = mujoco.MjModel.from_xml_string(f"""<mujoco>
@@ -467,8 +578,13 @@ def of_mujoco(
     data = mujoco.MjData(model)
     start = p[0, [SPHERE_INDEX[f"start_{name}"] for name in "xyz"]]
     turned = Rotation.from_rotvec(value["q0"] * axis)
-    data.qpos[:] = (value["q0"], *(origin + turned.apply(start - origin)), *turned.as_quat(scalar_first=True))
-    q, places = [], []
+    data.qpos[:] = (
+        value["q0"],
+        *(origin + turned.apply(start - origin)),
+        *turned.as_quat(scalar_first=True),
+    )
+    q = []
+    places = []
     data.qfrc_applied[0] = torque
     for step in range(1, round(times[-1] * 1e4) + 1):
         mujoco.mj_step(model, data)
@@ -482,11 +598,16 @@ def of_mujoco(
 @pytest.mark.parametrize("mass", [0.02, 0.05])
 def test_against_mujoco_while_the_sphere_rolls_from_end_to_end(mass: float) -> None:
     """Two laws of contact: the joint agrees within 0.2 mrad rms, and a sphere that stayed where it was would not do."""
-    axis, origin, gravity = np.array([0.0, 1.0, 0.0]), np.array([-0.16, 0.0, 0.0]), np.array([0.0, 0.0, -G])
-    times, q0 = np.arange(1, 25) / 40.0, -0.02
+    axis = np.array([0.0, 1.0, 0.0])
+    origin = np.array([-0.16, 0.0, 0.0])
+    gravity = np.array([0.0, 0.0, -G])
+    times = np.arange(1, 25) / 40.0
+    q0 = -0.02
     run = {"axis": axis, "origin": origin, "gravity": gravity, "step": HARD.step_s(0.4)}
     down = Rotation.from_rotvec(q0 * axis).inv().apply(gravity)
-    start = np.array([-BOX.room[0] + down[0] / HARD.stiffness, 0.0, -BOX.room[2] + down[2] / HARD.stiffness])
+    start = np.array(
+        [-BOX.room[0] + down[0] / HARD.stiffness, 0.0, -BOX.room[2] + down[2] / HARD.stiffness]
+    )
     p = parameters(start=start, sphere_mass=mass, q0=q0)
     current = 0.08 - 0.9 * mass * G * 0.18  # the motor carries most of the weight and dips the hand
     q, _, x, *_ = states_of(simulator(times, current=current, **run), ONE, p)
@@ -503,7 +624,8 @@ def test_against_mujoco_while_the_sphere_rolls_from_end_to_end(mass: float) -> N
     rms, without_rolling = (float(np.sqrt(np.mean((one[0] - exact) ** 2))) for one in (q, still))
     assert rms < 2e-4
     assert without_rolling > 5.0 * rms
-    np.testing.assert_allclose(x[0], place, atol=4e-3)  # a bounce off the far end is another in another law
+    # a bounce off the far end is another in another law
+    np.testing.assert_allclose(x[0], place, atol=4e-3)
 
 
 @pytest.mark.parametrize("name", SPHERE_PARAMETERS)

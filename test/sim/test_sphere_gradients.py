@@ -10,7 +10,14 @@ from support.plain_laws import states_of, taped_sphere
 
 from proprio_ros.sim.joint import PARAMETERS, JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
-from proprio_ros.sim.sphere import SPHERE_INDEX, SPHERE_PARAMETERS, Contact, Enclosure, SphereRun, SphereSimulator
+from proprio_ros.sim.sphere import (
+    SPHERE_INDEX,
+    SPHERE_PARAMETERS,
+    Contact,
+    Enclosure,
+    SphereRun,
+    SphereSimulator,
+)
 
 pytestmark = pytest.mark.long
 """Each kernel takes seconds to compile."""
@@ -39,7 +46,11 @@ SCENES = {
 RK4 = (("box", "ramped"), ("box", "paper"), ("cylinder", "ramped"), ("sphere", "paper"))
 SEMI_IMPLICIT = (("box", "ramped"), ("cylinder", "paper"), ("sphere", "ramped"))
 KERNELS = [(*pair, "rk4") for pair in RK4] + [(*pair, "semi_implicit") for pair in SEMI_IMPLICIT]
-CASES = [pytest.param(scene, *kernel, id="-".join((scene, *kernel))) for kernel in KERNELS for scene in SCENES]
+CASES = [
+    pytest.param(scene, *kernel, id="-".join((scene, *kernel)))
+    for kernel in KERNELS
+    for scene in SCENES
+]
 
 
 def unit(*values: float) -> np.ndarray:
@@ -49,7 +60,8 @@ def unit(*values: float) -> np.ndarray:
 def joint_run(seed: int = 1, duration_s: float = 0.3) -> JointRun:
     """Irregular stamps, a square wave, and a supply so weak that it limits the current."""
     times = np.sort(np.random.default_rng(seed).uniform(0.0, duration_s, 12))
-    step = 1e-3  # s; where the kinks of a rollout lie depends on it, and the scenes keep clear of them at this one
+    # s; where the kinks of a rollout lie depends on it, and the scenes keep clear of them at this one
+    step = 1e-3
     return JointRun(
         times,
         np.array([0.0, 0.1017, 0.2013]),
@@ -63,7 +75,13 @@ def joint_run(seed: int = 1, duration_s: float = 0.3) -> JointRun:
 
 
 def sphere_run(kind: str, joint: JointRun) -> SphereRun:
-    return SphereRun(joint, kind, unit(0.1, 0.95, -0.2), np.array([-0.15, 0.01, 0.02]), 9.81 * unit(0.25, -0.3, -0.9))
+    return SphereRun(
+        joint,
+        kind,
+        unit(0.1, 0.95, -0.2),
+        np.array([-0.15, 0.01, 0.02]),
+        9.81 * unit(0.25, -0.3, -0.9),
+    )
 
 
 def enclosure(shape: str) -> Enclosure:
@@ -74,7 +92,10 @@ def scene(name: str, shape: str, law: str, integrator: str) -> tuple[SphereSimul
     kind, starts = SCENES[name]
     inside = enclosure(shape)
     p = np.zeros((1, len(SPHERE_PARAMETERS)))
-    for parameter, value in {**BASE, "delay": BASE["delay"] * (-1.0 if name == "bouncing" else 1.0)}.items():
+    for parameter, value in {
+        **BASE,
+        "delay": BASE["delay"] * (-1.0 if name == "bouncing" else 1.0),
+    }.items():
         p[0, SPHERE_INDEX[parameter]] = value
     p[0, [SPHERE_INDEX[f"start_{axis}"] for axis in "xyz"]] = np.array(starts[shape]) * inside.room
     return SphereSimulator([sphere_run(kind, joint_run())], inside, law, integrator), p
@@ -86,12 +107,15 @@ def differences(sim: SphereSimulator, p: np.ndarray, step: np.ndarray) -> np.nda
     worlds = moved.reshape(-1, len(step))
     q, _, x, *_ = states_of(sim, np.zeros(len(worlds), dtype=np.int32), worlds)
     far, near, next_, last = np.concatenate([q[..., None], x], axis=2).reshape(4, len(step), -1, 4)
-    second, fourth = (next_ - near) / 2.0, (far - 8.0 * near + 8.0 * next_ - last) / 12.0
+    second = (next_ - near) / 2.0
+    fourth = (far - 8.0 * near + 8.0 * next_ - last) / 12.0
     return np.array([second, fourth]) / step[:, None, None]
 
 
 @pytest.mark.parametrize(("name", "shape", "law", "integrator"), CASES)
-def test_sensitivities_against_central_differences(name: str, shape: str, law: str, integrator: str) -> None:
+def test_sensitivities_against_central_differences(
+    name: str, shape: str, law: str, integrator: str
+) -> None:
     """Of the joint's position and of the sphere's, by all 23 parameters.
 
     A step of the integrator in which a wall is touched, or sliding turns into sticking, is a kink, and with the paper's law a
@@ -114,14 +138,18 @@ def test_sensitivities_against_central_differences(name: str, shape: str, law: s
             if parameter == "tilt" and name == "on a slide":
                 assert scale == 0.0  # a slide turns nothing
                 continue
-            assert scale * size[row] > 1e-7, f"{parameter} moves the {what} too little to be checked"
+            assert scale * size[row] > 1e-7, (
+                f"{parameter} moves the {what} too little to be checked"
+            )
             off = np.full(wanted.shape, np.inf)
             for step, estimate in zip(STEPS, estimates, strict=True):
                 rounding = 2e-15 / (step * size[row])
                 if rounding < 2e-5 * scale:
                     error = np.abs(estimate[:, row, :, columns] - wanted).min(axis=0)
                     off = np.minimum(off, error / (1e-6 * scale + rounding))
-            assert off.max() < 1.0, f"{what} by {parameter}: off by {off.max():.2g} of what is allowed"
+            assert off.max() < 1.0, (
+                f"{what} by {parameter}: off by {off.max():.2g} of what is allowed"
+            )
 
 
 @pytest.mark.parametrize(("name", "shape", "law", "integrator"), CASES)
@@ -133,14 +161,19 @@ def test_tape_against_sensitivities(name: str, shape: str, law: str, integrator:
     tape = taped_sphere(sim, ONE, p)
     np.testing.assert_allclose(tape.q, q, atol=1e-13)
     gradient = tape.gradient(weights)
-    np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected * p).max())
-    np.testing.assert_array_equal(tape.gradient(weights), gradient)  # a second backward pass starts from zero
+    np.testing.assert_allclose(
+        gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected * p).max()
+    )
+    # a second backward pass starts from zero
+    np.testing.assert_array_equal(tape.gradient(weights), gradient)
 
 
 def test_the_supply_limits_the_current_here() -> None:
     """Or the cases above would not have covered it."""
     sim, p = scene("rolling", "box", "ramped", "rk4")
-    strong = SphereSimulator([sphere_run("revolute", replace(joint_run(), supply=(0.0, 2.49, 5.22)))], sim.enclosure)
+    strong = SphereSimulator(
+        [sphere_run("revolute", replace(joint_run(), supply=(0.0, 2.49, 5.22)))], sim.enclosure
+    )
     assert np.abs(states_of(sim, ONE, p)[0] - states_of(strong, ONE, p)[0]).max() > 0.01
 
 
@@ -162,7 +195,9 @@ def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str)
         difference = (-3.0 * values[0] + 4.0 * values[1] - values[2]) / (2.0 * step)
         np.testing.assert_allclose(difference, wanted, atol=3e-6 * np.abs(wanted).max())
     weights = np.random.default_rng(2).normal(size=(1, 5))
-    assert taped_sphere(sim, ONE, p).gradient(weights)[0, column] == pytest.approx((weights[0] * exact).sum(), rel=1e-10)
+    assert taped_sphere(sim, ONE, p).gradient(weights)[0, column] == pytest.approx(
+        (weights[0] * exact).sum(), rel=1e-10
+    )
 
 
 def test_few_directions_equal_all_of_them() -> None:
@@ -170,15 +205,22 @@ def test_few_directions_equal_all_of_them() -> None:
     sim, p = scene("corner", "cylinder", "ramped", "rk4")
     every = sim.jacobian(ONE, p, EVERY)[2].copy()
     paths = sim.path(ONE, p, EVERY)[1]
-    directions = np.random.default_rng(1).normal(size=(1, len(SPHERE_PARAMETERS), 5)) * p[0, :, None]
-    np.testing.assert_allclose(sim.jacobian(ONE, p, directions)[2], every @ directions[0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(sim.path(ONE, p, directions)[1], paths @ directions[0], rtol=1e-9, atol=1e-12)
+    directions = (
+        np.random.default_rng(1).normal(size=(1, len(SPHERE_PARAMETERS), 5)) * p[0, :, None]
+    )
+    np.testing.assert_allclose(
+        sim.jacobian(ONE, p, directions)[2], every @ directions[0], rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        sim.path(ONE, p, directions)[1], paths @ directions[0], rtol=1e-9, atol=1e-12
+    )
 
 
 def test_runs_with_and_without_a_sphere_share_a_call() -> None:
     """Each world is what its own simulator says of it, in whatever order runs and worlds come, and window by window."""
     _, p = scene("bouncing", "box", "ramped", "rk4")
-    long, short = joint_run(1), joint_run(2, 0.2)
+    long = joint_run(1)
+    short = joint_run(2, 0.2)
     plain = replace(short, sample_times_s=short.sample_times_s[:7])
     runs = [long, sphere_run("revolute", short), plain, sphere_run("prismatic", long)]
     with_sphere = [isinstance(run, SphereRun) for run in runs]
@@ -195,12 +237,15 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
             own = runs[run]
             n = used[run]
             if isinstance(own, SphereRun):
-                alone, width = SphereSimulator([own], enclosure("box")), len(SPHERE_PARAMETERS)
+                alone = SphereSimulator([own], enclosure("box"))
+                width = len(SPHERE_PARAMETERS)
             else:
-                alone, width = JointSimulator([own]), len(PARAMETERS)
+                alone = JointSimulator([own])
+                width = len(PARAMETERS)
                 np.testing.assert_array_equal(dq[world, :n, width:], 0.0)
             expected = alone.jacobian(ONE, p[world : world + 1, :width], EVERY[:, :width])
             for got, wanted in zip((q, v, dq), expected, strict=True):
                 np.testing.assert_allclose(got[world, :n], wanted[0, :n], rtol=1e-12, atol=1e-13)
-    with pytest.raises(ValueError, match="shape"):  # a world has the parameters of a sphere, rolling or not
+    # a world has the parameters of a sphere, rolling or not
+    with pytest.raises(ValueError, match="shape"):
         mixed.jacobian(worlds, p[:, : len(PARAMETERS)], directions[:, : len(PARAMETERS)])

@@ -57,7 +57,12 @@ def sliding() -> Response:
 
 def parameters(**values: float) -> np.ndarray:
     p = np.zeros((1, len(SQUEEZE_PARAMETERS)))
-    for name, value in {"inertia": 0.005, "torque_constant": 1.0, "youngs_modulus": 12000.0, **values}.items():
+    for name, value in {
+        "inertia": 0.005,
+        "torque_constant": 1.0,
+        "youngs_modulus": 12000.0,
+        **values,
+    }.items():
         p[0, SQUEEZE_INDEX[name]] = value
     return p
 
@@ -71,7 +76,9 @@ BENDS = [(0.0, 0.0), (0.006, -0.003)]
 """m/rad^2 and m/rad^3: none, and one that changes the ratio by half over the squeeze."""
 
 
-def simulator(table: Response, integrator: str, bend: tuple[float, float] = BENDS[0]) -> SqueezeSimulator:
+def simulator(
+    table: Response, integrator: str, bend: tuple[float, float] = BENDS[0]
+) -> SqueezeSimulator:
     times = np.sort(np.random.default_rng(7).uniform(0.0, 0.6, 24))
     joint = JointRun(
         times,
@@ -88,7 +95,9 @@ def simulator(table: Response, integrator: str, bend: tuple[float, float] = BEND
 
 def point(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    p = np.array([[SCALES[name] for name in SQUEEZE_PARAMETERS]]) * rng.uniform(0.7, 1.3, (1, len(SCALES)))
+    p = np.array([[SCALES[name] for name in SQUEEZE_PARAMETERS]]) * rng.uniform(
+        0.7, 1.3, (1, len(SCALES))
+    )
     p[0, SQUEEZE_INDEX["gap"]] *= rng.choice([-1.0, 1.0])  # in touch at the start, or not yet
     return p
 
@@ -97,30 +106,39 @@ def point(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", BENDS)
-def test_sensitivities_against_central_differences(bonded: Response, integrator: str, seed: int, bend: tuple[float, float]) -> None:
+def test_sensitivities_against_central_differences(
+    bonded: Response, integrator: str, seed: int, bend: tuple[float, float]
+) -> None:
     """Where the fingers touch within a step, the rollout has a kink: differences see it, by 1e-4 of the largest."""
-    sim, p = simulator(bonded, integrator, bend), point(seed)
+    sim = simulator(bonded, integrator, bend)
+    p = point(seed)
     q, _, exact = (array.copy() for array in sim.jacobian(ONE, p, np.eye(len(SCALES))[None]))
     assert sim.squeeze(ONE, p, q).max() > 0.1
     touched = p[0, SQUEEZE_INDEX["gap"]] < 0.0
     for name, row in SQUEEZE_INDEX.items():
         step = 1e-4 if name.startswith("stribeck") else 1e-6 * SCALES[name]
-        up, down = p.copy(), p.copy()
+        up = p.copy()
+        down = p.copy()
         up[0, row] += step
         down[0, row] -= step
         difference = (sim.rollout(ONE, up)[0] - sim.rollout(ONE, down)[0]) / (2.0 * step)
         scale = np.abs(exact[..., row]).max()
         assert scale > 0.0, name
         tolerance = 2e-6 if touched else 1e-4
-        np.testing.assert_allclose(difference, exact[..., row], atol=tolerance * scale, err_msg=name)
+        np.testing.assert_allclose(
+            difference, exact[..., row], atol=tolerance * scale, err_msg=name
+        )
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", BENDS)
-def test_tape_against_sensitivities(bonded: Response, integrator: str, seed: int, bend: tuple[float, float]) -> None:
-    sim, p = simulator(bonded, integrator, bend), point(seed)
+def test_tape_against_sensitivities(
+    bonded: Response, integrator: str, seed: int, bend: tuple[float, float]
+) -> None:
+    sim = simulator(bonded, integrator, bend)
+    p = point(seed)
     q, _, exact = sim.jacobian(ONE, p, np.eye(len(SCALES))[None])
     weights = np.random.default_rng(seed).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
@@ -133,16 +151,28 @@ def test_tape_against_sensitivities(bonded: Response, integrator: str, seed: int
 
 @pytest.mark.long
 @pytest.mark.parametrize("bend", BENDS)
-def test_against_another_integrator_and_the_closed_form(sliding: Response, bend: tuple[float, float]) -> None:
+def test_against_another_integrator_and_the_closed_form(
+    sliding: Response, bend: tuple[float, float]
+) -> None:
     """scipy's DOP853 with the free block's force solved by hand, in place of table and RK4."""
-    modulus, ratio, eta, coulomb, viscous, gap, torque = 12000.0, 0.258, 60.0, 0.01, 0.02, 0.001, 0.06
+    modulus = 12000.0
+    ratio = 0.258
+    eta = 60.0
+    coulomb = 0.01
+    viscous = 0.02
+    gap = 0.001
+    torque = 0.06
     mu, lam = lame(modulus, ratio)
 
     def force(stretch: float) -> float:
         if stretch >= 1.0:
             return 0.0
-        side = brentq(lambda b: mu * (b - 1 / b) + lam * np.log(stretch * b * b) / b, 0.9, 1.6, xtol=1e-14)
-        return -(EDGE**2) * (mu * (stretch - 1 / stretch) + lam * np.log(stretch * side * side) / stretch)
+        side = brentq(
+            lambda b: mu * (b - 1 / b) + lam * np.log(stretch * b * b) / b, 0.9, 1.6, xtol=1e-14
+        )
+        return -(EDGE**2) * (
+            mu * (stretch - 1 / stretch) + lam * np.log(stretch * side * side) / stretch
+        )
 
     def closed(q: float) -> float:
         return TRAVEL * q + bend[0] * q**2 + bend[1] * q**3
@@ -156,18 +186,30 @@ def test_against_another_integrator_and_the_closed_form(sliding: Response, bend:
         return [v, (torque - coulomb * np.tanh(v / 0.01) - viscous * v - load) / 0.005]
 
     times = np.linspace(0.05, 1.0, 20)
-    exact = solve_ivp(rate, (0.0, 1.0), [0.0, 0.0], "DOP853", times, rtol=1e-9, atol=1e-11, max_step=2e-3).y[0]
-    run = replace(squeeze_run(sliding, times, torque, friction_velocity=0.01, step_s=1e-3, fine_step_s=2e-4), bend=bend)
-    p = parameters(coulomb=coulomb, viscous=viscous, poissons_ratio=ratio, block_viscosity=eta, gap=gap)
+    exact = solve_ivp(
+        rate, (0.0, 1.0), [0.0, 0.0], "DOP853", times, rtol=1e-9, atol=1e-11, max_step=2e-3
+    ).y[0]
+    run = replace(
+        squeeze_run(sliding, times, torque, friction_velocity=0.01, step_s=1e-3, fine_step_s=2e-4),
+        bend=bend,
+    )
+    p = parameters(
+        coulomb=coulomb, viscous=viscous, poissons_ratio=ratio, block_viscosity=eta, gap=gap
+    )
     sim = SqueezeSimulator([run])
     q = sim.rollout(ONE, p)[0][0]
     assert closed(exact.max()) - gap > 0.2 * EDGE
-    assert sim.squeeze(ONE, p, exact[None])[0] == pytest.approx([(closed(each) - gap) / EDGE for each in exact])
+    assert sim.squeeze(ONE, p, exact[None])[0] == pytest.approx(
+        [(closed(each) - gap) / EDGE for each in exact]
+    )
     np.testing.assert_allclose(q, exact, atol=2e-2 * COUNT)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("modulus", "ratio", "mass", "counts"), [(1694.6, 0.130, 0.010, 0.015), (12824.6, 0.258, 0.023, 0.1)])
+@pytest.mark.parametrize(
+    ("modulus", "ratio", "mass", "counts"),
+    [(1694.6, 0.130, 0.010, 0.015), (12824.6, 0.258, 0.023, 0.1)],
+)
 def test_the_explicit_block_moves_the_gripper_the_same_way(
     bonded: Response, modulus: float, ratio: float, mass: float, counts: float
 ) -> None:
@@ -182,7 +224,14 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
     p = parameters(viscous=viscous, poissons_ratio=ratio, youngs_modulus=modulus, gap=-1e-4)
     q = SqueezeSimulator([run], "semi_implicit").rollout(ONE, p)[0][0]
     mu, lam = lame(modulus, ratio)
-    values = {"inertia": 0.005, "torque_constant": 1.0, "viscous": viscous, "gap": -1e-4, "lame_mu": mu, "lame_lambda": lam}
+    values = {
+        "inertia": 0.005,
+        "torque_constant": 1.0,
+        "viscous": viscous,
+        "gap": -1e-4,
+        "lame_mu": mu,
+        "lame_lambda": lam,
+    }
     soft = np.array([[values.get(name, 0.0) for name in SOFT_PARAMETERS]])
     body = SoftBody(box(np.full(3, EDGE), (4, 4, 4)), mass, TRAVEL)
     explicit = body.rollout(SoftRun(np.zeros(1), np.array([torque]), 60), soft, "starts").q[0]
@@ -222,9 +271,13 @@ def test_a_block_that_is_let_go_does_not_pull(bonded: Response) -> None:
 def test_a_joint_that_closes_backwards_is_the_mirror_image(bonded: Response) -> None:
     times = np.linspace(0.05, 1.0, 12)
     run = squeeze_run(bonded, times, 0.05)
-    other = replace(run, joint=replace(run.joint, input_current_A=np.array([-0.05])), travel=-TRAVEL)
+    other = replace(
+        run, joint=replace(run.joint, input_current_A=np.array([-0.05])), travel=-TRAVEL
+    )
     p = parameters(viscous=0.01, coulomb=0.005, poissons_ratio=0.3, gap=0.001, block_viscosity=30.0)
-    q = SqueezeSimulator([run, other]).rollout(np.array([0, 1], dtype=np.int32), np.repeat(p, 2, axis=0))[0]
+    q = SqueezeSimulator([run, other]).rollout(
+        np.array([0, 1], dtype=np.int32), np.repeat(p, 2, axis=0)
+    )[0]
     np.testing.assert_allclose(q[1], -q[0], rtol=1e-13)
 
 

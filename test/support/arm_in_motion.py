@@ -112,7 +112,8 @@ def urdf(
     lines = ['<robot name="twin"><link name="base"/>']
     parent = "base"
     for n, joint in enumerate(build.joints):
-        c, i = coms[n], inertias[n]
+        c = coms[n]
+        i = inertias[n]
         lines.append(
             f'<link name="l{n + 1}"><inertial><origin xyz="{c[0]} {c[1]} {c[2]}"/><mass value="{masses[n]}"/>'
             f'<inertia ixx="{i[0]}" iyy="{i[1]}" izz="{i[2]}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
@@ -146,7 +147,9 @@ def nominal(build: Build = SIX) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def sines(times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A smooth motion of six joints: position, velocity, acceleration."""
     rng = np.random.default_rng(3)
-    size, speed, phase = rng.uniform(0.2, 0.6, 6), rng.uniform(1.0, 3.0, 6), rng.uniform(0.0, 6.0, 6)
+    size = rng.uniform(0.2, 0.6, 6)
+    speed = rng.uniform(1.0, 3.0, 6)
+    phase = rng.uniform(0.0, 6.0, 6)
     angle = speed * times_s[:, None] + phase
     return size * np.sin(angle), size * speed * np.cos(angle), -size * speed**2 * np.sin(angle)
 
@@ -232,7 +235,8 @@ class Twin:
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(self.seed)
-        build, count = self.build, len(self.build.axes)
+        build = self.build
+        count = len(self.build.axes)
         masses, coms, inertias = nominal(build)
         self.masses = masses * (1.0 + build.link_share * rng.standard_normal(count))
         self.coms = coms + build.shift_m * rng.standard_normal((count, 3))
@@ -242,25 +246,36 @@ class Twin:
         self.viscous = rng.uniform(*build.viscous, count)
         self.coulomb = rng.uniform(*build.coulomb, count) * np.array(build.wrist)
         self.gears = rng.uniform(0.0, 0.06, count)
-        self.place = rng.uniform(0.1, 0.3, count)  # part of Coulomb friction that goes with the angle
+        # part of Coulomb friction that goes with the angle
+        self.place = rng.uniform(0.1, 0.3, count)
         self.delay = int(rng.integers(0, 10))
         self.rng = rng
         own = np.random.default_rng([self.seed, 1])  # all else is the same with and without teeth
-        self.phase, self.number = own.uniform(0.0, 2.0 * np.pi, (3, count)), own.integers(4, 13, count)
+        self.phase, self.number = (
+            own.uniform(0.0, 2.0 * np.pi, (3, count)),
+            own.integers(4, 13, count),
+        )
 
     def wave(self, position: np.ndarray) -> np.ndarray:
         """How friction goes with the place, per unit of `place`; its rms over a turn is that of a sine, shape as ``position``."""
         if not self.teeth:
             return np.sin(2.0 * position)
-        once, thrice = np.sin(position + self.phase[0]), np.sin(3.0 * position + self.phase[1])
+        once = np.sin(position + self.phase[0])
+        thrice = np.sin(3.0 * position + self.phase[1])
         tooth = (self.number * position + self.phase[2]) / np.pi % 2.0 - 1.0
         result: np.ndarray = np.sqrt(3.0 / 8.0) * (once + thrice + tooth)
         return result
 
     def payload(self, rng: np.random.Generator) -> tuple[float, np.ndarray]:
         """Mass [kg] and centre in the hand [m] of something that such an arm may hold; each fourth arm holds nothing."""
-        mass = 0.0 if self.seed % 4 == 0 else float(np.exp(rng.uniform(*np.log(self.build.payload_kg))))
-        return mass, np.array([self.build.held_m, 0.0, 0.0]) + self.build.held_m * rng.standard_normal(3)
+        mass = (
+            0.0
+            if self.seed % 4 == 0
+            else float(np.exp(rng.uniform(*np.log(self.build.payload_kg))))
+        )
+        return mass, np.array(
+            [self.build.held_m, 0.0, 0.0]
+        ) + self.build.held_m * rng.standard_normal(3)
 
     def record(
         self,
@@ -273,40 +288,61 @@ class Twin:
         """A motion along random sines, with the payload in the hand, and what it has of its own; else it is friction to 5 %."""
         import mujoco
 
-        spec = mujoco.MjSpec.from_string(urdf(self.masses, self.coms, self.inertias, payload, self.build, moments))
+        spec = mujoco.MjSpec.from_string(
+            urdf(self.masses, self.coms, self.inertias, payload, self.build, moments)
+        )
         spec.compiler.fusestatic = True
         spec.compiler.balanceinertia = True
         model = spec.compile()
         model.opt.timestep = STEP_S
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        model.opt.disableflags |= (
+            mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        )
         model.dof_armature[:] = self.armature
         data = mujoco.MjData(model)
-        rng, build, count = self.rng, self.build, len(self.build.axes)
-        phase, speed = rng.uniform(0, 2 * np.pi, (count, 4)), rng.uniform(*build.speed, (count, 4))
+        rng = self.rng
+        build = self.build
+        count = len(self.build.axes)
+        phase = rng.uniform(0, 2 * np.pi, (count, 4))
+        speed = rng.uniform(*build.speed, (count, 4))
         size = rng.uniform(*build.size, (count, 4))
         middle = np.array(build.middle)
         warm = 1.0 + 0.05 * rng.standard_normal(count)  # friction is not the same twice
         none = np.zeros(count)
         own = differs or Differs(none + 1.0, warm, none, none, none)
-        warm, middle, speed = own.friction, middle + own.elsewhere, own.speed * speed
+        warm = own.friction
+        middle = middle + own.elsewhere
+        speed = own.speed * speed
         viscous = self.viscous * (1.0 if differs is None else warm)
 
         steps = round((seconds + 1.0) / STEP_S)
         angle = speed * (np.arange(steps) * STEP_S)[:, None, None] + phase
         sine = np.sin(angle)
-        wanted = (middle + (size * sine).sum(-1), (size * speed * np.cos(angle)).sum(-1), -(size * speed**2 * sine).sum(-1))
-        qpos, qvel, bias, applied = data.qpos, data.qvel, data.qfrc_bias, data.qfrc_applied
+        wanted = (
+            middle + (size * sine).sum(-1),
+            (size * speed * np.cos(angle)).sum(-1),
+            -(size * speed**2 * sine).sum(-1),
+        )
+        qpos = data.qpos
+        qvel = data.qvel
+        bias = data.qfrc_bias
+        applied = data.qfrc_applied
         qpos[:], qvel[:] = wanted[0][0], wanted[1][0]
         constants = np.array(build.constants)
         queue = [np.zeros(count)] * (self.delay + 1)
-        times, positions, currents, true = [], [], [], []
+        times = []
+        positions = []
+        currents = []
+        true = []
         every = round(1.0 / RATE_HZ / STEP_S)
         full = np.zeros((count, count))
         mujoco.mj_forward(model, data)
         for step, (q, qd, qdd) in enumerate(zip(*wanted, strict=True)):
             inertia_matrix(model, data, full)
             measured = qpos + 1e-4 * rng.standard_normal(count)
-            command = full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - qvel)) + bias + viscous * qd
+            command = (
+                full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - qvel)) + bias + viscous * qd
+            )
             queue.append(command)
             torque = queue.pop(0)
             transmitted = torque - viscous * qvel
@@ -326,4 +362,12 @@ class Twin:
                 true[-1][2] = data.qacc.copy()
         self.truths[name] = Truth(*np.swapaxes(true, 0, 1), warm)
         times_s = np.array(times)
-        return Motion(name, build.joints, times_s - times_s[0], np.array(positions), np.array(currents), {}, "measured current")
+        return Motion(
+            name,
+            build.joints,
+            times_s - times_s[0],
+            np.array(positions),
+            np.array(currents),
+            {},
+            "measured current",
+        )

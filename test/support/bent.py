@@ -20,7 +20,12 @@ def messages_of(bag: Path) -> list[tuple[str, str, int, Any]]:
     """Topic, type, time [ns] and content of all messages."""
     with Reader(bag) as reader:
         return [
-            (connection.topic, connection.msgtype, time_ns, TYPES.deserialize_cdr(data, connection.msgtype))
+            (
+                connection.topic,
+                connection.msgtype,
+                time_ns,
+                TYPES.deserialize_cdr(data, connection.msgtype),
+            )
             for connection, time_ns, data in reader.messages()
         ]
 
@@ -30,7 +35,9 @@ def bent(path: Path, bend: Bend, source: Path) -> Path:
     made = []
     for topic, msgtype, time_ns, message in messages_of(source):
         time_ns, message = bend(topic, time_ns, message)
-        made.append(RawMessage(topic, msgtype, time_ns, bytes(TYPES.serialize_cdr(message, msgtype))))
+        made.append(
+            RawMessage(topic, msgtype, time_ns, bytes(TYPES.serialize_cdr(message, msgtype)))
+        )
     write_messages(path, made, "mcap")
     return path
 

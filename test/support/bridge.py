@@ -35,7 +35,9 @@ def main() -> None:
         nonlocal turns
         turns += 1
         stamp_ns = 10**9 * message.header.stamp.sec + message.header.stamp.nanosec
-        states.publish(joint_state(stamp_ns, message.name, message.position, [math.nan] * len(message.name)))
+        states.publish(
+            joint_state(stamp_ns, message.name, message.position, [math.nan] * len(message.name))
+        )
         other.publish(joint_state(stamp_ns + 3_000_000, ["wheel"], [0.1 * turns], [math.nan]))
 
     node.create_subscription(JointState, "/hardware/joint_states", on_state, 100)

@@ -17,7 +17,9 @@ from typing import Any
 
 import pytest
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 QUIET = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--window-size=1500,1000",
@@ -72,11 +74,15 @@ class Look:
     def __init__(self, browser: str, folder: Path) -> None:
         self.browser, self._folder = browser, folder
 
-    def __call__(self, page: Path, script: str, width: int = 1400, *more: str, style: Style = str) -> Any:
+    def __call__(
+        self, page: Path, script: str, width: int = 1400, *more: str, style: Style = str
+    ) -> Any:
         """What a script says on a page so wide [px], with more options of the browser."""
         return self.frames(script, [(page, width, style)], *more)[0]
 
-    def frames(self, script: str, copies: Sequence[tuple[Path, int, Style]], *more: str) -> list[Any]:
+    def frames(
+        self, script: str, copies: Sequence[tuple[Path, int, Style]], *more: str
+    ) -> list[Any]:
         """The same of several copies in one start of the browser."""
         frames = ""
         for number, (page, width, style) in enumerate(copies):
@@ -94,7 +100,9 @@ class Look:
     def framed(self, pages: Sequence[Path], script: str, width: int, *more: str) -> list[Any]:
         """What a script says on pages that load files beside them, all in one start of the browser."""
         tall = f"width:{width}px; height:900px; border:0"
-        frames = "".join(f'<iframe style="{tall}" src="{page.as_uri()}"></iframe>' for page in pages)
+        frames = "".join(
+            f'<iframe style="{tall}" src="{page.as_uri()}"></iframe>' for page in pages
+        )
         outer = self._folder / "outer.html"
         inner = json.dumps(f"(() => {{{script}}})()")
         told = (
@@ -103,14 +111,23 @@ class Look:
         )
         ready = f'<script>addEventListener("load", () => {{ {told}; }})</script>'
         outer.write_text(f'<!doctype html><meta charset="utf-8"><body>{frames}{ready}</body>')
-        said = re.search(r'data-said="([^"]*)"', self.shown(outer, "--allow-file-access-from-files", *more))
+        said = re.search(
+            r'data-said="([^"]*)"', self.shown(outer, "--allow-file-access-from-files", *more)
+        )
         assert said, "the browser says nothing"
         found: list[Any] = json.loads(html.unescape(said[1]))
         return found
 
     def shown(self, page: Path, *more: str) -> str:
         """The document of a page after its scripts have run."""
-        command = [self.browser, *QUIET, f"--user-data-dir={self._folder / 'profile'}", *more, "--dump-dom", page.as_uri()]
+        command = [
+            self.browser,
+            *QUIET,
+            f"--user-data-dir={self._folder / 'profile'}",
+            *more,
+            "--dump-dom",
+            page.as_uri(),
+        ]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 

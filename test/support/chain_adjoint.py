@@ -9,7 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.paper.chain import ChainSimulator, constants_of, doubles, inertial_parameters
-from proprio_ros.paper.chain_kernels import INERTIAL, JOINT_PARAMETERS, TABLE, ChainData, dynamics, module_of
+from proprio_ros.paper.chain_kernels import (
+    INERTIAL,
+    JOINT_PARAMETERS,
+    TABLE,
+    ChainData,
+    dynamics,
+    module_of,
+)
 from proprio_ros.robot import ReducedModel
 from proprio_ros.sim.rollout import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT
@@ -54,8 +61,12 @@ def terms_kernel(parents: tuple[int, ...]) -> Any:
     vec = wp.types.vector(length=n, dtype=FLOAT)
     square = wp.types.matrix(shape=(n, n), dtype=FLOAT)
     tree = dynamics(parents)
-    poses, screws, inertias, velocities = tree.poses, tree.screws, tree.inertias, tree.velocities
-    mass_matrix_of, inverse_dynamics_of = tree.mass_matrix, tree.inverse_dynamics
+    poses = tree.poses
+    screws = tree.screws
+    inertias = tree.inertias
+    velocities = tree.velocities
+    mass_matrix_of = tree.mass_matrix
+    inverse_dynamics_of = tree.inverse_dynamics
 
     @wp.kernel(module=module_of(parents, "terms"), enable_backward=False)
     def kernel(
@@ -75,7 +86,9 @@ def terms_kernel(parents: tuple[int, ...]) -> Any:
         s = screws(fixed, x)
         inertia = inertias(p_in, 0, x)
         h_out[w] = mass_matrix_of(s, inertia)
-        torque_out[w] = inverse_dynamics_of(fixed, s, inertia, velocities(s, v_in[w]), v_in[w], a_in[w])
+        torque_out[w] = inverse_dynamics_of(
+            fixed, s, inertia, velocities(s, v_in[w]), v_in[w], a_in[w]
+        )
 
     return kernel
 
@@ -90,7 +103,8 @@ def taped_kernels(parents: tuple[int, ...], integrator: str) -> tuple[Any, Any, 
     delay_column = (len(JOINT_PARAMETERS) + INERTIAL) * n
     vec = wp.types.vector(length=n, dtype=FLOAT)
     tree = dynamics(parents)
-    solved, sticking = tree.solved, tree.sticking
+    solved = tree.solved
+    sticking = tree.sticking
     rk4 = integrator == "rk4"
 
     @wp.func
@@ -173,7 +187,9 @@ def taped_kernels(parents: tuple[int, ...], integrator: str) -> tuple[Any, Any, 
                     h = coarse
                     h_by_delay = FLOAT(0.0)
                     if fine < coarse:
-                        if sticking(fixed, p_in, w, v, acceleration(fixed, p_in, w, q, v, command), coarse):
+                        if sticking(
+                            fixed, p_in, w, v, acceleration(fixed, p_in, w, q, v, command), coarse
+                        ):
                             h = fine
                     if t + h > end - FLOAT(TIME_EPS):
                         h = end - t
@@ -238,7 +254,9 @@ def taped_kernels(parents: tuple[int, ...], integrator: str) -> tuple[Any, Any, 
         step = sample_step_in[w, k]
         if step < 0:
             goal = sample_times[k] - p_in[w, delay_column]
-            sampled_out[w, k] = state(p_in, w, delay_column + 1) + goal * state(p_in, w, delay_column + 1 + n)
+            sampled_out[w, k] = state(p_in, w, delay_column + 1) + goal * state(
+                p_in, w, delay_column + 1 + n
+            )
         else:
             sampled_out[w, k] = q_in[w, step]
 
@@ -262,13 +280,19 @@ def rigid_body_terms(
     n = len(model.joint_names)
     states = [np.asarray(values, dtype=np.float64).reshape(-1, n) for values in (q, v, a)]
     vec = wp.types.vector(length=n, dtype=FLOAT)
-    p = np.concatenate([np.zeros(len(JOINT_PARAMETERS) * n), inertial_parameters(model.pseudo_inertia).ravel()])[None]
+    p = np.concatenate(
+        [np.zeros(len(JOINT_PARAMETERS) * n), inertial_parameters(model.pseudo_inertia).ravel()]
+    )[None]
     h = wp.zeros(len(states[0]), dtype=wp.types.matrix(shape=(n, n), dtype=FLOAT), device="cpu")
     torque = wp.zeros(len(states[0]), dtype=vec, device="cpu")
     wp.launch(
         terms_kernel(tuple(model.parents.tolist())),
         dim=len(states[0]),
-        inputs=[constants_of(model, np.ones(n), np.zeros((n, 3))), doubles(p, FLOAT), *(doubles(x, vec) for x in states)],
+        inputs=[
+            constants_of(model, np.ones(n), np.zeros((n, 3))),
+            doubles(p, FLOAT),
+            *(doubles(x, vec) for x in states),
+        ],
         outputs=[h, torque],
         device="cpu",
     )
@@ -309,7 +333,10 @@ def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDAr
     plan, roll, observe = taped_kernels(sim._parents, sim.integrator)
     capacity = 0
     for _ in range(2):  # the first counts
-        written = [wp.zeros((len(p), capacity), dtype=kind, device="cpu") for kind in (FLOAT, FLOAT, wp.int32)]
+        written = [
+            wp.zeros((len(p), capacity), dtype=kind, device="cpu")
+            for kind in (FLOAT, FLOAT, wp.int32)
+        ]
         written += [wp.zeros(size, dtype=wp.int32, device="cpu") for size in (len(p), shape[:2])]
         run = [sim._fixed, sim._samples, sim._switches, sim._current, *sim._steps]
         wp.launch(plan, dim=len(p), inputs=[*run, doubles(p, FLOAT)], outputs=written, device="cpu")
@@ -321,7 +348,10 @@ def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDAr
     step, by_delay, segment, steps, sample_step = written
     p_array = doubles(p, FLOAT, requires_grad=True)
     delay_at = doubles(p[:, sim.columns["delay"]].ravel(), FLOAT)
-    q, v = (wp.zeros((len(p), capacity + 1), dtype=sim._vec, device="cpu", requires_grad=True) for _ in range(2))
+    q, v = (
+        wp.zeros((len(p), capacity + 1), dtype=sim._vec, device="cpu", requires_grad=True)
+        for _ in range(2)
+    )
     sampled = wp.zeros(shape[:2], dtype=sim._vec, device="cpu", requires_grad=True)
     tape = wp.Tape()
     with tape:
@@ -332,6 +362,12 @@ def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDAr
             outputs=[q, v],
             device="cpu",
         )
-        wp.launch(observe, dim=shape[:2], inputs=[sim._samples, p_array, sample_step, q], outputs=[sampled], device="cpu")
+        wp.launch(
+            observe,
+            dim=shape[:2],
+            inputs=[sim._samples, p_array, sample_step, q],
+            outputs=[sampled],
+            device="cpu",
+        )
     tape.backward(grads={sampled: doubles(seed, sim._vec)})
     return p_array.grad.numpy().copy()

@@ -39,7 +39,9 @@ class Contents(Protocol):
 
     kg: float
 
-    def step(self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float) -> Array:
+    def step(
+        self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float
+    ) -> Array:
         """Force [N] and moment [N m] on the cylinder, shape (6,); acceleration of the origin, angular acceleration and velocity."""
         ...
 
@@ -52,12 +54,15 @@ class Contents(Protocol):
 def library() -> ctypes.CDLL:
     """`contents.c`, compiled."""
     with tempfile.TemporaryDirectory() as folder:
-        part, built = Path(folder) / "contents.o", Path(folder) / "contents.so"
+        part = Path(folder) / "contents.o"
+        built = Path(folder) / "contents.so"
         subprocess.run(["gcc", *FLAGS, str(SOURCE), "-o", str(part)], check=True)
         # linked without -ffast-math, which has whoever loads it lose his subnormal numbers, in all that he computes
         subprocess.run(["gcc", "-shared", str(part), "-o", str(built), "-lm"], check=True)
         found = ctypes.CDLL(str(built))
-    pointer, real, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    pointer = ctypes.c_void_p
+    real = ctypes.c_double
+    whole = ctypes.c_int
     for name, takes, gives in (
         ("liquid_new", (whole, pointer, real, real, whole, real, real), pointer),
         ("liquid_step", (pointer, pointer, real, real, pointer), None),
@@ -65,7 +70,11 @@ def library() -> ctypes.CDLL:
         ("grains_new", (whole, pointer, real, real, real, real, pointer), pointer),
         ("grains_step", (pointer, pointer, real, whole, pointer), None),
         ("grains_free", (pointer,), None),
-        *((f"{kind}_{what}", (pointer,), pointer) for kind in ("liquid", "grains") for what in ("places", "velocities")),
+        *(
+            (f"{kind}_{what}", (pointer,), pointer)
+            for kind in ("liquid", "grains")
+            for what in ("places", "velocities")
+        ),
         ("liquid_gradients", (pointer,), pointer),
     ):
         getattr(found, name).argtypes, getattr(found, name).restype = takes, gives
@@ -87,7 +96,9 @@ class _Particles:
     def _view(self, kind: str, count: int) -> None:
         def view(what: str) -> Array:
             at = getattr(library(), f"{kind}_{what}")(self.handle)
-            return np.ctypeslib.as_array((ctypes.c_double * (3 * count)).from_address(at)).reshape(count, 3)
+            return np.ctypeslib.as_array((ctypes.c_double * (3 * count)).from_address(at)).reshape(
+                count, 3
+            )
 
         self.x, self.v = view("places"), view("velocities")
 
@@ -107,13 +118,22 @@ class Liquid(_Particles):
         tilt: Of the surface, along x [rad].
     """
 
-    def __init__(self, cylinder: Cylinder, fill: float, viscosity: float, layers: int, tilt: float = 0.0) -> None:
+    def __init__(
+        self, cylinder: Cylinder, fill: float, viscosity: float, layers: int, tilt: float = 0.0
+    ) -> None:
         rng = np.random.default_rng(7)
         cell = cylinder.height / layers
         tall = max(2, round(2.0 * fill / cell))
         wide = 2 * int(np.ceil(cylinder.radius / cell))
-        grid = np.stack(np.meshgrid(*[np.arange(-wide, wide) + 0.5] * 2, np.arange(tall) + 0.5, indexing="ij"), axis=-1)
-        x = (grid.reshape(-1, 3) + 0.3 * rng.uniform(-0.5, 0.5, (grid.size // 3, 3))) * (0.5 * cell, 0.5 * cell, fill / tall)
+        grid = np.stack(
+            np.meshgrid(*[np.arange(-wide, wide) + 0.5] * 2, np.arange(tall) + 0.5, indexing="ij"),
+            axis=-1,
+        )
+        x = (grid.reshape(-1, 3) + 0.3 * rng.uniform(-0.5, 0.5, (grid.size // 3, 3))) * (
+            0.5 * cell,
+            0.5 * cell,
+            fill / tall,
+        )
         x = np.ascontiguousarray(x[np.hypot(x[:, 0], x[:, 1]) < cylinder.radius])
         # a tilted surface over water as dense as before, but for terms of second order
         slope = np.tan(tilt) / fill
@@ -121,14 +141,19 @@ class Liquid(_Particles):
         x[:, 0] += 0.5 * slope * (cylinder.radius**2 - x[:, 1] ** 2 - x[:, 0] ** 2)
         self.kg = KG_M3 * np.pi * cylinder.radius**2 * fill
         each = self.kg / len(x)
-        self.handle = library().liquid_new(len(x), _at(x), cylinder.radius, cylinder.height, layers, viscosity / KG_M3, each)
+        self.handle = library().liquid_new(
+            len(x), _at(x), cylinder.radius, cylinder.height, layers, viscosity / KG_M3, each
+        )
         self._view("liquid", len(x))
 
     def __del__(self) -> None:
         library().liquid_free(self.handle)
 
-    def step(self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float) -> Array:
-        frame, out = np.concatenate([gravity, acceleration, angular, turning]), np.zeros(6)
+    def step(
+        self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float
+    ) -> Array:
+        frame = np.concatenate([gravity, acceleration, angular, turning])
+        out = np.zeros(6)
         library().liquid_step(self.handle, _at(frame), seconds, KG_M3, _at(out))
         return out
 
@@ -142,28 +167,50 @@ class Grains(_Particles):
         friction: Coefficient.
     """
 
-    def __init__(self, cylinder: Cylinder, fill: float, diameter: float, density: float, friction: float, seed: int = 0) -> None:
+    def __init__(
+        self,
+        cylinder: Cylinder,
+        fill: float,
+        diameter: float,
+        density: float,
+        friction: float,
+        seed: int = 0,
+    ) -> None:
         rng = np.random.default_rng(seed)
         self.cylinder, self.diameter = cylinder, diameter
         ball = 0.5 * diameter
         count = round(0.58 * np.pi * cylinder.radius**2 * fill / (np.pi * diameter**3 / 6.0))
-        pitch, reach = 1.02 * diameter, cylinder.radius - ball
+        pitch = 1.02 * diameter
+        reach = cylinder.radius - ball
         wide = int(reach / pitch)
-        flat = pitch * np.stack(np.meshgrid(*[np.arange(-wide, wide + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+        flat = pitch * np.stack(
+            np.meshgrid(*[np.arange(-wide, wide + 1)] * 2, indexing="ij"), axis=-1
+        ).reshape(-1, 2)
         flat = flat[np.hypot(flat[:, 0], flat[:, 1]) < reach]
         layers = -(-count // len(flat))
-        x = np.concatenate([np.column_stack([flat, np.full(len(flat), ball + pitch * n)]) for n in range(layers)])[:count]
+        x = np.concatenate(
+            [np.column_stack([flat, np.full(len(flat), ball + pitch * n)]) for n in range(layers)]
+        )[:count]
         x[:, :2] += rng.uniform(-0.005, 0.005, (count, 2)) * diameter
         each = density * np.pi * diameter**3 / 6.0
         touch = np.array([each * 5e6, 0.2, friction, 0.02])  # a touch lasts some 1.4 ms
         self.kg = count * each
         self.handle = library().grains_new(
-            count, _at(np.ascontiguousarray(x)), cylinder.radius, 2.0 * cylinder.height, ball, each, _at(touch)
+            count,
+            _at(np.ascontiguousarray(x)),
+            cylinder.radius,
+            2.0 * cylinder.height,
+            ball,
+            each,
+            _at(touch),
         )
         self._view("grains", count)
-        none, down = np.zeros(3), np.array([0.0, 0.0, -GRAVITY])
+        none = np.zeros(3)
+        down = np.array([0.0, 0.0, -GRAVITY])
         for n in range(60):  # shaken down, then left alone
-            shake = 3.0 * np.sin(2.0 * np.pi * 0.3 * n) * np.array([1.0, 0.6, 0.0]) if n < 30 else none
+            shake = (
+                3.0 * np.sin(2.0 * np.pi * 0.3 * n) * np.array([1.0, 0.6, 0.0]) if n < 30 else none
+            )
             self.step(down, shake, none, none, 0.01)
             if n >= 30:
                 self.v *= 0.5
@@ -177,9 +224,14 @@ class Grains(_Particles):
         """How high they stand: twice the height of their centre [m]."""
         return 2.0 * float(self.x[:, 2].mean())
 
-    def step(self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float) -> Array:
-        frame, out = np.concatenate([gravity, acceleration, angular, turning]), np.zeros(6)
-        library().grains_step(self.handle, _at(frame), GRAIN_STEP_S, round(seconds / GRAIN_STEP_S), _at(out))
+    def step(
+        self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float
+    ) -> Array:
+        frame = np.concatenate([gravity, acceleration, angular, turning])
+        out = np.zeros(6)
+        library().grains_step(
+            self.handle, _at(frame), GRAIN_STEP_S, round(seconds / GRAIN_STEP_S), _at(out)
+        )
         return out
 
 
@@ -197,9 +249,12 @@ def shake_period_s(hz: float) -> float:
     return 0.05 * round(20.0 / (FASTER * hz))
 
 
-def ring(contents: Contents, centre: Callable[[], float], seconds: float, step_s: float) -> tuple[Array, Array]:
+def ring(
+    contents: Contents, centre: Callable[[], float], seconds: float, step_s: float
+) -> tuple[Array, Array]:
     """Times [s] and places of the centre of mass along x [m] while the cylinder stands still."""
-    none, down = np.zeros(3), np.array([0.0, 0.0, -GRAVITY])
+    none = np.zeros(3)
+    down = np.array([0.0, 0.0, -GRAVITY])
     places = []
     for _ in range(round(seconds / step_s)):
         contents.step(down, none, none, none, step_s)
@@ -212,20 +267,33 @@ def fitted_ring(times_s: Array, places: Array, first_hz: float) -> tuple[float, 
     from scipy.optimize import least_squares
 
     def shape(p: Array) -> Array:
-        wave = np.exp(-p[1] * times_s)[:, None] * np.column_stack([np.cos(p[0] * times_s), np.sin(p[0] * times_s)])
+        wave = np.exp(-p[1] * times_s)[:, None] * np.column_stack(
+            [np.cos(p[0] * times_s), np.sin(p[0] * times_s)]
+        )
         parts: Array = wave @ np.linalg.lstsq(wave, places, rcond=None)[0] - places
         return 1e3 * parts
 
     omega = 2.0 * np.pi * first_hz
     found = min(
-        (least_squares(shape, [omega * f, omega * z]) for f in (0.7, 0.95, 1.05) for z in (0.02, 0.3, 0.8)), key=lambda r: r.cost
+        (
+            least_squares(shape, [omega * f, omega * z])
+            for f in (0.7, 0.95, 1.05)
+            for z in (0.02, 0.3, 0.8)
+        ),
+        key=lambda r: r.cost,
     )
-    turning, decay = abs(float(found.x[0])), float(found.x[1])
+    turning = abs(float(found.x[0]))
+    decay = float(found.x[1])
     return turning / (2.0 * np.pi), float(decay / np.hypot(turning, decay))
 
 
 def sloshing(
-    cylinder: Cylinder, fill: float, viscosity: float, layers: int, step_s: float, tilt: float = 0.06
+    cylinder: Cylinder,
+    fill: float,
+    viscosity: float,
+    layers: int,
+    step_s: float,
+    tilt: float = 0.06,
 ) -> tuple[float, float]:
     """Frequency [Hz] and damping ratio of the liquid's first mode, let go with a tilted surface."""
     liquid = Liquid(cylinder, fill, viscosity, layers, tilt)

@@ -32,19 +32,28 @@ class Desk:
         link: Path of a pseudo-terminal, where the time is the machine's.
     """
 
-    def __init__(self, ids: Sequence[int], clock: SimulatedClock | None, link: Path | None = None) -> None:
+    def __init__(
+        self, ids: Sequence[int], clock: SimulatedClock | None, link: Path | None = None
+    ) -> None:
         self.servos = {servo_id: VirtualServo(XM430_W350, servo_id) for servo_id in ids}
         for servo in self.servos.values():
             servo["baud_rate"] = MEGABAUD
         self.clock = clock
         self.rotors = Rotors(list(self.servos.values()), time_source.now())
         self.wire = VirtualBus(tuple(self.servos.values()), self.rotors.advance)
-        self.port: Any = PtyPort(self.wire, link) if clock is None else SimulatedPort(self.wire, Path(LINK))
+        self.port: Any = (
+            PtyPort(self.wire, link) if clock is None else SimulatedPort(self.wire, Path(LINK))
+        )
 
     def __enter__(self) -> Desk:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.port.close()
 
     def bus(
@@ -58,7 +67,11 @@ class Desk:
         """A bus to these servos, not yet open."""
         expected = servos_named(self.servos) if servos is None else servos
         name = str(self.port.path)
-        connect = None if self.clock is None else cast("Callable[[], SerialLike]", partial(Wire, self.clock, name))
+        connect = (
+            None
+            if self.clock is None
+            else cast("Callable[[], SerialLike]", partial(Wire, self.clock, name))
+        )
         return DynamixelBus(name, expected, baud_rate, reply_timeout_s, fast, connect=connect)
 
 

@@ -24,7 +24,8 @@ FRICTION, ZERO_RAD, OFFSET_SHARE = 0.2, 0.005, 0.1
 """Friction relative; the offset in parts of the joint's Coulomb friction."""
 HORN_RAD = (0.1, 0.17)
 """A horn that was put on anew."""
-ELSEWHERE_RAD, FASTER = 0.7, 1.4
+ELSEWHERE_RAD = 0.7
+FASTER = 1.4
 
 
 def differs(rng: np.random.Generator, arm: Twin, elsewhere: bool = False) -> Differs:
@@ -56,18 +57,31 @@ class DifferingArm:
 
     def held(self) -> tuple[float, np.ndarray]:
         """Mass [kg] and centre in the hand [m] of something."""
-        build, rng = self.twin.build, self.rng
+        build = self.twin.build
+        rng = self.rng
         mass = float(np.exp(rng.uniform(*np.log(build.payload_kg))))
-        return mass, np.array([build.held_m, 0.0, 0.0]) + 0.5 * build.held_m * rng.standard_normal(3)
+        return mass, np.array([build.held_m, 0.0, 0.0]) + 0.5 * build.held_m * rng.standard_normal(
+            3
+        )
 
     def recorded(
-        self, name: str, held: tuple[float, np.ndarray] | None = None, elsewhere: bool = False, alike: bool = False
+        self,
+        name: str,
+        held: tuple[float, np.ndarray] | None = None,
+        elsewhere: bool = False,
+        alike: bool = False,
     ) -> Motion:
         """A recording; with ``alike`` it has only friction of its own, as a minute later."""
         own = differs(self.rng, self.twin, elsewhere)
         if alike:
             one = np.ones_like(own.scale)
-            own = Differs(one, 1.0 + 0.25 * (own.friction - 1.0), 0.25 * own.offset, 0.0 * own.zero, own.elsewhere)
+            own = Differs(
+                one,
+                1.0 + 0.25 * (own.friction - 1.0),
+                0.25 * own.offset,
+                0.0 * own.zero,
+                own.elsewhere,
+            )
         return self.twin.record(name, self.seconds, held, differs=own)
 
 
@@ -78,8 +92,15 @@ def louder(motion: Motion, by: float) -> Motion:
 
 # --- pendulums that are let go ----------------------------------------------------------------------------------------
 
-ARM_M, GRAVITY, SPREAD_M2, ROD_KG = 0.1, 9.81, 0.0025, 0.03
-COUNT_RAD, PERIOD_S, STEP_S, RELEASED_S, LASTS_S = 2.0 * np.pi / 4096.0, 0.01, 5e-4, 0.1, 4.0
+ARM_M = 0.1
+GRAVITY = 9.81
+SPREAD_M2 = 0.0025
+ROD_KG = 0.03
+COUNT_RAD = 2.0 * np.pi / 4096.0
+PERIOD_S = 0.01
+STEP_S = 5e-4
+RELEASED_S = 0.1
+LASTS_S = 4.0
 _SWING = """<mujoco><option timestep="{step}" gravity="0 0 -{gravity}" integrator="implicitfast"/><worldbody><body>
 <joint name="j" type="hinge" axis="0 1 0" armature="{armature}" damping="{viscous}" frictionloss="{dry}"/>
 <inertial pos="0 0 {centre}" mass="{mass}" diaginertia="{about} {about} 1e-6"/></body></worldbody></mujoco>"""
@@ -120,11 +141,16 @@ class Pendulum:
         import mujoco
 
         rng = self.rng
-        mass, moment = load_kg + ROD_KG, (load_kg + 0.5 * ROD_KG) * ARM_M
+        mass = load_kg + ROD_KG
+        moment = (load_kg + 0.5 * ROD_KG) * ARM_M
         about_axis = load_kg * (ARM_M**2 + SPREAD_M2) + ROD_KG * ARM_M**2 / 3.0
         centre = moment / mass
         warm = float(np.clip(1.0 + FRICTION * rng.standard_normal(), 0.3, 2.0))
-        zero = rng.choice((-1.0, 1.0)) * rng.uniform(*HORN_RAD) if horn else ZERO_RAD * rng.standard_normal()
+        zero = (
+            rng.choice((-1.0, 1.0)) * rng.uniform(*HORN_RAD)
+            if horn
+            else ZERO_RAD * rng.standard_normal()
+        )
         text = _SWING.format(
             step=STEP_S, gravity=GRAVITY, armature=self.armature, viscous=warm * self.viscous, dry=warm * self.dry,
             mass=mass, centre=-centre, about=max(about_axis - mass * centre**2, 1e-7),
@@ -134,13 +160,19 @@ class Pendulum:
         data.qpos[0] = start = -rng.uniform(1.2, 1.6)
         track = [start]
         for _ in range(round(LASTS_S / STEP_S)):
-            model.dof_frictionloss[0] = warm * (self.dry + self.lost * abs(moment * GRAVITY * np.sin(data.qpos[0])))
+            model.dof_frictionloss[0] = warm * (
+                self.dry + self.lost * abs(moment * GRAVITY * np.sin(data.qpos[0]))
+            )
             mujoco.mj_step(model, data)
             track.append(float(data.qpos[0]))
         path = np.array(track)
-        stamps_s = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(round(LASTS_S / PERIOD_S))
+        stamps_s = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(
+            round(LASTS_S / PERIOD_S)
+        )
         row = np.clip(np.rint((stamps_s - RELEASED_S) / STEP_S).astype(int), 0, len(path) - 1)
-        reading = COUNT_RAD * np.rint((path[row] - zero + 5e-4 * rng.standard_normal(len(row))) / COUNT_RAD)
+        reading = COUNT_RAD * np.rint(
+            (path[row] - zero + 5e-4 * rng.standard_normal(len(row))) / COUNT_RAD
+        )
         times_ns = 1_000_000_000 + np.rint(1e9 * stamps_s).astype(np.int64)
         off = (int(1_000_000_000 + 1e9 * RELEASED_S), int(times_ns[-1]) + 1)
         joints = JointRecord(times_ns, ("pendulum",), reading[:, None])

@@ -17,7 +17,11 @@ _claims: list[socket.socket] = []
 
 def free_domain() -> str:
     """A domain in which nobody listens just now, and that is given to nobody else until it is given back, or this process ends."""
-    rows = [row.split() for name in ("udp", "udp6") for row in Path("/proc/net", name).read_text().splitlines()[1:]]
+    rows = [
+        row.split()
+        for name in ("udp", "udp6")
+        for row in Path("/proc/net", name).read_text().splitlines()[1:]
+    ]
     used = {(int(row[1].split(":")[1], 16) - _FIRST_PORT) // _PORTS for row in rows}
     free = [domain for domain in range(1, 102) if domain not in used]
     for domain in random.SystemRandom().sample(free, len(free)):

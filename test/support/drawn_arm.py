@@ -19,11 +19,16 @@ def joints_of(count: int) -> list[str]:
 def write_urdf(path: Path, count: int, seed: int) -> Path:
     """An arm of so many joints, whose links are rods along x that get shorter and lighter towards ``tool0``."""
     random = np.random.default_rng(seed)
-    parts, parent, reach = ['<link name="base"/>'], "base", 0.0
+    parts = ['<link name="base"/>']
+    parent = "base"
+    reach = 0.0
     for number, (name, axis) in enumerate(zip(joints_of(count), AXES[count], strict=True)):
         share = 1.0 - 0.75 * number / count
-        mass, length, radius = 3.0 * share * random.uniform(0.7, 1.3), share * random.uniform(0.1, 0.3), 0.05 * share
-        along, across = 0.5 * mass * radius**2, mass * (3.0 * radius**2 + length**2) / 12.0
+        mass = 3.0 * share * random.uniform(0.7, 1.3)
+        length = share * random.uniform(0.1, 0.3)
+        radius = 0.05 * share
+        along = 0.5 * mass * radius**2
+        across = mass * (3.0 * radius**2 + length**2) / 12.0
         where = f"{0.5 * length:.5f} {random.uniform(-0.01, 0.01):.5f} {random.uniform(-0.01, 0.01):.5f}"
         inertia = f'<inertia ixx="{along:.7f}" iyy="{across:.7f}" izz="{across:.7f}" ixy="0" ixz="0" iyz="0"/>'
         parts += [
@@ -32,7 +37,8 @@ def write_urdf(path: Path, count: int, seed: int) -> Path:
             f'<origin xyz="{reach:.5f} 0 {0.0 if number else 0.1}"/><axis xyz="{VECTOR[axis]}"/>'
             '<limit lower="-3" upper="3" effort="60" velocity="4"/></joint>',
         ]
-        parent, reach = f"body_{number}", length
+        parent = f"body_{number}"
+        reach = length
     parts += [
         f'<link name="tool0"/><joint name="mount" type="fixed"><parent link="{parent}"/><child link="tool0"/>'
         f'<origin xyz="{reach:.5f} 0 0"/></joint>'

@@ -23,18 +23,25 @@ LENGTH_M = {"shoulder": 0.28, "elbow": 0.24, "wrist": 0.1}
 MASS_KG = {"shoulder": 1.6, "elbow": 1.0, "wrist": 0.4}
 EFFORT_N_M = {"shoulder": 40.0, "elbow": 20.0, "wrist": 8.0}
 SHARE = {"shoulder": 1.0, "elbow": 0.5, "wrist": 0.2}
-LIMIT_RAD, HEIGHT_M, STEP_S = 2.6, 0.7, 1e-3
+LIMIT_RAD = 2.6
+HEIGHT_M = 0.7
+STEP_S = 1e-3
 START = {"shoulder": -0.9, "elbow": 0.8, "wrist": 0.2}
 LOADING_S = 1.5  # a person lets go of what is put into the hand that slowly
-STIFFNESS_PER_RAD, DAMPING_S_PER_RAD = 4.0, 0.35  # of the position controller, as shares of the largest torque
+# of the position controller, as shares of the largest torque
+STIFFNESS_PER_RAD = 4.0
+DAMPING_S_PER_RAD = 0.35
 COUNT_RAD = 2.0 * math.pi / 2**15
 
 
 def urdf() -> str:
     """What its maker says."""
-    parts, parent, reach = ['<link name="base"/>'], "base", f"0 0 {HEIGHT_M}"
+    parts = ['<link name="base"/>']
+    parent = "base"
+    reach = f"0 0 {HEIGHT_M}"
     for name in JOINTS:
-        length, mass = LENGTH_M[name], MASS_KG[name]
+        length = LENGTH_M[name]
+        mass = MASS_KG[name]
         across = mass * length**2 / 12.0
         parts += [
             f'<link name="{name}_link"><inertial><origin xyz="{0.5 * length} 0 0"/><mass value="{mass}"/>'
@@ -43,7 +50,8 @@ def urdf() -> str:
             f'<axis xyz="0 1 0"/><limit lower="-{LIMIT_RAD}" upper="{LIMIT_RAD}" effort="{EFFORT_N_M[name]}" velocity="6"/>'
             "</joint>",
         ]
-        parent, reach = f"{name}_link", f"{length} 0 0"
+        parent = f"{name}_link"
+        reach = f"{length} 0 0"
     parts += [
         '<link name="tool0"/><joint name="mount" type="fixed"><parent link="wrist_link"/><child link="tool0"/>'
         f'<origin xyz="{LENGTH_M["wrist"]} 0 0"/></joint>'
@@ -90,14 +98,20 @@ class ForeignArm:
         self._last_s, self._now_s = -math.inf, math.nan
         self._wanted: np.ndarray | None = None
         self._held_kg = self._to_hold_kg = 0.0
-        self._hand, self._empty_kg = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, "held"), 1e-6
+        self._hand, self._empty_kg = (
+            mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, "held"),
+            1e-6,
+        )
         self._stalls: dict[str, tuple[float, float]] = {}
 
     def _xml(self, truth: np.random.Generator) -> str:
-        bodies, ends = "", ""
+        bodies = ""
+        ends = ""
         for number, name in enumerate(JOINTS):
-            length, mass = LENGTH_M[name], MASS_KG[name] * (1.0 + truth.normal(0.0, 0.02))
-            across, place = (mass * length**2 / 12.0, f"0 0 {HEIGHT_M}" if not number else f"{LENGTH_M[JOINTS[number - 1]]} 0 0")
+            length = LENGTH_M[name]
+            mass = MASS_KG[name] * (1.0 + truth.normal(0.0, 0.02))
+            across = mass * length**2 / 12.0
+            place = f"0 0 {HEIGHT_M}" if not number else f"{LENGTH_M[JOINTS[number - 1]]} 0 0"
             share = SHARE[name]
             bodies += (
                 f'<body name="{name}" pos="{place}"><joint name="{name}" type="hinge" axis="0 1 0" limited="true" '
@@ -127,7 +141,10 @@ class ForeignArm:
             return
         wanted = np.zeros(len(JOINTS))
         wanted[self._columns] = values
-        self._last_s = max(self._last_s, now_s + self.busy.delay_s + self.busy.jitter_s * self._random.uniform(-0.5, 0.5))
+        self._last_s = max(
+            self._last_s,
+            now_s + self.busy.delay_s + self.busy.jitter_s * self._random.uniform(-0.5, 0.5),
+        )
         self._coming.append((self._last_s, wanted))
 
     def stalled(self, now_s: float, thread: str) -> float:
@@ -151,9 +168,13 @@ class ForeignArm:
             step_kg = STEP_S / LOADING_S
             self._held_kg += min(max(self._to_hold_kg - self._held_kg, -step_kg), step_kg)
             self.model.body_mass[self._hand] = self._empty_kg + self._held_kg
-            limits, torque = self._limits, self._wanted
+            limits = self._limits
+            torque = self._wanted
             if self.goals:
-                torque = limits * (STIFFNESS_PER_RAD * (self._wanted - self.data.qpos) - DAMPING_S_PER_RAD * self.data.qvel)
+                torque = limits * (
+                    STIFFNESS_PER_RAD * (self._wanted - self.data.qpos)
+                    - DAMPING_S_PER_RAD * self.data.qvel
+                )
             self.data.qfrc_applied[:] = self.scale * np.minimum(np.maximum(torque, -limits), limits)
             self.mujoco.mj_step(self.model, self.data)
 

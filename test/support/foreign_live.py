@@ -40,7 +40,9 @@ class ForeignProcess:
         self.arm, self._clock, self._rate_hz = arm, made.clock, rate_hz
         self.node = made.somebody("foreign")
         self._states = self.node.create_publisher(JointState, "/joint_states", 1)
-        topic = "/position_controller/commands" if arm.goals else "/forward_effort_controller/commands"
+        topic = (
+            "/position_controller/commands" if arm.goals else "/forward_effort_controller/commands"
+        )
         self.node.create_subscription(Float64MultiArray, topic, self._take, 1)
         self._clock.thread(self._say, "foreign states", group="foreign").start()
 
@@ -60,7 +62,12 @@ class ForeignProcess:
             if (until_s := self.arm.stalled(now_s, "states")) > now_s:
                 self._clock.sleep(until_s - now_s)
             self.arm.advance(self._clock._now_s)
-            message = JointState(name=list(BROADCAST), position=self.arm.positions(), velocity=nothing, effort=nothing)
+            message = JointState(
+                name=list(BROADCAST),
+                position=self.arm.positions(),
+                velocity=nothing,
+                effort=nothing,
+            )
             message.header.stamp = self.node.get_clock().now().to_msg()
             self._states.publish(message)
 
@@ -84,7 +91,12 @@ def nodes_of(folder: Path, goals: bool, **facts: Any) -> dict[str, dict[str, Any
     """Parameters of excitation and identifier, by the arm's URDF alone; ``facts`` are further ones of the identifier."""
     robot = folder / "foreign.yaml"
     urdf = write_urdf(folder)
-    assert proprio(["robot", "new", str(urdf), "--output", str(robot), "--effort-unit", "N.m", "--force"]) == 0
+    assert (
+        proprio(
+            ["robot", "new", str(urdf), "--output", str(robot), "--effort-unit", "N.m", "--force"]
+        )
+        == 0
+    )
     if goals:
         state_servos(robot)
     stated = ["payload.com=[0,0,0]", "payload.shape=point"]
@@ -92,7 +104,11 @@ def nodes_of(folder: Path, goals: bool, **facts: Any) -> dict[str, dict[str, Any
         "calibration": "none", "robot": robot, "reference_mass": REFERENCE_KG, "reference_wait": 3.0, "settings": stated,
         "reference_settings": stated, "live_period": 0.0, **facts,
     }  # fmt: skip
-    output: dict[str, Any] = {"robot": robot, "controller_joints": list(ORDER), "command_interface": "position"}
+    output: dict[str, Any] = {
+        "robot": robot,
+        "controller_joints": list(ORDER),
+        "command_interface": "position",
+    }
     if not goals:
         output |= {"command_interface": "effort", "effort_unit": "N.m"}
     return {"excitation": output, "identifier": identifier}
@@ -100,16 +116,30 @@ def nodes_of(folder: Path, goals: bool, **facts: Any) -> dict[str, dict[str, Any
 
 @contextlib.contextmanager
 def foreign(
-    folder: Path, seed: int, goals: bool = False, rate_hz: float = 500.0, busy: Busy | None = None, **facts: Any
+    folder: Path,
+    seed: int,
+    goals: bool = False,
+    rate_hz: float = 500.0,
+    busy: Busy | None = None,
+    **facts: Any,
 ) -> Iterator[tuple[Client, ForeignArm]]:
     """The arm, excitation and identifier; in its hand is what the identifier asks for, and what `ForeignArm.hold` was told."""
-    with world(folder / "data", seed=seed, nodes=nodes_of(folder, goals, **facts), only=("excitation", "identifier")) as made:
+    with world(
+        folder / "data",
+        seed=seed,
+        nodes=nodes_of(folder, goals, **facts),
+        only=("excitation", "identifier"),
+    ) as made:
         arm = ForeignArm(seed, goals, busy)
         process = ForeignProcess(made, arm, rate_hz)
         client = Client(made)
         client.hear_less()
-        assert client.wait_for(lambda: client.excitation.get("phase") == "idle"), client.log("excitation")
-        assert client.wait_for(lambda: client.statuses and values_of(client.statuses[-1])["doing"] != "starting")
+        assert client.wait_for(lambda: client.excitation.get("phase") == "idle"), client.log(
+            "excitation"
+        )
+        assert client.wait_for(
+            lambda: client.statuses and values_of(client.statuses[-1])["doing"] != "starting"
+        )
         assert process.node is not None
 
         def person() -> None:

@@ -23,7 +23,11 @@ TOGETHER = 2
 
 
 def lives(
-    made: World, seeds: Sequence[int], folder: Path, live: Callable[[World, int], Any], together: int = TOGETHER
+    made: World,
+    seeds: Sequence[int],
+    folder: Path,
+    live: Callable[[World, int], Any],
+    together: int = TOGETHER,
 ) -> Iterator[tuple[int, Any]]:
     """Play the same world on with each seed; what came of it, in the order in which they end.
 
@@ -48,7 +52,12 @@ def lives(
         process, status = os.wait()
         seed = running.pop(process)
         kept = folder / str(seed) / "outcome"
-        yield seed, pickle.loads(kept.read_bytes()) if kept.exists() else f"its process has ended with status {status}"
+        yield (
+            seed,
+            pickle.loads(kept.read_bytes())
+            if kept.exists()
+            else f"its process has ended with status {status}",
+        )
         shutil.rmtree(folder / str(seed))
 
 

@@ -19,9 +19,14 @@ from proprio_ros.virtual.truth import Truth
 ROBOT = load_robot("open_manipulator_x")
 JOINTS = tuple(ROBOT.drive_trains)
 SCALE = {name: ROBOT.drive_trains[name].transmission for name in JOINTS}
-PERIOD_S, RATE_HZ = 0.001, 40.0
-COUNT_RAD, COUNT_A, VELOCITY_COUNT_RAD_S = 0.001534, 0.00269, 0.02398
-SUPPLY_V, BACK_EMF_V_S, RESISTANCE_OHM = 12.0, 2.49, 5.22
+PERIOD_S = 0.001
+RATE_HZ = 40.0
+COUNT_RAD = 0.001534
+COUNT_A = 0.00269
+VELOCITY_COUNT_RAD_S = 0.02398
+SUPPLY_V = 12.0
+BACK_EMF_V_S = 2.49
+RESISTANCE_OHM = 5.22
 
 
 class Hand:
@@ -36,12 +41,16 @@ class Hand:
         self.arm.hold(held)
         self.time_s = 10.0
         self.spheres: list[FloatArray] = []
-        goals = dict(zip(JOINTS, (self.arm.shaft_rad() * list(SCALE.values())).tolist(), strict=True))
+        goals = dict(
+            zip(JOINTS, (self.arm.shaft_rad() * list(SCALE.values())).tolist(), strict=True)
+        )
         self.waiting = deque([Command(goals)] * round(truth.latency_s / PERIOD_S))
 
     def sample(self) -> JointSample:
         angles = (COUNT_RAD * np.rint(self.arm.encoder_rad() / COUNT_RAD)).tolist()
-        speeds = (VELOCITY_COUNT_RAD_S * np.rint(self.arm.velocity_rad_s() / VELOCITY_COUNT_RAD_S)).tolist()
+        speeds = (
+            VELOCITY_COUNT_RAD_S * np.rint(self.arm.velocity_rad_s() / VELOCITY_COUNT_RAD_S)
+        ).tolist()
         position = {name: SCALE[name] * angle for name, angle in zip(JOINTS, angles, strict=True)}
         velocity = {name: SCALE[name] * speed for name, speed in zip(JOINTS, speeds, strict=True)}
         return JointSample(self.time_s, position, velocity)
@@ -50,14 +59,19 @@ class Hand:
         for _ in range(round(1.0 / (RATE_HZ * PERIOD_S))):
             self.waiting.append(command)
             now = self.waiting.popleft()
-            angles, speeds = self.arm.encoder_rad(), self.arm.velocity_rad_s()
+            angles = self.arm.encoder_rad()
+            speeds = self.arm.velocity_rad_s()
             current = np.empty(len(JOINTS))
             for row, name in enumerate(JOINTS):
                 if name in now.current_A:
                     current[row] = COUNT_A * round(now.current_A[name] / COUNT_A)
                 else:
-                    current[row] = 22.5 * (now.position[name] / SCALE[name] - angles[row]) - 0.84 * speeds[row]
-            least, most = ((volts - BACK_EMF_V_S * speeds) / RESISTANCE_OHM for volts in (-SUPPLY_V, SUPPLY_V))
+                    current[row] = (
+                        22.5 * (now.position[name] / SCALE[name] - angles[row]) - 0.84 * speeds[row]
+                    )
+            least, most = (
+                (volts - BACK_EMF_V_S * speeds) / RESISTANCE_OHM for volts in (-SUPPLY_V, SUPPLY_V)
+            )
             self.arm.step(np.clip(current, np.maximum(least, -1.0), np.minimum(most, 1.0)))
             if isinstance(self.arm.object, Container):
                 self.spheres.append(self.arm.object.sphere_m(self.arm))

@@ -43,17 +43,24 @@ def write_data_set(
     import pyarrow.parquet as pq
 
     (folder / "meta").mkdir(parents=True)
-    total, count, rows, writer, at = 0, 0, [], None, None
+    total = 0
+    count = 0
+    rows = []
+    writer = None
+    at = None
     names: Sequence[str] = ()
     for index, motion in enumerate(motions):
-        names, frames = motion.joints, len(motion.times_s)
+        names = motion.joints
+        frames = len(motion.times_s)
         vectors = {
             "observation.state": motion.position,
             "observation.effort": motion.current_A * np.asarray(constants),
             "action": motion.position,
         }
         columns: dict[str, Any] = {
-            name: pa.FixedSizeListArray.from_arrays(pa.array(values.astype(np.float32).ravel()), len(names))
+            name: pa.FixedSizeListArray.from_arrays(
+                pa.array(values.astype(np.float32).ravel()), len(names)
+            )
             for name, values in vectors.items()
         }
         for name, values in (extra or {}).items():
@@ -74,9 +81,13 @@ def write_data_set(
             if at != number:
                 if writer is not None:
                     writer.close()
-                path = folder / f"data/chunk-{number // PER_CHUNK:03d}/file-{number % PER_CHUNK:03d}.parquet"
+                path = (
+                    folder
+                    / f"data/chunk-{number // PER_CHUNK:03d}/file-{number % PER_CHUNK:03d}.parquet"
+                )
                 path.parent.mkdir(parents=True, exist_ok=True)
-                writer, at = pq.ParquetWriter(path, table.schema), number
+                writer = pq.ParquetWriter(path, table.schema)
+                at = number
             writer.write_table(table)
             rows.append(
                 {
@@ -89,7 +100,8 @@ def write_data_set(
                     "dataset_to_index": total + frames,
                 }
             )
-        total, count = total + frames, count + 1
+        total = total + frames
+        count = count + 1
     if writer is not None:
         writer.close()
     vector = {"dtype": "float32", "shape": [len(names)], "names": list(names)}
@@ -115,7 +127,9 @@ def write_data_set(
     }
     (folder / "meta" / "info.json").write_text(json.dumps(info, indent=4))
     if version == "v2.1":
-        (folder / "meta" / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+        (folder / "meta" / "episodes.jsonl").write_text(
+            "".join(json.dumps(row) + "\n" for row in rows)
+        )
     else:
         path = folder / "meta/episodes/chunk-000/file-000.parquet"
         path.parent.mkdir(parents=True)

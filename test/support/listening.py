@@ -116,7 +116,9 @@ class Listener:
 
     def set(self, node: str, name: str, value: Any) -> Any:
         """Set a parameter; returns the result with `successful` and `reason`."""
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
         return self.answer(self.begin(f"{node}/set_parameters", SetParameters, request)).results[0]
 
     def get(self, node: str, name: str) -> Any:
@@ -137,7 +139,10 @@ class Listener:
         return float(message.position[list(message.name).index(joint)])
 
     def wait_for_phase(self, phase: str, seconds: float = SOON_S) -> None:
-        assert self.wait_for(lambda: self.excitation.get("phase") == phase, seconds), (phase, self.excitation)
+        assert self.wait_for(lambda: self.excitation.get("phase") == phase, seconds), (
+            phase,
+            self.excitation,
+        )
 
 
 def replayed_alike(result: Path) -> dict[str, Any]:
@@ -146,7 +151,10 @@ def replayed_alike(result: Path) -> dict[str, Any]:
     words = shlex.split(live["command"])
     assert words[0] == "proprio"
     run = subprocess.run(
-        [sys.executable, "-m", "proprio_ros.cli", *words[1:], "--json"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "proprio_ros.cli", *words[1:], "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert run.returncode == 0, run.stderr
     again = json.loads(run.stdout)

@@ -76,12 +76,17 @@ def comes_up(graph: Graph, ready: Callable[[], object]) -> bool:
 def warm_up(probe: str, *settings: str) -> None:
     """Compile first, as the docs advise: the identifier does it itself, while whoever waits for it waits longer."""
     values = [word for setting in settings for word in ("--set", setting)]
-    subprocess.run([sys.executable, "-m", "proprio_ros.cli", "warmup", "--probe", probe, *values], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "proprio_ros.cli", "warmup", "--probe", probe, *values], check=True
+    )
 
 
 @contextmanager
 def running(
-    folder: Path, *nodes: str, environment: dict[str, str] | None = None, **parameters: dict[str, Any]
+    folder: Path,
+    *nodes: str,
+    environment: dict[str, str] | None = None,
+    **parameters: dict[str, Any],
 ) -> Iterator[tuple[Graph, Client]]:
     """The nodes (default all four), up and talking; parameters by node."""
     names = nodes or ("virtual", "driver", "excitation", "identifier")
@@ -100,7 +105,9 @@ def running(
                 "virtual": lambda: client.motors,
                 "driver": lambda: client.states,
                 "excitation": lambda: client.excitation.get("phase") == "idle",
-                "identifier": lambda: client.statuses and values_of(client.statuses[-1])["doing"] != "starting",
+                "identifier": lambda: (
+                    client.statuses and values_of(client.statuses[-1])["doing"] != "starting"
+                ),
             }
 
             for name in names:

@@ -27,7 +27,9 @@ _PENDULUM = """<robot name="{name}"><link name="base"/>
 def pendulum_urdf(folder: Path, name: str, rod_kg: float, length_m: float) -> Path:
     """A rod that hangs from ``pendulum`` and ends in ``tip``."""
     inertia = rod_kg * length_m**2 / 12.0
-    urdf = _PENDULUM.format(name=name, mass=rod_kg, centre=-0.5 * length_m, tip=-length_m, inertia=inertia)
+    urdf = _PENDULUM.format(
+        name=name, mass=rod_kg, centre=-0.5 * length_m, tip=-length_m, inertia=inertia
+    )
     path = folder / f"{name}.urdf"
     path.write_text(urdf)
     return path

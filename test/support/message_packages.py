@@ -17,9 +17,20 @@ from pathlib import Path
 
 import pytest
 
-ALWAYS = ("builtin_interfaces", "service_msgs", "action_msgs", "unique_identifier_msgs", "type_description_interfaces")
+ALWAYS = (
+    "builtin_interfaces",
+    "service_msgs",
+    "action_msgs",
+    "unique_identifier_msgs",
+    "type_description_interfaces",
+)
 """What services and actions are made of, whether a package says so or not."""
-PARTS = ("rosidl_generator_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c", "rosidl_typesupport_c")
+PARTS = (
+    "rosidl_generator_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_introspection_c",
+    "rosidl_typesupport_c",
+)
 """Libraries of a package, each of which needs those before it; the middleware asks for the last, and that for the two before."""
 ROS = Path(sys.prefix)
 """Where the wheels put include/, lib/ and share/."""
@@ -42,12 +53,24 @@ def build(package: Path, prefix: Path) -> dict[str, str]:
     """
     missing = _missing()
     if missing:
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"message packages cannot be built: {missing}")
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(
+            f"message packages cannot be built: {missing}"
+        )
     site = prefix / "site-packages"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))}
-    command = [sys.executable, str(Path(__file__).resolve()), str(package.resolve()), str(prefix.resolve())]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))),
+    }
+    command = [
+        sys.executable,
+        str(Path(__file__).resolve()),
+        str(package.resolve()),
+        str(prefix.resolve()),
+    ]
     # of its own, for generators keep state, and find their templates by an environment variable
-    done = subprocess.run(command, env={**os.environ, "AMENT_PREFIX_PATH": str(ROS)}, capture_output=True, text=True)
+    done = subprocess.run(
+        command, env={**os.environ, "AMENT_PREFIX_PATH": str(ROS)}, capture_output=True, text=True
+    )
     if done.returncode != 0:
         raise RuntimeError(f"building {package.name}: {done.stdout[-2000:]}{done.stderr[-6000:]}")
     return environment
@@ -79,14 +102,27 @@ def _build(package: Path, prefix: Path) -> None:
 
     manifest = ElementTree.parse(package / "package.xml").getroot()
     name = str(manifest.findtext("name"))
-    stated = [element.text or "" for tag in ("depend", "build_depend", "exec_depend") for element in manifest.iter(tag)]
-    needs = [each for each in dict.fromkeys((*stated, *ALWAYS)) if (ROS / "include" / each / each / "msg").is_dir()]
+    stated = [
+        element.text or ""
+        for tag in ("depend", "build_depend", "exec_depend")
+        for element in manifest.iter(tag)
+    ]
+    needs = [
+        each
+        for each in dict.fromkeys((*stated, *ALWAYS))
+        if (ROS / "include" / each / each / "msg").is_dir()
+    ]
     shares = [str(ROS / "share" / each) for each in needs]
-    libraries, module = prefix / "lib", prefix / "site-packages" / name
+    libraries = prefix / "lib"
+    module = prefix / "site-packages" / name
     libraries.mkdir(parents=True)
     module.mkdir(parents=True)
     (module / "__init__.py").touch()
-    converters = {"msg": convert_msg_to_idl, "srv": convert_srv_to_idl, "action": convert_action_to_idl}
+    converters = {
+        "msg": convert_msg_to_idl,
+        "srv": convert_srv_to_idl,
+        "action": convert_action_to_idl,
+    }
     idl = []
     for kind, convert in converters.items():
         for path in sorted((package / kind).glob(f"*.{kind}")):
@@ -97,17 +133,30 @@ def _build(package: Path, prefix: Path) -> None:
     folders = {part: prefix / "generated" / part / name for part in PARTS}
     GenerateC("c").generate(name, idl, shares, folders[PARTS[0]], type_description_files=hashes)
     GenerateFastRTPSCTypesupport("fastrtps_c").generate(name, idl, shares, folders[PARTS[1]])
-    GenerateIntrospectionCTypesupport("introspection_c").generate(name, idl, shares, folders[PARTS[2]])
-    GenerateCTypesupport("c", typesupport_implementations=list(PARTS[1:3])).generate(name, idl, shares, folders[PARTS[3]])
-    GeneratePython("py", typesupport_implementations=list(PARTS[3:])).generate(name, idl, shares, module)
+    GenerateIntrospectionCTypesupport("introspection_c").generate(
+        name, idl, shares, folders[PARTS[2]]
+    )
+    GenerateCTypesupport("c", typesupport_implementations=list(PARTS[1:3])).generate(
+        name, idl, shares, folders[PARTS[3]]
+    )
+    GeneratePython("py", typesupport_implementations=list(PARTS[3:])).generate(
+        name, idl, shares, module
+    )
     # the wheels put their headers into include/<package>/<package>
-    headers = [ROS / "include", *(path for path in (ROS / "include").iterdir() if (path / path.name).is_dir())]
+    headers = [
+        ROS / "include",
+        *(path for path in (ROS / "include").iterdir() if (path / path.name).is_dir()),
+    ]
     headers += [folder.parent for folder in (*folders.values(), module)]
     headers += [Path(sysconfig.get_paths()["include"]), Path(numpy.get_include())]
     flags = ["-fPIC", "-w", *(f"-I{folder}" for folder in headers)]
     others = [f"-l{each}__{part}" for each in needs for part in (*PARTS, "rosidl_generator_py")]
     others += [f"-l{part}" for part in (*PARTS[1:], "rosidl_runtime_c", "rcutils", "fastcdr")]
-    paths = [f"{option}{folder}" for folder in (libraries, ROS / "lib") for option in ("-L", "-Wl,-rpath,")]
+    paths = [
+        f"{option}{folder}"
+        for folder in (libraries, ROS / "lib")
+        for option in ("-L", "-Wl,-rpath,")
+    ]
 
     def compiled(source: Path) -> str:
         language = ["gcc"] if source.suffix == ".c" else ["g++", "-std=c++17"]
@@ -116,7 +165,12 @@ def _build(package: Path, prefix: Path) -> None:
 
     def link(folder: Path, target: Path) -> None:
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            objects = list(pool.map(compiled, sorted(path for path in folder.rglob("*.c*") if path.suffix in (".c", ".cpp"))))
+            objects = list(
+                pool.map(
+                    compiled,
+                    sorted(path for path in folder.rglob("*.c*") if path.suffix in (".c", ".cpp")),
+                )
+            )
         mine = [f"-l:{path.name}" for path in libraries.iterdir()]
         # rosidl_typesupport_c looks for the others by name: they must be loaded, whether they are called directly or not
         options = ["-Wl,--no-as-needed", f"-Wl,-soname,{target.name}", *paths]

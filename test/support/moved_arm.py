@@ -47,12 +47,16 @@ def record_arm(
     """
     import mujoco
 
-    robot, random, count = np.random.default_rng(robot_seed), np.random.default_rng(seed), len(constants)
+    robot = np.random.default_rng(robot_seed)
+    random = np.random.default_rng(seed)
+    count = len(constants)
     spec = mujoco.MjSpec.from_file(str(urdf))
     spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True
     spec.option.timestep, spec.option.integrator = STEP_S, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.gravity = (0.0, 0.0, -9.81)
-    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    spec.option.disableflags = int(
+        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    )
     for equality in list(spec.equalities):
         spec.delete(equality)
     for joint in list(spec.joints):
@@ -68,9 +72,17 @@ def record_arm(
     dofs = np.array([model.joint(name).dofadr[0] for name in constants])
     model.dof_armature[dofs] = rotor_kg_m2 * robot.uniform(0.5, 1.5, count)
     model.dof_damping[dofs] = friction_N_m * robot.uniform(0.2, 1.0, count)
-    model.dof_frictionloss[dofs] = friction_N_m * robot.uniform(0.5, 1.5, count) * random.normal(1.0, 0.03, count)
-    phases, speeds = random.uniform(0.0, 2.0 * np.pi, (count, 3)), random.uniform(0.4, 2.2, (count, 3))
-    sizes, about = random.uniform(0.1, 0.35, (count, 3)), np.zeros(count) if middle is None else np.array(middle)
+    model.dof_frictionloss[dofs] = (
+        friction_N_m * robot.uniform(0.5, 1.5, count) * random.normal(1.0, 0.03, count)
+    )
+    phases, speeds = (
+        random.uniform(0.0, 2.0 * np.pi, (count, 3)),
+        random.uniform(0.4, 2.2, (count, 3)),
+    )
+    sizes, about = (
+        random.uniform(0.1, 0.35, (count, 3)),
+        np.zeros(count) if middle is None else np.array(middle),
+    )
 
     def wanted(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         angle = speeds * t + phases
@@ -81,12 +93,18 @@ def record_arm(
         )
 
     data.qpos[dofs], data.qvel[dofs], _ = wanted(0.0)
-    inertia, per_effort = np.zeros((model.nv, model.nv)), np.array(list(constants.values()))
+    inertia = np.zeros((model.nv, model.nv))
+    per_effort = np.array(list(constants.values()))
     types: Any = message_types()
-    time, header, state = (types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
-    messages, every = [], round(1.0 / (rate_hz * STEP_S))
+    time, header, state = (
+        types.types[name]
+        for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
+    )
+    messages = []
+    every = round(1.0 / (rate_hz * STEP_S))
     for step in range(round(seconds / STEP_S)):
-        position, velocity = data.qpos[dofs].copy(), data.qvel[dofs].copy()
+        position = data.qpos[dofs].copy()
+        velocity = data.qvel[dofs].copy()
         goal, speed, acceleration = wanted(step * STEP_S)
         mujoco.mj_forward(model, data)
         if hasattr(data, "qM"):

@@ -28,7 +28,11 @@ class Reader(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
         self.classes += (dict(attrs).get("class") or "").split()
-        self.links += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "data", "action")]
+        self.links += [
+            value or ""
+            for name, value in attrs
+            if name in ("src", "href", "xlink:href", "data", "action")
+        ]
         if tag not in VOID:
             self.open.append(tag)
 
@@ -52,7 +56,9 @@ def read(path: Path) -> tuple[Reader, str]:
     reader.feed(path.read_text(encoding="utf-8"))
     reader.close()
     assert not reader.open, f"left open: {reader.open}"
-    assert all(link.startswith("#") for link in reader.links), "the page must not need anything else"
+    assert all(link.startswith("#") for link in reader.links), (
+        "the page must not need anything else"
+    )
     assert reader.scripts == [SCRIPT], "its own script, and nobody else's"
     return reader, " ".join(" ".join(reader.words).split())
 
@@ -64,9 +70,18 @@ def curves(page: str, name: str) -> list[np.ndarray]:
         x0, x1 = (float(re.search(rf'data-{end}="([^"]+)"', chart)[1]) for end in ("x0", "x1"))
         for plot in re.findall(r'<svg class="plot".*?</svg>', chart):
             y0, y1 = (float(re.search(rf'data-{end}="([^"]+)"', plot)[1]) for end in ("y0", "y1"))
-            width, height = (float(re.search(rf' {side}="([^"]+)"', plot)[1]) for side in ("width", "height"))
-            for path in re.findall(rf'<path class="[^"]*" data-name="{name}"[^>]* d="([^"]*)"', plot):
+            width, height = (
+                float(re.search(rf' {side}="([^"]+)"', plot)[1]) for side in ("width", "height")
+            )
+            for path in re.findall(
+                rf'<path class="[^"]*" data-name="{name}"[^>]* d="([^"]*)"', plot
+            ):
                 at = np.array(re.findall(r"[ML](-?[\d.]+),(-?[\d.]+)", path), dtype=float)
                 y = y1 + at[:, 1] / height * (y0 - y1)
-                found.append(np.stack([x0 + at[:, 0] / width * (x1 - x0), 10**y if "data-log" in plot else y], axis=1))
+                found.append(
+                    np.stack(
+                        [x0 + at[:, 0] / width * (x1 - x0), 10**y if "data-log" in plot else y],
+                        axis=1,
+                    )
+                )
     return found

@@ -21,7 +21,8 @@ def synthetic() -> dict[str, list[Rows]]:
                 )  # fmt: skip
         found["objects"].append({"rows": rows, "trace": {}, "seed": seed})
         ends = [
-            {"way": "ours", "calibrated": False, "start": start, "value": 0.05 + off, "truth": 0.05} for start in cases.STARTS_KG
+            {"way": "ours", "calibrated": False, "start": start, "value": 0.05 + off, "truth": 0.05}
+            for start in cases.STARTS_KG
         ]
         found["starts"].append({"rows": ends, "seed": seed})
     return found

@@ -6,7 +6,18 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from proprio_ros.sim.joint_kernels import CARRIED, CURRENT, DELAY, LOAD, LOAD_PER_KG, Q0, V0, VEC3, acceleration, standstill
+from proprio_ros.sim.joint_kernels import (
+    CARRIED,
+    CURRENT,
+    DELAY,
+    LOAD,
+    LOAD_PER_KG,
+    Q0,
+    V0,
+    VEC3,
+    acceleration,
+    standstill,
+)
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 from proprio_ros.sim.sphere import SphereSimulator
 from proprio_ros.sim.sphere_kernels import (
@@ -42,13 +53,32 @@ from support.taped import PlainLaw, TapedRollout, forward, plain_joint_law, tape
 
 
 @wp.func
-def plain_squeeze_rate(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: SqueezeData, r: wp.int32):
+def plain_squeeze_rate(
+    q: FLOAT,
+    v: FLOAT,
+    command: FLOAT,
+    extra: FLOAT,
+    p: FLOATS,
+    w: wp.int32,
+    data: SqueezeData,
+    r: wp.int32,
+):
     load, _by_q, _by_v, _by_p = excitation_of_block(q, v, p, w, data, r)
     return acceleration(q, v, command, extra + load, p, w, data.constants, r)
 
 
 @wp.func
-def _ramped(depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, kf: FLOAT, mu: FLOAT, ramp_depth: FLOAT):
+def _ramped(
+    depth: FLOAT,
+    v_n: FLOAT,
+    slip: VEC3,
+    n: VEC3,
+    k: FLOAT,
+    c: FLOAT,
+    kf: FLOAT,
+    mu: FLOAT,
+    ramp_depth: FLOAT,
+):
     normal = wp.max(k * depth - c * wp.min(depth / ramp_depth, FLOAT(1.0)) * v_n, FLOAT(0.0))
     most = mu * normal
     bottom = wp.sqrt(kf * kf * wp.dot(slip, slip) + most * most)
@@ -59,7 +89,17 @@ def _ramped(depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, k
 
 
 @wp.func
-def _as_in_the_paper(depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, kf: FLOAT, mu: FLOAT, ramp_depth: FLOAT):
+def _as_in_the_paper(
+    depth: FLOAT,
+    v_n: FLOAT,
+    slip: VEC3,
+    n: VEC3,
+    k: FLOAT,
+    c: FLOAT,
+    kf: FLOAT,
+    mu: FLOAT,
+    ramp_depth: FLOAT,
+):
     normal = k * depth - c * v_n
     speed = wp.length(slip)
     force = normal * n
@@ -95,7 +135,9 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
         half = triple(geometry, run, HALF_SIZE)
         radius = geometry[run, RADIUS]
         angle = q + p[world, TILT]
-        push = triple(geometry, run, GRAVITY) + wp.cos(angle) * triple(geometry, run, GRAVITY_BY_COS)
+        push = triple(geometry, run, GRAVITY) + wp.cos(angle) * triple(
+            geometry, run, GRAVITY_BY_COS
+        )
         push = push + wp.sin(angle) * triple(geometry, run, GRAVITY_BY_SIN)
         spin = VEC3(FLOAT(0.0), FLOAT(0.0), FLOAT(0.0))
         reaction = FLOAT(0.0)
@@ -113,7 +155,9 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
                 push = push + f
                 spin = spin - wp.cross(n, f) / (geometry[run, INERTIA_FACTOR] * radius)
                 reaction = reaction + wp.dot(lever, f)
-        extra = given[LOAD] + p[world, CARRIED] * given[LOAD_PER_KG] + p[world, SPHERE_MASS] * reaction
+        extra = (
+            given[LOAD] + p[world, CARRIED] * given[LOAD_PER_KG] + p[world, SPHERE_MASS] * reaction
+        )
         a = acceleration(q, v, given[CURRENT], extra, p, world, data.constants, run)
         turning = (turn * v) * axis
         moving = u - v * container_velocity(x, axis, origin, turn)
@@ -123,7 +167,9 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
     def moved(y: STATE, z: STATE, k: STATE, data: SphereData, r: wp.int32):
         """The paper's equation (2): velocities first, and positions with them."""
         axis = triple(data.geometry, r, AXIS)
-        lever = container_velocity(part(y, 2), axis, triple(data.geometry, r, ORIGIN), data.geometry[r, TURNS])
+        lever = container_velocity(
+            part(y, 2), axis, triple(data.geometry, r, ORIGIN), data.geometry[r, TURNS]
+        )
         return joined_state(z[1], k[1], part(z, 5) - z[1] * lever, part(k, 5), part(k, 8))
 
     @wp.func
@@ -141,21 +187,27 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
         else:
             return y + h * moved(y, y + h * k1, k1, data, run)
 
-    return PlainLaw(STATE, VEC3, SphereData, DELAY, start, rates, step, standstill(STATE, SphereData))
+    return PlainLaw(
+        STATE, VEC3, SphereData, DELAY, start, rates, step, standstill(STATE, SphereData)
+    )
 
 
 def _law_of(simulator: SphereSimulator) -> PlainLaw:
     return plain_sphere_law(simulator.enclosure.shape, simulator.law, simulator.integrator)
 
 
-def states_of(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, ...]:
+def states_of(
+    simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """Forward pass alone: q, v (W, T) and the sphere's position, velocity and spin (W, T, 3) at the sample instants."""
     states, command = record_forward(simulator, world_run, p)
     command.launch()
     return parts(states)
 
 
-def record_forward(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray) -> tuple[wp.array, Any]:
+def record_forward(
+    simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray
+) -> tuple[wp.array, Any]:
     """The forward pass as a command to launch again and again, and the states that it fills, shape (W, T)."""
     runs = wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device="cpu")
     given = wp.array(np.asarray(p, dtype=np.float64), dtype=FLOAT, device="cpu")
@@ -173,5 +225,12 @@ def taped_sphere(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarra
     return tape(simulator, world_run, p, _law_of(simulator))
 
 
-def taped_squeeze(simulator: SqueezeSimulator, world_run: np.ndarray, p: np.ndarray) -> TapedRollout:
-    return tape(simulator, world_run, p, plain_joint_law(plain_squeeze_rate, SqueezeData, simulator.integrator))
+def taped_squeeze(
+    simulator: SqueezeSimulator, world_run: np.ndarray, p: np.ndarray
+) -> TapedRollout:
+    return tape(
+        simulator,
+        world_run,
+        p,
+        plain_joint_law(plain_squeeze_rate, SqueezeData, simulator.integrator),
+    )

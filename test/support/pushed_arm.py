@@ -27,8 +27,14 @@ class Hand:
 
     def sample(self) -> JointSample:
         joints, scale = self._joints()
-        position = scale * paper_hand.COUNT_RAD * np.rint(self.arm.encoder_rad() / paper_hand.COUNT_RAD)
-        velocity = scale * paper_hand.COUNT_RAD_S * np.rint(self.arm.velocity_rad_s() / paper_hand.COUNT_RAD_S)
+        position = (
+            scale * paper_hand.COUNT_RAD * np.rint(self.arm.encoder_rad() / paper_hand.COUNT_RAD)
+        )
+        velocity = (
+            scale
+            * paper_hand.COUNT_RAD_S
+            * np.rint(self.arm.velocity_rad_s() / paper_hand.COUNT_RAD_S)
+        )
         named = [dict(zip(joints, row.tolist(), strict=True)) for row in (position, velocity)]
         return JointSample(self.time_s, *named)
 
@@ -37,7 +43,8 @@ class Hand:
         return joints, np.array([self.robot.drive_trains[joint].transmission for joint in joints])
 
     def make(self, sequence: ExcitationSequence) -> None:
-        machine, now = ExcitationMachine(self.robot), self.sample()
+        machine = ExcitationMachine(self.robot)
+        now = self.sample()
         joints, scale = self._joints()
         machine.start(sequence, now)
         stamps: list[int] = []
@@ -45,10 +52,13 @@ class Hand:
         currents: list[list[float]] = []
         command = Command(dict(now.position))
         while machine.busy:
-            before, command = command, machine.tick(self.time_s, now)
+            before = command
+            command = machine.tick(self.time_s, now)
             stamps.append(round(1e9 * now.time_s))
             places.append([now.position[joint] for joint in joints])
-            currents.append([paper_hand._counted(command.current_A.get(joint, 0.0)) for joint in joints])
+            currents.append(
+                [paper_hand._counted(command.current_A.get(joint, 0.0)) for joint in joints]
+            )
             for tick in range(25):  # what is commanded comes into effect 4 ms later
                 paper_hand._drive(self.arm, before if tick < 4 else command, joints, scale)
             self.time_s += 0.025

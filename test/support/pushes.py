@@ -8,7 +8,9 @@ AWAY = ", start: {joint2: -0.2, joint3: 0.8, joint4: 0.0}"
 
 def one_push(current_A: float, duration_s: float, start: str = "", joint: str = "joint3") -> str:
     """A push of ``joint``; ``start`` may be `AWAY`."""
-    run = f"joint: {joint}, current_A: {current_A}, duration_s: {duration_s}, max_travel: 1.5{start}"
+    run = (
+        f"joint: {joint}, current_A: {current_A}, duration_s: {duration_s}, max_travel: 1.5{start}"
+    )
     return f"""
 excitation:
   hand: any

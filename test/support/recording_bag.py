@@ -14,7 +14,9 @@ from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import FloatArray, JointRecord, Recording
 
 
-def write_recording(path: str | Path, recording: Recording, storage: str = "mcap", effort_per_A: float | None = None) -> None:
+def write_recording(
+    path: str | Path, recording: Recording, storage: str = "mcap", effort_per_A: float | None = None
+) -> None:
     """Write /joint_states (position, velocity, effort) and, if there is an input, /current_command with labels.
 
     With ``effort_per_A`` [N m/A] the input is written as a driver does, to /applied_effort.
@@ -30,10 +32,15 @@ def write_recording(path: str | Path, recording: Recording, storage: str = "mcap
         RecordingError: The folder exists or cannot be written.
         ConfigurationError: Unknown storage.
     """
-    types, record, inputs = message_types(), recording.joints, recording.inputs
+    types = message_types()
+    record = recording.joints
+    inputs = recording.inputs
     if inputs is not None and effort_per_A is not None:
         applied = JointRecord(
-            inputs.times_ns, inputs.names, np.zeros_like(inputs.current_A), effort=effort_per_A * inputs.current_A
+            inputs.times_ns,
+            inputs.names,
+            np.zeros_like(inputs.current_A),
+            effort=effort_per_A * inputs.current_A,
         )
         messages = [
             ("/applied_effort", JOINT_STATE, time_ns, _joint_state(types, applied, row))
@@ -45,7 +52,8 @@ def write_recording(path: str | Path, recording: Recording, storage: str = "mcap
             for time_ns, current in zip(inputs.times_ns, inputs.current_A, strict=True)
         ]  # fmt: skip
     messages += [
-        ("/joint_states", JOINT_STATE, time_ns, _joint_state(types, record, row)) for row, time_ns in enumerate(record.times_ns)
+        ("/joint_states", JOINT_STATE, time_ns, _joint_state(types, record, row))
+        for row, time_ns in enumerate(record.times_ns)
     ]
     write_messages(
         path,
@@ -58,7 +66,10 @@ def write_recording(path: str | Path, recording: Recording, storage: str = "mcap
 
 
 def _joint_state(types: Any, record: JointRecord, row: int) -> Any:
-    time, header, state = (types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
+    time, header, state = (
+        types.types[name]
+        for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
+    )
     seconds, nanoseconds = divmod(int(record.times_ns[row]), 1_000_000_000)
     empty = np.zeros(0)
     return state(
@@ -72,8 +83,13 @@ def _joint_state(types: Any, record: JointRecord, row: int) -> Any:
 
 def _float_array(types: Any, names: Sequence[str], values: FloatArray) -> Any:
     dimension, layout, array = (
-        types.types[f"std_msgs/msg/{name}"] for name in ("MultiArrayDimension", "MultiArrayLayout", "Float64MultiArray")
+        types.types[f"std_msgs/msg/{name}"]
+        for name in ("MultiArrayDimension", "MultiArrayLayout", "Float64MultiArray")
     )
     return array(
-        layout=layout(dim=[dimension(label=",".join(names), size=len(names), stride=len(names))], data_offset=0), data=values
+        layout=layout(
+            dim=[dimension(label=",".join(names), size=len(names), stride=len(names))],
+            data_offset=0,
+        ),
+        data=values,
     )

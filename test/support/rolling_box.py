@@ -14,11 +14,19 @@ from proprio_ros.sim.sphere import Enclosure
 
 CASES = 24
 INNER = np.array([0.06, 0.04, 0.04])
-RADIUS, SHELL_KG, REACH_M = 0.01, 0.03, 0.16
-ARM_KG, ARM_AT_M, ARM_INERTIA, ARMATURE = 0.25, 0.07, 2e-4, 0.012
-TORQUE_CONSTANT, VISCOUS = 1.78, 0.01
-COUNT_RAD, NOISE_RAD = 2.0 * np.pi / 4096.0, 0.0003
-RATE_HZ, DURATION_S = 40.0, 0.6
+RADIUS = 0.01
+SHELL_KG = 0.03
+REACH_M = 0.16
+ARM_KG = 0.25
+ARM_AT_M = 0.07
+ARM_INERTIA = 2e-4
+ARMATURE = 0.012
+TORQUE_CONSTANT = 1.78
+VISCOUS = 0.01
+COUNT_RAD = 2.0 * np.pi / 4096.0
+NOISE_RAD = 0.0003
+RATE_HZ = 40.0
+DURATION_S = 0.6
 FIRST_GUESS_KG = 0.03
 """What the current is chosen for: nobody knows the sphere before it is weighed."""
 
@@ -95,12 +103,16 @@ def draw(seed: int) -> list[Case]:
     cases = []
     for row in range(CASES):
         mass = float(np.exp(rng.uniform(np.log(0.005), np.log(0.06))))
-        friction, hardness = float(rng.uniform(0.2, 0.5)), float(rng.uniform(0.0015, 0.003))
+        friction = float(rng.uniform(0.2, 0.5))
+        hardness = float(rng.uniform(0.0015, 0.003))
         if row % 2 == 0:
-            name, start = "tilt", float(rng.uniform(-0.3, -0.2))
-            times, current = np.zeros(1), np.array([holding + rng.uniform(0.06, 0.09)])
+            name = "tilt"
+            start = float(rng.uniform(-0.3, -0.2))
+            times = np.zeros(1)
+            current = np.array([holding + rng.uniform(0.06, 0.09)])
         else:
-            name, start = "shake", float(rng.uniform(-0.12, -0.04))
+            name = "shake"
+            start = float(rng.uniform(-0.12, -0.04))
             swing = rng.uniform(0.14, 0.22)
             times = 0.1 * np.arange(6)
             current = holding + swing * np.where(np.arange(6) % 2 == 0, 1.0, -1.0)
@@ -116,7 +128,8 @@ def recorded(case: Case, seed: int, duration_s: float = DURATION_S) -> tuple[Run
     """
     import mujoco
 
-    side, thick = INNER / 2.0, 0.05
+    side = INNER / 2.0
+    thick = 0.05
     walls = "".join(
         f'<geom type="box" mass="0" contype="1" conaffinity="0" size="{" ".join(map(str, size))}" pos="{" ".join(map(str, pos))}"/>'
         for axis in range(3)
@@ -124,7 +137,8 @@ def recorded(case: Case, seed: int, duration_s: float = DURATION_S) -> tuple[Run
         for size, pos in [
             (
                 np.where(np.arange(3) == axis, thick / 2.0, side + thick),
-                np.where(np.arange(3) == axis, way * (side + thick / 2.0), 0.0) + REACH_M * np.eye(3)[0],
+                np.where(np.arange(3) == axis, way * (side + thick / 2.0), 0.0)
+                + REACH_M * np.eye(3)[0],
             )
         ]
     )
@@ -148,9 +162,18 @@ def recorded(case: Case, seed: int, duration_s: float = DURATION_S) -> tuple[Run
     data = mujoco.MjData(model)
     room = side - RADIUS
     inside = np.array([REACH_M - room[0] + 1e-4, 0.0, -room[2] + 1e-4])
-    cos, sin = np.cos(case.start_rad), np.sin(case.start_rad)
+    cos = np.cos(case.start_rad)
+    sin = np.sin(case.start_rad)
     data.qpos[0] = case.start_rad
-    data.qpos[1:8] = (cos * inside[0] + sin * inside[2], 0.0, cos * inside[2] - sin * inside[0], 1.0, 0.0, 0.0, 0.0)
+    data.qpos[1:8] = (
+        cos * inside[0] + sin * inside[2],
+        0.0,
+        cos * inside[2] - sin * inside[0],
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     model.dof_armature[0] = 1e6  # held
     model.geom_solref[:, 1] = 1.0  # and nothing bounces yet
     for _ in range(10_000):
@@ -159,21 +182,28 @@ def recorded(case: Case, seed: int, duration_s: float = DURATION_S) -> tuple[Run
     model.geom_solref[:, 1] = case.damping_ratio
     data.qpos[0], data.qvel[0] = case.start_rad, 0.0
     assert np.abs(data.qvel[1:4]).max() < 1e-3, data.qvel
-    sample, end = round(1e4 / RATE_HZ), round(1e4 * duration_s)
+    sample = round(1e4 / RATE_HZ)
+    end = round(1e4 * duration_s)
     starts = np.round(1e4 * case.times_s).astype(int)
-    shown, rolled = [], []
+    shown = []
+    rolled = []
     for step in range(end):
-        data.qfrc_applied[0] = TORQUE_CONSTANT * case.current_A[np.searchsorted(starts, step, side="right") - 1]
+        data.qfrc_applied[0] = (
+            TORQUE_CONSTANT * case.current_A[np.searchsorted(starts, step, side="right") - 1]
+        )
         mujoco.mj_step(model, data)
         if (step + 1) % sample == 0:
             shown.append(data.qpos[0])
-            cos, sin = np.cos(data.qpos[0]), np.sin(data.qpos[0])
+            cos = np.cos(data.qpos[0])
+            sin = np.sin(data.qpos[0])
             x, y, z = data.qpos[1:4]
             rolled.append((cos * x - sin * z - REACH_M, y, sin * x + cos * z))
     rng = np.random.default_rng([seed, int(case.name.strip("tilshake"))])
     before = np.arange(-20, 0) / RATE_HZ
     reading = np.concatenate([np.full(20, case.start_rad), shown])
-    reading = COUNT_RAD * np.round((reading + NOISE_RAD * rng.normal(size=len(reading))) / COUNT_RAD)
+    reading = COUNT_RAD * np.round(
+        (reading + NOISE_RAD * rng.normal(size=len(reading))) / COUNT_RAD
+    )
     run = Run(
         name=case.name,
         joint="wrist",

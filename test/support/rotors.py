@@ -31,8 +31,13 @@ class Rotors:
         while self.start_s + (self.steps + 1) * CONTROL_PERIOD_S <= now_s + 1e-9:
             self.steps += 1
             for index, servo in enumerate(self.servos):
-                torque_Nm = TORQUE_CONSTANT_NM_A * self.current_A[index] - FRICTION_NM_S * self.velocity_rad_s[index]
+                torque_Nm = (
+                    TORQUE_CONSTANT_NM_A * self.current_A[index]
+                    - FRICTION_NM_S * self.velocity_rad_s[index]
+                )
                 if not self.blocked:
                     self.velocity_rad_s[index] += torque_Nm / INERTIA_KG_M2 * CONTROL_PERIOD_S
                     self.angle_rad[index] += self.velocity_rad_s[index] * CONTROL_PERIOD_S
-                self.current_A[index] = servo.control(self.time_s, self.angle_rad[index], self.velocity_rad_s[index])
+                self.current_A[index] = servo.control(
+                    self.time_s, self.angle_rad[index], self.velocity_rad_s[index]
+                )

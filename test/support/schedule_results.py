@@ -43,7 +43,10 @@ def tables(counted: list[dict[str, Any]]) -> dict[str, Any]:
         for plan, words in PLANS.items()
     ]  # fmt: skip
     whole = {"plan": "all", "schedules": sums["plans"].total()}
-    plans.append(whole | {key: sums[f"{key}_s"].total() / sums["plans"].total() for key in ("cpu", "simulated")})
+    plans.append(
+        whole
+        | {key: sums[f"{key}_s"].total() / sums["plans"].total() for key in ("cpu", "simulated")}
+    )
     said = {"plan": "what is asked for", "schedules": "schedules"}
     columns = {said["plan"]: "{plan}", said["schedules"]: "{schedules}", "processor time of one": "{cpu:.2f} s",
                "simulated time of one": "{simulated:.1f} s"}  # fmt: skip

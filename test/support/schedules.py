@@ -149,11 +149,20 @@ def drawn(seed: int) -> Drawn:
     kinds = [kind for kind in KINDS if kind not in shared]
     kinds += ["disk"] * 3 if plan == "weigh" else []  # else it would be the rarest
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
-        kind, whom = draw.choice(kinds), draw.choice(FAULTY)
+        kind = draw.choice(kinds)
+        whom = draw.choice(FAULTY)
         if kind in ("overheat", "jump", "stranger", "late"):
             whom = draw.choice(JOINTS)
         elif kind == "call":
-            whom = draw.choice(("/driver/stop", "/excitation/abort", "/identifier/cancel", "/excitation/run", "/identifier/weigh"))
+            whom = draw.choice(
+                (
+                    "/driver/stop",
+                    "/excitation/abort",
+                    "/identifier/cancel",
+                    "/excitation/run",
+                    "/identifier/weigh",
+                )
+            )
         elif kind in ("unplug", "drop", "clock", "double", "disk"):
             whom = ""
         lasts_s = 10.0 ** draw.uniform(-3.0, 1.0) if kind in LASTING else 0.0
@@ -178,7 +187,9 @@ class Side:
     def __init__(self, made: World, space: str, broken: list[str]) -> None:
         self.world, self.space, self.mass_kg = made, f"/{space}" if space else "", 0.0
         self._broken = broken
-        self.position = made.user.create_publisher(Float64MultiArray, f"{self.space}/position_command", 10)
+        self.position = made.user.create_publisher(
+            Float64MultiArray, f"{self.space}/position_command", 10
+        )
 
     def broken(self, what: str) -> None:
         self._broken.append(f"{self.space[1:]} {what}".strip())
@@ -194,14 +205,17 @@ class Side:
         return self.process("virtual").node._robot
 
     def set(self, node: str, name: str, value: Any) -> bool:
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
         answer = self.call(f"/{node}/set_parameters", SetParameters, request, 5.0)
         return answer is not None and answer.results[0].successful
 
     # --- faults
 
     def commit(self, fault: Fault) -> None:
-        made, clock = self.world, self.world.clock
+        made = self.world
+        clock = self.world.clock
         process = self.process(fault.whom)
         if fault.kind in ("kill", "restart"):
             process.kill()
@@ -254,17 +268,26 @@ class Side:
 
     def command_late(self, fault: Fault) -> None:
         """A command is held back while somebody switches torque off and on, and comes, if it does, to an arm held anew."""
-        made, sent_s, driver = self.world, self.world.clock.now(), self.process("driver").node
+        made = self.world
+        sent_s = self.world.clock.now()
+        driver = self.process("driver").node
         before, made.graph.network = made.graph.network, Network(delay_s=fault.lasts_s)
         self.position.publish(labelled({fault.whom: NOWHERE_RAD}))
         made.graph.network = before
-        switched = [self.call("/driver/torque", SetBool, SetBool.Request(data=on), 10.0) for on in (False, True)]
+        switched = [
+            self.call("/driver/torque", SetBool, SetBool.Request(data=on), 10.0)
+            for on in (False, True)
+        ]
         held_s = made.clock.now()
         made.clock.sleep(max(sent_s + fault.lasts_s + 0.1 - held_s, 0.0))
-        joint = None if driver is None or driver._driver is None else driver._driver._joints[fault.whom]
+        joint = (
+            None if driver is None or driver._driver is None else driver._driver._joints[fault.whom]
+        )
         if all(answer is not None and answer.success for answer in switched) and joint is not None:
             if joint.target_rad == NOWHERE_RAD:
-                self.broken(f"a command that was sent {held_s - sent_s:.2f} s before torque was on moves {fault.whom}")
+                self.broken(
+                    f"a command that was sent {held_s - sent_s:.2f} s before torque was on moves {fault.whom}"
+                )
 
     def heal(self) -> None:
         """What a person does who finds things so."""
@@ -285,7 +308,8 @@ class Side:
 
     def recover(self, held: bool = True) -> None:
         """Until all is as before; whoever was deactivated is activated. ``held``: torque has been switched on again, too."""
-        clock, unwell = self.world.clock, self.unwell(held)
+        clock = self.world.clock
+        unwell = self.unwell(held)
         until_s = clock.now() + WELL_S
         while unwell and clock.now() < until_s:
             for process in map(self.process, FAULTY):
@@ -304,8 +328,12 @@ class Side:
                 return f"the {name} is not active"
             if self.world.clock.stalled(process.name):
                 return f"the {name} is stalled"
-        driver, excitation = self.process("driver").node._driver, self.process("excitation").node._machine
-        blocked = held and (driver.state.value != "running" or any(joint.blocked for joint in driver._joints.values()))
+        driver = self.process("driver").node._driver
+        excitation = self.process("excitation").node._machine
+        blocked = held and (
+            driver.state.value != "running"
+            or any(joint.blocked for joint in driver._joints.values())
+        )
         if driver.state.value == "disconnected" or blocked:
             return f"the driver is {driver.state.value}: {driver.reason}"
         if excitation.busy or self.process("identifier").node._busy():
@@ -324,7 +352,9 @@ class Side:
     def still(self, why: str) -> None:
         speeds = self.robot.arm.velocity_rad_s().tolist()
         if max(map(abs, speeds)) > STILL_RAD_S:
-            self.broken(f"{why}: the arm is not held: {[round(speed, 2) for speed in speeds]} rad/s")
+            self.broken(
+                f"{why}: the arm is not held: {[round(speed, 2) for speed in speeds]} rad/s"
+            )
 
     def push(self, why: str) -> str:
         """Ask for a push, and wait for its end."""
@@ -332,8 +362,14 @@ class Side:
         answer = self.call("/excitation/run", within_s=10.0)
         if answer is None or not answer.success:
             return "" if answer is None else f"not: {answer.message}"
-        machine, until_s = process.node._machine, self.world.clock.now() + ANSWER_S
-        while machine.busy and process.alive and process.node is not None and process.node._machine is machine:
+        machine = process.node._machine
+        until_s = self.world.clock.now() + ANSWER_S
+        while (
+            machine.busy
+            and process.alive
+            and process.node is not None
+            and process.node._machine is machine
+        ):
             if self.world.clock.now() > until_s:
                 self.broken(f"{why}: a push does not end")
                 return ""
@@ -381,8 +417,11 @@ class Schedule:
         return side.push(why) if self.drawn.plan == "push" else side.weigh(why)
 
     def play(self) -> Outcome:
-        made, clock, outcome = self.world, self.world.clock, self.outcome
-        began_s, logged = clock.now(), len(made.graph.log)
+        made = self.world
+        clock = self.world.clock
+        outcome = self.outcome
+        began_s = clock.now()
+        logged = len(made.graph.log)
         for side, mass_kg in zip(self.sides, self.drawn.masses_kg, strict=False):
             side.mass_kg = mass_kg
             side.set("virtual", "object", f"{mass_kg}")
@@ -411,7 +450,8 @@ class Schedule:
             last = self.ask(side, "after all was mended")
             if not last.startswith("accepted"):
                 side.broken(f"the next one does not work: {last}")
-            spared = side is not self.sides[0] and not self.drawn.network.late  # what is late by 0.5 s ends a push of either arm
+            # what is late by 0.5 s ends a push of either arm
+            spared = side is not self.sides[0] and not self.drawn.network.late
             if spared and not (said and said[0].startswith("accepted")):
                 side.broken(f"was not touched, and did not work: {said}")
         outcome.answer = " | ".join(said[0] if said else "" for _, said in asked)
@@ -420,7 +460,8 @@ class Schedule:
         return outcome
 
     def go_wrong(self, side: Side) -> None:
-        clock, begun_s = self.world.clock, self.world.clock.now()
+        clock = self.world.clock
+        begun_s = self.world.clock.now()
         for fault in self.drawn.faults:
             clock.sleep(max(begun_s + fault.at_s - clock.now(), 0.0))
             side.commit(fault)
@@ -428,22 +469,40 @@ class Schedule:
     def gone(self, side: Side) -> bool:
         """Whether whoever was asked has ended, and so never answers."""
         of = "excitation" if self.drawn.plan == "push" else "identifier"
-        ended = [fault for fault in self.drawn.faults if fault.whom == of and fault.kind in ("kill", "restart", "end")]
+        ended = [
+            fault
+            for fault in self.drawn.faults
+            if fault.whom == of and fault.kind in ("kill", "restart", "end")
+        ]
         return side is self.sides[0] and bool(ended)
 
     def look_back(self, began_s: float, logged: int) -> None:
         """What nodes have done, said and kept meanwhile."""
-        made, broken = self.world, self.outcome.broken
-        broken += [f"{process.name} has ended by itself" for process in made.processes.values() if not process.alive]
-        told = [(at_s - began_s, name, severity, text) for at_s, name, severity, text in made.graph.log[logged:]]
-        broken += [f"{at_s:.2f} s: {name}: {text}" for at_s, name, _, text in told if "a defect in" in text]
-        self.outcome.log = [f"{at_s:8.3f} {name} {severity}: {text}" for at_s, name, severity, text in told]
+        made = self.world
+        broken = self.outcome.broken
+        broken += [
+            f"{process.name} has ended by itself"
+            for process in made.processes.values()
+            if not process.alive
+        ]
+        told = [
+            (at_s - began_s, name, severity, text)
+            for at_s, name, severity, text in made.graph.log[logged:]
+        ]
+        broken += [
+            f"{at_s:.2f} s: {name}: {text}" for at_s, name, _, text in told if "a defect in" in text
+        ]
+        self.outcome.log = [
+            f"{at_s:8.3f} {name} {severity}: {text}" for at_s, name, severity, text in told
+        ]
         for side in self.sides:
             until_s = made.clock.now() + SAVED_S
             while side.process("identifier").node._unsaved and made.clock.now() < until_s:
                 made.clock.sleep(0.1)
             if unsaved := side.process("identifier").node._unsaved:
-                broken.append(f"recordings that are only in memory: {[each.name for each in unsaved]}")
+                broken.append(
+                    f"recordings that are only in memory: {[each.name for each in unsaved]}"
+                )
         if left := [str(path) for path in Path().rglob(JOURNAL)]:
             broken.append(f"recordings that were not saved: {left}")
         if self.digest:
@@ -458,7 +517,8 @@ def digest_of(folder: Path) -> str:
     from proprio_ros.recordings.messages import deserialised, message_types
     from proprio_ros.recordings.reader import open_bag
 
-    types, found = message_types(), hashlib.sha256()
+    types = message_types()
+    found = hashlib.sha256()
     for path in sorted(folder.rglob("bag")):
         with open_bag(path) as bag:
             for topic in bag.topics.all:
@@ -471,14 +531,19 @@ def digest_of(folder: Path) -> str:
 @contextlib.contextmanager
 def standing(plan: str, folder: Path) -> Iterator[World]:
     """A world in which what the plan asks for, one of `PLANS`, has worked, without a fault; ``folder``: empty."""
-    push, weigh = folder / "push.yaml", folder / "weigh.yaml"
+    push = folder / "push.yaml"
+    weigh = folder / "weigh.yaml"
     push.write_text(PUSH)
     weigh.write_text(WEIGH)
     nodes: dict[str, dict[str, Any]] = {
         "virtual": {"object": "0.05"},
         "driver": {"rate": 50.0 if plan == "weigh" else 40.0},
         "excitation": {"probe": str(push)},
-        "identifier": {"calibration": str(CALIBRATION), "payload_sequence": str(weigh), "live_period": 0.0},
+        "identifier": {
+            "calibration": str(CALIBRATION),
+            "payload_sequence": str(weigh),
+            "live_period": 0.0,
+        },
     }
     spaces = ("left", "right") if plan == "pair" else ("",)
     before = Path.cwd()
@@ -488,22 +553,36 @@ def standing(plan: str, folder: Path) -> Iterator[World]:
         with world(Path("data"), nodes=nodes, only=(), coarse=True) as made:
             for space in spaces:
                 for name in NODES:
-                    link = {"virtual": {"link": f"{LINK}{space}"}, "driver": {"port": f"{LINK}{space}"}}.get(name, {})
-                    made.start(name, {**nodes[name], **link}, space, f"{space}/{name}" if space else name)
+                    link = {
+                        "virtual": {"link": f"{LINK}{space}"},
+                        "driver": {"port": f"{LINK}{space}"},
+                    }.get(name, {})
+                    made.start(
+                        name, {**nodes[name], **link}, space, f"{space}/{name}" if space else name
+                    )
             made.clock.sleep(1.0)
             broken: list[str] = []
             for side in (Side(made, space, broken) for space in spaces):
                 side.mass_kg = 0.05
-                answer = side.push("at the beginning") if plan == "push" else side.weigh("at the beginning")
-                assert answer.startswith("accepted") and not broken, f"{answer} {broken} {made.graph.log}"
-                side.heal()  # from where the next one begins: to go there first takes as long as a push
+                answer = (
+                    side.push("at the beginning")
+                    if plan == "push"
+                    else side.weigh("at the beginning")
+                )
+                assert answer.startswith("accepted") and not broken, (
+                    f"{answer} {broken} {made.graph.log}"
+                )
+                # from where the next one begins: to go there first takes as long as a push
+                side.heal()
                 made.clock.sleep(0.5)
             yield made
     finally:
         os.chdir(before)
 
 
-def played(seeds: Sequence[int], folder: Path, digest: bool = False, together: int = 2) -> Iterator[Outcome]:
+def played(
+    seeds: Sequence[int], folder: Path, digest: bool = False, together: int = 2
+) -> Iterator[Outcome]:
     """Play schedules: those of a plan together, each from a world of that plan that stands."""
 
     def live(made: World, seed: int) -> Outcome:
@@ -525,7 +604,11 @@ def played(seeds: Sequence[int], folder: Path, digest: bool = False, together: i
 
 def calibrate(folder: Path) -> None:
     """The arm of virtual seed 1 calibrates itself, in the simulated world, and the file is kept."""
-    elbow = {"live_period": 0.0, "robot_sequence": "empty_hand_elbow", "reference_sequence": "reference_elbow"}
+    elbow = {
+        "live_period": 0.0,
+        "robot_sequence": "empty_hand_elbow",
+        "reference_sequence": "reference_elbow",
+    }
     with world(folder, seed=0, nodes={"virtual": {"object": "0.05"}, "identifier": elbow}) as made:
         answer = made.call("/identifier/calibrate_robot")
         assert answer.success, answer.message
@@ -534,8 +617,12 @@ def calibrate(folder: Path) -> None:
 
 def counted(outcomes: Iterable[Outcome], tell: bool) -> dict[str, Any]:
     """Print what is broken as it comes; how often there was what."""
-    kinds, plans, failed, recorded = Counter[str](), Counter[str](), list[int](), dict[int, str]()
-    cpu_s, simulated_s = Counter[str](), Counter[str]()
+    kinds = Counter[str]()
+    plans = Counter[str]()
+    failed = list[int]()
+    recorded = dict[int, str]()
+    cpu_s = Counter[str]()
+    simulated_s = Counter[str]()
     for outcome in outcomes:
         kinds.update(fault.kind for fault in outcome.faults)
         plans[outcome.plan] += 1
@@ -550,7 +637,9 @@ def counted(outcomes: Iterable[Outcome], tell: bool) -> dict[str, Any]:
         if outcome.broken or tell:
             print(outcome, flush=True)
     here = Path(__file__).parent
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=here, capture_output=True, text=True)
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=here, capture_output=True, text=True
+    )
     return {
         "commit": commit.stdout.strip(), "schedules": plans.total(), "plans": plans, "faults": kinds, "failed": sorted(failed),
         "cpu_s": {plan: round(spent_s, 1) for plan, spent_s in cpu_s.items()},
@@ -581,6 +670,9 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    if os.environ.get("PYTHONHASHSEED") != "0":  # the order in which sets are gone through is part of a schedule
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "PYTHONHASHSEED": "0"})
+    # the order in which sets are gone through is part of a schedule
+    if os.environ.get("PYTHONHASHSEED") != "0":
+        os.execve(
+            sys.executable, [sys.executable, *sys.argv], {**os.environ, "PYTHONHASHSEED": "0"}
+        )
     raise SystemExit(main())

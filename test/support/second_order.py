@@ -19,7 +19,9 @@ def _shape(at: float) -> tuple[np.ndarray, np.ndarray]:
     return value, np.array([at - 0.5, -2.0 * at, at + 0.5])
 
 
-def bonded_force(edge: float, elements: int, squeezes: np.ndarray, mu: float, lam: float) -> np.ndarray:
+def bonded_force(
+    edge: float, elements: int, squeezes: np.ndarray, mu: float, lam: float
+) -> np.ndarray:
     """Force on a finger [N] of a cube with bonded faces, at squeezes [m] in rising order.
 
     Args:
@@ -39,18 +41,24 @@ def bonded_force(edge: float, elements: int, squeezes: np.ndarray, mu: float, la
             for k in range(elements)
         ]
     )
-    gradients, weights = [], []
+    gradients = []
+    weights = []
     for a, wa in zip(_POINTS, _WEIGHTS, strict=True):
         for b, wb in zip(_POINTS, _WEIGHTS, strict=True):
             for c, wc in zip(_POINTS, _WEIGHTS, strict=True):
                 (na, da), (nb, db), (nc, dc) = _shape(a), _shape(b), _shape(c)
-                parts = [np.einsum("i,j,k", *x).ravel() for x in ((da, nb, nc), (na, db, nc), (na, nb, dc))]
+                parts = [
+                    np.einsum("i,j,k", *x).ravel()
+                    for x in ((da, nb, nc), (na, db, nc), (na, nb, dc))
+                ]
                 gradients.append(np.stack(parts, axis=1) * 2.0 / h)
                 weights.append(wa * wb * wc * (h / 2.0) ** 3)
     grad, weight = np.array(gradients), np.array(weights)
     top = number[-1].ravel()
     held = np.zeros((n**3, 3), dtype=bool)
-    held[number[0].ravel(), 0] = held[number[:, 0].ravel(), 1] = held[number[:, :, 0].ravel(), 2] = True
+    held[number[0].ravel(), 0] = held[number[:, 0].ravel(), 1] = held[
+        number[:, :, 0].ravel(), 2
+    ] = True
     held[top] = True
     free = np.flatnonzero(~held)
     rows = (3 * corners[:, :, None] + np.arange(3)).reshape(len(corners), 81)
@@ -61,12 +69,20 @@ def bonded_force(edge: float, elements: int, squeezes: np.ndarray, mu: float, la
         inverse = np.linalg.inv(f).swapaxes(-1, -2)  # F^-T
         log_j = np.log(np.linalg.det(f))[..., None, None]
         p = mu * (f - inverse) + lam * log_j * inverse
-        tangent = mu * np.einsum("ac,bd->abcd", identity, identity) + lam * np.einsum("eqab,eqcd->eqabcd", inverse, inverse)
-        tangent = tangent + np.einsum("eq,eqad,eqcb->eqabcd", mu - lam * log_j[..., 0, 0], inverse, inverse)
+        tangent = mu * np.einsum("ac,bd->abcd", identity, identity) + lam * np.einsum(
+            "eqab,eqcd->eqabcd", inverse, inverse
+        )
+        tangent = tangent + np.einsum(
+            "eq,eqad,eqcb->eqabcd", mu - lam * log_j[..., 0, 0], inverse, inverse
+        )
         force = np.einsum("q,eqab,qkb->eka", weight, p, grad)
         half = np.einsum("q,eqabcd,qkb->eqkacd", weight, tangent, grad)
-        stiff = np.einsum("eqkacd,qld->ekalc", half, grad, optimize=True).reshape(len(corners), 81, 81)
-        total = np.bincount(rows.ravel(), force.reshape(len(corners), 81).ravel(), minlength=3 * n**3)
+        stiff = np.einsum("eqkacd,qld->ekalc", half, grad, optimize=True).reshape(
+            len(corners), 81, 81
+        )
+        total = np.bincount(
+            rows.ravel(), force.reshape(len(corners), 81).ravel(), minlength=3 * n**3
+        )
         index = np.repeat(rows, 81, axis=1).ravel(), np.tile(rows, (1, 81)).ravel()
         return total, csc_matrix((stiff.ravel(), index), shape=(3 * n**3, 3 * n**3))
 

@@ -65,17 +65,25 @@ class SensingArm:
         spec = mujoco.MjSpec.from_string(text)
         spec.compiler.fusestatic = False
         self.model = model = spec.compile()
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        model.opt.disableflags |= (
+            mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        )
         self.data, self.tool = mujoco.MjData(model), model.body("tool0").id
         links = [model.body(f"body_{number}").id for number in range(self.joints)]
         model.body_mass[links] *= 1.0 + 0.05 * rng.standard_normal(self.joints)
         model.body_ipos[links] += 0.004 * rng.standard_normal((self.joints, 3))
         size = 1.0 - 0.75 * np.arange(self.joints) / self.joints
         self.noise = rng.uniform(0.04, 0.12) * size
-        self.drift, self.drift_s = rng.uniform(0.03, 0.12, self.joints) * size, rng.uniform(1.0, 8.0, self.joints)
+        self.drift, self.drift_s = (
+            rng.uniform(0.03, 0.12, self.joints) * size,
+            rng.uniform(1.0, 8.0, self.joints),
+        )
         self.coulomb = rng.uniform(0.05, 0.5, self.joints) * size
         self.viscous = rng.uniform(0.0, 0.5, self.joints) * size
-        self.place, self.phase = rng.uniform(0.0, 0.3, self.joints), rng.uniform(0.0, 6.0, self.joints)
+        self.place, self.phase = (
+            rng.uniform(0.0, 0.3, self.joints),
+            rng.uniform(0.0, 6.0, self.joints),
+        )
         self.scale = 1.0 + TORQUE_STD * rng.standard_normal(self.joints)
         self.middle = rng.uniform(-0.5, 0.5, self.joints)
         self.at, self.now_s = self.middle.copy(), 0.0
@@ -88,7 +96,8 @@ class SensingArm:
         """Torque of each joint that carries 1 kg in the hand at a random pose [N m/kg], shape (n,)."""
         import mujoco
 
-        pose, torques = self.middle + self.rng.uniform(-self.reached_rad, self.reached_rad, self.joints), []
+        pose = self.middle + self.rng.uniform(-self.reached_rad, self.reached_rad, self.joints)
+        torques = []
         for load in (None, (1.0, np.zeros(3))):
             self._hold(load)
             self.data.qpos[:], self.data.qvel[:], self.data.qacc[:] = pose, 0.0, 0.0
@@ -98,11 +107,20 @@ class SensingArm:
 
     def _moves(self, seconds: float, elsewhere: float) -> np.ndarray:
         """Positions, velocities and accelerations at the instants of the joint states, shape (3, T, n)."""
-        rng, parts, samples = self.rng, [], round(seconds * self.rate_Hz)
+        rng = self.rng
+        parts = []
+        samples = round(seconds * self.rate_Hz)
         while sum(part.shape[1] for part in parts) < samples:
-            goal = self.middle + elsewhere + rng.uniform(-self.reached_rad, self.reached_rad, self.joints)
-            takes_s, rest_s = rng.uniform(0.8, 1.2) + 0.6 * np.abs(goal - self.at).max(), rng.uniform(0.05, 0.5)
-            s = (np.arange(round((takes_s + rest_s) * self.rate_Hz)) / self.rate_Hz / takes_s)[:, None]
+            goal = (
+                self.middle
+                + elsewhere
+                + rng.uniform(-self.reached_rad, self.reached_rad, self.joints)
+            )
+            takes_s = rng.uniform(0.8, 1.2) + 0.6 * np.abs(goal - self.at).max()
+            rest_s = rng.uniform(0.05, 0.5)
+            s = (np.arange(round((takes_s + rest_s) * self.rate_Hz)) / self.rate_Hz / takes_s)[
+                :, None
+            ]
             s = np.minimum(s, 1.0)
             way = goal - self.at
             parts.append(np.array([
@@ -124,15 +142,22 @@ class SensingArm:
         mujoco.mj_setConst(self.model, self.data)
 
     def work(
-        self, seconds: float, loads: Sequence[tuple[float, Load | None]] = (), name: str = "work", elsewhere: float = 0.0
+        self,
+        seconds: float,
+        loads: Sequence[tuple[float, Load | None]] = (),
+        name: str = "work",
+        elsewhere: float = 0.0,
     ) -> Motion:
         """What it reports; it takes each load (None: puts it down) at that many seconds, in whatever motion it is."""
         import mujoco
 
-        moves, rng, data = self._moves(seconds, elsewhere), self.rng, self.data
+        moves = self._moves(seconds, elsewhere)
+        rng = self.rng
+        data = self.data
         count = moves.shape[1]
         times_s = np.arange(count) / self.rate_Hz
-        torque, ahead = np.zeros((count, self.joints)), list(loads)
+        torque = np.zeros((count, self.joints))
+        ahead = list(loads)
         self._hold(None)
         for row, (q, qd, qdd) in enumerate(np.swapaxes(moves, 0, 1)):
             while ahead and times_s[row] >= ahead[0][0]:
@@ -140,15 +165,36 @@ class SensingArm:
             data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
             mujoco.mj_inverse(self.model, data)
             torque[row] = data.qfrc_inverse
-        position, velocity = moves[0], moves[1]
-        friction = self.coulomb * (1.0 + self.place * np.sin(position + self.phase)) * np.tanh(velocity / 0.01)
+        position = moves[0]
+        velocity = moves[1]
+        friction = (
+            self.coulomb
+            * (1.0 + self.place * np.sin(position + self.phase))
+            * np.tanh(velocity / 0.01)
+        )
         keeps = np.exp(-1.0 / self.rate_Hz / self.drift_s)
         drift = np.zeros((count, self.joints))
         steps = rng.standard_normal((count, self.joints)) * self.drift
         for row in range(count):
-            drift[row] = steps[row] if row == 0 else keeps * drift[row - 1] + np.sqrt(1.0 - keeps**2) * steps[row]
-        torque += friction * (1.0 + 0.05 * rng.standard_normal(self.joints)) + self.viscous * velocity + drift
+            drift[row] = (
+                steps[row]
+                if row == 0
+                else keeps * drift[row - 1] + np.sqrt(1.0 - keeps**2) * steps[row]
+            )
+        torque += (
+            friction * (1.0 + 0.05 * rng.standard_normal(self.joints))
+            + self.viscous * velocity
+            + drift
+        )
         effort = torque * self.scale + self.noise * rng.standard_normal(torque.shape)
         heard_s = times_s + 2e-4 * rng.standard_normal(count)
         reading = position + 2e-5 * rng.standard_normal(position.shape)
-        return Motion(name, tuple(joints_of(self.joints)), heard_s - heard_s[0], reading, effort, {}, "measured torque")
+        return Motion(
+            name,
+            tuple(joints_of(self.joints)),
+            heard_s - heard_s[0],
+            reading,
+            effort,
+            {},
+            "measured torque",
+        )

@@ -25,7 +25,8 @@ FLANGE_M = 0.107
 
 def urdf() -> str:
     """The arm as text."""
-    links, joints = [link("link0")], []
+    links = [link("link0")]
+    joints = []
     for number, (a, d, alpha, lower, upper, effort, velocity, mass, com) in enumerate(JOINTS, 1):
         moment = 0.004 * mass
         inertia = f'<inertia ixx="{moment}" ixy="0" ixz="0" iyy="{moment}" iyz="0" izz="{moment}"/>'

@@ -27,7 +27,11 @@ from proprio_ros.robot import Robot
 from proprio_ros.sim.energies import young
 from proprio_ros.sim.payload import PayloadFacts
 
-REFERENCES = ("fixed_reference_100g_joint3_x1", "fixed_reference_100g_joint2_x2", "fixed_reference_100g_joint2_x3")
+REFERENCES = (
+    "fixed_reference_100g_joint3_x1",
+    "fixed_reference_100g_joint2_x2",
+    "fixed_reference_100g_joint2_x3",
+)
 BLOCKS = ("light", "heavy", "random")
 
 
@@ -49,12 +53,18 @@ def fixed(recordings: Path, level: str) -> list[Path]:
 
 
 def empty_runs(level: Path, robot: Robot, pattern: str = "empty_*") -> list[LoadedRun]:
-    return [LoadedRun(run) for folder in sorted(level.glob(pattern)) for run in runs_of(folder, robot)]
+    return [
+        LoadedRun(run) for folder in sorted(level.glob(pattern)) for run in runs_of(folder, robot)
+    ]
 
 
 def reference_runs(level: Path, robot: Robot) -> list[LoadedRun]:
     """Runs with the reference of 100 g."""
-    return [LoadedRun(run, KnownLoad(0.1, facts_of(level / name))) for name in REFERENCES for run in runs_of(level / name, robot)]
+    return [
+        LoadedRun(run, KnownLoad(0.1, facts_of(level / name)))
+        for name in REFERENCES
+        for run in runs_of(level / name, robot)
+    ]
 
 
 # --- fixed objects ------------------------------------------------------------------------------------------------------
@@ -65,7 +75,10 @@ def stated(truth: Mapping[str, Any]) -> dict[str, Any]:
     payload = truth["payload"]
     if not payload or payload["mass"] == 0.0:
         return {"payload.shape": "point"}
-    return {"payload.com": payload["offset"], "payload.inertia_per_mass": [value / payload["mass"] for value in payload["inertia"]]}
+    return {
+        "payload.com": payload["offset"],
+        "payload.inertia_per_mass": [value / payload["mass"] for value in payload["inertia"]],
+    }
 
 
 def facts_of(folder: Path) -> PayloadFacts:
@@ -75,7 +88,14 @@ def facts_of(folder: Path) -> PayloadFacts:
 
 def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
     """The simulator's drive train, put into the robot file as exactly known."""
-    exact = ("delay_s", "onset_jitter_s", "torque_disturbance_N_m", "link_mass_std", "link_com_std_m", "link_inertia_std")
+    exact = (
+        "delay_s",
+        "onset_jitter_s",
+        "torque_disturbance_N_m",
+        "link_mass_std",
+        "link_com_std_m",
+        "link_inertia_std",
+    )
     settings: dict[str, Any] = {f"robot.{key}": 0.0 for key in exact} | {"robot.arm_scale": 1.0}
     for joint, values in truth["joints"].items():
         if joint == "gripper_left_joint":
@@ -130,10 +150,17 @@ class Boxes:
         return sorted(self.folder.glob(f"{self.prefix}{pattern}"))
 
     def baseline(self, but: str = "") -> list[Run]:
-        return [run for folder in self.folders("container_no_sphere_*") if folder.name != but for run in self.runs(folder)]
+        return [
+            run
+            for folder in self.folders("container_no_sphere_*")
+            if folder.name != but
+            for run in self.runs(folder)
+        ]
 
     def find(self, folders: list[Path], **settings: Any) -> Estimate:
-        facts = container_facts(Settings({**stated_of_box(folders[0]), **settings}), probe_file("container"))
+        facts = container_facts(
+            Settings({**stated_of_box(folders[0]), **settings}), probe_file("container")
+        )
         runs = [run for folder in folders for run in self.runs(folder)]
         return find_sphere(self.robot, runs, facts, None, self.baseline(folders[0].name))
 
@@ -145,4 +172,6 @@ def cube_of(folder: Path) -> tuple[float, float, float]:
 
 
 def squeezed(robot: Robot, folder: Path, **facts: Any) -> Estimate:
-    return find_softness(robot, runs_of(folder, robot), BlockFacts(np.full(3, cube_of(folder)[0]), **facts))
+    return find_softness(
+        robot, runs_of(folder, robot), BlockFacts(np.full(3, cube_of(folder)[0]), **facts)
+    )

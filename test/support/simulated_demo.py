@@ -22,12 +22,22 @@ class SimulatedGraph:
     def __enter__(self) -> SimulatedGraph:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.world.close()
 
     def start(self, node: str, parameters: Mapping[str, Any], namespace: str = "") -> None:
         place = {name: LINK for name in ("link", "port") if name in parameters}
-        self.world.start(node, {"report": True, **parameters, **place} if node == "identifier" else {**parameters, **place})
+        self.world.start(
+            node,
+            {"report": True, **parameters, **place}
+            if node == "identifier"
+            else {**parameters, **place},
+        )
 
     def check(self) -> None:
         assert all(process.alive for process in self.world.processes.values())

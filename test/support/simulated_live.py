@@ -37,7 +37,11 @@ class Client(Listener):
 
 @contextmanager
 def running(
-    folder: Path, *nodes: str, seed: int = 0, network: Network | None = None, **parameters: dict[str, Any]
+    folder: Path,
+    *nodes: str,
+    seed: int = 0,
+    network: Network | None = None,
+    **parameters: dict[str, Any],
 ) -> Iterator[Client]:
     """The nodes (default all four), up and talking; parameters by node."""
     names = nodes or ("virtual", "driver", "excitation", "identifier")
@@ -53,7 +57,9 @@ def running(
             "virtual": lambda: client.motors,
             "driver": lambda: client.states,
             "excitation": lambda: client.excitation.get("phase") == "idle",
-            "identifier": lambda: client.statuses and values_of(client.statuses[-1])["doing"] != "starting",
+            "identifier": lambda: (
+                client.statuses and values_of(client.statuses[-1])["doing"] != "starting"
+            ),
         }
         for name in names:
             assert client.wait_for(signs[name]), client.log(name)

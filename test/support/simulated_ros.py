@@ -72,12 +72,15 @@ class Graph:
     def subscribers(self, topic: str) -> list[Subscription]:
         """Who listens to a topic, in the order of `all`; looked up once until somebody begins or ends to."""
         if topic not in self.by_topic:
-            self.by_topic[topic] = [each for each in self.all("subscriptions") if each.topic_name == topic]
+            self.by_topic[topic] = [
+                each for each in self.all("subscriptions") if each.topic_name == topic
+            ]
         return self.by_topic[topic]
 
     def arrival(self, last_s: float) -> list[float]:
         """When a message comes, after whichever came last from the same publisher; not at all where it is lost."""
-        network, draw = self.network, self.random.random
+        network = self.network
+        draw = self.random.random
         if draw() < network.lose:
             return []
         at_s = self.clock._now_s + network.delay_s + network.jitter_s * draw()
@@ -104,7 +107,9 @@ GRAPH: list[Graph] = []
 class Publisher:
     def __init__(self, node: SimulatedNode, kind: type, topic: str, qos: Any) -> None:
         self._node, self.msg_type, self.topic_name, self.topic = node, kind, topic, topic
-        self.latched = isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        self.latched = (
+            isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        )
         self.last: bytes | None = None
         self._number = 0
 
@@ -116,7 +121,9 @@ class Publisher:
         if isinstance(message, bytes):
             data = message
         else:
-            assert isinstance(message, self.msg_type), f"{self.topic_name}: {type(message)} is no {self.msg_type}"
+            assert isinstance(message, self.msg_type), (
+                f"{self.topic_name}: {type(message)} is no {self.msg_type}"
+            )
             if not self.latched and not graph.subscribers(self.topic_name):
                 return
             data = serialize_message(message)
@@ -152,18 +159,33 @@ def _read(data: bytes, kind: type) -> Any:
 
 
 class Subscription:
-    def __init__(self, node: SimulatedNode, kind: type, topic: str, callback: Any, qos: Any, raw: bool, polled: bool) -> None:
+    def __init__(
+        self,
+        node: SimulatedNode,
+        kind: type,
+        topic: str,
+        callback: Any,
+        qos: Any,
+        raw: bool,
+        polled: bool,
+    ) -> None:
         self._node, self.msg_type, self.topic_name, self.topic = node, kind, topic, topic
         self.callback, self.raw, self.polled = callback, raw, polled
         self.depth = qos.depth if isinstance(qos, QoSProfile) else int(qos)
-        self.latched = isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        self.latched = (
+            isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        )
         self.queue: deque[tuple[float, bytes, int]] = deque()
         self.handle = self
         self._wants_info = not _takes_one(callback)
         self._last_s: dict[int, float] = {}
         if self.latched:
             for publisher in node.graph.all("publishers"):
-                if publisher.topic_name == topic and publisher.latched and publisher.last is not None:
+                if (
+                    publisher.topic_name == topic
+                    and publisher.latched
+                    and publisher.last is not None
+                ):
                     self.deliver(publisher, publisher.last, publisher._number)
 
     def __enter__(self) -> Subscription:
@@ -201,7 +223,11 @@ class Subscription:
         return (data if raw else _read(data, kind)), info
 
     def ready(self) -> bool:
-        return not self.polled and bool(self.queue) and self.queue[0][0] <= self._node.graph.clock._now_s
+        return (
+            not self.polled
+            and bool(self.queue)
+            and self.queue[0][0] <= self._node.graph.clock._now_s
+        )
 
     def serve(self) -> bool:
         told = None if self.polled else self.take_message(self.msg_type, self.raw)
@@ -214,7 +240,13 @@ class Subscription:
 
 class Service:
     def __init__(self, node: SimulatedNode, kind: Any, name: str, callback: Any) -> None:
-        self._node, self.srv_type, self.srv_name, self.service_name, self.callback = node, kind, name, name, callback
+        self._node, self.srv_type, self.srv_name, self.service_name, self.callback = (
+            node,
+            kind,
+            name,
+            name,
+            callback,
+        )
         self.queue: deque[tuple[float, Any, Any]] = deque()
 
     def send_response(self, response: Any, header: Any) -> None:
@@ -268,7 +300,10 @@ class Client:
         self._pending: list[Future] = []
 
     def _service(self) -> Service | None:
-        return next((each for each in self._node.graph.all("services") if each.srv_name == self.srv_name), None)
+        return next(
+            (each for each in self._node.graph.all("services") if each.srv_name == self.srv_name),
+            None,
+        )
 
     def service_is_ready(self) -> bool:
         return self._service() is not None
@@ -326,7 +361,9 @@ class Timer:
         now_s = self._node.graph.clock._now_s
         if self.cancelled or self.next_s > now_s:
             return False
-        self.next_s += self.period_s * max(1, math.ceil((now_s - self.next_s) / self.period_s + 1e-9))
+        self.next_s += self.period_s * max(
+            1, math.ceil((now_s - self.next_s) / self.period_s + 1e-9)
+        )
         self._node.due(self.next_s)
         self.callback()
         return True
@@ -354,7 +391,9 @@ class _NodeClock:
 
     def now(self) -> _Time:
         if self._heard is None:
-            return _Time(SYSTEM_AHEAD_NS + int(1e9 * (self._graph.clock.now() + self._graph.set_by_s)))
+            return _Time(
+                SYSTEM_AHEAD_NS + int(1e9 * (self._graph.clock.now() + self._graph.set_by_s))
+            )
         stamp = self._heard[-1].clock if self._heard else None
         return _Time(0 if stamp is None else 10**9 * stamp.sec + stamp.nanosec)
 
@@ -389,7 +428,9 @@ class SimulatedNode:
         "deactivate": ("active", "inactive"), "cleanup": ("inactive", "unconfigured"),
     }  # fmt: skip
 
-    def __init__(self, name: str, *, namespace: str = "", parameter_overrides: Any = (), **_: Any) -> None:
+    def __init__(
+        self, name: str, *, namespace: str = "", parameter_overrides: Any = (), **_: Any
+    ) -> None:
         self.graph = GRAPH[-1]
         self._ros_name, self._ros_namespace = name, "/" + namespace.strip("/") if namespace else "/"
         self._ros_overrides = {each.name: each.value for each in parameter_overrides or ()}
@@ -465,17 +506,24 @@ class SimulatedNode:
                 if not result.successful:
                     break
             if result.successful:
-                self._ros_parameters[parameter.name] = (parameter.value, known[1] if known else None)
+                self._ros_parameters[parameter.name] = (
+                    parameter.value,
+                    known[1] if known else None,
+                )
             results.append(result)
         return results
 
     def _set_from_far(self, request: Any, response: Any) -> Any:
-        response.results = self.set_parameters([Parameter.from_parameter_msg(each) for each in request.parameters])
+        response.results = self.set_parameters(
+            [Parameter.from_parameter_msg(each) for each in request.parameters]
+        )
         return response
 
     def _get_from_far(self, request: Any, response: Any) -> Any:
         for name in request.names:
-            response.values.append(Parameter(name, value=self._ros_parameters[name][0]).get_parameter_value())
+            response.values.append(
+                Parameter(name, value=self._ros_parameters[name][0]).get_parameter_value()
+            )
         return response
 
     # --- what it has
@@ -488,10 +536,20 @@ class SimulatedNode:
     create_lifecycle_publisher = create_publisher
 
     def create_subscription(
-        self, kind: type, topic: str, callback: Any, qos: Any, *, raw: bool = False, callback_group: Any = None, **_: Any
+        self,
+        kind: type,
+        topic: str,
+        callback: Any,
+        qos: Any,
+        *,
+        raw: bool = False,
+        callback_group: Any = None,
+        **_: Any,
     ) -> Subscription:
         polled = callback_group is not None
-        subscription = Subscription(self, kind, self.resolve_topic_name(topic), callback, qos, raw, polled)
+        subscription = Subscription(
+            self, kind, self.resolve_topic_name(topic), callback, qos, raw, polled
+        )
         self._ros_subscriptions.append(subscription)
         self.graph.by_topic.clear()
         return subscription
@@ -544,10 +602,16 @@ class SimulatedNode:
         self.graph.by_topic.clear()
 
     def count_publishers(self, topic: str) -> int:
-        return sum(each.topic_name == self.resolve_topic_name(topic) for each in self.graph.all("publishers"))
+        return sum(
+            each.topic_name == self.resolve_topic_name(topic)
+            for each in self.graph.all("publishers")
+        )
 
     def count_subscribers(self, topic: str) -> int:
-        return sum(each.topic_name == self.resolve_topic_name(topic) for each in self.graph.all("subscriptions"))
+        return sum(
+            each.topic_name == self.resolve_topic_name(topic)
+            for each in self.graph.all("subscriptions")
+        )
 
     def _infos(self, kind: str, topic: str) -> list[Any]:
         return [
@@ -570,7 +634,9 @@ class SimulatedNode:
         found: dict[str, set[str]] = {}
         for each in itertools.chain(self.graph.all("publishers"), self.graph.all("subscriptions")):
             module = each.msg_type.__module__.split(".")
-            found.setdefault(each.topic_name, set()).add(f"{module[0]}/{module[1]}/{each.msg_type.__name__}")
+            found.setdefault(each.topic_name, set()).add(
+                f"{module[0]}/{module[1]}/{each.msg_type.__name__}"
+            )
         return [(topic, sorted(kinds)) for topic, kinds in found.items()]
 
     def get_clock(self) -> _NodeClock:
@@ -633,15 +699,19 @@ class SimulatedNode:
 
     def spin_once(self, timeout_s: float) -> None:
         """One callback that is due, or a wait."""
-        clock, dues = self.graph.clock, self._ros_dues
+        clock = self.graph.clock
+        dues = self._ros_dues
         end_s = clock._now_s + timeout_s
         while True:
-            while self._ros_ready:  # all that was found ready has its turn before anything is looked at again
+            # all that was found ready has its turn before anything is looked at again
+            while self._ros_ready:
                 if self._ros_ready.popleft().serve():
                     return
             now_s = clock._now_s
             if dues and dues[0] <= now_s:
-                self._ros_ready.extend([each for each in self._ros_timers if each.next_s <= now_s and each.ready()])
+                self._ros_ready.extend(
+                    [each for each in self._ros_timers if each.next_s <= now_s and each.ready()]
+                )
                 queues = (*self._ros_subscriptions, *self._ros_services)
                 self._ros_ready.extend([each for each in queues if each.queue and each.ready()])
                 if self._serve_answer():

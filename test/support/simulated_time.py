@@ -73,10 +73,16 @@ class SimulatedClock:
         return SimulatedLock(self)
 
     def thread(
-        self, target: Callable[..., None], name: str, args: tuple[Any, ...] = (), group: str | None = None
+        self,
+        target: Callable[..., None],
+        name: str,
+        args: tuple[Any, ...] = (),
+        group: str | None = None,
     ) -> SimulatedThread:
         """A thread of the group of whoever makes it, unless another is named; killing a group ends all its threads."""
-        return SimulatedThread(self, partial(target, *args), name, self.actor.group if group is None else group)
+        return SimulatedThread(
+            self, partial(target, *args), name, self.actor.group if group is None else group
+        )
 
     # --- what a world does with it
 
@@ -95,7 +101,11 @@ class SimulatedClock:
 
     def stalled(self, group: str) -> bool:
         """Whether a group waits for that."""
-        return any(each.group == group and each.stalled_until_s > self._now_s for each in self.actors if not each.done)
+        return any(
+            each.group == group and each.stalled_until_s > self._now_s
+            for each in self.actors
+            if not each.done
+        )
 
     def come_after_others(self) -> None:
         """Here nobody is kept from a processor."""
@@ -133,7 +143,9 @@ class SimulatedClock:
     def _next(self) -> Actor:
         while True:
             if not self._waiting:
-                raise RuntimeError(f"everybody waits for ever: {[a.name for a in self.actors if not a.done]}")
+                raise RuntimeError(
+                    f"everybody waits for ever: {[a.name for a in self.actors if not a.done]}"
+                )
             due_s, _, _, actor = heapq.heappop(self._waiting)
             if actor.done or due_s != actor.due_s:
                 continue  # was woken before
@@ -241,7 +253,9 @@ class SimulatedLock:
 class SimulatedThread:
     """As `threading.Thread`."""
 
-    def __init__(self, clock: SimulatedClock, target: Callable[[], None], name: str, group: str) -> None:
+    def __init__(
+        self, clock: SimulatedClock, target: Callable[[], None], name: str, group: str
+    ) -> None:
         self._clock, self._target, self.name = clock, target, name
         self.actor = clock._enter(name, group)
         self.actor.done = True

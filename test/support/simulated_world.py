@@ -42,10 +42,14 @@ def _on_stand_ins() -> dict[str, ModuleType]:
         names = [name for name in sys.modules if name == room or name.startswith(f"{room}.")]
         return {name: sys.modules.pop(name) for name in names}
 
-    before, attribute = taken(), getattr(proprio_ros, "nodes", None)
+    before = taken()
+    attribute = getattr(proprio_ros, "nodes", None)
     try:
         with simulated_ros.installed():
-            return {name: importlib.import_module(f"{room}.{name}") for name in (*NODES, "runtime", "demo")}
+            return {
+                name: importlib.import_module(f"{room}.{name}")
+                for name in (*NODES, "runtime", "demo")
+            }
     finally:
         taken()
         sys.modules.update(before)
@@ -72,7 +76,9 @@ class Process:
 
     def start(self) -> None:
         self._ended = self._world.clock.event()
-        self._thread: SimulatedThread = self._world.clock.thread(self._run, self.name, group=self.name)
+        self._thread: SimulatedThread = self._world.clock.thread(
+            self._run, self.name, group=self.name
+        )
         self._thread.start()
 
     def _run(self) -> None:
@@ -195,7 +201,9 @@ class World:
         # what has to be compiled is said, so that a world would go another way on a computer that has no kernels yet
         kernels.progress = SimpleNamespace(say=lambda _words: None)  # type: ignore[assignment]
         virtual_robot.PtyPort = SimulatedPort  # type: ignore[assignment,misc]
-        ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(port, *rest, connect=partial(Wire, self.clock, port))
+        ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(
+            port, *rest, connect=partial(Wire, self.clock, port)
+        )
         ROOM["virtual"].VirtualRobot = CoarseRobot if coarse else HandledRobot
         ROOM["excitation"].LastWords = Speaker
         self._needed: dict[str, dict[str, Any]] = {
@@ -209,12 +217,19 @@ class World:
             self.start(name, given.get(name, {}))
         self.user = self.somebody("user")
 
-    def start(self, name: str, values: dict[str, Any], namespace: str = "", called: str = "") -> Process:
+    def start(
+        self, name: str, values: dict[str, Any], namespace: str = "", called: str = ""
+    ) -> Process:
         """Start a node; what is not a word, a number or a list becomes a word. ``called``: its process, where names would clash."""
-        plain = {key: str(value) if isinstance(value, Path) else value for key, value in {**self._needed[name], **values}.items()}
+        plain = {
+            key: str(value) if isinstance(value, Path) else value
+            for key, value in {**self._needed[name], **values}.items()
+        }
         overrides = [Parameter(key, value=value) for key, value in plain.items()]
         kind = getattr(ROOM[name], NODES[name])
-        make = partial(kind, parameter_overrides=overrides, **({"namespace": namespace} if namespace else {}))
+        make = partial(
+            kind, parameter_overrides=overrides, **({"namespace": namespace} if namespace else {})
+        )
         called = called or name
         self.processes[called] = Process(self, called, make)
         return self.processes[called]
@@ -235,7 +250,9 @@ class World:
         self.clock.thread(spin, name, group=name).start()
         return node
 
-    def call(self, service: str, kind: Any = Trigger, request: Any = None, within_s: float = 600.0) -> Any:
+    def call(
+        self, service: str, kind: Any = Trigger, request: Any = None, within_s: float = 600.0
+    ) -> Any:
         """The answer of a service; None where it never comes."""
         client = self.user.create_client(kind, service)
         client.wait_for_service(60.0)

@@ -43,7 +43,10 @@ def state(
     topic: str = "/joint_states",
     stamp_ns: int | None = None,
 ) -> Message:
-    time, header, joint_state = (TYPES.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE))
+    time, header, joint_state = (
+        TYPES.types[name]
+        for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
+    )
     seconds, nanoseconds = divmod(time_ns if stamp_ns is None else stamp_ns, 10**9)
     content = joint_state(
         header=header(stamp=time(sec=seconds, nanosec=nanoseconds), frame_id=""),
@@ -56,12 +59,20 @@ def state(
 
 
 def command(
-    time_ns: int, current: Sequence[float], labels: Sequence[str] = (), topic: str = "/current_command", msgtype: str = FLOATS
+    time_ns: int,
+    current: Sequence[float],
+    labels: Sequence[str] = (),
+    topic: str = "/current_command",
+    msgtype: str = FLOATS,
 ) -> Message:
-    dimension, layout = (TYPES.types[f"std_msgs/msg/{name}"] for name in ("MultiArrayDimension", "MultiArrayLayout"))
+    dimension, layout = (
+        TYPES.types[f"std_msgs/msg/{name}"] for name in ("MultiArrayDimension", "MultiArrayLayout")
+    )
     dtype = np.float32 if "32" in msgtype else np.float64
     content = TYPES.types[msgtype](
-        layout=layout(dim=[dimension(label=label, size=1, stride=1) for label in labels], data_offset=0),
+        layout=layout(
+            dim=[dimension(label=label, size=1, stride=1) for label in labels], data_offset=0
+        ),
         data=np.array(current, dtype=dtype),
     )
     return Message(time_ns, topic, msgtype, content)
@@ -106,7 +117,9 @@ def commands(**changes: Any) -> list[Message]:
 
 
 def read(path: Path, **options: Any) -> Recording:
-    return read_recording(path, **({"nominal_torque_constants": CONSTANTS, "joint_order": JOINTS} | options))
+    return read_recording(
+        path, **({"nominal_torque_constants": CONSTANTS, "joint_order": JOINTS} | options)
+    )
 
 
 @contextmanager

@@ -27,14 +27,27 @@ def joint(
 
 
 def chain(*joints: str, links: str | None = None) -> str:
-    links = links or "".join(link(name) for name in ("base", "one", "two", "three")[: len(joints) + 1])
+    links = links or "".join(
+        link(name) for name in ("base", "one", "two", "three")[: len(joints) + 1]
+    )
     return f'<robot name="arm">{links}{"".join(joints)}</robot>'
 
 
 def inertial(mass: str = "1", **moments: str) -> str:
-    values = {"ixx": "0.01", "ixy": "0", "ixz": "0", "iyy": "0.01", "iyz": "0", "izz": "0.01"} | moments
+    values = {
+        "ixx": "0.01",
+        "ixy": "0",
+        "ixz": "0",
+        "iyy": "0.01",
+        "iyz": "0",
+        "izz": "0.01",
+    } | moments
     text = " ".join(f'{key}="{value}"' for key, value in values.items())
-    return chain(joint("a"), links=link("base") + link("one", f'<inertial><mass value="{mass}"/><inertia {text}/></inertial>'))
+    return chain(
+        joint("a"),
+        links=link("base")
+        + link("one", f'<inertial><mass value="{mass}"/><inertia {text}/></inertial>'),
+    )
 
 
 THREE = chain(joint("a"), joint("b", "one", "two"), joint("c", "two", "three", kind="fixed"))

@@ -65,10 +65,17 @@ def spring_law(directions: int, stribeck: bool) -> Law:
         y: VEC2, dy: mat, u: VEC3, p: wp.array2d(dtype=FLOAT), dp: wp.array2d(dtype=vec), w: wp.int32, data: JointData,
         r: wp.int32,
     ):  # fmt: skip
-        load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG] + p[w, STIFFNESS] * y[0]
+        load = (
+            p[w, GRAVITY_CONSTANT]
+            + u[LOAD]
+            + p[w, CARRIED] * u[LOAD_PER_KG]
+            + p[w, STIFFNESS] * y[0]
+        )
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
         d_load = d_load + p[w, STIFFNESS] * dy[0] + y[0] * dp[w, STIFFNESS]
-        a, da = acceleration(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)
+        a, da = acceleration(
+            y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r
+        )
         return VEC2(y[1], a), wp.matrix_from_rows(dy[1], da)
 
     return one_joint_law(directions, JointData, rates)
@@ -121,19 +128,28 @@ class SpringProblem(Problem):
         return p, dp
 
 
-def find_spring(robot: Robot, runs: Sequence[Run], prior: float, baseline: Sequence[Run] = ()) -> Estimate:
+def find_spring(
+    robot: Robot, runs: Sequence[Run], prior: float, baseline: Sequence[Run] = ()
+) -> Estimate:
     prepared = [prepare_run(robot, run, KnownLoad()) for run in (*runs, *baseline)]
 
-    unknowns = [Unknown("spring_stiffness", 0.0, prior, -10.0, 10.0), *robot_unknowns(robot, prepared, Role.FREE)]
+    unknowns = [
+        Unknown("spring_stiffness", 0.0, prior, -10.0, 10.0),
+        *robot_unknowns(robot, prepared, Role.FREE),
+    ]
     problem = SpringProblem(robot, prepared, PayloadFacts(), unknowns)
     problem.with_spring = len(runs)
     starts = problem.coordinates.internal(problem.coordinates.prior_mean[None])
-    fit = FitResult.of(problem, solvers.levenberg_marquardt(problem, starts, problem.simulator.windows, iterations=60))
+    fit = FitResult.of(
+        problem,
+        solvers.levenberg_marquardt(problem, starts, problem.simulator.windows, iterations=60),
+    )
     return StiffnessFound(fit, fit, Findings(), len(runs)).estimate()
 
 
 class StiffnessFound(Conclusion):
-    probe, name = "spring", "spring_stiffness"
+    probe = "spring"
+    name = "spring_stiffness"
 
     def refusals(self) -> Iterator[Refusal]:
         if self.fit.reduced_chi2 > MISFIT_LIMIT:
@@ -143,11 +159,19 @@ class StiffnessFound(Conclusion):
     def values(self, withheld: str) -> tuple[Value, ...]:
         if withheld:
             return (Value(self.name, "N m/rad", None, reason=withheld),)
-        value, std = self.assessed.value, self.assessed.std
+        value = self.assessed.value
+        std = self.assessed.std
         return (Value(self.name, "N m/rad", value, std, [value - Z95 * std, value + Z95 * std]),)
 
     def solver(self) -> SolverSummary:
-        return summary(self.fit, self.name, [0.0], self.assessed.std, self.fit.solution.iterations, SearchOptions())
+        return summary(
+            self.fit,
+            self.name,
+            [0.0],
+            self.assessed.std,
+            self.fit.solution.iterations,
+            SearchOptions(),
+        )
 
     def assumptions(self) -> tuple[str, ...]:
         return ("a spring between the joint and its zero",)

@@ -17,7 +17,8 @@ from proprio_ros.robot import Robot
 from support.hand import COUNT_A, JOINTS, ROBOT, Hand
 
 GRIPPER = "gripper_left_joint"
-EDGE_M, GAP_M = 0.03, 0.0005
+EDGE_M = 0.03
+GAP_M = 0.0005
 
 
 def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
@@ -25,23 +26,33 @@ def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], f
     return made(load_sequence(name, ROBOT), hand)
 
 
-def made(sequence: ExcitationSequence, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
+def made(
+    sequence: ExcitationSequence, hand: Hand
+) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
     """The machine at its end, the runs of the recording, and how far the fingers closed from where they began [m]."""
-    machine, sample = ExcitationMachine(ROBOT), hand.sample()
+    machine = ExcitationMachine(ROBOT)
+    sample = hand.sample()
     machine.start(sequence, sample)
     began = closed = hand.arm.position()[GRIPPER]
-    times, places, currents = [], [], []
+    times = []
+    places = []
+    currents = []
     while machine.busy:
         command = machine.tick(hand.time_s, sample)
         times.append(round(1e9 * sample.time_s))
         places.append([sample.position[joint] for joint in JOINTS])
         # the driver's echo at every sample, in steps of the servo
-        currents.append([COUNT_A * round(command.current_A.get(joint, 0.0) / COUNT_A) for joint in JOINTS])
+        currents.append(
+            [COUNT_A * round(command.current_A.get(joint, 0.0) / COUNT_A) for joint in JOINTS]
+        )
         sample = hand.step(command)
         closed = min(closed, hand.arm.position()[GRIPPER])
     stamps = np.array(times)
     inputs = InputRecord(stamps, JOINTS, np.array(currents), "/applied_effort")
-    runs = cut_runs(Recording(sequence.name, JointRecord(stamps, JOINTS, np.array(places)), inputs), joints=list(JOINTS))
+    runs = cut_runs(
+        Recording(sequence.name, JointRecord(stamps, JOINTS, np.array(places)), inputs),
+        joints=list(JOINTS),
+    )
     return machine, runs, began - closed
 
 
@@ -54,7 +65,9 @@ def calibrated(seed: int) -> Robot:
     return ROBOT.with_calibration(estimate.calibration)
 
 
-def squeezed(robot: Robot, seed: int, block: SoftBlock) -> tuple[ExcitationMachine, Estimate, float]:
+def squeezed(
+    robot: Robot, seed: int, block: SoftBlock
+) -> tuple[ExcitationMachine, Estimate, float]:
     hand = Hand(seed, block)
     machine, runs, closed = played("softness", hand)
     assert machine.phase is Phase.DONE, machine.message

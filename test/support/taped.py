@@ -44,14 +44,18 @@ class PlainLaw:
     delay: int
     start: Callable[..., Any]  # (p, w, data, r) -> y
     rates: Callable[..., Any]  # (y, u, p, w, data, r) -> k
-    step: Callable[..., Any]  # (y, h, u, p, w, data, r) -> the state a time h later, by its integrator
+    # (y, h, u, p, w, data, r) -> the state a time h later, by its integrator
+    step: Callable[..., Any]
     still: Callable[..., Any]  # as in `Law`
 
 
 @cache
 def schedule(law: PlainLaw) -> Any:
     """Rollout without tangents (thread = world); where ``capacity`` is above 0 it writes down every step, for the adjoint."""
-    start, rates, step, still = law.start, law.rates, law.step, law.still
+    start = law.start
+    rates = law.rates
+    step = law.step
+    still = law.still
     delay_column = law.delay
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -140,7 +144,8 @@ def schedule(law: PlainLaw) -> Any:
 @cache
 def taped(law: PlainLaw) -> Any:
     """A kernel whose adjoint is right, on the steps of `schedule`."""
-    start, step = law.start, law.step
+    start = law.start
+    step = law.step
     delay_column = law.delay
 
     @wp.kernel(module="unique")
@@ -200,7 +205,16 @@ def observe(law: PlainLaw) -> Any:
 
 
 @wp.func
-def plain_rate(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: JointData, r: wp.int32):
+def plain_rate(
+    q: FLOAT,
+    v: FLOAT,
+    command: FLOAT,
+    extra: FLOAT,
+    p: FLOATS,
+    w: wp.int32,
+    data: JointData,
+    r: wp.int32,
+):
     return acceleration(q, v, command, extra, p, w, data.constants, r)
 
 
@@ -241,7 +255,10 @@ def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -
             v4 = v + h * a3
             a4 = rate(q + h * v3, v4, command, extra, p, w, data, r)
             sixth = h / FLOAT(6.0)
-            return VEC2(q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4))
+            return VEC2(
+                q + sixth * (v + two * v2 + two * v3 + v4),
+                v + sixth * (a1 + two * a2 + two * a3 + a4),
+            )
         else:
             later = v + h * a1
             return VEC2(q + h * later, later)
@@ -250,15 +267,26 @@ def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -
 
 
 def forward(
-    owner: JointSimulator, law: PlainLaw, runs: wp.array, p: wp.array, capacity: int = 0, record_cmd: bool = False
+    owner: JointSimulator,
+    law: PlainLaw,
+    runs: wp.array,
+    p: wp.array,
+    capacity: int = 0,
+    record_cmd: bool = False,
 ) -> tuple[list[wp.array], Any]:
     """Launch the rollout without tangents, or record it; with a ``capacity`` it writes down so many steps.
 
     Returns:
         The outputs of `schedule`, on the device, and the recorded command.
     """
-    worlds, steps, samples = len(p), max(capacity, 1), owner._width
-    out = [owner._zeros((worlds, samples), law.state), owner._zeros((worlds, steps)), owner._zeros((worlds, steps))]
+    worlds = len(p)
+    steps = max(capacity, 1)
+    samples = owner._width
+    out = [
+        owner._zeros((worlds, samples), law.state),
+        owner._zeros((worlds, steps)),
+        owner._zeros((worlds, steps)),
+    ]
     out += [owner._zeros((worlds, steps), VEC3), owner._zeros(worlds, wp.int32)]
     out += [owner._zeros((worlds, samples), wp.int32)]
     given = [*owner._run_data(owner._full_counts), runs, p, capacity]
@@ -276,9 +304,14 @@ class TapedRollout:
         q: Positions at the sample instants, shape (W, T).
     """
 
-    def __init__(self, owner: JointSimulator, law: PlainLaw, world_run: np.ndarray, p: np.ndarray) -> None:
-        worlds, width = len(p), owner._width
-        longest = max(float(run.sample_times_s[-1]) + abs(float(p[:, DELAY].min())) for run in owner.runs)
+    def __init__(
+        self, owner: JointSimulator, law: PlainLaw, world_run: np.ndarray, p: np.ndarray
+    ) -> None:
+        worlds = len(p)
+        width = owner._width
+        longest = max(
+            float(run.sample_times_s[-1]) + abs(float(p[:, DELAY].min())) for run in owner.runs
+        )
         finest = min(min(run.fine_step_s, run.step_s) for run in owner.runs)
         capacity = int(np.ceil(longest / finest)) + width + int(owner._switch_times.shape[1]) + 2
         if capacity > MAX_STEPS:
@@ -296,7 +329,13 @@ class TapedRollout:
         self._tape = wp.Tape()
         with self._tape:
             runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device="cpu")
-            runtime.launch(observe(law), dim=(worlds, width), inputs=samples, outputs=[self._sampled], device="cpu")
+            runtime.launch(
+                observe(law),
+                dim=(worlds, width),
+                inputs=samples,
+                outputs=[self._sampled],
+                device="cpu",
+            )
         self.q = self._sampled.numpy().copy()
 
     def gradient(self, weights: np.ndarray) -> np.ndarray:
@@ -308,7 +347,11 @@ class TapedRollout:
         return gradient
 
 
-def tape(simulator: JointSimulator, world_run: np.ndarray, p: np.ndarray, law: PlainLaw | None = None) -> TapedRollout:
+def tape(
+    simulator: JointSimulator, world_run: np.ndarray, p: np.ndarray, law: PlainLaw | None = None
+) -> TapedRollout:
     """A rollout recorded on a ``wp.Tape``, by a law without tangents; None is the joint's own."""
     law = plain_joint_law(plain_rate, JointData, simulator.integrator) if law is None else law
-    return TapedRollout(simulator, law, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
+    return TapedRollout(
+        simulator, law, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64)
+    )

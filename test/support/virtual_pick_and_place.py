@@ -45,10 +45,13 @@ class Worker:
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng((self.seed, 77))
         truth = Truth.draw(self.robot, self.seed, links=True)
-        self.arm = VirtualArm(self.robot, truth, position=PARKED, seed=self.seed, control_period_s=CONTROL_PERIOD_S)
+        self.arm = VirtualArm(
+            self.robot, truth, position=PARKED, seed=self.seed, control_period_s=CONTROL_PERIOD_S
+        )
         self.servos = []
         for name in self.arm.joints:
-            motor, drive = self.robot.motors[name], self.robot.drive_trains[name]
+            motor = self.robot.motors[name]
+            drive = self.robot.drive_trains[name]
             servo = VirtualServo(
                 servo_model(motor.model),
                 int(motor.id or 0),
@@ -84,7 +87,9 @@ class Worker:
             self._from, self._begun_s = self._to, self.now_s
             self._to = self.rng.uniform(LOWEST, HIGHEST)
             self._takes_s = self.move_s * self.rng.uniform(1.0, 1.5)
-        share = 1.0 if self._takes_s == 0.0 else min((self.now_s - self._begun_s) / self._takes_s, 1.0)
+        share = (
+            1.0 if self._takes_s == 0.0 else min((self.now_s - self._begun_s) / self._takes_s, 1.0)
+        )
         return self._from + (self._to - self._from) * (10 * share**3 - 15 * share**4 + 6 * share**5)
 
     @property
@@ -92,10 +97,14 @@ class Worker:
         """Whether it has arrived."""
         return self.now_s - self._begun_s > self._takes_s + 0.5 * self.pause_s
 
-    def work(self, seconds: float, mass_kg: float = 0.0, com_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Motion:
+    def work(
+        self, seconds: float, mass_kg: float = 0.0, com_m: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> Motion:
         """What it reports for some seconds with this in its hand; it takes it where it stands."""
         self.arm.hold(Payload(mass_kg, com_m=tuple(com_m)) if mass_kg > 0.0 else None)
-        times, positions, currents = [], [], []
+        times = []
+        positions = []
+        currents = []
         current = np.zeros(len(self.servos))
         every = round(1.0 / RATE_HZ / CONTROL_PERIOD_S)
         for step in range(round(seconds / CONTROL_PERIOD_S)):
@@ -103,15 +112,24 @@ class Worker:
             if step % every == 0:
                 self._goal[self.motors] = self._wanted()
                 for row, servo in enumerate(self.servos):
-                    self._write(servo, "goal_position", servo.model.counts_of_position(float(self._goal[row])))
-            angle, velocity = self.arm.encoder_rad().tolist(), self.arm.velocity_rad_s().tolist()
+                    self._write(
+                        servo,
+                        "goal_position",
+                        servo.model.counts_of_position(float(self._goal[row])),
+                    )
+            angle = self.arm.encoder_rad().tolist()
+            velocity = self.arm.velocity_rad_s().tolist()
             for row, servo in enumerate(self.servos):
                 current[row] = servo.control(self.now_s, angle[row], velocity[row])
             self.arm.step(current)
             if step % every == every // 2:
                 times.append(self.now_s)
-                positions.append([servo.model.angle_rad(servo["present_position"]) for servo in self.servos])
-                currents.append([servo.model.current_A(servo["present_current"]) for servo in self.servos])
+                positions.append(
+                    [servo.model.angle_rad(servo["present_position"]) for servo in self.servos]
+                )
+                currents.append(
+                    [servo.model.current_A(servo["present_current"]) for servo in self.servos]
+                )
         names = tuple(self.arm.joints[i] for i in self.motors)
         return Motion(
             f"work {mass_kg:g} kg", names, np.array(times), np.array(positions)[:, self.motors],

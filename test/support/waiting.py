@@ -9,7 +9,12 @@ SOON_S = 60.0
 """What happens within a second on an idle computer. It costs time only where a test fails."""
 
 
-def comes_true(ready: Callable[[], object], seconds: float, now: Callable[[], float], sleep: Callable[[float], None]) -> bool:
+def comes_true(
+    ready: Callable[[], object],
+    seconds: float,
+    now: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> bool:
     """Whether it became true within the time of a clock."""
     end_s = now() + seconds
     while not ready():

@@ -68,11 +68,17 @@ def drive(arm: VirtualArm, current_A: float, duration_s: float) -> None:
         arm.step(np.array([current_A]))
 
 
-def potential(robot: Robot, position: Mapping[str, float], carried: list[tuple[float, tuple[float, float, float]]]) -> float:
+def potential(
+    robot: Robot,
+    position: Mapping[str, float],
+    carried: list[tuple[float, tuple[float, float, float]]],
+) -> float:
     """Potential energy [J]; carried: masses [kg] and places in the payload frame [m]."""
     energy = 0.0
     for link in robot.model.links:
-        first_moment = (robot.model.frame_transform(link.name, position) @ link.pseudo_inertia[:, 3])[:3]
+        first_moment = (
+            robot.model.frame_transform(link.name, position) @ link.pseudo_inertia[:, 3]
+        )[:3]
         energy -= float(robot.gravity @ first_moment)
     hand = robot.model.frame_transform(robot.payload_frame, position)
     for mass, place in carried:
@@ -81,23 +87,31 @@ def potential(robot: Robot, position: Mapping[str, float], carried: list[tuple[f
 
 
 def holding_torque(
-    robot: Robot, position: Mapping[str, float], carried: list[tuple[float, tuple[float, float, float]]]
+    robot: Robot,
+    position: Mapping[str, float],
+    carried: list[tuple[float, tuple[float, float, float]]],
 ) -> FloatArray:
     """Torque at each shaft that balances gravity [N m]."""
     torques = []
     for name, train in robot.drive_trains.items():
         step = 1e-5 * train.transmission
-        ends = [potential(robot, {**position, name: position[name] + sign * step}, carried) for sign in (1.0, -1.0)]
+        ends = [
+            potential(robot, {**position, name: position[name] + sign * step}, carried)
+            for sign in (1.0, -1.0)
+        ]
         torques.append((ends[0] - ends[1]) / 2e-5)
     return np.array(torques)
 
 
 def kinetic(robot: Robot, position: Mapping[str, float], velocity: Mapping[str, float]) -> float:
     """Kinetic energy of the links [J]."""
-    step, energy = 1e-6, 0.0
+    step = 1e-6
+    energy = 0.0
     for link in robot.model.links:
         ends = [
-            robot.model.frame_transform(link.name, {name: position[name] + h * velocity[name] for name in position})
+            robot.model.frame_transform(
+                link.name, {name: position[name] + h * velocity[name] for name in position}
+            )
             for h in (step, -step)
         ]
         rate = (ends[0] - ends[1]) / (2.0 * step)
@@ -110,7 +124,9 @@ def kinetic(robot: Robot, position: Mapping[str, float], velocity: Mapping[str, 
 
 @pytest.mark.parametrize("payload", [None, Payload(0.05), Payload(0.2, com_m=(0.02, -0.01, 0.015))])
 @pytest.mark.parametrize("gravity", [[0.0, 0.0, -9.81], [1.5, -2.0, -9.0]])
-def test_holding_currents_balance_gravity(robot: Robot, payload: Payload | None, gravity: list[float]) -> None:
+def test_holding_currents_balance_gravity(
+    robot: Robot, payload: Payload | None, gravity: list[float]
+) -> None:
     robot = robot.with_overrides({"gravity": gravity})
     arm = VirtualArm(robot, truth_of(robot, SMOOTH), position=POSE)
     arm.hold(payload)
@@ -134,7 +150,9 @@ def test_departing_links_shift_the_torque(robot: Robot) -> None:
     tilt = here["joint2"] + here["joint3"]
     added = departed - holding_torque(robot, here, [])
     lever_z = 0.1 * 0.13274562 * 2.2413e-4
-    assert added[2] == pytest.approx(-9.81 * (moment * math.cos(tilt) + lever_z * math.sin(tilt)), abs=5e-6)
+    assert added[2] == pytest.approx(
+        -9.81 * (moment * math.cos(tilt) + lever_z * math.sin(tilt)), abs=5e-6
+    )
     assert np.abs(departed - plain).max() > 0.02
 
 
@@ -149,7 +167,9 @@ def test_a_resting_sphere_weighs(robot: Robot) -> None:
     # the hand sags, the sphere rolls to the front and rests on the floor; contacts give way by some 10 um
     assert place == pytest.approx((0.018, 0.0, -0.008), abs=5e-5)
     spot = (0.01 + place[0], place[1], 0.005 + place[2])
-    assert torque == pytest.approx(holding_torque(robot, arm.position(), [(0.03, box.centre_m), (0.05, spot)]), abs=2e-5)
+    assert torque == pytest.approx(
+        holding_torque(robot, arm.position(), [(0.03, box.centre_m), (0.05, spot)]), abs=2e-5
+    )
 
 
 # -------------------------------------------------------------------------------------------------------------- dynamics
@@ -174,7 +194,8 @@ def test_friction_holds_below_and_yields_above(pendulum: Robot) -> None:
 def test_friction_grows_with_the_motor_torque(pendulum: Robot) -> None:
     # 0.4 N m against gravity's 0.589 sin q: sticks while |0.4 - 0.589 sin q| < 0.2 x 0.4
     arm = VirtualArm(pendulum, truth_of(pendulum, JointTruth(1.0, load_friction=0.2)))
-    inside, outside = math.asin(0.47 / 0.5886), math.asin(0.49 / 0.5886)
+    inside = math.asin(0.47 / 0.5886)
+    outside = math.asin(0.49 / 0.5886)
     for start, moves in ((inside, False), (outside, True)):
         arm.set_position({"pivot": start})
         drive(arm, 0.4, 0.5)
@@ -182,7 +203,9 @@ def test_friction_grows_with_the_motor_torque(pendulum: Robot) -> None:
 
 
 def test_stribeck_against_its_equation(pendulum: Robot) -> None:
-    hidden = JointTruth(1.0, coulomb=0.2, stribeck=0.5, stribeck_velocity=0.12, viscous=0.01, armature=0.02)
+    hidden = JointTruth(
+        1.0, coulomb=0.2, stribeck=0.5, stribeck_velocity=0.12, viscous=0.01, armature=0.02
+    )
     arm = VirtualArm(pendulum, truth_of(pendulum, hidden))
     drive(arm, 0.28, 1.0)
     assert abs(arm.shaft_rad()[0]) < 1e-4  # above the sliding friction, below the sticking one
@@ -225,19 +248,24 @@ def test_a_slide_counts_at_the_shaft(robot: Robot) -> None:
     for _ in range(100):
         arm.step(np.array([0.0, 0.0, 0.0, 0.0, 0.1]))
     inertia = 0.01 + 2.0 * 0.032218127 * 0.01149**2  # motor and both fingers
-    push, rate = 0.17 - 0.05, 0.02 / inertia
+    push = 0.17 - 0.05
+    rate = 0.02 / inertia
     angle = push / 0.02 * (0.1 - (1.0 - math.exp(-rate * 0.1)) / rate)
     assert arm.shaft_rad()[4] == pytest.approx(angle, rel=1e-3)
     assert arm.position()[GRIPPER] == pytest.approx(0.01149 * angle, rel=1e-3)
 
 
 def test_a_swinging_pendulum_keeps_its_energy(pendulum: Robot) -> None:
-    arm = VirtualArm(pendulum, truth_of(pendulum, JointTruth(1.0, armature=0.01)), position={"pivot": 2.0})
+    arm = VirtualArm(
+        pendulum, truth_of(pendulum, JointTruth(1.0, armature=0.01)), position={"pivot": 2.0}
+    )
     weight = 0.2 * 9.81 * 0.3
     energies = []
     for _ in range(4000):
         arm.step(np.zeros(1))
-        energies.append(0.5 * 0.028008 * arm.velocity_rad_s()[0] ** 2 - weight * math.cos(arm.shaft_rad()[0]))
+        energies.append(
+            0.5 * 0.028008 * arm.velocity_rad_s()[0] ** 2 - weight * math.cos(arm.shaft_rad()[0])
+        )
     assert np.ptp(energies) < 1e-6 * weight
     assert energies[0] == pytest.approx(-weight * math.cos(2.0), rel=1e-6)
 
@@ -249,7 +277,9 @@ def test_a_falling_arm_keeps_its_energy(robot: Robot) -> None:
     for _ in range(200):
         arm.step(np.array([0.1, 0.0, 0.0, 0.0, 0.0]))
     speed = dict(zip(arm.joints, arm.velocity_rad_s(), strict=True))
-    joint_speed = {name: rate * robot.drive_trains[name].transmission for name, rate in speed.items()}
+    joint_speed = {
+        name: rate * robot.drive_trains[name].transmission for name, rate in speed.items()
+    }
     now = potential(robot, arm.position(), []) + kinetic(robot, arm.position(), joint_speed)
     now += 0.5 * 0.01 * sum(rate**2 for rate in speed.values())
     work = 1.8 * 0.1 * (arm.position()["joint1"] - 0.3)
@@ -265,7 +295,10 @@ def test_limits_hold(robot: Robot, current_A: float) -> None:
         arm.step(np.array([0.0, 0.0, current_A, 0.0, 0.5 * current_A]))
         for name, value in arm.position().items():
             joint = robot.model.joint(name)
-            over = max(joint.lower - value, value - joint.upper) / robot.drive_trains[name].transmission
+            over = (
+                max(joint.lower - value, value - joint.upper)
+                / robot.drive_trains[name].transmission
+            )
             worst = max(worst, over)
     at = arm.position()
     end = robot.model.joint("joint3").upper if current_A > 0 else robot.model.joint("joint3").lower
@@ -304,7 +337,9 @@ def test_an_impossible_object_changes_nothing(robot: Robot) -> None:
 
 def test_a_sphere_rolls_down_a_slope(robot: Robot) -> None:
     # a slope that counts as level when the sphere is put down; rolling takes 2/7 of the acceleration
-    arm = VirtualArm(robot, truth_of(robot, JointTruth(1.8, armature=1e5)), position={"joint4": 0.019})
+    arm = VirtualArm(
+        robot, truth_of(robot, JointTruth(1.8, armature=1e5)), position={"joint4": 0.019}
+    )
     box = Container()
     arm.hold(box)
     for _ in range(400):
@@ -316,18 +351,26 @@ def test_a_sphere_rolls_down_a_slope(robot: Robot) -> None:
 def test_a_point_in_the_hand(robot: Robot) -> None:
     arm = VirtualArm(robot, truth_of(robot, SMOOTH))
     arm.hold(Payload(0.1, size_m=0.0))
-    assert 1.8 * settled(arm) == pytest.approx(holding_torque(robot, arm.position(), [(0.1, (0.0, 0.0, 0.0))]), abs=2e-6)
+    assert 1.8 * settled(arm) == pytest.approx(
+        holding_torque(robot, arm.position(), [(0.1, (0.0, 0.0, 0.0))]), abs=2e-6
+    )
 
 
 def test_a_shaken_sphere_stays_inside(robot: Robot) -> None:
     box = Container()
-    arm = VirtualArm(robot, truth_of(robot, SMOOTH), position={"joint2": -1.2, "joint3": 0.6, "joint4": 0.6})
+    arm = VirtualArm(
+        robot, truth_of(robot, SMOOTH), position={"joint2": -1.2, "joint3": 0.6, "joint4": 0.6}
+    )
     arm.hold(box)
     goal = arm.shaft_rad()
     places = []
     for k in range(6000):
         # first it is rocked, then thrown about
-        shake = (0.3 * math.sin(0.02 * k), 0.8 * math.sin(0.008 * k)) if k < 4000 else (math.sin(0.05 * k),) * 2
+        shake = (
+            (0.3 * math.sin(0.02 * k), 0.8 * math.sin(0.008 * k))
+            if k < 4000
+            else (math.sin(0.05 * k),) * 2
+        )
         arm.step(held_current(arm, goal + np.array([shake[0], 0.0, 0.0, shake[1], 0.0])))
         places.append(box.sphere_m(arm))
     inside = np.array(places)
@@ -341,7 +384,9 @@ def test_a_shaken_sphere_stays_inside(robot: Robot) -> None:
 
 def test_a_block_is_compressed_by_its_law(robot: Robot) -> None:
     block = SoftBlock(12000.0, (0.025, 0.03, 0.02), damping=200.0, gap_m=0.003, poissons_ratio=0.3)
-    arm = VirtualArm(robot, truth_of(robot, JointTruth(1.8, armature=0.012)), position={GRIPPER: 0.015})
+    arm = VirtualArm(
+        robot, truth_of(robot, JointTruth(1.8, armature=0.012)), position={GRIPPER: 0.015}
+    )
     arm.hold(block)
     current_A = -0.03
     for _ in range(6000):
@@ -354,16 +399,25 @@ def test_a_block_is_compressed_by_its_law(robot: Robot) -> None:
     strain = compression / 0.025
     assert strain > 0.1
     # the side faces carry nothing: the stretch across them solves the law's other component
-    mu, lam, stretch = 12000.0 / 2.6, 12000.0 * 0.3 / (1.3 * 0.4), 1.0 - strain
-    across = brentq(lambda l2: mu * (l2 - 1.0 / l2) + lam * np.log(stretch * l2**2) / l2, 1.0, 2.0, xtol=1e-14)
-    force = 0.03 * 0.02 * -(mu * (stretch - 1.0 / stretch) + lam * np.log(stretch * across**2) / stretch)
+    mu = 12000.0 / 2.6
+    lam = 12000.0 * 0.3 / (1.3 * 0.4)
+    stretch = 1.0 - strain
+    across = brentq(
+        lambda l2: mu * (l2 - 1.0 / l2) + lam * np.log(stretch * l2**2) / l2, 1.0, 2.0, xtol=1e-14
+    )
+    force = (
+        0.03
+        * 0.02
+        * -(mu * (stretch - 1.0 / stretch) + lam * np.log(stretch * across**2) / stretch)
+    )
     # the motor's work 1.8 i d(shaft) is the force's work on both sides, force d(compression)
     assert 1.8 * -current_A == pytest.approx(2.0 * 0.01149 * force, rel=1e-4)
 
 
 def test_a_block_never_pulls() -> None:
     block = SoftBlock(1e4, (0.02, 0.03, 0.03), damping=10.0, poissons_ratio=0.0)
-    elastic = 0.5e4 * 0.03 * 0.03 * (1.0 / 0.9 - 0.9)  # without a Poisson's ratio the sides stay as they are
+    # without a Poisson's ratio the sides stay as they are
+    elastic = 0.5e4 * 0.03 * 0.03 * (1.0 / 0.9 - 0.9)
     assert block.force_N(0.002, 0.0) == pytest.approx(elastic)
     assert block.force_N(0.002, 0.01) == pytest.approx(elastic + 0.1)
     assert block.force_N(0.002, -1.0) == 0.0
@@ -437,13 +491,22 @@ def test_wrong_objects_are_refused_in_one_line(text: str, said: str) -> None:
 def test_drawn_truths(robot: Robot) -> None:
     truths = [Truth.draw(robot, seed, links=True) for seed in range(200)]
     joints = [joint for truth in truths for joint in truth.joints.values()]
-    for term, low, high in (("coulomb", 0.024, 0.072), ("viscous", 0.0015, 0.009), ("load_friction", 0.0, 0.03)):
+    for term, low, high in (
+        ("coulomb", 0.024, 0.072),
+        ("viscous", 0.0015, 0.009),
+        ("load_friction", 0.0, 0.03),
+    ):
         values = [getattr(joint, term) for joint in joints]
-        assert low <= min(values) < low + 0.1 * (high - low) and high - 0.1 * (high - low) < max(values) <= high
+        assert (
+            low <= min(values) < low + 0.1 * (high - low)
+            and high - 0.1 * (high - low) < max(values) <= high
+        )
     assert np.std([joint.torque_constant for joint in joints]) == pytest.approx(0.09, rel=0.1)
     assert min(joint.armature for joint in joints) == pytest.approx(0.4 * 0.012)
     assert np.std([joint.zero_rad for joint in joints]) == pytest.approx(0.005, rel=0.1)
-    assert np.std([joint.once_per_turn_cos_rad for joint in joints]) == pytest.approx(0.001, rel=0.1)
+    assert np.std([joint.once_per_turn_cos_rad for joint in joints]) == pytest.approx(
+        0.001, rel=0.1
+    )
     assert all(0.002 <= truth.latency_s <= 0.006 for truth in truths)
     assert np.std([truth.arm_scale for truth in truths]) == pytest.approx(0.02, rel=0.15)
     assert np.std([truth.links["link4"].mass for truth in truths]) == pytest.approx(0.01, rel=0.15)
@@ -451,14 +514,17 @@ def test_drawn_truths(robot: Robot) -> None:
 
 
 def test_known_friction_is_drawn_about_its_value(robot: Robot) -> None:
-    robot = robot.with_overrides({"joints.joint3.drive_train.coulomb_N_m": {"value": 0.085, "std": 0.01}})
+    robot = robot.with_overrides(
+        {"joints.joint3.drive_train.coulomb_N_m": {"value": 0.085, "std": 0.01}}
+    )
     values = [Truth.draw(robot, seed).joints["joint3"].coulomb for seed in range(300)]
     assert np.mean(values) == pytest.approx(0.085, abs=0.002)
     assert np.std(values) == pytest.approx(0.01, rel=0.15)
 
 
 def test_a_seed_gives_the_same_motors_whatever_else_is_drawn(robot: Robot) -> None:
-    plain, full = Truth.draw(robot, 7), Truth.draw(robot, 7, links=True, stribeck=True)
+    plain = Truth.draw(robot, 7)
+    full = Truth.draw(robot, 7, links=True, stribeck=True)
     assert full != plain == Truth.draw(robot, 7) != Truth.draw(robot, 8)
     assert all(joint.stribeck > 0.0 for joint in full.joints.values())
     without = {name: replace(joint, stribeck=0.0) for name, joint in full.joints.items()}
@@ -474,12 +540,18 @@ def test_truth_in_a_file(robot: Robot) -> None:
 
 
 def test_encoders(robot: Robot) -> None:
-    hidden = JointTruth(1.8, zero_rad=0.02, once_per_turn_sin_rad=0.003, once_per_turn_cos_rad=-0.002)
+    hidden = JointTruth(
+        1.8, zero_rad=0.02, once_per_turn_sin_rad=0.003, once_per_turn_cos_rad=-0.002
+    )
     arm = VirtualArm(robot, truth_of(robot, hidden), position=POSE)
     true = arm.shaft_rad()
     assert true[4] == pytest.approx(0.005 / 0.01149)
-    assert arm.encoder_rad() == pytest.approx(true - 0.02 + 0.003 * np.sin(true) - 0.002 * np.cos(true), abs=1e-12)
-    noisy = VirtualArm(robot, truth_of(robot, replace(hidden, encoder_noise_rad=0.001)), position=POSE)
+    assert arm.encoder_rad() == pytest.approx(
+        true - 0.02 + 0.003 * np.sin(true) - 0.002 * np.cos(true), abs=1e-12
+    )
+    noisy = VirtualArm(
+        robot, truth_of(robot, replace(hidden, encoder_noise_rad=0.001)), position=POSE
+    )
     noise = np.array([noisy.encoder_rad() for _ in range(2000)]) - arm.encoder_rad()
     assert np.std(noise, axis=0) == pytest.approx(0.001, rel=0.1)
     assert np.mean(noise, axis=0) == pytest.approx(0.0, abs=1e-4)
@@ -487,7 +559,9 @@ def test_encoders(robot: Robot) -> None:
 
 def test_the_same_seed_gives_the_same_world(robot: Robot) -> None:
     def readings(seed: int) -> FloatArray:
-        arm = VirtualArm(robot, Truth.draw(robot, 1, links=True, stribeck=True), position=POSE, seed=seed)
+        arm = VirtualArm(
+            robot, Truth.draw(robot, 1, links=True, stribeck=True), position=POSE, seed=seed
+        )
         arm.hold(Container())
         rows = []
         for k in range(300):
@@ -522,7 +596,9 @@ def test_mistakes_are_refused(robot: Robot, pendulum: Robot) -> None:
         arm.step(np.array([0.0, math.nan, 0.0, 0.0, 0.0]))
 
 
-def test_without_mujoco_one_is_told_what_to_install(pendulum: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mujoco_one_is_told_what_to_install(
+    pendulum: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ConfigurationError, match="install the extra sim"):
         VirtualArm(pendulum, Truth.nominal(pendulum))
@@ -545,13 +621,20 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
     truth = replace(
         nominal,
         joints={
-            name: replace(joint, coulomb=0.05, viscous=0.008, load_friction=0.02, encoder_noise_rad=0.0)
+            name: replace(
+                joint, coulomb=0.05, viscous=0.008, load_friction=0.02, encoder_noise_rad=0.0
+            )
             for name, joint in nominal.joints.items()
         },
     )
     arm = VirtualArm(robot, truth, position={"joint2": -1.4, "joint3": 0.8})
     arm.hold(Payload(0.05))
-    told: dict[str, float] = {"arm_scale": 1.0, "delay_s": 0.0, "link_mass_std": 0.0, "link_com_std_m": 0.0}
+    told: dict[str, float] = {
+        "arm_scale": 1.0,
+        "delay_s": 0.0,
+        "link_mass_std": 0.0,
+        "link_com_std_m": 0.0,
+    }
     told |= {"link_inertia_std": 0.0, "onset_jitter_s": 0.0, "stamp_jitter_s": 0.0}
     for name in names:
         drive_train = f"joints.{name}.drive_train"
@@ -567,8 +650,11 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
             f"joints.{name}.motor.encoder_once_per_turn_rad": 0.0,
         }
     goal = arm.shaft_rad()
-    before_s, push_s, current_A = 1.0, 0.5, -0.36
-    times, rows = [], []
+    before_s = 1.0
+    push_s = 0.5
+    current_A = -0.36
+    times = []
+    rows = []
     for k in range(round((before_s + push_s) / PERIOD_S) + 1):
         if k % 10 == 0:
             times.append(k * PERIOD_S - before_s)
@@ -577,9 +663,14 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
         if k >= round(before_s / PERIOD_S):
             currents[2] = current_A
         arm.step(currents)
-    seconds, shafts = np.round(np.array(times), 9), np.array(rows)
+    seconds = np.round(np.array(times), 9)
+    shafts = np.array(rows)
     after = seconds >= 0.0
-    others = {name: shafts[:, column] for column, name in enumerate(names) if name not in ("joint3", GRIPPER)}
+    others = {
+        name: shafts[:, column]
+        for column, name in enumerate(names)
+        if name not in ("joint3", GRIPPER)
+    }
     others[GRIPPER] = 0.01149 * shafts[:, 4]
     order = np.concatenate([np.flatnonzero(~after), np.flatnonzero(after)])
     run = Run(

@@ -30,7 +30,9 @@ def test_it_stays_until_the_first_goals_and_ignores_what_is_not_whole() -> None:
     assert np.isnan(velocities).all() and np.isnan(efforts).all(), "such servos state neither"
 
 
-def test_goals_are_in_the_controllers_order_and_the_arm_hangs_below_them_by_the_servos_law() -> None:
+def test_goals_are_in_the_controllers_order_and_the_arm_hangs_below_them_by_the_servos_law() -> (
+    None
+):
     driver = PositionDriver(ROBOT, Truth.nominal(ROBOT), joints=ORDER)
     driver.advance(1.0)
     assert driver.command(1.0, [0.0, 0.0, 0.5, 0.0, 0.0, 0.0])
@@ -44,11 +46,15 @@ def test_goals_are_in_the_controllers_order_and_the_arm_hangs_below_them_by_the_
     # 0.45 N m by the URDF, 8.9 N m/rad, and friction of 0.05 N m
     assert position["elbow_flex"] == pytest.approx(0.45 / 8.9, abs=0.012)
     _, currents = driver.truth()
-    assert currents["elbow_flex"] == pytest.approx(2.656 * -position["elbow_flex"] * 7.4 / 2.68, rel=0.05)
+    assert currents["elbow_flex"] == pytest.approx(
+        2.656 * -position["elbow_flex"] * 7.4 / 2.68, rel=0.05
+    )
 
 
 def test_a_joint_of_somebody_elses_stays_where_it_was() -> None:
-    driver = PositionDriver(ROBOT, Truth.nominal(ROBOT), joints=["shoulder_pan"], position={"wrist_roll": 0.4})
+    driver = PositionDriver(
+        ROBOT, Truth.nominal(ROBOT), joints=["shoulder_pan"], position={"wrist_roll": 0.4}
+    )
     driver.advance(1.0)
     assert driver.command(1.0, [0.3])
     driver.advance(1.4)
@@ -62,7 +68,12 @@ def test_what_is_no_position_servo_is_refused() -> None:
 
 
 def test_servos_of_one_arm_are_alike() -> None:
-    constants = np.array([[joint.torque_constant for joint in Truth.draw(ROBOT, seed).joints.values()] for seed in range(40)])
+    constants = np.array(
+        [
+            [joint.torque_constant for joint in Truth.draw(ROBOT, seed).joints.values()]
+            for seed in range(40)
+        ]
+    )
     means = constants.mean(axis=1)
     assert 0.06 < means.std() / 1.21 < 0.14, "off together: 0.3 of 33 %"
     assert (constants / means[:, None]).std() == pytest.approx(ALIKE, rel=0.2)

@@ -29,10 +29,14 @@ READ = bytes.fromhex("FF FF FD 00 01 07 00 02 84 00 04 00 1D 15")
 READ_STATUS = bytes.fromhex("FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0")
 WRITE = bytes.fromhex("FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89")
 FAST = bytes.fromhex("FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2")
-FAST_STATUS = bytes.fromhex("FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08 00 07 1F 08 00 00 16 CA 00 04 FF 03 00 00 D1 9E")
+FAST_STATUS = bytes.fromhex(
+    "FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08 00 07 1F 08 00 00 16 CA 00 04 FF 03 00 00 D1 9E"
+)
 
 # bytes from which headers and stuffing are made come often
-awkward = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x07]), max_size=40).map(bytes) | st.binary(max_size=40)
+awkward = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x07]), max_size=40).map(
+    bytes
+) | st.binary(max_size=40)
 
 
 @pytest.mark.parametrize(
@@ -43,10 +47,17 @@ awkward = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x07]), max_size=40)
         (encode_instruction(1, Code.READ, bytes([132, 0, 4, 0])), READ),
         (encode_status(1, 0, bytes.fromhex("A6 00 00 00")), READ_STATUS),
         (encode_instruction(1, Code.WRITE, bytes([116, 0, 0, 2, 0, 0])), WRITE),
-        (encode_instruction(BROADCAST_ID, Code.FAST_SYNC_READ, bytes([132, 0, 4, 0, 3, 7, 4])), FAST),
+        (
+            encode_instruction(BROADCAST_ID, Code.FAST_SYNC_READ, bytes([132, 0, 4, 0, 3, 7, 4])),
+            FAST,
+        ),
         (
             encode_fast_status(
-                [(0, 3, bytes.fromhex("A6 00 00 00")), (0, 7, bytes.fromhex("1F 08 00 00")), (0, 4, bytes.fromhex("FF 03 00 00"))],
+                [
+                    (0, 3, bytes.fromhex("A6 00 00 00")),
+                    (0, 7, bytes.fromhex("1F 08 00 00")),
+                    (0, 4, bytes.fromhex("FF 03 00 00")),
+                ],
                 3,
             ),
             FAST_STATUS,
@@ -63,10 +74,14 @@ def test_crc_of_the_manuals_packets() -> None:
 
 
 def test_a_header_in_the_data_is_stuffed() -> None:
-    assert stuff(bytes.fromhex("03 FF FF FD 00 FF FF FD FD")) == bytes.fromhex("03 FF FF FD FD 00 FF FF FD FD FD")
+    assert stuff(bytes.fromhex("03 FF FF FD 00 FF FF FD FD")) == bytes.fromhex(
+        "03 FF FF FD FD 00 FF FF FD FD FD"
+    )
     packet = encode_instruction(1, Code.WRITE, bytes.fromhex("14 00 FF FF FD 00"))
     assert packet[5:7] == bytes([10, 0]), "the length counts the stuffed byte"
-    assert Parser().feed(packet) == [Instruction(1, Code.WRITE, bytes.fromhex("14 00 FF FF FD 00"), len(packet))]
+    assert Parser().feed(packet) == [
+        Instruction(1, Code.WRITE, bytes.fromhex("14 00 FF FF FD 00"), len(packet))
+    ]
 
 
 @settings(deadline=None)
@@ -99,12 +114,17 @@ def test_garbage_before_a_header_is_skipped(garbage: bytes) -> None:
 
 def test_a_damaged_packet_is_reported_and_the_next_one_is_read() -> None:
     damaged = WRITE[:-3] + b"\x55" + WRITE[-2:]
-    assert Parser().feed(damaged + PING) == [CrcError(1, len(WRITE)), Instruction(1, Code.PING, b"", len(PING))]
+    assert Parser().feed(damaged + PING) == [
+        CrcError(1, len(WRITE)),
+        Instruction(1, Code.PING, b"", len(PING)),
+    ]
 
 
 def test_a_damaged_length_costs_no_later_packet() -> None:
     longer = PING[:5] + bytes([PING[5] + 12]) + PING[6:]
-    assert Parser().feed(longer + READ)[-1] == Instruction(1, Code.READ, bytes([132, 0, 4, 0]), len(READ))
+    assert Parser().feed(longer + READ)[-1] == Instruction(
+        1, Code.READ, bytes([132, 0, 4, 0]), len(READ)
+    )
     for length in (b"\x02\x00", b"\xff\xff"):
         assert Parser().feed(PING[:5] + length + PING[7:] + READ)[-1].id == 1
 

@@ -20,7 +20,9 @@ FAR = 1_048_575
 class Bench:
     """A servo with its rotor, and a clock that only `run` moves."""
 
-    def __init__(self, servo: VirtualServo | None = None, registers: Mapping[str, int] | None = None) -> None:
+    def __init__(
+        self, servo: VirtualServo | None = None, registers: Mapping[str, int] | None = None
+    ) -> None:
         self.servo = servo or VirtualServo(XM430_W350, 1)
         for name, value in (registers or {}).items():
             self.servo[name] = value
@@ -56,7 +58,9 @@ class Bench:
 
     def push(self, goal_current: int, goal_position: int) -> Error:
         """The goal block 102..119 as one write."""
-        return self.servo.write(102, struct.pack("<hiIIi", goal_current, 0, 0, 0, goal_position), self.now_s)
+        return self.servo.write(
+            102, struct.pack("<hiIIi", goal_current, 0, 0, 0, goal_position), self.now_s
+        )
 
 
 # --- registers
@@ -67,7 +71,9 @@ def test_first_values() -> None:
     assert bench.read("model_number") == 1020
     assert bench.read("id") == 1
     assert bench.read("firmware_version") == 46
-    assert {name: bench.read(name) for name in REGISTERS if REGISTERS[name].writable and name != "id"} == {
+    assert {
+        name: bench.read(name) for name in REGISTERS if REGISTERS[name].writable and name != "id"
+    } == {
         name: register.initial
         for name, register in REGISTERS.items()
         if register.writable and name not in ("id", "goal_pwm", "goal_current")
@@ -77,7 +83,9 @@ def test_first_values() -> None:
 def test_gaps_read_as_zero_and_the_end_is_an_error() -> None:
     servo = Bench().servo
     assert servo.read(13, 7) == (Error.NONE, bytes([2, 0, 0, 0, 0, 0, 0]))
-    assert servo.read(37, 2) == (Error.NONE, bytes([885 >> 8, 1193 & 0xFF])), "halves of two registers"
+    assert servo.read(37, 2) == (Error.NONE, bytes([885 >> 8, 1193 & 0xFF])), (
+        "halves of two registers"
+    )
     assert servo.read(146, 2) == (Error.DATA_RANGE, b"")
 
 
@@ -157,7 +165,8 @@ def test_velocity_is_averaged_and_tick_wraps() -> None:
 
 
 def test_reversed_drive_mode_mirrors_everything() -> None:
-    plain, reverse = Bench(), Bench(registers={"drive_mode": 1})
+    plain = Bench()
+    reverse = Bench(registers={"drive_mode": 1})
     for bench in (plain, reverse):
         bench.powered(OperatingMode.CURRENT).write("goal_current", 50)
         bench.run(0.1)
@@ -184,7 +193,11 @@ def test_torque_on_starts_with_nothing() -> None:
     bench.write("operating_mode", OperatingMode.CURRENT_BASED_POSITION)
     bench.write("torque_enable", 1)
     assert bench.read("goal_current") == 1193
-    assert bench.read("goal_position") == bench.read("present_position") == XM430_W350.counts_of_position(0.5)
+    assert (
+        bench.read("goal_position")
+        == bench.read("present_position")
+        == XM430_W350.counts_of_position(0.5)
+    )
     bench.run(0.1)
     assert bench.current_A == 0.0, "it is where it should be"
 
@@ -276,7 +289,10 @@ def test_the_supply_bounds_the_current_at_speed() -> None:
         current_A = servo.control(0.003 + step * 0.001, 0.0, velocity_rad_s)
         assert abs(5.22 * current_A + 2.49 * velocity_rad_s) <= 12.0 + 1e-9
         free_A = (12.0 - 2.49 * velocity_rad_s) / 5.22
-        assert current_A == pytest.approx(min(300 * UNIT_A, free_A), abs=UNIT_A) or velocity_rad_s == -6.0
+        assert (
+            current_A == pytest.approx(min(300 * UNIT_A, free_A), abs=UNIT_A)
+            or velocity_rad_s == -6.0
+        )
         assert current_A / UNIT_A == pytest.approx(round(current_A / UNIT_A), abs=1e-9)
         assert servo["present_current"] == round(current_A / UNIT_A)
 
@@ -316,7 +332,11 @@ def test_bus_watchdog_trips_on_time_and_blocks_the_goals() -> None:
     bench.run(0.039)
     assert (bench.read("bus_watchdog"), bench.read("present_current")) == (2, 30)
     bench.run(0.002)
-    assert (bench.read("bus_watchdog"), bench.read("present_current"), bench.current_A) == (-1, 0, 0.0)
+    assert (bench.read("bus_watchdog"), bench.read("present_current"), bench.current_A) == (
+        -1,
+        0,
+        0.0,
+    )
     assert bench.write("goal_current", 30) == Error.DATA_RANGE
     assert bench.push(30, 0) == Error.DATA_RANGE
     assert bench.write("bus_watchdog", 5) == Error.DATA_RANGE
@@ -398,7 +418,9 @@ def test_current_heats_the_servo() -> None:
     start_C = bench.servo.temperature_C
     bench.run(1.0)
     # first-order model: rate = R_th R i^2 / time constant at the start
-    assert bench.servo.temperature_C - start_C == pytest.approx(4.0 * 5.22 * (500 * UNIT_A) ** 2 / 300.0, rel=0.01)
+    assert bench.servo.temperature_C - start_C == pytest.approx(
+        4.0 * 5.22 * (500 * UNIT_A) ** 2 / 300.0, rel=0.01
+    )
 
 
 def test_reboot_clears_ram_and_keeps_eeprom() -> None:

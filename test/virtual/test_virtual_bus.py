@@ -54,7 +54,9 @@ class Desk:
 
     def read(self, servo_id: int, name: str) -> int:
         register = XM430_W350.registers[name]
-        data, result, error = self.packets.readTxRx(self.handler, servo_id, register.address, register.size)
+        data, result, error = self.packets.readTxRx(
+            self.handler, servo_id, register.address, register.size
+        )
         assert (result, error & 0x7F) == (sdk.COMM_SUCCESS, 0)
         return register.decode(bytes(data))
 
@@ -62,7 +64,9 @@ class Desk:
         """Result of the communication, and the servo's error."""
         register = XM430_W350.registers[name]
         data = list(register.encode(value))
-        result, error = self.packets.writeTxRx(self.handler, servo_id, register.address, register.size, data)
+        result, error = self.packets.writeTxRx(
+            self.handler, servo_id, register.address, register.size, data
+        )
         return result, error
 
 
@@ -239,7 +243,8 @@ def test_unplugged_and_plugged_in_again(plugged: PluggedDesk) -> None:
         plugged.servos[0]["led"] = 1
     plugged.port.unplug()
     assert not plugged.port.path.is_symlink()
-    with pytest.raises((OSError, termios.error)):  # serial.SerialException is an OSError, termios.error is none
+    # serial.SerialException is an OSError, termios.error is none
+    with pytest.raises((OSError, termios.error)):
         plugged.packets.ping(plugged.handler, 11)
     plugged.handler.closePort()
     plugged.port.plug()
@@ -296,7 +301,9 @@ class Line:
         self.bus = VirtualBus(servos, self.rotors.advance, faults=faults)
         self.port = MemoryPort(self.bus, lambda: self.now_s)
 
-    def ask(self, servo_id: int, code: int, params: bytes = b"", wait_s: float = 0.1) -> list[Instruction]:
+    def ask(
+        self, servo_id: int, code: int, params: bytes = b"", wait_s: float = 0.1
+    ) -> list[Instruction]:
         """Status packets with a correct CRC that come within a time."""
         self.port.write(encode_instruction(servo_id, code, params))
         self.now_s += wait_s
@@ -310,7 +317,10 @@ def sync_read(address: int, length: int, ids: tuple[int, ...] = IDS) -> bytes:
 
 def test_replies_take_the_time_of_their_bits() -> None:
     # 5 x 10 bytes at 1 Mb/s: request 19 bytes, replies 21 bytes each, 10 us per byte
-    for code, delay_s in ((Code.SYNC_READ, (19 + 5 * 21) * 1e-5), (Code.FAST_SYNC_READ, (19 + 8 + 5 * 14) * 1e-5)):
+    for code, delay_s in (
+        (Code.SYNC_READ, (19 + 5 * 21) * 1e-5),
+        (Code.FAST_SYNC_READ, (19 + 8 + 5 * 14) * 1e-5),
+    ):
         line = Line(fast_servos())
         replies = line.bus.receive(encode_instruction(BROADCAST_ID, code, sync_read(126, 10)), 0.0)
         assert replies[-1].delay_s == pytest.approx(delay_s, rel=1e-9)
@@ -319,7 +329,9 @@ def test_replies_take_the_time_of_their_bits() -> None:
     slow = fast_servos()
     for servo in slow:
         servo["return_delay_time"] = 250
-    replies = Line(slow).bus.receive(encode_instruction(BROADCAST_ID, Code.SYNC_READ, sync_read(126, 10)), 0.0)
+    replies = Line(slow).bus.receive(
+        encode_instruction(BROADCAST_ID, Code.SYNC_READ, sync_read(126, 10)), 0.0
+    )
     assert replies[-1].delay_s == pytest.approx((19 + 5 * 21) * 1e-5 + 5 * 500e-6)
 
 
@@ -392,7 +404,9 @@ def test_instructions_nobody_knows() -> None:
     line = Line(fast_servos())
     assert line.ask(11, 0x77)[0].params == b"\x02"
     assert line.ask(11, Code.READ, b"\x00")[0].params == b"\x05"
-    assert line.ask(BROADCAST_ID, 0x77) == line.ask(BROADCAST_ID, Code.FAST_SYNC_READ, b"\x00") == []
+    assert (
+        line.ask(BROADCAST_ID, 0x77) == line.ask(BROADCAST_ID, Code.FAST_SYNC_READ, b"\x00") == []
+    )
     assert line.ask(BROADCAST_ID, Code.FAST_SYNC_READ, sync_read(126, 65000)) == []
 
 

@@ -16,7 +16,8 @@ from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.servo import VirtualServo
 from proprio_ros.virtual.truth import Truth
 
-PUSH_A, PUSHED_S = -0.46, 0.4
+PUSH_A = -0.46
+PUSHED_S = 0.4
 
 
 def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
@@ -39,7 +40,8 @@ def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
             write(servo, "goal_position", servo["present_position"], 0.0)
         for quarter in range(1, 5):  # all at once would be taken for a process that was not run
             held.advance(0.25 * quarter)
-        elbow, before = held.servos["joint3"], held.arm.position()["joint3"]
+        elbow = held.servos["joint3"]
+        before = held.arm.position()["joint3"]
         write(elbow, "torque_enable", 0, 1.0)
         write(elbow, "operating_mode", int(OperatingMode.CURRENT), 1.0)
         write(elbow, "torque_enable", 1, 1.0)
@@ -50,6 +52,7 @@ def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_push_goes_as_far(seed: int) -> None:
-    fine, coarse = pushed_rad(HandledRobot, seed), pushed_rad(CoarseRobot, seed)
+    fine = pushed_rad(HandledRobot, seed)
+    coarse = pushed_rad(CoarseRobot, seed)
     assert fine < -0.2
     assert coarse == pytest.approx(fine, rel=0.1)

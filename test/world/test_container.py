@@ -23,7 +23,11 @@ pytestmark = pytest.mark.long
 
 SHELL_KG = 0.03
 MASSES_KG = (0.03,)
-FACTS = ("container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01")
+FACTS = (
+    "container.inner_size=[0.06,0.04,0.04]",
+    "container.centre=[0.035,0,0]",
+    "sphere.radius=0.01",
+)
 
 
 def container(sphere_kg: float) -> str:
@@ -63,7 +67,9 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     ) as client:
         held: list[str] = []
         markers: list[MarkerArray] = []
-        client.node.create_subscription(DiagnosticStatus, "/virtual/status", lambda message: held.append(message.message), HEARD)
+        client.node.create_subscription(
+            DiagnosticStatus, "/virtual/status", lambda message: held.append(message.message), HEARD
+        )
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, HEARD)
         refused = client.call("/identifier/calibrate_container")
         recorded = list((folder / "data").glob("*"))
@@ -76,7 +82,10 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
 def test_refused_without_the_empty_container(arm: Calibrated) -> None:
     assert not arm.refused.success
     assert "the empty container has not been recorded" in arm.refused.message
-    assert "~/record_container_baseline" in arm.refused.message and "container.mass=KG" in arm.refused.message
+    assert (
+        "~/record_container_baseline" in arm.refused.message
+        and "container.mass=KG" in arm.refused.message
+    )
     assert not arm.recorded_then, "nothing moved"
 
 
@@ -85,7 +94,11 @@ def test_the_empty_container_is_recorded_and_weighed(arm: Calibrated) -> None:
     assert arm.baseline.success, arm.baseline.message
     bag = arm.folders("container_baseline")[-1] / "bag"
     kept = arm.data / "open_manipulator_x_container_baseline"
-    assert kept.resolve() == bag.resolve() and list(bag.glob("*.mcap")) and str(bag) in arm.baseline.message
+    assert (
+        kept.resolve() == bag.resolve()
+        and list(bag.glob("*.mcap"))
+        and str(bag) in arm.baseline.message
+    )
     shell = json.loads((bag.parent / "estimate.json").read_text())["estimates"][0]
     low, high = shell["ci95"]
     assert abs(shell["value"] - SHELL_KG) < max(0.001, high - low)
@@ -109,9 +122,16 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     assert answer.success, answer.message
 
     def told() -> bool:
-        return bool(client.masses and math.isfinite(client.masses[-1]) and arm.markers and len(arm.markers[-1].markers) > 1)
+        return bool(
+            client.masses
+            and math.isfinite(client.masses[-1])
+            and arm.markers
+            and len(arm.markers[-1].markers) > 1
+        )
 
-    assert client.wait_for(lambda: told() and bool(client.estimates) and client.estimates[-1]["probe"] == "container")
+    assert client.wait_for(
+        lambda: told() and bool(client.estimates) and client.estimates[-1]["probe"] == "container"
+    )
     final = client.estimates[-1]
     assert final["final"] == "true" and final["verdict"] == "accepted"
     assert float(final["sphere_mass"]) == client.masses[-1] and final["sphere_mass.unit"] == "kg"
@@ -125,11 +145,19 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     assert all(math.isnan(payload.inertia.m) for payload in client.payloads)
     assert all(estimate["final"] == "true" for estimate in client.estimates)
 
-    shown = {marker.type: marker for marker in arm.markers[-1].markers if marker.action == Marker.ADD}
-    ball, box, words = shown[Marker.SPHERE], shown[Marker.CUBE], shown[Marker.TEXT_VIEW_FACING]
+    shown = {
+        marker.type: marker for marker in arm.markers[-1].markers if marker.action == Marker.ADD
+    }
+    ball = shown[Marker.SPHERE]
+    box = shown[Marker.CUBE]
+    words = shown[Marker.TEXT_VIEW_FACING]
     assert ball.header.frame_id == box.header.frame_id == "end_effector_link"
     assert ball.scale.x == 0.02 and ball.pose.position.x == 0.035
-    assert (box.scale.x, box.scale.y, box.scale.z) == (0.06, 0.04, 0.04) and box.pose.orientation.w == 1.0
+    assert (box.scale.x, box.scale.y, box.scale.z) == (
+        0.06,
+        0.04,
+        0.04,
+    ) and box.pose.orientation.w == 1.0
     assert words.text.startswith(f"{1e3 * client.masses[-1]:.1f}")
 
 
@@ -137,7 +165,9 @@ def test_a_sphere_is_weighed_until_it_is_sure(arm: Calibrated) -> None:
     """Pushes are chosen one by one, from the first on; the baseline is the one of the shipped sequence."""
     client = arm.client
     path = arm.data.parent / "sure.yaml"
-    path.write_text("excitation: {like: container_until, until: {half_interval: 3.0e-3, unit: kg, at_most_s: 60}}\n")
+    path.write_text(
+        "excitation: {like: container_until, until: {half_interval: 3.0e-3, unit: kg, at_most_s: 60}}\n"
+    )
     assert client.set("/identifier", "container_sequence", str(path)).successful
     answer = client.asked("/identifier/calibrate_container")
     assert client.set("/identifier", "container_sequence", "container").successful
@@ -166,9 +196,14 @@ def test_what_is_stated_about_the_container_is_a_parameter(arm: Calibrated) -> N
     ):
         result = client.set("/identifier", "settings", facts)
         assert not result.successful and reason in result.reason
-    assert client.set("/identifier", "settings", ["sphere.radius=0.01", "payload.size=0.03"]).successful
+    assert client.set(
+        "/identifier", "settings", ["sphere.radius=0.01", "payload.size=0.03"]
+    ).successful
     known = len(arm.folders("container"))
-    for baseline, reason in (("none", "has not been recorded"), ("/nowhere/bag", "there is no such recording")):
+    for baseline, reason in (
+        ("none", "has not been recorded"),
+        ("/nowhere/bag", "there is no such recording"),
+    ):
         assert client.set("/identifier", "container_baseline", baseline).successful
         answer = client.call("/identifier/calibrate_container")
         assert not answer.success and reason in answer.message and "\n" not in answer.message
@@ -182,7 +217,13 @@ def test_an_arm_that_was_calibrated_since_is_said(arm: Calibrated) -> None:
     (arm.data / "open_manipulator_x_calibration.yaml").resolve().touch()
     future = client.begin("/identifier/calibrate_container")
     client.wait_for_phase("probe", 600.0)
-    assert "busy: calibrate_container is under way" in client.call("/identifier/record_container_baseline").message
+    assert (
+        "busy: calibrate_container is under way"
+        in client.call("/identifier/record_container_baseline").message
+    )
     answer = client.answer(future)
     assert answer.success, answer.message
-    assert "older than the robot's calibration: record it again if the arm has changed" in answer.message
+    assert (
+        "older than the robot's calibration: record it again if the arm has changed"
+        in answer.message
+    )

@@ -43,8 +43,12 @@ class Arm:
         self._thread.start()
 
     def _play(self) -> None:
-        motion, begun_s, begun_ns = self._motion, self._clock.now(), self._stamp
-        for at_s, position, current in zip(motion.times_s, motion.position, motion.current_A, strict=True):
+        motion = self._motion
+        begun_s = self._clock.now()
+        begun_ns = self._stamp
+        for at_s, position, current in zip(
+            motion.times_s, motion.position, motion.current_A, strict=True
+        ):
             if self._ended.wait(max(0.0, begun_s + at_s - self._clock.now())):
                 return
             stamp_ns = begun_ns + round(1e9 * at_s)
@@ -78,7 +82,12 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
 
         estimates: list[dict[str, str]] = []
         listen(DiagnosticStatus, "/arm/identifier/status", on_status, HEARD)
-        listen(DiagnosticArray, "/arm/identifier/estimate", lambda m: estimates.append(values_of(m.status[0])), HEARD)
+        listen(
+            DiagnosticArray,
+            "/arm/identifier/estimate",
+            lambda m: estimates.append(values_of(m.status[0])),
+            HEARD,
+        )
         publisher = client.node.create_publisher(String, "/arm/robot_description", LATCHED)
 
         def says(words: str) -> bool:
@@ -89,18 +98,28 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
             assert client.wait_for(lambda: bool(told)), client.log("identifier")
             assert says("waits for /arm/robot_description"), told
             answer = client.call("/arm/identifier/weigh")
-            assert not answer.success and "not ready: waits for /arm/robot_description" in answer.message
+            assert (
+                not answer.success
+                and "not ready: waits for /arm/robot_description" in answer.message
+            )
             publisher.publish(String(data="no description"))
             assert says("not XML"), told
             assert told[-1][0] == "starting" and "waits for another" in told[-1][1]
             publisher.publish(String(data=text))
-            assert client.wait_for(lambda: told[-1][1].startswith("ready")), (told, client.log("identifier"))
+            assert client.wait_for(lambda: told[-1][1].startswith("ready")), (
+                told,
+                client.log("identifier"),
+            )
             arm = Arm(client, held)
-            assert client.wait_for(lambda: any(each.get("running") == "true" for each in list(estimates))), told
+            assert client.wait_for(
+                lambda: any(each.get("running") == "true" for each in list(estimates))
+            ), told
             client.clock.sleep(13.0)
             answer = client.call("/arm/identifier/weigh")
             assert answer.success, answer.message
-            live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
+            live = replayed_alike(
+                Path(answer.message.split("recording: ")[1]).parent / "estimate.json"
+            )
             value = live["estimates"][0]
             low, high = value["ci95"]
             assert abs(value["value"] - HELD_KG) < 0.02 and low < HELD_KG < high, value
@@ -113,7 +132,9 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
             assert says("the joint states carry no measured effort of j1, j2, j3, j4"), told
             arm.stop()
             arm = Arm(client, held)
-            assert client.wait_for(lambda: told[-1][1].startswith("ready; the running estimate")), told
+            assert client.wait_for(lambda: told[-1][1].startswith("ready; the running estimate")), (
+                told
+            )
 
             publisher.publish(String(data=text.replace('mass value="', 'mass value="1')))
             assert says("/arm/robot_description has changed"), told

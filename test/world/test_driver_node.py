@@ -37,7 +37,12 @@ class Bench:
         self.statuses: list[dict[str, str]] = []
         self.motors: list[dict[str, str]] = []
         listen, self.other = client.node.create_subscription, client.node
-        listen(DiagnosticStatus, "/driver/status", lambda m: self.statuses.append(values_of(m)), LATCHED)
+        listen(
+            DiagnosticStatus,
+            "/driver/status",
+            lambda m: self.statuses.append(values_of(m)),
+            LATCHED,
+        )
         listen(DiagnosticStatus, "/motors", lambda m: self.motors.append(values_of(m)), LATCHED)
         self.owner = self.other.create_publisher(Float64MultiArray, "/current_command", 10)
         self.stranger = self.other.create_publisher(Float64MultiArray, "/current_command", 10)
@@ -74,7 +79,9 @@ class Bench:
 
     def drive(self) -> None:
         """Until the elbow is pushed."""
-        self.until(lambda: self.modes["joint3"] == "driven", lambda: self.owner.publish(labelled(PUSH)))
+        self.until(
+            lambda: self.modes["joint3"] == "driven", lambda: self.owner.publish(labelled(PUSH))
+        )
 
     def position(self) -> dict[str, float]:
         return dict(self.virtual.truth()[0])
@@ -137,7 +144,10 @@ def test_a_stranger_is_refused_while_another_drives(bench: Bench) -> None:
     bench.owner.publish(labelled({}))
     bench.until(lambda: bench.modes["joint3"] == "held")
     # and served when nobody does
-    bench.until(lambda: bench.modes["joint4"] == "driven", lambda: bench.stranger.publish(labelled({"joint4": -0.05})))
+    bench.until(
+        lambda: bench.modes["joint4"] == "driven",
+        lambda: bench.stranger.publish(labelled({"joint4": -0.05})),
+    )
 
 
 @pytest.mark.parametrize("waits", ["network", "queue"])
@@ -168,7 +178,9 @@ def test_a_command_from_before_torque_came_on_is_refused(bench: Bench, waits: st
 
 
 @pytest.mark.parametrize("set_s", [-5.0, -0.2, 0.2, 5.0])
-def test_commands_are_obeyed_though_the_clock_was_set_while_one_was_on_its_way(bench: Bench, set_s: float) -> None:
+def test_commands_are_obeyed_though_the_clock_was_set_while_one_was_on_its_way(
+    bench: Bench, set_s: float
+) -> None:
     graph = bench.client.world.graph
     positions = bench.other.create_publisher(Float64MultiArray, "/position_command", 10)
     here = bench.position()["joint1"]
@@ -232,7 +244,9 @@ def test_an_excitation_at_rest_misses_no_joint_states_that_come(tmp_path: Path) 
         oldest_s = 0.0
         for _ in range(8):
             for on in (False, True):
-                assert client.world.call("/driver/torque", SetBool, SetBool.Request(data=on)).success
+                assert client.world.call(
+                    "/driver/torque", SetBool, SetBool.Request(data=on)
+                ).success
             for _ in range(40):
                 client.clock.sleep(0.0171)
                 assert excitation._fresh
@@ -240,7 +254,9 @@ def test_an_excitation_at_rest_misses_no_joint_states_that_come(tmp_path: Path) 
         assert oldest_s > excitation.values["stale_after"], "else this shows nothing"
 
 
-def test_a_defect_in_mid_push_ends_the_current(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_defect_in_mid_push_ends_the_current(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bench.drive()
 
     def broken() -> None:

@@ -31,7 +31,12 @@ CONTROLLER: dict[str, Any] = {"controller_joints": ORDER, "effort_unit": "A"}
 
 
 def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
-    virtual = {"interface": "effort_controller", "object": str(MASS_KG), "state_rate": 250.0, **CONTROLLER}
+    virtual = {
+        "interface": "effort_controller",
+        "object": str(MASS_KG),
+        "state_rate": 250.0,
+        **CONTROLLER,
+    }
     stated = ["payload.com=[0,0,0]", "payload.shape=point"]
     facts = {
         "robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow",
@@ -59,6 +64,9 @@ def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
         low, high = json.loads(client.estimates[-1]["payload_mass.ci95"])
         assert abs(client.masses[-1] - MASS_KG) < min(0.003, high - low), answer.message
     bag = Path(answer.message.split("recording: ")[1])
-    constants = {name: drive.nominal_effort_per_current for name, drive in load_robot("open_manipulator_x").drive_trains.items()}
+    constants = {
+        name: drive.nominal_effort_per_current
+        for name, drive in load_robot("open_manipulator_x").drive_trains.items()
+    }
     recording = read_recording(bag, nominal_torque_constants=constants, joint_order=list(constants))
     assert recording.inputs is not None and recording.inputs.source == "/applied_effort"

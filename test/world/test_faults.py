@@ -52,7 +52,9 @@ def push_file(folder: Path, *durations_s: float) -> Path:
     """A sequence that lifts the elbow slowly: 0.3 rad in a second."""
     path = folder / f"push_{'_'.join(f'{duration_s:g}' for duration_s in durations_s)}.yaml"
     runs = "\n".join("    - " + RUN.format(duration_s=duration_s) for duration_s in durations_s)
-    path.write_text(f"excitation:\n  hand: any\n  settle_s: 0.3\n  brake_s: 0.2\n  approach_velocity: 1.5\n  runs:\n{runs}\n")
+    path.write_text(
+        f"excitation:\n  hand: any\n  settle_s: 0.3\n  brake_s: 0.2\n  approach_velocity: 1.5\n  runs:\n{runs}\n"
+    )
     return path
 
 
@@ -78,7 +80,9 @@ def arm_of(folder: Path, *nodes: str, identifier: dict[str, Any] | None = None) 
     push = push_file(folder, PUSH_S)
     stated = {"payload_sequence": str(push), "report": False} | (identifier or {})
     with running(folder, *nodes, identifier=stated) as client:
-        assert client.wait_for(lambda: bool(client.motors and client.applied and client.diagnostics))
+        assert client.wait_for(
+            lambda: bool(client.motors and client.applied and client.diagnostics)
+        )
         if "excitation" in client.world.processes:
             assert client.set("/excitation", "probe", str(push)).successful
         yield Arm(client, folder, push)
@@ -137,7 +141,9 @@ def lift(client: Client) -> None:
     """Put the arm where a probe may begin, as a person would who found it lying on the table."""
 
     def there() -> bool:
-        return all(abs(client.position(joint) - angle_rad) < 0.1 for joint, angle_rad in PARKED.items())
+        return all(
+            abs(client.position(joint) - angle_rad) < 0.1 for joint, angle_rad in PARKED.items()
+        )
 
     client.positions.publish(labelled(PARKED))
     assert client.wait_for(lambda: there() and at_rest(client)), client.motors[-1]
@@ -147,21 +153,28 @@ def at_rest(client: Client) -> bool:
     """No joint has moved in 0.3 s."""
     recent = client.motors[-20:]
     recent = [message for message in recent if stamp_s(message) > stamp_s(recent[-1]) - 0.32]
-    spans = [max(column) - min(column) for column in zip(*(message.position for message in recent), strict=True)]
+    spans = [
+        max(column) - min(column)
+        for column in zip(*(message.position for message in recent), strict=True)
+    ]
     return len(recent) >= 8 and max(spans) < 0.01
 
 
 def assert_held(client: Client) -> None:
     """At rest, by motors that work against gravity, and nobody drives."""
     begun_s = now_s(client)
-    assert client.wait_for(lambda: stamp_s(client.motors[-1]) > begun_s and at_rest(client)), client.motors[-1]
+    assert client.wait_for(lambda: stamp_s(client.motors[-1]) > begun_s and at_rest(client)), (
+        client.motors[-1]
+    )
     assert client.wait_for(lambda: not without_current(client.motors[-1])), client.motors[-1]
     assert client.wait_for(lambda: not any(client.applied[-1].effort)), client.applied[-1]
 
     def stream() -> bool:
         """By stamps: how late we hear them says nothing of the driver."""
         newest_s = stamp_s(client.states[-1])
-        return newest_s > begun_s + 0.5 and len(since(client.states, newest_s - 0.5)) > 0.25 * RATE_HZ
+        return (
+            newest_s > begun_s + 0.5 and len(since(client.states, newest_s - 0.5)) > 0.25 * RATE_HZ
+        )
 
     assert client.wait_for(stream), driver_status(client)
 
@@ -176,7 +189,8 @@ def assert_braked(client: Client, begun_s: float, within_s: float) -> None:
     index = list(after[end].name).index(ELBOW)
     braked_rad = after[end].position[index]
     assert all(abs(message.position[index] - braked_rad) < 0.2 for message in after[end:])
-    assert sum(map(pushed, after[end:])) <= 0.2 * len(after[end:])  # on its way the current may pass that of the push
+    # on its way the current may pass that of the push
+    assert sum(map(pushed, after[end:])) <= 0.2 * len(after[end:])
 
 
 def assert_zero(client: Client, begun_s: float, within_s: float) -> None:
@@ -188,7 +202,10 @@ def assert_zero(client: Client, begun_s: float, within_s: float) -> None:
     end = next(row for row, message in enumerate(after) if without_current(message))
     assert stamp_s(after[end]) - begun_s < within_s
     velocities = [
-        [(to - was) / (stamp_s(now) - stamp_s(before)) for was, to in zip(before.position, now.position, strict=True)]
+        [
+            (to - was) / (stamp_s(now) - stamp_s(before))
+            for was, to in zip(before.position, now.position, strict=True)
+        ]
         for before, now in pairwise(after[end:])
     ]
     for now, around in zip(after[end + 1 :], pairwise([*velocities, velocities[-1]]), strict=True):
@@ -255,7 +272,10 @@ def test_what_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
         begun_s = now_s(client)
         future = client.begin("/identifier/calibrate_payload")
         client.clock.sleep(1.0)
-        assert client.call("/identifier/cancel").success and "cancelled" in client.answer(future).message
+        assert (
+            client.call("/identifier/cancel").success
+            and "cancelled" in client.answer(future).message
+        )
         assert now_s(client) - begun_s < 2.0, "who waits for others hears that it need not"
         # just after its start others are not known yet
         answer = client.call("/identifier/calibrate_payload")
@@ -268,7 +288,10 @@ def test_what_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
         assert not answer.success and "no joint states are coming" in answer.message
         client.world.processes.pop("excitation").end()
         # joint states do come, as from another driver
-        publisher, ended = client.node.create_publisher(JointState, "/joint_states", 10), client.clock.event()
+        publisher, ended = (
+            client.node.create_publisher(JointState, "/joint_states", 10),
+            client.clock.event(),
+        )
 
         def publish() -> None:
             while not ended.wait(0.02):
@@ -310,7 +333,9 @@ def test_identifier_and_driver_are_killed(tmp_path: Path) -> None:
         # what came until then is on disk, and a bag as soon as the node is back
         (journal,) = (tmp_path / "data").glob("*_payload/messages.journal")
         client.world.start("identifier", {"calibration": "none"})
-        assert client.wait_for(lambda: (journal.parent / "bag" / "metadata.yaml").exists() and not journal.exists())
+        assert client.wait_for(
+            lambda: (journal.parent / "bag" / "metadata.yaml").exists() and not journal.exists()
+        )
         assert pushed_in(journal.parent / "bag")
         # a sequence that was asked for by hand is nobody's, and goes on
         lift(client)
@@ -320,7 +345,9 @@ def test_identifier_and_driver_are_killed(tmp_path: Path) -> None:
         assert_zero(client, killed_s, WATCHDOG_S)
         assert_aborted(client, "is the driver alive")
         client.world.start("driver", {})
-        assert client.wait_for(lambda: bool(since(client.states, killed_s + 1.0))), arm.log("driver")
+        assert client.wait_for(lambda: bool(since(client.states, killed_s + 1.0))), arm.log(
+            "driver"
+        )
         assert_held(client)
         lift(client)
         begin_push(client)
@@ -332,7 +359,8 @@ def test_told_to_end(tmp_path: Path, node: str) -> None:
     with arm_of(tmp_path, "virtual", "driver", "excitation") as arm:
         client = arm.client
         begin_push(client)
-        process, told_s = client.world.processes.pop(node), now_s(client)
+        process = client.world.processes.pop(node)
+        told_s = now_s(client)
         process.end()
         assert process.code == 0
         if node == "excitation":
@@ -389,7 +417,9 @@ def test_a_servo_that_overheats(arm: Arm) -> None:
     assert_aborted(client, ELBOW)
 
     def told() -> str:
-        return " ".join(f"{status.name}: {status.message}" for status in client.diagnostics[-1].status)
+        return " ".join(
+            f"{status.name}: {status.message}" for status in client.diagnostics[-1].status
+        )
 
     assert client.wait_for(lambda: f"{ELBOW}: overheat" in told().lower()), told()
     assert not client.call("/excitation/run").success or not pushed(client.motors[-1])
@@ -421,7 +451,9 @@ def test_a_joint_state_that_is_no_number(arm: Arm) -> None:
     await_push(client)
     begun_s = now_s(client)
     names = list(client.states[-1].name)
-    publisher.publish(joint_state(round(1e9 * begun_s), names, [math.nan] * len(names), [0.0] * len(names)))
+    publisher.publish(
+        joint_state(round(1e9 * begun_s), names, [math.nan] * len(names), [0.0] * len(names))
+    )
     within_s = COMMAND_TIMEOUT_S
     assert_aborted(client, "nan")
     assert_braked(client, begun_s, within_s)
@@ -433,11 +465,14 @@ def test_a_joint_state_that_is_no_number(arm: Arm) -> None:
 
 
 def test_a_push_into_a_limit(arm: Arm) -> None:
-    client, joint = arm.client, "joint4"
+    client = arm.client
+    joint = "joint4"
     limit_rad = load_robot("open_manipulator_x").model.joint(joint).upper
     assert client.wait_for(lambda: client.positions.get_subscription_count() >= 1)
     client.positions.publish(labelled({joint: limit_rad - 0.5}))
-    assert client.wait_for(lambda: abs(client.position(joint) - limit_rad + 0.5) < 0.1 and at_rest(client))
+    assert client.wait_for(
+        lambda: abs(client.position(joint) - limit_rad + 0.5) < 0.1 and at_rest(client)
+    )
     begun_s = now_s(client)
     ended = client.clock.event()
 
@@ -449,18 +484,28 @@ def test_a_push_into_a_limit(arm: Arm) -> None:
     thread.start()
     try:
         assert client.wait_for(lambda: client.position(joint) > limit_rad - 0.2)
-        assert client.wait_for(lambda: at_rest(client) and not any(client.applied[-1].effort)), "held, although the commands go on"
+        assert client.wait_for(lambda: at_rest(client) and not any(client.applied[-1].effort)), (
+            "held, although the commands go on"
+        )
     finally:
         ended.set()
         thread.join()
-    assert max(client.position(joint), *(m.position[list(m.name).index(joint)] for m in since(client.motors, begun_s))) < limit_rad
+    assert (
+        max(
+            client.position(joint),
+            *(m.position[list(m.name).index(joint)] for m in since(client.motors, begun_s)),
+        )
+        < limit_rad
+    )
     assert client.position(joint) > limit_rad - 0.2
     assert f"{joint} is at its upper limit; held" in arm.log("driver")
 
 
 def test_a_flood_of_commands(arm: Arm) -> None:
     client = arm.client
-    assert client.wait_for(lambda: at_rest(client) and client.currents.get_subscription_count() >= 1)
+    assert client.wait_for(
+        lambda: at_rest(client) and client.currents.get_subscription_count() >= 1
+    )
     before = client.motors[-1]
     flood = [
         labelled({"joint1": 0.0027}),
@@ -476,10 +521,15 @@ def test_a_flood_of_commands(arm: Arm) -> None:
         client.currents.publish(flood[sent % len(flood)])
         client.clock.sleep(1e-3)
     ended_s = now_s(client)
-    assert client.wait_for(lambda: min(stamp_s(client.states[-1]), stamp_s(client.motors[-1])) > ended_s)
+    assert client.wait_for(
+        lambda: min(stamp_s(client.states[-1]), stamp_s(client.motors[-1])) > ended_s
+    )
     for message in since(client.motors, begun_s):
         assert max(map(abs, message.effort)) < 0.6
-        assert all(abs(now - was) < 0.03 for now, was in zip(message.position, before.position, strict=True))
+        assert all(
+            abs(now - was) < 0.03
+            for now, was in zip(message.position, before.position, strict=True)
+        )
     states = [state for state in since(client.states, begun_s) if stamp_s(state) < ended_s]
     assert len(states) / (ended_s - begun_s) >= 0.95 * RATE_HZ
     assert_held(client)
@@ -528,7 +578,9 @@ def test_deactivated_in_mid_probe(arm: Arm) -> None:
     try:
         assert_aborted(client, "the driver was inactive")
         assert client.wait_for(lambda: not pushed(client.motors[-1]))
-        assert client.wait_for(lambda: at_rest(client) and not without_current(client.motors[-1])), client.motors[-1]
+        assert client.wait_for(
+            lambda: at_rest(client) and not without_current(client.motors[-1])
+        ), client.motors[-1]
         index = list(client.motors[-1].name).index("joint2")
         heights = [message.position[index] for message in since(client.motors, begun_s)]
         assert max(heights) - min(heights) < 0.1
@@ -545,7 +597,8 @@ def test_stop_in_mid_probe(arm: Arm) -> None:
     begin_push(client)
     begun_s = now_s(client)
     assert client.call("/driver/stop").success
-    within_s = now_s(client) - begun_s + 0.2  # a cycle, and 20 ms from one word of the virtual robot to the next
+    # a cycle, and 20 ms from one word of the virtual robot to the next
+    within_s = now_s(client) - begun_s + 0.2
     assert_zero(client, begun_s, within_s)
     assert_aborted(client, "the driver was stopped: the current is zero; /driver/torque true")
     assert client.wait_for(lambda: driver_status(client)[0] == "stopped"), driver_status(client)
@@ -553,7 +606,11 @@ def test_stop_in_mid_probe(arm: Arm) -> None:
     client.push({ELBOW: -0.3})
     for service in ("/excitation/run", "/identifier/calibrate_payload"):
         answer = client.call(service)
-        assert not answer.success and "the driver is stopped" in answer.message and "/driver/torque true" in answer.message
+        assert (
+            not answer.success
+            and "the driver is stopped" in answer.message
+            and "/driver/torque true" in answer.message
+        )
     assert_zero(client, begun_s, within_s)
     assert not any(client.applied[-1].effort)
     assert torque_is_on(client)
@@ -585,10 +642,16 @@ def test_one_probe_at_a_time(arm: Arm) -> None:
     answer = client.call("/excitation/abort")
     assert answer.success and "held" in answer.message
     assert_braked(client, begun_s, now_s(client) - begun_s + COMMAND_TIMEOUT_S)
-    assert client.call("/excitation/abort").message == client.call("/identifier/cancel").message == "nothing was under way"
+    assert (
+        client.call("/excitation/abort").message
+        == client.call("/identifier/cancel").message
+        == "nothing was under way"
+    )
 
 
-def test_of_a_call_whose_answer_is_lost_it_is_asked_again(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_call_whose_answer_is_lost_it_is_asked_again(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Who answers drops what it would say to one that it has not heard of, and in the first moments it may not have."""
     client = arm.client
     named = client.world.processes["identifier"].node._excitation.set_probe
@@ -607,11 +670,15 @@ def test_of_a_call_whose_answer_is_lost_it_is_asked_again(arm: Arm, monkeypatch:
 
 def torque_constants() -> dict[str, float]:
     drives = load_robot("open_manipulator_x").drive_trains
-    return {name: drive.nominal_torque_constant / drive.transmission for name, drive in drives.items()}
+    return {
+        name: drive.nominal_torque_constant / drive.transmission for name, drive in drives.items()
+    }
 
 
 def pushed_in(bag: Path) -> bool:
     """Whether a recording holds the push."""
-    recording = read_recording(bag, nominal_torque_constants=torque_constants(), joint_order=list(torque_constants()))
+    recording = read_recording(
+        bag, nominal_torque_constants=torque_constants(), joint_order=list(torque_constants())
+    )
     assert recording.inputs is not None
     return float(recording.inputs.current_A.min()) == pytest.approx(PUSH_A, abs=LIKE_PUSH_A)

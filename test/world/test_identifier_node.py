@@ -41,5 +41,9 @@ def test_a_second_node_of_the_same_name_is_said_once(tmp_path: Path) -> None:
         assert "another node is called" not in client.log("identifier")
         client.world.start("identifier", {"data_directory": tmp_path / "other"}, called="second")
         client.clock.sleep(60.0)
-        said = [text for _, _, _, text in client.world.graph.log if "another node is called" in text]
-        assert len(said) == 2 and all(text.startswith("another node is called /identifier: ") for text in said), "a line of each"
+        said = [
+            text for _, _, _, text in client.world.graph.log if "another node is called" in text
+        ]
+        assert len(said) == 2 and all(
+            text.startswith("another node is called /identifier: ") for text in said
+        ), "a line of each"

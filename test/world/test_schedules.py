@@ -39,12 +39,18 @@ def test_every_kind_is_among_them() -> None:
     kinds = Counter((each.plan, fault.kind) for each in plans for fault in each.faults)
     assert {plan for plan, _ in kinds} == set(PLANS) and {kind for _, kind in kinds} == set(KINDS)
     assert min(sum(kinds[plan, kind] for plan in PLANS) for kind in KINDS) >= 5
-    assert min(kinds["push", kind] for kind in KINDS if kind != "disk") > 50 < sum(each.plan == "weigh" for each in plans)
-    ended = {(fault.kind, fault.whom) for each in plans for fault in each.faults}
-    assert {(kind, whom) for kind in ("kill", "restart", "end", "stall") for whom in FAULTY} <= ended
-    assert any(fault.kind == "unplug" and fault.lasts_s > 1.0 for each in plans for fault in each.faults), (
-        "longer than a servo waits"
+    assert (
+        min(kinds["push", kind] for kind in KINDS if kind != "disk")
+        > 50
+        < sum(each.plan == "weigh" for each in plans)
     )
+    ended = {(fault.kind, fault.whom) for each in plans for fault in each.faults}
+    assert {
+        (kind, whom) for kind in ("kill", "restart", "end", "stall") for whom in FAULTY
+    } <= ended
+    assert any(
+        fault.kind == "unplug" and fault.lasts_s > 1.0 for each in plans for fault in each.faults
+    ), "longer than a servo waits"
     assert sum(bool(each.network.lose or each.network.late) for each in plans) > 20
     assert all(drawn(seed).plan == "weigh" for seed in RECORDED)
 
@@ -61,7 +67,9 @@ def play(folder: Path, *words: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    return play(tmp_path_factory.mktemp("few"), ",".join(map(str, (*FAILED, *FEW, *RECORDED))), "--digest")
+    return play(
+        tmp_path_factory.mktemp("few"), ",".join(map(str, (*FAILED, *FEW, *RECORDED))), "--digest"
+    )
 
 
 def test_a_few_schedules(few: dict[str, Any]) -> None:
@@ -79,4 +87,6 @@ def test_schedules(tmp_path: Path, block: int) -> None:
 def test_the_same_seed_gives_the_same_bytes(few: dict[str, Any], tmp_path: Path) -> None:
     """Whatever else was played before it."""
     again = play(tmp_path, ",".join(map(str, RECORDED)), "--digest")["recorded"]
-    assert again == {seed: few["recorded"][seed] for seed in again} and len(set(again.values())) == len(RECORDED)
+    assert again == {seed: few["recorded"][seed] for seed in again} and len(
+        set(again.values())
+    ) == len(RECORDED)

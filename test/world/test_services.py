@@ -95,11 +95,15 @@ def test_replaying_the_bag_gives_the_same_numbers_bit_for_bit(arm: Calibrated) -
 
 def test_a_late_listener_hears_the_result(arm: Calibrated) -> None:
     late = Client(arm.client.world, "late")
-    assert late.wait_for(lambda: bool(late.masses and late.payloads and late.estimates and late.statuses))
+    assert late.wait_for(
+        lambda: bool(late.masses and late.payloads and late.estimates and late.statuses)
+    )
     payload = late.payloads[-1]
     assert late.masses[-1] == arm.client.masses[-1] == payload.inertia.m
     assert payload.header.frame_id == "end_effector_link"
-    assert payload.inertia.ixx > 0.0 and late.estimates[-1]["inertia"] == "assumed", "nobody said its shape"
+    assert payload.inertia.ixx > 0.0 and late.estimates[-1]["inertia"] == "assumed", (
+        "nobody said its shape"
+    )
 
 
 def test_what_the_driver_publishes_is_the_contract(arm: Calibrated) -> None:
@@ -107,15 +111,26 @@ def test_what_the_driver_publishes_is_the_contract(arm: Calibrated) -> None:
     assert client.wait_for(lambda: len(client.states) > 100 and len(client.applied) > 100)
     state = client.states[-1]
     names = ["joint1", "joint2", "joint3", "joint4", "gripper_left_joint"]
-    assert list(state.name) == names and len(state.position) == len(state.velocity) == len(state.effort) == 5
+    assert (
+        list(state.name) == names
+        and len(state.position) == len(state.velocity) == len(state.effort) == 5
+    )
     state_stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.states[-60:-20]]
     # two topics are heard one after the other: of the newest only one may have come
     assert client.wait_for(
-        lambda: len({(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.applied[-200:]} & {*state_stamps}) >= 35
+        lambda: (
+            len(
+                {(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.applied[-200:]}
+                & {*state_stamps}
+            )
+            >= 35
+        )
     ), "both carry the same stamps"
     # effort is torque: present current times the nominal torque constant
     constant = load_robot("open_manipulator_x").drive_trains["joint2"].nominal_torque_constant
-    assert client.wait_for(lambda: abs(client.states[-1].effort[1] - constant * client.motor("joint2")) < 0.05)
+    assert client.wait_for(
+        lambda: abs(client.states[-1].effort[1] - constant * client.motor("joint2")) < 0.05
+    )
 
 
 def test_the_recording_reads_like_any_bag(arm: Calibrated) -> None:
@@ -130,7 +145,9 @@ def test_the_recording_reads_like_any_bag(arm: Calibrated) -> None:
 
 
 def test_object_facts_are_parameters(arm: Calibrated) -> None:
-    assert list(arm.client.get("/identifier", "settings").string_array_value) == ["payload.com=[0,0,0]"]
+    assert list(arm.client.get("/identifier", "settings").string_array_value) == [
+        "payload.com=[0,0,0]"
+    ]
     assert not arm.client.set("/virtual", "object", "50 g").successful
     assert not arm.client.set("/excitation", "probe", "no_such_probe").successful
 
@@ -142,8 +159,12 @@ def test_what_is_refused_withdraws_what_stood(arm: Calibrated) -> None:
     assert client.call("/driver/stop").success
     answer = client.call("/identifier/calibrate_payload")
     assert not answer.success and "the driver is stopped" in answer.message
-    assert client.wait_for(lambda: client.withdrawn == withdrawn + 1 and client.estimates[-1]["verdict"] == "failed")
+    assert client.wait_for(
+        lambda: client.withdrawn == withdrawn + 1 and client.estimates[-1]["verdict"] == "failed"
+    )
     assert client.estimates[-1]["payload_mass"] == "not determined"
     assert client.wait_for(lambda: math.isnan(client.payloads[-1].inertia.m))
-    assert client.wait_for(lambda: [marker.action for marker in client.markers[-1].markers] == [Marker.DELETEALL])
+    assert client.wait_for(
+        lambda: [marker.action for marker in client.markers[-1].markers] == [Marker.DELETEALL]
+    )
     assert client.torque(True).success

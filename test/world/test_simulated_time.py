@@ -8,7 +8,8 @@ from support.simulated_time import SimulatedClock
 
 def played(seed: int) -> list[tuple[str, int, float]]:
     """Two threads that share a lock; what they did, and when."""
-    clock, said = SimulatedClock(seed), []
+    clock = SimulatedClock(seed)
+    said = []
     lock, ended = clock.lock(), clock.event()
 
     def work(name: str, count: int) -> None:
@@ -42,7 +43,8 @@ def test_an_hour_takes_no_time() -> None:
 
 
 def test_who_is_killed_does_nothing_any_more() -> None:
-    clock, said = SimulatedClock(), []
+    clock = SimulatedClock()
+    said = []
 
     def work() -> None:
         for number in range(10):
@@ -58,7 +60,8 @@ def test_who_is_killed_does_nothing_any_more() -> None:
 
 
 def test_who_is_stalled_goes_on_later() -> None:
-    clock, when_s = SimulatedClock(), []
+    clock = SimulatedClock()
+    when_s = []
     begun_s = clock.now()
 
     def work() -> None:

@@ -53,21 +53,29 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("softness")
     sequence = yaml.safe_load(resource("probes", "block_until").read_text())
     sequence["excitation"]["until"] |= {"half_interval": 0.02, "at_most_s": 15}
-    sequence["excitation"]["runs"][0]["duration_s"] = 0.5  # it tells less than a whole one, so that others are worth it
+    # it tells less than a whole one, so that others are worth it
+    sequence["excitation"]["runs"][0]["duration_s"] = 0.5
     (folder / "block.yaml").write_text(yaml.safe_dump(sequence))
     with running(
         folder,
         virtual={"object": block(*BLOCKS[0])},
         identifier={"robot_sequence": "empty_hand_gripper", "settings": ["block.size=0.03"]},
     ) as client:
-        numbers: dict[str, list[float]] = {name: [] for name in ("youngs_modulus", "lame_mu", "lame_lambda")}
+        numbers: dict[str, list[float]] = {
+            name: [] for name in ("youngs_modulus", "lame_mu", "lame_lambda")
+        }
         for name, heard in numbers.items():
             client.node.create_subscription(
-                Float64, f"/identifier/{name}", lambda message, heard=heard: heard.append(message.data), HEARD
+                Float64,
+                f"/identifier/{name}",
+                lambda message, heard=heard: heard.append(message.data),
+                HEARD,
             )
         markers: list[MarkerArray] = []
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, HEARD)
-        yield Calibrated(client, folder / "data", numbers, markers, client.asked("/identifier/calibrate_robot"))
+        yield Calibrated(
+            client, folder / "data", numbers, markers, client.asked("/identifier/calibrate_robot")
+        )
 
 
 def test_the_gripper_learns_itself(arm: Calibrated) -> None:
@@ -93,10 +101,14 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
         """What stood before is withdrawn by a NaN."""
         return [value for value in arm.numbers[name] if math.isfinite(value)]
 
-    assert client.wait_for(lambda: bool(said("lame_mu") and arm.markers and len(arm.markers[-1].markers) > 1))
+    assert client.wait_for(
+        lambda: bool(said("lame_mu") and arm.markers and len(arm.markers[-1].markers) > 1)
+    )
     assert client.wait_for(client.final)
     final = client.estimates[-1]
-    assert final["probe"] == "softness" and final["final"] == "true" and final["verdict"] == "accepted"
+    assert (
+        final["probe"] == "softness" and final["final"] == "true" and final["verdict"] == "accepted"
+    )
     assert client.wait_for(lambda: bool(said("youngs_modulus")))
     told = said("youngs_modulus")[-1]
     assert float(final["youngs_modulus"]) == told and final["youngs_modulus.unit"] == "Pa"
@@ -108,10 +120,15 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     # what is not determined is not published either
     assert (final["lame_lambda"] == "not determined") == (not said("lame_lambda"))
     assert 0.05 < float(final["largest_squeeze"]) < 0.45
-    assert client.wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001), "the fingers let go"
+    assert client.wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001), (
+        "the fingers let go"
+    )
 
-    drawn = {marker.type: marker for marker in arm.markers[-1].markers if marker.action == Marker.ADD}
-    cube, words = drawn[Marker.CUBE], drawn[Marker.TEXT_VIEW_FACING]
+    drawn = {
+        marker.type: marker for marker in arm.markers[-1].markers if marker.action == Marker.ADD
+    }
+    cube = drawn[Marker.CUBE]
+    words = drawn[Marker.TEXT_VIEW_FACING]
     assert cube.header.frame_id == "end_effector_link" and cube.scale.x == 0.03
     assert words.text.startswith(shown_told.split()[0])
     assert not client.masses and not client.payloads
@@ -121,11 +138,15 @@ def test_a_block_is_squeezed_until_it_is_sure(arm: Calibrated) -> None:
     """As sure as can be in 15 s: the squeezes after the first are chosen, and the fingers let go after each."""
     client = arm.client
     assert client.set("/virtual", "object", block(20e3)).successful
-    assert client.set("/identifier", "softness_sequence", str(arm.data.parent / "block.yaml")).successful
+    assert client.set(
+        "/identifier", "softness_sequence", str(arm.data.parent / "block.yaml")
+    ).successful
     began = client.position(GRIPPER)
     answer = client.asked("/identifier/calibrate_softness")
     assert client.set("/identifier", "softness_sequence", "softness").successful
-    assert answer.success and ("no push promises" in answer.message or "s are over" in answer.message), answer.message
+    assert answer.success and (
+        "no push promises" in answer.message or "s are over" in answer.message
+    ), answer.message
     # where no further squeeze is worth it after the first, none is made
     assert client.excitation["probe"] == "chosen" or "after 1 run " in answer.message
     final = client.estimates[-1]
@@ -161,7 +182,9 @@ def test_no_squeeze_goes_too_far(arm: Calibrated) -> None:
     assert not answer.success and "largest_squeeze=0.4" in answer.message
     refused = client.set("/identifier", "settings", ["block.hardness=1"])
     assert not refused.successful and "unknown" in refused.reason
-    assert client.set("/identifier", "settings", ["block.size=0.03", "payload.size=0.03"]).successful
+    assert client.set(
+        "/identifier", "settings", ["block.size=0.03", "payload.size=0.03"]
+    ).successful
     assert len(arm.folders()) == known, "nothing moved"
 
 
@@ -175,7 +198,9 @@ def test_cancelled_in_the_middle_of_a_squeeze(arm: Calibrated) -> None:
     assert client.wait_for(lambda: client.excitation.get("busy") == "false")
     # held where it is: the current that flows in the gripper is the holder's, and it does not go on closing
     heard = len(client.motors)
-    assert client.wait_for(lambda: len(client.motors) > heard + 25), "half a second: the position may be heard after the status"
+    assert client.wait_for(lambda: len(client.motors) > heard + 25), (
+        "half a second: the position may be heard after the status"
+    )
     place = client.position(GRIPPER)
     assert not client.wait_for(lambda: client.position(GRIPPER) < place - 0.002, 1.0)
     assert list((arm.folders()[-1] / "bag").glob("*.mcap")), "what was recorded is kept"

@@ -32,7 +32,8 @@ from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth
 
 BAGS = Path(__file__).parents[2] / "bags"
-OBJECT_KG, TARGET_KG = 0.1, 0.03
+OBJECT_KG = 0.1
+TARGET_KG = 0.03
 
 
 def bag_of(number: int) -> Path:
@@ -46,7 +47,11 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     made: list[Any] = []
     learnt = SimpleNamespace(calibration=None, verdict=Verdict.ACCEPTED)
     monkeypatch.setattr(jobs, "calibrate_from_bags", lambda bags, references, options: learnt)
-    monkeypatch.setattr(jobs, "chosen_known", lambda *asked: made.append(asked) or [ExcitationRun("joint3", -0.3, 0.5)])
+    monkeypatch.setattr(
+        jobs,
+        "chosen_known",
+        lambda *asked: made.append(asked) or [ExcitationRun("joint3", -0.3, 0.5)],
+    )
     work: Any = jobs.Jobs.__new__(jobs.Jobs)
     work._results, work._node = SimpleNamespace(tell=print), SimpleNamespace(say=print)
     path = tmp_path / "empty.yaml"
@@ -60,10 +65,16 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     learnt.calibration = Calibration((("coulomb", "joint3"),), np.array([0.05]), np.array([[1e-4]]))
     sequence = load_sequence(work._chosen(*asked), robot)
     assert made[0][1:4] == (0.0, 5e-4, 40.0) and made[0][0].calibration is learnt.calibration
-    assert [run.duration_s for run in sequence.runs] == [0.5] and sequence.until is None and sequence.hand == "empty"
+    assert (
+        [run.duration_s for run in sequence.runs] == [0.5]
+        and sequence.until is None
+        and sequence.hand == "empty"
+    )
 
 
-def test_no_push_is_chosen_before_it_is_known_where_the_arm_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_push_is_chosen_before_it_is_known_where_the_arm_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     heard = iter([{}, {"joint2": 0.1}, {"joint2": 0.1, "joint3": 0.2}])
     live: Any = SimpleNamespace(joints=("joint2", "joint3"), position=lambda: next(heard))
     jobs.Jobs._await_position(live)
@@ -74,20 +85,29 @@ def test_no_push_is_chosen_before_it_is_known_where_the_arm_is(monkeypatch: pyte
         jobs.Jobs._await_position(live)
 
 
-def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_calibration_in_use_is_brought_up_to_date(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All of the job but the arm: what is pushed was recorded before."""
-    old, bag = tmp_path / "old.yaml", tmp_path / "refresh" / "bag"
+    old = tmp_path / "old.yaml"
+    bag = tmp_path / "refresh" / "bag"
     bag.parent.mkdir()
     made = calibrate_from_bags([bag_of(n) for n in (0, 1, 4)], {}, output=old)
     assert made.verdict is Verdict.ACCEPTED
     shutil.copytree(bag_of(3), bag)
-    workspace, said, made_s = Workspace(tmp_path, "open_manipulator_x"), [], 1760000010.0
+    workspace = Workspace(tmp_path, "open_manipulator_x")
+    said = []
+    made_s = 1760000010.0
     results: Any = SimpleNamespace(
-        tell=lambda *words: None, tell_and_log=lambda _, words: said.append(words), calibration=lambda *_: None
+        tell=lambda *words: None,
+        tell_and_log=lambda _, words: said.append(words),
+        calibration=lambda *_: None,
     )
     inputs: Any = SimpleNamespace(live=None, moment=lambda: Moment(made_s))
     recorded: list[str] = []
-    monkeypatch.setattr(jobs, "chosen_refresh", lambda *_: ([ExcitationRun("joint3", -0.3, 0.5)], 8e-4, 2e-3))
+    monkeypatch.setattr(
+        jobs, "chosen_refresh", lambda *_: ([ExcitationRun("joint3", -0.3, 0.5)], 8e-4, 2e-3)
+    )
 
     work: Any = jobs.Jobs.__new__(jobs.Jobs)
     work._workspace, work._inputs, work._results = workspace, inputs, results
@@ -95,7 +115,9 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
     work.record = lambda *given: recorded.append(given[2]) or bag
     work._keep = lambda write: write()
     anew: list[str] = []
-    work._weighing = SimpleNamespace(prepare=lambda: anew.append("prepare"), begin=lambda: anew.append("begin"))
+    work._weighing = SimpleNamespace(
+        prepare=lambda: anew.append("prepare"), begin=lambda: anew.append("begin")
+    )
 
     def refreshed() -> tuple[bool, str]:
         words: tuple[bool, str] = work._refresh(Job("refresh", "refresh_robot"))
@@ -105,16 +127,29 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
         refreshed()
     workspace.calibration = old
     success, words = refreshed()
-    assert success and words.startswith("up to date: made less than ten minutes ago") and not recorded and not anew
+    assert (
+        success
+        and words.startswith("up to date: made less than ten minutes ago")
+        and not recorded
+        and not anew
+    )
     made_s += 5 * 86400.0
     success, words = refreshed()
     assert anew == ["prepare", "begin"], "the running estimate goes on with it"
     assert success and "brought up to date by 1 of 1 runs" in words, words
-    assert workspace.calibration == bag.parent / "calibration.yaml" == workspace.newest_calibration.resolve()
-    assert said == ["pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"]
+    assert (
+        workspace.calibration
+        == bag.parent / "calibration.yaml"
+        == workspace.newest_calibration.resolve()
+    )
+    assert said == [
+        "pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"
+    ]
     (asked,) = recorded
     sequence = load_sequence(asked, load_robot("open_manipulator_x"))
-    assert sequence.hand == "empty" and len(sequence.runs) == 1 and sequence.approach_velocity == 1.2
+    assert (
+        sequence.hand == "empty" and len(sequence.runs) == 1 and sequence.approach_velocity == 1.2
+    )
     assert (bag.parent / "report.html").exists()
 
 
@@ -122,9 +157,17 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
 def test_a_virtual_arm_weighs_until_it_is_sure(tmp_path: Path) -> None:
     path = tmp_path / "sure.yaml"
     until = {"half_interval": TARGET_KG, "unit": "kg", "at_most_s": 30}
-    path.write_text(json.dumps({"excitation": {"hand": "payload", "approach_velocity": 1.2, "until": until}}))
-    identifier = {"payload_sequence": str(path), "settings": ["payload.com=[0,0,0]"], "live_period": 0.0}
-    with running(tmp_path, virtual={"object": str(OBJECT_KG), "seed": -1}, identifier=identifier) as client:
+    path.write_text(
+        json.dumps({"excitation": {"hand": "payload", "approach_velocity": 1.2, "until": until}})
+    )
+    identifier = {
+        "payload_sequence": str(path),
+        "settings": ["payload.com=[0,0,0]"],
+        "live_period": 0.0,
+    }
+    with running(
+        tmp_path, virtual={"object": str(OBJECT_KG), "seed": -1}, identifier=identifier
+    ) as client:
         shown: list[MarkerArray] = []
         client.node.create_subscription(MarkerArray, "/identifier/next_push", shown.append, HEARD)
         answer = client.asked("/identifier/calibrate_payload")
@@ -143,7 +186,9 @@ def asked_for(folder: Path, half_interval: float, at_most_s: float) -> dict[str,
     """The identifier's parameters."""
     path = folder / "until.yaml"
     until = {"half_interval": half_interval, "unit": "kg", "at_most_s": at_most_s}
-    path.write_text(json.dumps({"excitation": {"hand": "payload", "approach_velocity": 1.2, "until": until}}))
+    path.write_text(
+        json.dumps({"excitation": {"hand": "payload", "approach_velocity": 1.2, "until": until}})
+    )
     return {"payload_sequence": str(path), "settings": ["payload.com=[0,0,0]"], "live_period": 0.0}
 
 
@@ -156,10 +201,14 @@ def weighed(client: Client, folder: Path) -> tuple[Any, dict[str, Any]]:
 
 
 @pytest.mark.long
-def test_a_start_near_a_limit_and_a_heavy_object_end_with_an_answer_or_a_reason(tmp_path: Path) -> None:
+def test_a_start_near_a_limit_and_a_heavy_object_end_with_an_answer_or_a_reason(
+    tmp_path: Path,
+) -> None:
     identifier = asked_for(tmp_path, TARGET_KG, 60.0)
     near = load_robot("open_manipulator_x").model.joint("joint3").lower + 0.03
-    with running(tmp_path, virtual={"object": str(OBJECT_KG), "seed": -1}, identifier=identifier) as client:
+    with running(
+        tmp_path, virtual={"object": str(OBJECT_KG), "seed": -1}, identifier=identifier
+    ) as client:
         goal = client.position("joint3")
         for _ in range(500):
             goal = max(near, goal - 0.01)
@@ -183,4 +232,6 @@ def test_where_joints_stick_the_service_says_so(tmp_path: Path) -> None:
     virtual = {"object": "0.05", "truth": tmp_path / "truth.json"}
     with running(tmp_path, virtual=virtual, identifier=asked_for(tmp_path, 0.01, 8.0)) as client:
         answer, estimate = weighed(client, tmp_path)
-    assert not answer.success and estimate["verdict"] != "accepted" and "stick" in answer.message, answer.message
+    assert not answer.success and estimate["verdict"] != "accepted" and "stick" in answer.message, (
+        answer.message
+    )

@@ -24,7 +24,9 @@ from proprio_ros.nodes import messages
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
 
-ELBOW, PUSH_S, STEP_S = "joint3", 0.4, 0.01
+ELBOW = "joint3"
+PUSH_S = 0.4
+STEP_S = 0.01
 PROBE = one_push(-0.3, PUSH_S, joint=ELBOW)
 
 
@@ -40,7 +42,10 @@ class Simulation:
     sent: list[tuple[float, Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.position = {**dict.fromkeys(load_robot("open_manipulator_x").drive_trains, 0.0), **PARKED}
+        self.position = {
+            **dict.fromkeys(load_robot("open_manipulator_x").drive_trains, 0.0),
+            **PARKED,
+        }
         self._clock = self.client.node.create_publisher(Clock, "/clock", 10)
         self._states = self.client.node.create_publisher(JointState, "/joint_states", 100)
         self.node._send = lambda command: self.sent.append((self.node.now_s(), command))
@@ -51,7 +56,9 @@ class Simulation:
 
     def step(self) -> None:
         self.now_s += STEP_S
-        self._clock.publish(Clock(clock=Time(sec=int(self.now_s), nanosec=round(1e9 * (self.now_s % 1.0)) % 10**9)))
+        self._clock.publish(
+            Clock(clock=Time(sec=int(self.now_s), nanosec=round(1e9 * (self.now_s % 1.0)) % 10**9))
+        )
         self.client.clock.sleep(0.5 * STEP_S / self.pace)
         if self.sent:
             command = self.sent[-1][1]
@@ -60,13 +67,18 @@ class Simulation:
                 self.position[joint] -= 0.5 * STEP_S
         names = list(self.position)
         speeds = [0.0] * len(names)
-        self._states.publish(messages.joint_state(round(1e9 * self.now_s), names, list(self.position.values()), speeds))
+        self._states.publish(
+            messages.joint_state(
+                round(1e9 * self.now_s), names, list(self.position.values()), speeds
+            )
+        )
         self.client.clock.sleep(0.5 * STEP_S / self.pace)
 
     def run(self) -> Any:
         """Ask for the sequence while the simulation goes on."""
         future = self.client.begin("/excitation/run")
-        for _ in range(100):  # a node at rest answers within 80 ms; at four times the pace a step takes 2.5 ms
+        # a node at rest answers within 80 ms; at four times the pace a step takes 2.5 ms
+        for _ in range(100):
             if not future.done():
                 self.step()
         assert future.done()
@@ -77,15 +89,20 @@ class Simulation:
 def simulation(tmp_path: Path) -> Iterator[Simulation]:
     probe = tmp_path / "push.yaml"
     probe.write_text(PROBE)
-    with running(tmp_path, "excitation", excitation={"use_sim_time": True, "probe": str(probe)}) as client:
+    with running(
+        tmp_path, "excitation", excitation={"use_sim_time": True, "probe": str(probe)}
+    ) as client:
         yield Simulation(client, client.world.processes["excitation"].node)
 
 
 @pytest.mark.parametrize("pace", [4.0, 0.5])
-def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(simulation: Simulation, pace: float) -> None:
+def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(
+    simulation: Simulation, pace: float
+) -> None:
     """The simulation pauses before the push and in it."""
     simulation.pace = pace
-    client, machine = simulation.client, simulation.machine
+    client = simulation.client
+    machine = simulation.machine
     answer = client.call("/excitation/run")
     assert not answer.success and "no time comes on /clock" in answer.message
     for _ in range(10):
@@ -107,12 +124,16 @@ def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(simulation: Simulatio
     assert outcome.duration_s == pytest.approx(PUSH_S, abs=STEP_S)
     driven_s = [at_s for at_s, command in simulation.sent if command.current_A]
     assert driven_s[-1] - driven_s[0] == pytest.approx(PUSH_S, abs=2 * STEP_S)
-    assert all(after - before == pytest.approx(STEP_S, abs=1e-3) for before, after in pairwise(driven_s))
+    assert all(
+        after - before == pytest.approx(STEP_S, abs=1e-3) for before, after in pairwise(driven_s)
+    )
 
 
 @pytest.mark.parametrize("jump_s", [-5.0, 5.0, -100.0])
 @pytest.mark.parametrize("when", ["idle", "probe"])
-def test_after_a_jump_of_the_clock_the_next_call_is_obeyed(simulation: Simulation, jump_s: float, when: str) -> None:
+def test_after_a_jump_of_the_clock_the_next_call_is_obeyed(
+    simulation: Simulation, jump_s: float, when: str
+) -> None:
     """Who resets a simulation sets its clock back: a push that was under way is aborted, and the next call begins at once."""
     machine = simulation.machine
     for _ in range(10):
@@ -158,13 +179,16 @@ def test_a_weighing_after_a_jump_of_the_clock_is_not_late(tmp_path: Path, jump_s
     probe.write_text(PROBE)
     identifier = {**on, "payload_sequence": str(probe), "report": False, "live_period": 0.0}
     with running(tmp_path, driver=on, excitation=on, identifier=identifier) as client:
-        clock, ahead_s = client.clock, [0.0]
+        clock = client.clock
+        ahead_s = [0.0]
         publisher = client.node.create_publisher(Clock, "/clock", 10)
 
         def simulate() -> None:
             while True:
                 now_s = clock.now() + ahead_s[0]
-                publisher.publish(Clock(clock=Time(sec=int(now_s), nanosec=int(1e9 * (now_s % 1.0)))))
+                publisher.publish(
+                    Clock(clock=Time(sec=int(now_s), nanosec=int(1e9 * (now_s % 1.0))))
+                )
                 clock.sleep(STEP_S)
 
         clock.thread(simulate, "simulation", group="simulation").start()

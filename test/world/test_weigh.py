@@ -54,11 +54,15 @@ class Work:
         rng = np.random.default_rng(7)
         here = np.array([self._client.position(joint) for joint in JOINTS])
         while not self._ended.is_set():
-            goal, takes_s, begun_s = rng.uniform(LOWEST, HIGH), rng.uniform(0.9, 1.4), self._clock.now()
+            goal = rng.uniform(LOWEST, HIGH)
+            takes_s = rng.uniform(0.9, 1.4)
+            begun_s = self._clock.now()
             while not self._ended.is_set() and self._clock.now() < begun_s + takes_s + 0.3:
                 share = min((self._clock.now() - begun_s) / takes_s, 1.0)
                 wanted = here + (goal - here) * (10 * share**3 - 15 * share**4 + 6 * share**5)
-                self._client.positions.publish(labelled(dict(zip(JOINTS, wanted.tolist(), strict=True))))
+                self._client.positions.publish(
+                    labelled(dict(zip(JOINTS, wanted.tolist(), strict=True)))
+                )
                 self._clock.sleep(0.01)
             here = goal
 
@@ -86,7 +90,8 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
     drawn = Truth.draw(robot, 3, links=True)
     # nobody has measured the torque constants, so a mass errs as they do: here they are what the file says
     joints = {
-        name: replace(joint, torque_constant=robot.drive_trains[name].torque_constant.value) for name, joint in drawn.joints.items()
+        name: replace(joint, torque_constant=robot.drive_trains[name].torque_constant.value)
+        for name, joint in drawn.joints.items()
     }
     (tmp_path / "truth.json").write_text(replace(drawn, joints=joints).as_json())
     virtual: dict[str, Any] = {"truth": tmp_path / "truth.json"}
@@ -96,64 +101,101 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
             client.clock.sleep(1.0)
             client.states.clear()
             client.clock.sleep(22.0)
-            empty, calibration = bag_of(client, tmp_path / "empty"), tmp_path / "motions.yaml"
+            empty = bag_of(client, tmp_path / "empty")
+            calibration = tmp_path / "motions.yaml"
             calibrated = calibrate_from_bags([empty], {}, Options(effort_unit="N.m"), calibration)
             assert calibration.exists(), calibrated.reasons
             client.world.start(
                 "identifier",
-                {"calibration": calibration, "report": True, "running": True, "weigh_seconds": 12.0, "gravity_effort_rate": 20.0},
+                {
+                    "calibration": calibration,
+                    "report": True,
+                    "running": True,
+                    "weigh_seconds": 12.0,
+                    "gravity_effort_rate": 20.0,
+                },
             )
 
             def newest() -> dict[str, str]:
-                return next((told for told in reversed(client.estimates) if told.get("running") == "true"), {})
+                return next(
+                    (told for told in reversed(client.estimates) if told.get("running") == "true"),
+                    {},
+                )
 
             def weighs(mass_kg: float) -> bool:
-                return bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.005 and newest()["changed"] == "false"
+                return (
+                    bool(client.masses)
+                    and abs(client.masses[-1] - mass_kg) < 0.005
+                    and newest()["changed"] == "false"
+                )
 
             holding: list[bool] = []
-            client.world.user.create_subscription(Bool, "/identifier/holding", lambda said: holding.append(said.data), LATCHED)
+            client.world.user.create_subscription(
+                Bool, "/identifier/holding", lambda said: holding.append(said.data), LATCHED
+            )
             assert client.wait_for(newest), client.log("identifier")
-            assert client.wait_for(lambda: float(newest()["seconds_of_motion"]) > 3.0 and weighs(0.0), LATEST_S), newest()
+            assert client.wait_for(
+                lambda: float(newest()["seconds_of_motion"]) > 3.0 and weighs(0.0), LATEST_S
+            ), newest()
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "0.05").successful
             picked_s = client.clock.now()
-            assert client.wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S), (
-                newest()
-            )
+            assert client.wait_for(
+                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]),
+                LATEST_S,
+            ), newest()
             assert client.wait_for(lambda: weighs(0.05), LATEST_S), newest()
             assert holding == [False, True] and newest()["holding"] == "true", newest()
             efforts: list[JointState] = []
             capabilities: list[dict[str, str]] = []
-            client.world.user.create_subscription(JointState, "/identifier/gravity_effort", efforts.append, COMMANDS)
             client.world.user.create_subscription(
-                DiagnosticStatus, "/identifier/capability", lambda said: capabilities.append(values_of(said)), COMMANDS
+                JointState, "/identifier/gravity_effort", efforts.append, COMMANDS
+            )
+            client.world.user.create_subscription(
+                DiagnosticStatus,
+                "/identifier/capability",
+                lambda said: capabilities.append(values_of(said)),
+                COMMANDS,
             )
             asks = client.world.user.create_publisher(JointState, "/identifier/carry_to", COMMANDS)
-            assert client.wait_for(lambda: len(efforts) > 3 and bool(capabilities)), client.log("identifier")
-            assert capabilities[-1]["can_carry"] == "true" and list(efforts[-1].name) == list(efforts[0].name)
+            assert client.wait_for(lambda: len(efforts) > 3 and bool(capabilities)), client.log(
+                "identifier"
+            )
+            assert capabilities[-1]["can_carry"] == "true" and list(efforts[-1].name) == list(
+                efforts[0].name
+            )
             asks.publish(JointState(name=["joint2"], position=[1.4]))
             assert client.wait_for(lambda: capabilities[-1]["where"] == "to the goal"), capabilities
-            assert float(capabilities[-1]["most"]) > 0.05 and capabilities[-1]["joint"] in JOINTS, capabilities[-1]
+            assert float(capabilities[-1]["most"]) > 0.05 and capabilities[-1]["joint"] in JOINTS, (
+                capabilities[-1]
+            )
             asks.publish(JointState(name=["elbow"], position=[1.4]))
             assert client.wait_for(lambda: capabilities[-1]["can_carry"] == "unknown"), capabilities
             client.clock.sleep(max(0.0, 14.0 - (client.clock.now() - picked_s)))
             answer = client.call("/identifier/weigh")
             assert answer.success, answer.message
-            live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
+            live = replayed_alike(
+                Path(answer.message.split("recording: ")[1]).parent / "estimate.json"
+            )
             told = live["estimates"][0]
             assert abs(told["value"] - 0.05) < 0.005, told
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "none").successful
-            assert client.wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S), (
-                newest()
-            )
+            assert client.wait_for(
+                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]),
+                LATEST_S,
+            ), newest()
             assert client.wait_for(lambda: weighs(0.0), LATEST_S), newest()
             # the service began anew, and found what it is asked for
-            assert holding == [False, True, False] and float(newest()["holding.probability"]) < 0.01, newest()
+            assert (
+                holding == [False, True, False] and float(newest()["holding.probability"]) < 0.01
+            ), newest()
         finally:
             work.stop()
         rests = len(client.estimates)
-        assert client.wait_for(lambda: len(client.estimates) > rests + 15 and float(newest()["seconds_at_rest"]) > 0.5)
+        assert client.wait_for(
+            lambda: len(client.estimates) > rests + 15 and float(newest()["seconds_at_rest"]) > 0.5
+        )
         kept = newest()["payload_mass"]
         client.clock.sleep(1.0)
         assert newest()["payload_mass"] == kept, "an arm at rest keeps its answer"

@@ -24,7 +24,13 @@ from scipy.special import stdtr
 
 from proprio_ros.records import FloatArray
 
-PUBLISHED: Mapping[str, float] = {"common_scale": 0.015, "own_scale": 0.01, "friction": 0.15, "offset": 0.1, "zero": 0.003}
+PUBLISHED: Mapping[str, float] = {
+    "common_scale": 0.015,
+    "own_scale": 0.01,
+    "friction": 0.15,
+    "offset": 0.1,
+    "zero": 0.003,
+}
 """Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad]."""
 PSEUDO_RECORDINGS = 4.0  # So many recordings the published word counts as.
 CONSIDERED = ("common_scale", "own_scale", "zero")
@@ -36,7 +42,8 @@ FOLLOWED_TOGETHER = (("common_scale",), ("own_scale", "zero"))
 """Kinds whose spread the evidence decides, some together."""
 FACTORS = (0.01, 0.4, 0.8, 1.3, 2.0, 3.2, 5.0)
 """Of these spreads, over those that were stated; torques that differ by more are refused as those of another unit."""
-AGREE = 0.5  # How likely it is that torque and zeros of two recordings are alike, before they are looked at.
+# How likely it is that torque and zeros of two recordings are alike, before they are looked at.
+AGREE = 0.5
 DIFFERS = "torque and zeros that differ between recordings"
 WORDS: Mapping[str, str] = {
     "friction": "friction that differs between recordings",
@@ -48,7 +55,9 @@ SPREAD_SCALE = 0.05
 SPREADS = np.geomspace(1e-4, 1.0, 200)  # At which the posterior of that is taken.
 
 
-def spread_of_runs(stated: float, found: FloatArray, learnt: FloatArray, pseudo_runs: float) -> float:
+def spread_of_runs(
+    stated: float, found: FloatArray, learnt: FloatArray, pseudo_runs: float
+) -> float:
     """Standard deviation of what differs from run to run, a stated one counting as ``pseudo_runs``.
 
     ``stated``: standard deviation that is expected; ``found``: what each run has, shape (R,); ``learnt``: how much of it the run
@@ -68,7 +77,8 @@ class Between:
 
     spreads: Mapping[str, float]  # by kind, in the units of `PUBLISHED`
     recordings: Mapping[str, float]  # on how many recordings' word each rests
-    friction: FloatArray  # what a spread of 1 is: of viscous friction, Coulomb friction and the offset, shape (3 n,)
+    # what a spread of 1 is: of viscous friction, Coulomb friction and the offset, shape (3 n,)
+    friction: FloatArray
     drift: FloatArray  # what these change by within a recording, shape (3 n,)
 
     @classmethod
@@ -80,30 +90,43 @@ class Between:
     def kinds(self) -> NDArray[np.str_]:
         """Of the own terms, shape (5 n + 1,)."""
         count = len(self.friction) // 3
-        return np.repeat(["friction", "offset", "own_scale", "zero", "common_scale"], [2 * count, count, count, count, 1])
+        return np.repeat(
+            ["friction", "offset", "own_scale", "zero", "common_scale"],
+            [2 * count, count, count, count, 1],
+        )
 
     @property
     def by_word(self) -> dict[str, float]:
         """On how many recordings' word each of `WORDS` rests: of its kinds, that of which fewest tell."""
-        return {word: min(self.recordings[kind] for kind in WORDS if WORDS[kind] == word) for word in WORDS.values()}
+        return {
+            word: min(self.recordings[kind] for kind in WORDS if WORDS[kind] == word)
+            for word in WORDS.values()
+        }
 
     @property
     def std(self) -> FloatArray:
         """Of the own terms, shape (5 n + 1,)."""
-        kinds, of_friction = self.kinds, len(self.friction)
+        kinds = self.kinds
+        of_friction = len(self.friction)
         std = np.array([self.spreads[kind] for kind in kinds])
         std[:of_friction] = np.hypot(std[:of_friction] * self.friction, self.drift)
         return np.maximum(std, 1e-9)
 
-    def learnt(self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED) -> Between:
+    def learnt(
+        self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED
+    ) -> Between:
         """With what recordings show, beside what this says.
 
         ``now``: the spreads under which they were fitted; ``off``: how each one's own terms differ from the machine's,
         shape (R, 5 n + 1); ``variances``: of these, after the fit, shape (R, 5 n + 1); ``kinds``: what is learnt.
         """
-        std, own, spreads, recordings = now.std, self.kinds, dict(self.spreads), dict(self.recordings)
+        std = now.std
+        own = self.kinds
+        spreads = dict(self.spreads)
+        recordings = dict(self.recordings)
         for kind in kinds:
-            mine, stated = own == kind, self.spreads[kind]
+            mine = own == kind
+            stated = self.spreads[kind]
             told = np.clip(1.0 - variances[:, mine] / std[mine] ** 2, 0.0, 1.0)
             found = off[:, mine] / std[mine] * now.spreads[kind]
             spreads[kind] = spread_of_runs(stated, found, told, self.recordings[kind])
@@ -126,11 +149,17 @@ def by_evidence(
     evidence, terms = (np.array(part) for part in zip(*each, strict=True))
     weights, agree = likely(evidence, pairs)
     factors = np.sqrt(weights @ np.square(pairs)).tolist()
-    wider = {kind: factor for group, factor in zip(FOLLOWED_TOGETHER, factors, strict=True) for kind in group}
+    wider = {
+        kind: factor
+        for group, factor in zip(FOLLOWED_TOGETHER, factors, strict=True)
+        for kind in group
+    }
     return (1.0 - agree) * (weights @ terms), wider, terms, weights
 
 
-def under(variances: FloatArray, information: FloatArray, side: FloatArray) -> tuple[float, FloatArray]:
+def under(
+    variances: FloatArray, information: FloatArray, side: FloatArray
+) -> tuple[float, FloatArray]:
     """Logarithm of how likely data are, over that without the terms; and these, whose prior is so wide about nothing."""
     widened = np.eye(len(side)) + variances[:, None] * information
     values = np.asarray(np.linalg.solve(widened, variances * side), np.float64)
@@ -166,7 +195,9 @@ def spread_of(posterior: FloatArray) -> float:
     return float(SPREADS[int(np.searchsorted(np.cumsum(posterior), 0.5))])
 
 
-def effective_freedom(total: FloatArray | float, parts: Sequence[tuple[float, float]]) -> FloatArray:
+def effective_freedom(
+    total: FloatArray | float, parts: Sequence[tuple[float, float]]
+) -> FloatArray:
     """Degrees of freedom of a variance, parts of which few say: Satterthwaite 1946, Biometrics Bulletin 2.
 
     ``total``: variance; ``parts``: of it, each with its degrees of freedom.
@@ -176,7 +207,9 @@ def effective_freedom(total: FloatArray | float, parts: Sequence[tuple[float, fl
     return result
 
 
-def half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, float]]) -> float:
+def half_width(
+    posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, float]]
+) -> float:
     """Of the 95 % interval [kg].
 
     ``posterior``: see `spread_posterior`; ``mass``: that the spread is relative to [kg]; ``rest``: variance of everything else

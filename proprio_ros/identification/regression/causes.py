@@ -31,17 +31,22 @@ BETTER, CLEARER = 3.0, 1.15
 """And so many times less than as it is, and this much less than what any other mistake leaves."""
 UNEXPLAINED, CERTAIN = 0.15, 8.0
 """What an arm that differs from its URDF leaves is less; a mistake that leaves so many times less is named whatever that is."""
-RATE_HZ, LONGEST_S = 100.0, 60.0  # So many samples are enough to tell mistakes apart: some twenty fits are made.
+# So many samples are enough to tell mistakes apart: some twenty fits are made.
+RATE_HZ = 100.0
+LONGEST_S = 60.0
 HEAVY_COSTS = 0.3  # Share of the torque that a payload as heavy as the arm must explain.
 LEAST = 0.03  # And what is explained to this share is explained.
-WEAK = 0.1  # A joint counts as if gravity and inertia took at least this share of the largest torque on any.
-LEAST_TILT_RAD, GRAVITY_ROUNDS = 0.2, 4
+# A joint counts as if gravity and inertia took at least this share of the largest torque on any.
+WEAK = 0.1
+LEAST_TILT_RAD = 0.2
+GRAVITY_ROUNDS = 4
 DEGREES = 10.0
 """Angles that stay below are none in degrees: as such they hardly move, and offsets and a payload would explain any torque."""
 GRAVITY_M_S2 = 9.81
 
 
-_Tried = tuple[float, str]  # Share of the torque that is not explained without a mistake, and the words for that.
+# Share of the torque that is not explained without a mistake, and the words for that.
+_Tried = tuple[float, str]
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,9 @@ class _Model:
         payload = arm.kg * rows.payload @ np.array([point_mass(place) for place in places]).T
         return cls(rows, by_urdf, 1.0 / np.maximum(size, WEAK * size.max())[rows.joint], payload)
 
-    def left(self, torque: FloatArray, beside: FloatArray | None = None) -> tuple[float, FloatArray]:
+    def left(
+        self, torque: FloatArray, beside: FloatArray | None = None
+    ) -> tuple[float, FloatArray]:
         """What is left of a torque, shape (E,), in parts of what the URDF says, and the factors of columns ``beside``, (E, 3).
 
         Those columns stand in the place of the URDF's torque.
@@ -71,14 +78,28 @@ class _Model:
         own = np.eye(self.rows.joint.max() + 1)[self.rows.joint]
         known = self.by_urdf if beside is None else np.zeros_like(torque)
         # a payload also takes up what the URDF is off by, but is no lighter than nothing, as no friction helps
-        columns = [self.payload, own * self.rows.direction[:, None], own, *([] if beside is None else [beside])]
+        columns = [
+            self.payload,
+            own * self.rows.direction[:, None],
+            own,
+            *([] if beside is None else [beside]),
+        ]
         system = np.column_stack([*columns, torque - known]) * self.weight[:, None]
         total = max(float(np.sum(np.square(self.by_urdf * self.weight))), 1e-12)
-        held, joints = self.payload.shape[1], own.shape[1]
+        held = self.payload.shape[1]
+        joints = own.shape[1]
         # a heavy payload needs a reason, and so does a constant torque
-        costs, offsets = np.zeros(system.shape[1]), slice(held + joints, held + 2 * joints)
-        costs[:held], costs[offsets] = 1.0, (own * self.weight[:, None]).max(axis=0) / np.sqrt(joints)
-        small = np.asarray(np.linalg.qr(np.vstack([system, np.sqrt(HEAVY_COSTS * total) * np.diag(costs)]), mode="r"))
+        costs = np.zeros(system.shape[1])
+        offsets = slice(held + joints, held + 2 * joints)
+        costs[:held], costs[offsets] = (
+            1.0,
+            (own * self.weight[:, None]).max(axis=0) / np.sqrt(joints),
+        )
+        small = np.asarray(
+            np.linalg.qr(
+                np.vstack([system, np.sqrt(HEAVY_COSTS * total) * np.diag(costs)]), mode="r"
+            )
+        )
         least = np.where(np.arange(len(costs) - 1) < held + joints, 0.0, -np.inf)
         found = lsq_linear(small[:, :-1], small[:, -1], (least, np.inf), tol=1e-12)
         return 2.0 * float(found.cost) / total, found.x[-3:]
@@ -90,7 +111,11 @@ def with_cause(refusal: Refusal, robot: Robot, motions: Sequence[Motion]) -> Ref
         return refusal
     for motion in motions:
         if cause := torque_cause(robot, motion):
-            code = "misfit" if refusal.verdict is Verdict.TOO_WIDE else getattr(refusal.reasons[0], "code", "other")
+            code = (
+                "misfit"
+                if refusal.verdict is Verdict.TOO_WIDE
+                else getattr(refusal.reasons[0], "code", "other")
+            )
             reasons = (Reason(code, f"{motion.name}: {cause}"), *refusal.reasons)
             withheld = refusal.withheld or "the arm does not fit its URDF"
             return replace(refusal, verdict=Verdict.REJECTED, withheld=withheld, reasons=reasons)
@@ -110,16 +135,21 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
     except (ProprioError, np.linalg.LinAlgError):
         return ""
     # a torque of nothing is explained by a payload that cancels the arm's weight
-    sure = least < min(EXPLAINED, nothing / 2.0) and as_it_is > max(BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST)
+    sure = least < min(EXPLAINED, nothing / 2.0) and as_it_is > max(
+        BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST
+    )
     other = next((left for left, said in others if said != words), np.inf)
     return words if sure and CLEARER * least < other else ""
 
 
 def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
-    sizes = np.array([_rms(model.by_urdf[model.rows.joint == number]) for number in range(len(motion.joints))])
+    sizes = np.array(
+        [_rms(model.by_urdf[model.rows.joint == number]) for number in range(len(motion.joints))]
+    )
     asked = [(np.ones(len(sizes), dtype=bool), of_all_joints())]
     for number, name in enumerate(motion.joints):
-        if sizes[number] < WEAK * sizes.max():  # mostly friction: less of it is explained better whatever is wrong
+        # mostly friction: less of it is explained better whatever is wrong
+        if sizes[number] < WEAK * sizes.max():
             continue
         mistakes = of_joint(name, "effort", "the URDF needs, that of the others is not")
         asked.append((np.arange(len(sizes)) == number, mistakes))
@@ -142,8 +172,12 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
 def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
     """Gravity from elsewhere: torque is linear in it."""
     still = _Model.of(replace(robot, gravity=np.zeros(3)), motion)
-    along = [_Model.of(replace(robot, gravity=axis), motion).by_urdf - still.by_urdf for axis in np.eye(3)]
-    stated, found = robot.gravity / np.linalg.norm(robot.gravity), robot.gravity
+    along = [
+        _Model.of(replace(robot, gravity=axis), motion).by_urdf - still.by_urdf
+        for axis in np.eye(3)
+    ]
+    stated = robot.gravity / np.linalg.norm(robot.gravity)
+    found = robot.gravity
     for _ in range(GRAVITY_ROUNDS):  # what a payload takes goes with gravity, too
         gravity = model.left(model.rows.torque - still.by_urdf, np.column_stack(along))[1]
         if (size := float(np.linalg.norm(gravity))) == 0.0:
@@ -162,12 +196,20 @@ def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]
 
 def _thinned(motion: Motion) -> Motion:
     """The middle of a long motion, and of fast samples every so many."""
-    times_s, middle_s = motion.times_s, 0.5 * float(motion.times_s[-1])
+    times_s = motion.times_s
+    middle_s = 0.5 * float(motion.times_s[-1])
     first, last = np.searchsorted(times_s, [middle_s - 0.5 * LONGEST_S, middle_s + 0.5 * LONGEST_S])
     kept = slice(first, last, max(1, int(len(times_s) / (2.0 * middle_s * RATE_HZ))))
-    position, current_A = motion.position[kept], motion.current_A[kept]
+    position = motion.position[kept]
+    current_A = motion.current_A[kept]
     beside = {name: values[kept] for name, values in motion.beside.items()}
-    return replace(motion, times_s=times_s[kept] - times_s[first], position=position, current_A=current_A, beside=beside)
+    return replace(
+        motion,
+        times_s=times_s[kept] - times_s[first],
+        position=position,
+        current_A=current_A,
+        beside=beside,
+    )
 
 
 def _rms(values: FloatArray) -> float:

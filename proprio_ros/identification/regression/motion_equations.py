@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS
 from proprio_ros.errors import RobotError, TooLittleMotion
 from proprio_ros.identification.regression.rigid_body import pseudo_inertia
-from proprio_ros.identification.regression.weak_form import Windows, across_gaps, evenly, torque_regressor
+from proprio_ros.identification.regression.weak_form import (
+    Windows,
+    across_gaps,
+    evenly,
+    torque_regressor,
+)
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel, Robot
@@ -35,7 +40,8 @@ SLOW_RAD_S = 0.02
 STRETCH_S = 2.5
 """Neighbouring windows share an error; stretches so long do not: longer than what friction and controllers keep in memory."""
 MIN_STRETCHES = 4
-ZERO_STEP_RAD = 1e-3  # Of a difference quotient: a torque is nearly linear over it, and its digits are not lost.
+# Of a difference quotient: a torque is nearly linear over it, and its digits are not lost.
+ZERO_STEP_RAD = 1e-3
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 _made: ContextVar[dict[bytes, Rows] | None] = ContextVar("made", default=None)
 
@@ -46,7 +52,8 @@ class Arm:
 
     model: ReducedModel  # its n joints
     body: int  # number of the body that carries the payload
-    from_payload: FloatArray  # that body's parameters per unit of the payload's in the payload's frame, shape (10, 10)
+    # that body's parameters per unit of the payload's in the payload's frame, shape (10, 10)
+    from_payload: FloatArray
     reach_m: float  # from the base to the hand along the links
 
     @classmethod
@@ -56,10 +63,15 @@ class Arm:
         body, body_from_payload = model.frames[robot.payload_frame]
         if body < 0:
             raise RobotError(f"{robot.payload_frame} does not move with any joint of {robot.name}")
-        turned = (body_from_payload @ pseudo_inertia(unit) @ body_from_payload.T for unit in np.eye(PARAMETERS))
+        turned = (
+            body_from_payload @ pseudo_inertia(unit) @ body_from_payload.T
+            for unit in np.eye(PARAMETERS)
+        )
         links = sum(np.linalg.norm(place[:3, 3]) for place in model.placement)
         reach_m = float(links + np.linalg.norm(body_from_payload[:3, 3]))
-        return cls(model, body, np.column_stack([body_parameters(pseudo) for pseudo in turned]), reach_m)
+        return cls(
+            model, body, np.column_stack([body_parameters(pseudo) for pseudo in turned]), reach_m
+        )
 
     @property
     def count(self) -> int:
@@ -111,9 +123,12 @@ class Arm:
         def torques(position: FloatArray, since: int = 0) -> FloatArray:
             if not len(joint):
                 return np.zeros((0, self.count, PARAMETERS))
-            return torque_regressor(self.model, position, velocity, windows, period_s, since)[window, joint]
+            return torque_regressor(self.model, position, velocity, windows, period_s, since)[
+                window, joint
+            ]
 
-        regressor, shifted = torques(position), []
+        regressor = torques(position)
+        shifted = []
         for turned, shift in enumerate(ZERO_STEP_RAD * np.eye(self.count)) if by_zeros else ():
             # a joint turns the bodies behind it, which have larger numbers
             rise = torques(position + shift, turned)
@@ -125,12 +140,25 @@ class Arm:
         moving = np.tanh(velocity / SLOW_RAD_S)
         direction = windows.mean(moving)[window, joint]
         own = np.eye(self.count)[joint]
-        waves = [windows.mean(moving * wave(n * position)) for n in (1.0, 2.0) for wave in (np.sin, np.cos)]
-        columns = (windows.derivative(velocity, period_s), None, None, *waves, windows.mean(velocity))
+        waves = [
+            windows.mean(moving * wave(n * position))
+            for n in (1.0, 2.0)
+            for wave in (np.sin, np.cos)
+        ]
+        columns = (
+            windows.derivative(velocity, period_s),
+            None,
+            None,
+            *waves,
+            windows.mean(velocity),
+        )
         design = np.hstack(
             [
                 regressor.reshape(len(joint), self.count * PARAMETERS),
-                *(0.0 * own if column is None else own * column[window, joint, None] for column in columns),
+                *(
+                    0.0 * own if column is None else own * column[window, joint, None]
+                    for column in columns
+                ),
                 own * direction[:, None],
                 own,
             ]
@@ -168,8 +196,20 @@ def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) 
     velocity = np.gradient(position, period_s, axis=0)
     width = round(WINDOW_S / period_s)
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
-    counts = np.isin(arm.model.joint_names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
-    return arm.rows(windows, times_s, period_s, position, velocity, current * constants, counts, by_zeros=by_zeros)
+    counts = (
+        np.isin(arm.model.joint_names, motion.moved)[None, :]
+        & ~across_gaps(motion, times_s, windows)[:, None]
+    )
+    return arm.rows(
+        windows,
+        times_s,
+        period_s,
+        position,
+        velocity,
+        current * constants,
+        counts,
+        by_zeros=by_zeros,
+    )
 
 
 def own_terms(count: int) -> int:
@@ -201,17 +241,28 @@ class Rows:
     @classmethod
     def together(cls, parts: Sequence[Rows]) -> Rows:
         """Of several motions or windows, one after the other."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+        return cls(
+            *(
+                np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(cls)
+            )
+        )
 
     @property
     def stretch(self) -> NDArray[np.int64]:
         """Number of the stretch that the window's middle lies in, shape (E,)."""
-        stretches: NDArray[np.int64] = ((self.start_s + 0.5 * WINDOW_S) / STRETCH_S).astype(np.int64)
+        stretches: NDArray[np.int64] = ((self.start_s + 0.5 * WINDOW_S) / STRETCH_S).astype(
+            np.int64
+        )
         return stretches
 
 
 def equations(
-    robot: Robot, motion: Motion, joints: Sequence[str], centre_m: FloatArray | None = None, by_zeros: bool = True
+    robot: Robot,
+    motion: Motion,
+    joints: Sequence[str],
+    centre_m: FloatArray | None = None,
+    by_zeros: bool = True,
 ) -> Rows:
     """What one motion says.
 
@@ -222,25 +273,47 @@ def equations(
     Raises `RecordingError`: It is too short, or too fast for its rate.
     """
     arm = Arm.of(robot, joints, dict(motion.held))
-    names, model = arm.model.joint_names, arm.model
+    names = arm.model.joint_names
+    model = arm.model
     constants = np.array([robot.drive_trains[name].torque_constant.value for name in names])
-    of_arm = (names, model.parents, model.placement, model.axes, model.gravity, arm.body, arm.from_payload, constants)
+    of_arm = (
+        names,
+        model.parents,
+        model.placement,
+        model.axes,
+        model.gravity,
+        arm.body,
+        arm.from_payload,
+        constants,
+    )
     of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
     made = {} if (within := _made.get()) is None else within
-    key = b"" if within is None else hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
+    key = (
+        b""
+        if within is None
+        else hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
+    )
     rows = made[key] = made.get(key) or _of_motion(arm, motion, constants, by_zeros)
     if not len(rows.joint):
-        raise TooLittleMotion(f"{motion.name}: no joint moves for long enough without a pause or a gap")
+        raise TooLittleMotion(
+            f"{motion.name}: no joint moves for long enough without a pause or a gap"
+        )
     if centre_m is None:
         return rows
-    payload, zero, point = rows.payload.copy(), rows.zero.copy(), point_mass(centre_m)
+    payload = rows.payload.copy()
+    zero = rows.zero.copy()
+    point = point_mass(centre_m)
     payload[:, 0] = rows.payload @ point
     zero[:, :, 0] = rows.zero[:, :, :PARAMETERS] @ point
     return replace(rows, payload=payload, zero=zero)
 
 
 def fill_drives(
-    matrix: FloatArray, values: FloatArray, rows: Rows | Problem, geared: slice, beside: FloatArray | float = 0.0
+    matrix: FloatArray,
+    values: FloatArray,
+    rows: Rows | Problem,
+    geared: slice,
+    beside: FloatArray | float = 0.0,
 ) -> None:
     """Fill the columns that go with a solution: gears lose a share of what they transmit, a motor is off by a share of its torque.
 
@@ -252,7 +325,8 @@ def fill_drives(
         beside: Torque that the matrix has no column of [N m], shape (E,).
     """
     count = geared.stop - geared.start
-    bodies, shares = slice(0, geared.start - count), slice(geared.stop, geared.stop + count)
+    bodies = slice(0, geared.start - count)
+    shares = slice(geared.stop, geared.stop + count)
     own = np.eye(count)[rows.joint]
     transmitted = np.abs(matrix[:, bodies] @ values[bodies] + beside)
     matrix[:, geared] = own * (transmitted * rows.direction)[:, None]
@@ -282,7 +356,9 @@ class Problem:
     def of(cls, parts: Sequence[Rows], loaded: int) -> Problem:
         """All motions together, ``loaded`` of them with the payload."""
         count = parts[0].design.shape[1] // TERMS
-        shared, friction, own = ARM_TERMS * count, len(FRICTION_TERMS) * count, own_terms(count)
+        shared = ARM_TERMS * count
+        friction = len(FRICTION_TERMS) * count
+        own = own_terms(count)
         matrix = []
         for number, part in enumerate(parts):
             of_motion = np.zeros((len(part.joint), own * len(parts)))
@@ -295,7 +371,16 @@ class Problem:
         zero = rows.zero.copy()
         zero[motion >= loaded, :, :PARAMETERS] = 0.0
         return cls(
-            np.vstack(matrix), rows.torque, rows.joint, stretch, rows.direction, motion, rows.payload[:, 0], zero, loaded, count
+            np.vstack(matrix),
+            rows.torque,
+            rows.joint,
+            stretch,
+            rows.direction,
+            motion,
+            rows.payload[:, 0],
+            zero,
+            loaded,
+            count,
         )
 
     def only(self, kept: NDArray[np.bool_]) -> Problem:
@@ -334,7 +419,9 @@ class Problem:
         """Which equations are of motions with the payload, shape (E,)."""
         return self.motion < self.loaded
 
-    def stretches_of(self, kept: NDArray[np.bool_], name: str, better_s: float, least: int = MIN_STRETCHES) -> int:
+    def stretches_of(
+        self, kept: NDArray[np.bool_], name: str, better_s: float, least: int = MIN_STRETCHES
+    ) -> int:
         """How many stretches some of its equations have.
 
         Raises `TooLittleMotion`: Fewer than ``least``; in motion ``name``, of which ``better_s`` would be better.
@@ -350,4 +437,6 @@ class Problem:
     def rms_by_joint(self, values: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
         """Of some equations' values, by joint, shape (n,); NaN of joints without a value."""
         mine = [values[kept & (self.joint == number)] for number in range(self.count)]
-        return np.array([np.sqrt(np.mean(of_joint**2)) if len(of_joint) else np.nan for of_joint in mine])
+        return np.array(
+            [np.sqrt(np.mean(of_joint**2)) if len(of_joint) else np.nan for of_joint in mine]
+        )

@@ -9,14 +9,31 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyHandEstimate, Weighable
+from proprio_ros.identification.calibration_estimate import (
+    CalibrationEstimate,
+    EmptyHandEstimate,
+    Weighable,
+)
 from proprio_ros.identification.estimate import UnknownRow
-from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
+from proprio_ros.identification.judge import (
+    ACCEPTED,
+    FAR,
+    Refusal,
+    judge,
+    not_identifiable,
+    rejected,
+)
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import Arm, once_each
-from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload, learn_arm, share_of
+from proprio_ros.identification.regression.motion_fit import (
+    Centre,
+    MotionFit,
+    fit_payload,
+    learn_arm,
+    share_of,
+)
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
@@ -54,7 +71,11 @@ def calibrate_motions(
     robot = replace(robot, motion_calibration=None)
     progress(f"fitting {len(motions)} motions")
     calibration, fits = learn_arm(robot, motions)
-    notes = tuple(note for motion in (*motions, *(motion for motion, _ in references)) for note in motion.notes)
+    notes = tuple(
+        note
+        for motion in (*motions, *(motion for motion, _ in references))
+        for note in motion.notes
+    )
     refusal = with_cause(judge(calibration_refusals(robot, motions, calibration)), robot, motions)
     if not refusal.withheld and references:
         progress("weighing the references")
@@ -95,10 +116,13 @@ def calibrate_motions(
     )  # fmt: skip
 
 
-def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
+def calibration_refusals(
+    robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
+) -> Iterator[Refusal]:
     """Why a calibration is not believed that was made of motions with an empty hand."""
     torques = [
-        motion.current_A[:, [motion.joints.index(joint) for joint in calibration.joints]] * calibration.torque_constants
+        motion.current_A[:, [motion.joints.index(joint) for joint in calibration.joints]]
+        * calibration.torque_constants
         for motion in motions
     ]
     driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
@@ -108,29 +132,43 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
     prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
     # the prior has what a joint's torque repeats to; what its file leaves open is more, most of it in common with the others
     open_yet = [
-        OWN_SHARE * relative_torque_std(robot, joint) if kind == "torque_share" else 0.0 for kind, joint in calibration.keys
+        OWN_SHARE * relative_torque_std(robot, joint) if kind == "torque_share" else 0.0
+        for kind, joint in calibration.keys
     ]
     std = np.hypot(np.sqrt(np.diag(prior.covariance)), open_yet)
-    yield from refusals.far_from_prior(calibration.keys, calibration.values, prior.values, std, "robot file")
+    yield from refusals.far_from_prior(
+        calibration.keys, calibration.values, prior.values, std, "robot file"
+    )
 
 
 def _scaled(
-    robot: Robot, calibration: MotionCalibration, references: Sequence[Reference], centre: Centre | None
+    robot: Robot,
+    calibration: MotionCalibration,
+    references: Sequence[Reference],
+    centre: Centre | None,
 ) -> tuple[MotionCalibration, Refusal]:
     """The calibration with the torque scale that the references show, or why they do not show it."""
     open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
     ratios: list[float] = []
     stds: list[float] = []
     said_coarse = ""
-    fits = [(fit_payload(robot, [motion], open_scale, centre=centre), motion, kg) for motion, kg in references]
+    fits = [
+        (fit_payload(robot, [motion], open_scale, centre=centre), motion, kg)
+        for motion, kg in references
+    ]
     # the best one first: one that is too coarse beside others says nothing, and does no harm
-    for fit, motion, mass_kg in sorted(fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]):
+    for fit, motion, mass_kg in sorted(
+        fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]
+    ):
         doubts = list(refusals.other_zero(motion.name, fit))
         if centre is not None:
-            doubts += refusals.centre_elsewhere(motion.name, centre, fit, fit_payload(robot, [motion], open_scale))
+            doubts += refusals.centre_elsewhere(
+                motion.name, centre, fit, fit_payload(robot, [motion], open_scale)
+            )
         if doubts:
             return calibration, doubts[0]
-        read, std = float(fit.values[0]), float(fit.std[0])
+        read = float(fit.values[0])
+        std = float(fit.std[0])
         coarse = read <= 0.0 or fit.half_width > LIGHT_REFERENCE * mass_kg
         if coarse and (ratios or said_coarse):
             continue
@@ -140,9 +178,12 @@ def _scaled(
             nothing = "the reference says nothing about the torque constants"
             said += "lighter than nothing: are the recordings mixed up?"
             return calibration, not_identifiable("says_too_little", nothing, said)
-        ratio, ratio_std = read / mass_kg, std / mass_kg
-        if not coarse:  # the reciprocal of what is uncertain is on average too large by its variance
-            ratio, ratio_std = mass_kg * read / (read**2 + std**2), std * mass_kg / read**2
+        ratio = read / mass_kg
+        ratio_std = std / mass_kg
+        # the reciprocal of what is uncertain is on average too large by its variance
+        if not coarse:
+            ratio = mass_kg * read / (read**2 + std**2)
+            ratio_std = std * mass_kg / read**2
         if abs(ratio - 1.0) > FAR * np.hypot(calibration.torque_scale_std, ratio_std):
             return calibration, rejected(
                 "misfit",
@@ -157,7 +198,8 @@ def _scaled(
             continue
         ratios.append(ratio)
         stds.append(ratio_std)
-    if not ratios:  # one that tells nothing is no reason to stop: an answer is as uncertain as without it
+    # one that tells nothing is no reason to stop: an answer is as uncertain as without it
+    if not ratios:
         return calibration, replace(ACCEPTED, reasons=(Reason("says_too_little", said_coarse),))
     weights = np.square(1.0 / np.array(stds))
     scale = float(weights @ ratios / weights.sum())
@@ -167,10 +209,16 @@ def _scaled(
     # what a file states of the constants counts, too: as far as these do not contradict it
     if all(robot.drive_trains[joint].torque_constant.std > 0.0 for joint in calibration.joints):
         stated = max(calibration.torque_scale_std**2, (scale - 1.0) ** 2 - told)
-        scale, told = (told + stated * scale) / (told + stated), told * stated / (told + stated)
-    runs = tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references)
+        scale = (told + stated * scale) / (told + stated)
+        told = told * stated / (told + stated)
+    runs = tuple(
+        {"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references
+    )
     return replace(
-        calibration, torque_scale=scale, torque_scale_std=float(np.sqrt(told)) / scale, runs=(*calibration.runs, *runs)
+        calibration,
+        torque_scale=scale,
+        torque_scale_std=float(np.sqrt(told)) / scale,
+        runs=(*calibration.runs, *runs),
     ), ACCEPTED
 
 
@@ -179,14 +227,21 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEs
     parts = list(motions)
     if len(parts) == 1:
         middle = 0.5 * float(parts[0].times_s[-1])
-        parts = [_between(parts[0], 0.0, middle, "first half"), _between(parts[0], middle, np.inf, "second half")]
+        parts = [
+            _between(parts[0], 0.0, middle, "first half"),
+            _between(parts[0], middle, np.inf, "second half"),
+        ]
     weighed = []
     for number, part in enumerate(parts):
         try:
-            fit = fit_payload(robot, [part], learn_arm(robot, [*parts[:number], *parts[number + 1 :]])[0])
+            fit = fit_payload(
+                robot, [part], learn_arm(robot, [*parts[:number], *parts[number + 1 :]])[0]
+            )
         except RecordingError:
             continue  # too short to be halved: then the fit's own word has to do
-        weighed.append(EmptyHandEstimate(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile))
+        weighed.append(
+            EmptyHandEstimate(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile)
+        )
     return tuple(weighed)
 
 
@@ -202,7 +257,9 @@ def _between(motion: Motion, first_s: float, last_s: float, words: str) -> Motio
     )
 
 
-def _longest_weighed(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> MotionFit:
+def _longest_weighed(
+    robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
+) -> MotionFit:
     """The longest motion weighed, together with the next ones where it is too short by itself."""
     longest = sorted(motions, key=lambda motion: -float(motion.times_s[-1]))
     for count in range(1, len(longest)):

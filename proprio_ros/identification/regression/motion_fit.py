@@ -19,12 +19,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from proprio_ros.calibration_files.motions import ARM_TERMS, BODY_TERMS, FRICTION_TERMS, TERMS, Key, MotionCalibration
+from proprio_ros.calibration_files.motions import (
+    ARM_TERMS,
+    BODY_TERMS,
+    FRICTION_TERMS,
+    TERMS,
+    Key,
+    MotionCalibration,
+)
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.between import DIFFERS, WORDS, Between, effective_freedom
-from proprio_ros.identification.regression.motion_equations import MIN_STRETCHES, WINDOW_S, Arm, Problem, Rows, equations
+from proprio_ros.identification.regression.motion_equations import (
+    MIN_STRETCHES,
+    WINDOW_S,
+    Arm,
+    Problem,
+    Rows,
+    equations,
+)
 from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
 from proprio_ros.identification.regression.traces import Explained
 from proprio_ros.recordings.motions import Motion
@@ -33,7 +47,8 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import PARAMETERS
 
 SPREAD_ITERATIONS = 10
-LEAST_TOLD = 0.2  # A recording tells a joint's share of the torque where it makes its variance this much smaller.
+# A recording tells a joint's share of the torque where it makes its variance this much smaller.
+LEAST_TOLD = 0.2
 Centre = tuple[FloatArray, FloatArray]
 """A payload's centre of mass in its frame, and the standard deviation of each coordinate [m], each of shape (3,)."""
 STRETCHES, UNDETERMINED, CALIBRATION, CONSTANTS = (
@@ -51,20 +66,25 @@ class MotionFit:
 
     joints: tuple[str, ...]  # that moved or could, in the order of the arrays by joint
     values: FloatArray  # the payload's parameters, shape (10,)
-    covariance: FloatArray  # from stretches, priors, calibration and torque constants together, shape (10, 10)
+    # from stretches, priors, calibration and torque constants together, shape (10, 10)
+    covariance: FloatArray
     parts: Mapping[str, float]  # what puts how much standard deviation on the mass [kg], by name
     stretches: int  # of the motions with the payload
     # residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m], shape (n,)
     residual: FloatArray
     empty_residual: FloatArray
-    misfit: float  # mean square of the former over that of the latter, each joint as much as it tells: reduced chi-square
+    # mean square of the former over that of the latter, each joint as much as it tells: reduced chi-square
+    misfit: float
     driven: FloatArray  # rms of the mean torque itself [N m], shape (n,)
-    quantile: float  # half width of a 95 % interval in standard deviations: Student's, by the number of stretches
+    # half width of a 95 % interval in standard deviations: Student's, by the number of stretches
+    quantile: float
     # mass and its standard deviation from the first and from the second half [kg]; None where they are too short
     halves: tuple[tuple[float, float], tuple[float, float]] | None
     arm_kg: float  # mass of all that moves of the arm
-    arm_over_urdf: float  # by how much the torques of the arm's own bodies are those that its URDF says
-    payload_prior: FloatArray  # standard deviations of the payload's ten parameters under their prior, shape (10,)
+    # by how much the torques of the arm's own bodies are those that its URDF says
+    arm_over_urdf: float
+    # standard deviations of the payload's ten parameters under their prior, shape (10,)
+    payload_prior: FloatArray
     keys: tuple[Key, ...]  # of the arm's terms, length P
     # arm, arm_prior, arm_std: their values, and the prior's with its standard deviations, shape (P,)
     arm: FloatArray
@@ -73,7 +93,8 @@ class MotionFit:
     # how much less the motions with the payload are read than the empty ones, and its std, shape (n,) each: by zero, positions
     # [rad or m], by own_scale, torques, relative to what is read; 0 and infinite where nothing tells
     off: Mapping[str, tuple[FloatArray, FloatArray]]
-    louder_kg: float  # what the mass is too large by per part that all these torques are read too large by, if nothing shows that
+    # what the mass is too large by per part that all these torques are read too large by, if nothing shows that
+    louder_kg: float
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
     shown: tuple[JointFit, ...]  # torque over time, for a picture
 
@@ -95,12 +116,20 @@ class MotionFit:
     def unseen(self) -> tuple[str, ...]:
         """Of the payload's ten parameters, those that the motion says less about than what any load of that mass may have."""
         unseen = self.std > 0.5 * self.payload_prior
-        return tuple(kind.replace("body", "payload") for kind, none in zip(BODY_TERMS, unseen, strict=True) if none)
+        return tuple(
+            kind.replace("body", "payload")
+            for kind, none in zip(BODY_TERMS, unseen, strict=True)
+            if none
+        )
 
 
 def share_of(residual: FloatArray, driven: FloatArray) -> FloatArray:
     """What is left over of torques, shape (n,); all of one that reads nothing."""
-    return np.where(driven > 0.0, residual / np.where(driven > 0.0, driven, 1.0), np.where(residual > 0.0, 1.0, np.nan))
+    return np.where(
+        driven > 0.0,
+        residual / np.where(driven > 0.0, driven, 1.0),
+        np.where(residual > 0.0, 1.0, np.nan),
+    )
 
 
 def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
@@ -108,22 +137,27 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     return learn_arm(robot, motions)[0]
 
 
-def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibration, tuple[JointFit, ...]]:
+def learn_arm(
+    robot: Robot, motions: Sequence[Motion]
+) -> tuple[MotionCalibration, tuple[JointFit, ...]]:
     """What motions with an empty hand say about an arm, and torque of each joint as it explains it.
 
     ``robot``: as its file states it; ``motions``: of the same joints, at least one.
 
     Raises `RecordingError`: A motion is of no use, or all together are too short.
     """
-    joints, runs = motions[0].joints, len(motions)
+    joints = motions[0].joints
+    runs = len(motions)
     arm = Arm.of(robot, joints, dict(motions[0].held))
-    count, shared = arm.count, PARAMETERS + ARM_TERMS * arm.count
+    count = arm.count
+    shared = PARAMETERS + ARM_TERMS * arm.count
     parts = [equations(robot, motion, joints) for motion in motions]
     problem = Problem.of(parts, 0)
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
     prior = motion_prior.prior_of_file(robot, arm, runs)
     none = np.zeros(len(FRICTION_TERMS) * count)
-    published, per_kg = Between.published(none, none), motion_prior.payload_stds(arm)
+    published = Between.published(none, none)
+    per_kg = motion_prior.payload_stds(arm)
     if runs == 1:
         solution = solve(problem, prior, published, per_kg)
     else:
@@ -137,30 +171,41 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
     between = _friction_between(problem, solution)
     names = arm.model.joint_names
     bodies = slice(PARAMETERS, PARAMETERS * (1 + count))
-    fitted, by_urdf = (problem.matrix[:, bodies] @ each[bodies] for each in (solution.values, prior.values))
+    fitted, by_urdf = (
+        problem.matrix[:, bodies] @ each[bodies] for each in (solution.values, prior.values)
+    )
     over_urdf = float(fitted @ by_urdf / (by_urdf @ by_urdf))
     scale_std = max(motion_prior.relative_torque_std(robot, name) for name in names)
     # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
     limit = motion_prior.URDF_SHARE
     if robot.arm_scale.std > 0.0:
-        limit = min(2.0 * float(np.hypot(robot.arm_scale.std, scale_std)), max(motion_prior.URDF_SHARE, 2.0 * scale_std))
+        limit = min(
+            2.0 * float(np.hypot(robot.arm_scale.std, scale_std)),
+            max(motion_prior.URDF_SHARE, 2.0 * scale_std),
+        )
     if abs(over_urdf - 1.0) > limit:
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
     learnt = MotionCalibration(
         joints=names,
-        torque_constants=np.array([robot.drive_trains[name].torque_constant.value for name in names]),
+        torque_constants=np.array(
+            [robot.drive_trains[name].torque_constant.value for name in names]
+        ),
         values=mean @ solution.values,
         covariance=mean @ solution.covariance @ mean.T,
         deviations=solution.deviations @ mean.T,
         friction_spread=between.std[: len(none)],
-        between={kind: (spread, between.recordings[kind]) for kind, spread in between.spreads.items()},
+        between={
+            kind: (spread, between.recordings[kind]) for kind, spread in between.spreads.items()
+        },
         residual=solution.rms,
         correlation=solution.correlation,
         torque_scale=1.0,
         torque_scale_std=scale_std,
         arm_over_urdf=over_urdf,
         fingerprint=robot.model.fingerprint(),
-        runs=tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": 0.0} for m in motions),
+        runs=tuple(
+            {"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": 0.0} for m in motions
+        ),
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
     return learnt, _shown(problem, parts, solution, learnt, [motion.name for motion in motions])
@@ -168,7 +213,8 @@ def learn_arm(robot: Robot, motions: Sequence[Motion]) -> tuple[MotionCalibratio
 
 def _friction_between(problem: Problem, solution: Solution) -> Between:
     """With what friction and offset differ by: from run to run, and what stretches of a run show of it."""
-    count, own = problem.count, len(FRICTION_TERMS) * problem.count
+    count = problem.count
+    own = len(FRICTION_TERMS) * problem.count
     places = [problem.own(number) for number in range(problem.motions)]
     runs = np.array([solution.values[place] for place in places])
     variances = np.array([np.diag(solution.covariance)[place] for place in places])
@@ -177,13 +223,17 @@ def _friction_between(problem: Problem, solution: Solution) -> Between:
     drift = np.zeros(own)
     for number in range(own):
         mine = problem.joint == number % count
-        column, residual, stretch = columns[mine, number], solution.residual[mine], problem.stretch[mine]
+        column = columns[mine, number]
+        residual = solution.residual[mine]
+        stretch = problem.stretch[mine]
         of_stretch = [
             float(residual[out] @ column[out]) / max(float(column[out] @ column[out]), 1e-12)
             for out in (stretch == label for label in np.unique(stretch))
         ]
         # what a stretch shows may be any of the three
-        drift[number] = np.sqrt(np.mean(np.square(of_stretch)) / len(FRICTION_TERMS)) if of_stretch else 0.0
+        drift[number] = (
+            np.sqrt(np.mean(np.square(of_stretch)) / len(FRICTION_TERMS)) if of_stretch else 0.0
+        )
     usual = np.abs(runs[:, :own]).mean(axis=0)
     usual[2 * count :] = usual[count : 2 * count]
     stated = replace(solution.between, friction=usual, drift=drift)
@@ -222,10 +272,14 @@ def fit_payload(
         RecordingError: A motion is of no use, of other joints, or all together are too short.
         RobotError: Torque constants are no longer those of the calibration.
     """
-    motions, joints = [*loaded, *empty], calibration.joints
+    motions = [*loaded, *empty]
+    joints = calibration.joints
     check_arm(robot, motions, calibration)
     arm = Arm.of(robot, joints, dict(motions[0].held))
-    parts = [equations(robot, motion, joints, None if centre is None else centre[0]) for motion in motions]
+    parts = [
+        equations(robot, motion, joints, None if centre is None else centre[0])
+        for motion in motions
+    ]
     problem = Problem.of(parts, len(loaded))
     carrying = problem.carrying
     stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
@@ -237,21 +291,33 @@ def fit_payload(
     solution, opened, scatter = solve_following(problem, known, between, per_kg, calibration)
     tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
     residual = problem.rms_by_joint(solution.residual, carrying)
-    covariances = _covariances(problem, solution, scatter[:PARAMETERS, :PARAMETERS], terms, calibration)
+    covariances = _covariances(
+        problem, solution, scatter[:PARAMETERS, :PARAMETERS], terms, calibration
+    )
     # what is explained worse than the empty motions is not only noise: the arm is not where it was calibrated
     empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
     misfit = float(np.nansum(tells * np.square(residual / empty_residual)))
     covariances[CALIBRATION] *= max(1.0, misfit)
     variances = {name: float(part[0, 0]) for name, part in covariances.items()}
     # what few stretches or recordings say of their own scatter is uncertain
-    freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
-    freedom += [(variances[word], number) for word, number in solution.between.by_word.items() if word != DIFFERS]
+    freedom = [
+        (variances[STRETCHES], stretches - 1.0),
+        (variances[CALIBRATION], calibration.stretches - 1.0),
+    ]
+    freedom += [
+        (variances[word], number)
+        for word, number in solution.between.by_word.items()
+        if word != DIFFERS
+    ]
     halves = None
     if stretches >= 2 * MIN_STRETCHES:
         each = [problem.motion == number for number in range(len(loaded))]
-        late = np.any([mine & (problem.stretch > np.median(problem.stretch[mine])) for mine in each], axis=0)
+        late = np.any(
+            [mine & (problem.stretch > np.median(problem.stretch[mine])) for mine in each], axis=0
+        )
         first, second = (
-            solve(problem.only(kept), known, between, per_kg, calibration).mass_and_std() for kept in (~late, late | ~carrying)
+            solve(problem.only(kept), known, between, per_kg, calibration).mass_and_std()
+            for kept in (~late, late | ~carrying)
         )
         halves = (first, second)
     followed, rows = np.nonzero(terms)
@@ -282,7 +348,11 @@ def fit_payload(
 
 
 def _shown(
-    problem: Problem, parts: Sequence[Rows], solution: Solution, calibration: MotionCalibration, names: Sequence[str]
+    problem: Problem,
+    parts: Sequence[Rows],
+    solution: Solution,
+    calibration: MotionCalibration,
+    names: Sequence[str],
 ) -> tuple[JointFit, ...]:
     """Torque over time of the motions with the payload, whose names these are."""
     explained = Explained(
@@ -326,7 +396,11 @@ def check_torque_constant(robot: Robot, joint: str, constant: float, what: str) 
 
 
 def _covariances(
-    problem: Problem, solution: Solution, scatter: FloatArray, terms: FloatArray, calibration: MotionCalibration
+    problem: Problem,
+    solution: Solution,
+    scatter: FloatArray,
+    terms: FloatArray,
+    calibration: MotionCalibration,
 ) -> dict[str, FloatArray]:
     """Of the payload's parameters by what they err by, each of shape (10, 10)."""
     # how the payload follows what its prior is made of: the calibration's values, what recordings differ by, its own size
@@ -334,12 +408,19 @@ def _covariances(
     follows = by_prior[:, PARAMETERS:] @ terms
     count = len(calibration.joints)
     opened = by_prior[:, :PARAMETERS] * solution.payload_prior
-    geared = by_prior[:, PARAMETERS + 11 * count : PARAMETERS + 12 * count] * motion_prior.LOAD_FRICTION_SPREAD
-    between, own = solution.between, slice(problem.own(0).start, None)
-    words, of_own = np.tile([WORDS[kind] for kind in between.kinds], problem.motions), by_prior[:, own]
+    geared = (
+        by_prior[:, PARAMETERS + 11 * count : PARAMETERS + 12 * count]
+        * motion_prior.LOAD_FRICTION_SPREAD
+    )
+    between = solution.between
+    own = slice(problem.own(0).start, None)
+    words = np.tile([WORDS[kind] for kind in between.kinds], problem.motions)
+    of_own = by_prior[:, own]
     followed = of_own * np.tile(between.std, problem.motions)
     # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
-    by_share = follows @ calibration.covariance[:, 12 * count : 13 * count] / motion_prior.LEAST_TORQUE_STD
+    by_share = (
+        follows @ calibration.covariance[:, 12 * count : 13 * count] / motion_prior.LEAST_TORQUE_STD
+    )
     apart = by_share @ by_share.T
     by_calibration = larger(
         follows @ calibration.deviations.T @ calibration.deviations @ follows.T,
@@ -353,7 +434,8 @@ def _covariances(
         CALIBRATION: by_calibration,
         CONSTANTS: larger(np.outer(together, together), apart),
         **{
-            word: followed[:, words == word] @ followed[:, words == word].T + (scatter if word == DIFFERS else 0.0)
+            word: followed[:, words == word] @ followed[:, words == word].T
+            + (scatter if word == DIFFERS else 0.0)
             for word in dict.fromkeys(WORDS.values())
         },
     }
@@ -370,21 +452,31 @@ def _of_its_own(problem: Problem, solution: Solution, kind: str) -> tuple[FloatA
         share[:, own][:, solution.between.kinds == kind] = np.eye(problem.count) / problem.loaded
         if kind == "own_scale":
             share[:, own.stop - 1] = 1.0 / problem.loaded
-    before, after = (np.sum(share @ each * share, axis=1) for each in (solution.prior.covariance, solution.covariance))
-    tells, told = 1.0 - after / before > LEAST_TOLD, np.maximum(1.0 - after / before, LEAST_TOLD)
-    return np.where(tells, share @ solution.values / told, 0.0), np.where(tells, np.sqrt(after / told), np.inf)
+    before, after = (
+        np.sum(share @ each * share, axis=1)
+        for each in (solution.prior.covariance, solution.covariance)
+    )
+    tells = 1.0 - after / before > LEAST_TOLD
+    told = np.maximum(1.0 - after / before, LEAST_TOLD)
+    return np.where(tells, share @ solution.values / told, 0.0), np.where(
+        tells, np.sqrt(after / told), np.inf
+    )
 
 
 def _follows_torque(problem: Problem, solution: Solution) -> float:
     """How the mass follows the loaded motions' share of the torque in common [kg]."""
     shares = [problem.own(number).stop - 1 for number in range(problem.loaded)]
-    return float(solution.covariance[0, shares].sum() / solution.covariance[np.ix_(shares, shares)].sum())
+    return float(
+        solution.covariance[0, shares].sum() / solution.covariance[np.ix_(shares, shares)].sum()
+    )
 
 
 def _weight_by_joint(problem: Problem, residual: FloatArray, correlation: FloatArray) -> FloatArray:
     """How much of what the motions tell about a mass each joint tells that leaves so much over, shape (n,), sum 1."""
     weight = _weights(residual, correlation)
-    told = np.bincount(problem.joint, np.square(weight[problem.joint] * problem.by_mass), minlength=problem.count)
+    told = np.bincount(
+        problem.joint, np.square(weight[problem.joint] * problem.by_mass), minlength=problem.count
+    )
     result: FloatArray = told / max(float(told.sum()), 1e-300)
     return result
 

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS, MotionCalibration
-from proprio_ros.identification.regression.between import CONSIDERED, PSEUDO_RECORDINGS, PUBLISHED, Between
+from proprio_ros.calibration_files.motions import (
+    ARM_TERMS,
+    FRICTION_TERMS,
+    TERMS,
+    MotionCalibration,
+)
+from proprio_ros.identification.regression.between import (
+    CONSIDERED,
+    PSEUDO_RECORDINGS,
+    PUBLISHED,
+    Between,
+)
 from proprio_ros.identification.regression.motion_equations import Arm, own_terms, sizes
 from proprio_ros.identification.regression.solve import WAVES, Prior
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import PARAMETERS
 
-LEAST_TORQUE_STD = 0.01  # Relative; magnets lose 0.1 % of their torque per kelvin, and motors that lift warm by ten.
+# Relative; magnets lose 0.1 % of their torque per kelvin, and motors that lift warm by ten.
+LEAST_TORQUE_STD = 0.01
 VOLTAGE_TORQUE_STD = 0.2
 """Relative, where a voltage drives the motor: its torque is a maker's constant over a winding that warms up, times a gain."""
 URDF_SHARE = 0.15
@@ -47,7 +58,10 @@ def body_stds(arm: Arm, share: float) -> list[float]:
 def drive_stds(robot: Robot, arm: Arm) -> list[float]:
     """The same of rotors [kg m^2] and of the share that gears lose, length 2 n."""
     drives = [robot.drive_trains[name] for name in arm.model.joint_names]
-    rotors = [max(d.armature.std, 0.5 * abs(d.armature.value), 1e-3 * arm.kg * arm.reach_m**2) for d in drives]
+    rotors = [
+        max(d.armature.std, 0.5 * abs(d.armature.value), 1e-3 * arm.kg * arm.reach_m**2)
+        for d in drives
+    ]
     return rotors + [max(d.load_friction.std, LEAST_LOAD_FRICTION_STD) for d in drives]
 
 
@@ -66,7 +80,9 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
     count = len(together)
     values = np.zeros(len(stds))
     values[:count] = together
-    values[count : count + 2 * len(drives)] = [d.armature.value for d in drives] + [d.load_friction.value for d in drives]
+    values[count : count + 2 * len(drives)] = [d.armature.value for d in drives] + [
+        d.load_friction.value for d in drives
+    ]
     covariance = np.diag(np.square(stds))
     covariance[:count, :count] += URDF_SHARE**2 * np.outer(together, together)
     return Prior(values, covariance)
@@ -74,7 +90,9 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
 
 def prior_of_file(robot: Robot, arm: Arm, motions: int) -> Prior:
     """Of all unknowns of some motions by the robot file; friction of one motion says nothing about that of another."""
-    stated, shared, count = file_prior(robot, arm), ARM_TERMS * arm.count, arm.count
+    stated = file_prior(robot, arm)
+    shared = ARM_TERMS * arm.count
+    count = arm.count
     friction = np.zeros(own_terms(count))
     friction[: TERMS * count - shared] = np.diag(stated.covariance)[shared:]
     values = np.concatenate([stated.values[:shared], np.zeros(motions * len(friction))])
@@ -83,12 +101,16 @@ def prior_of_file(robot: Robot, arm: Arm, motions: int) -> Prior:
     return with_payload(arm, Prior(values, covariance))
 
 
-def calibrated_prior(arm: Arm, calibration: MotionCalibration, motions: int) -> tuple[Prior, FloatArray]:
+def calibrated_prior(
+    arm: Arm, calibration: MotionCalibration, motions: int
+) -> tuple[Prior, FloatArray]:
     """Of all unknowns of some motions by a calibration, and which of its terms each unknown behind the payload follows.
 
     Returns: The prior, without what recordings differ by, and the terms, shape (U - 10, 20 n), with a 1 for each that is one.
     """
-    count, shared, friction = arm.count, ARM_TERMS * arm.count, len(FRICTION_TERMS) * arm.count
+    count = arm.count
+    shared = ARM_TERMS * arm.count
+    friction = len(FRICTION_TERMS) * arm.count
     of_motion = np.zeros((own_terms(count), TERMS * count))
     of_motion[:friction, shared:] = np.eye(friction)
     terms = np.vstack([np.eye(TERMS * count)[:shared], *[of_motion] * motions])
@@ -100,8 +122,13 @@ def calibrated_prior(arm: Arm, calibration: MotionCalibration, motions: int) -> 
 
 def between_of(calibration: MotionCalibration) -> Between:
     """By how much a recording differs from a calibration, whose own torque and zeros nobody knows, either."""
-    stated = {kind: (spread, PSEUDO_RECORDINGS) for kind, spread in PUBLISHED.items()} | dict(calibration.between)
-    spreads = {kind: 2.0**0.5 * PUBLISHED[kind] if kind in CONSIDERED else stated[kind][0] for kind in PUBLISHED}
+    stated = {kind: (spread, PSEUDO_RECORDINGS) for kind, spread in PUBLISHED.items()} | dict(
+        calibration.between
+    )
+    spreads = {
+        kind: 2.0**0.5 * PUBLISHED[kind] if kind in CONSIDERED else stated[kind][0]
+        for kind in PUBLISHED
+    }
     recordings = {kind: stated[kind][1] for kind in PUBLISHED}
     # the file has friction's spread in full
     unit = np.concatenate(

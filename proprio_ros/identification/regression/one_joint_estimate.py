@@ -7,7 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from proprio_ros.calibration_files.one_joint import JointCalibration
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyHandEstimate, Weighable
+from proprio_ros.identification.calibration_estimate import (
+    CalibrationEstimate,
+    EmptyHandEstimate,
+    Weighable,
+)
 from proprio_ros.identification.judge import Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.regression.one_joint_fit import carried_by
 from proprio_ros.identification.regression.one_joint_known import learn_joint, tables_of, terms_of
@@ -18,11 +22,14 @@ from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 WIDEST_SPREAD = 0.25  # Recordings whose masses differ by more, relative, say nothing about another.
-DELAY_SIGMAS, DELAY_STEPS = 2.0, 17
+DELAY_SIGMAS = 2.0
+DELAY_STEPS = 17
 LATEST_S = 0.2
 
 
-def calibrate_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts) -> CalibrationEstimate:
+def calibrate_joint(
+    robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts
+) -> CalibrationEstimate:
     """Learn a joint from motions with known loads.
 
     ``robot``: of one joint that turns; ``motions``: three or more; ``loads_kg``: what was held in each; ``facts``:
@@ -35,7 +42,14 @@ def calibrate_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[
     heaviest = float(learnt.loads_kg.max())
     weighable = Weighable(
         heaviest,
-        float(np.hypot(learnt.spread, np.median([run["std_kg"] / run["load_kg"] for run in learnt.runs if run["load_kg"] > 0.0])))
+        float(
+            np.hypot(
+                learnt.spread,
+                np.median(
+                    [run["std_kg"] / run["load_kg"] for run in learnt.runs if run["load_kg"] > 0.0]
+                ),
+            )
+        )
         * heaviest,
         (learnt.joint,),
         f"recordings of known loads, each weighed by the others, differ by {100.0 * learnt.spread:.2g} % beyond what each knows "
@@ -50,13 +64,20 @@ def calibrate_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[
         joint=learnt,
         notes=tuple(note for motion in motions for note in motion.notes),
         weighable=None if refusal.withheld else weighable,
-        weighed_empty=tuple(EmptyHandEstimate(run["name"], run["read_kg"], run["std_kg"], Z95) for run in learnt.runs),
+        weighed_empty=tuple(
+            EmptyHandEstimate(run["name"], run["read_kg"], run["std_kg"], Z95)
+            for run in learnt.runs
+        ),
     )
 
 
-def _refusals(robot: Robot, motions: Sequence[Motion], learnt: JointCalibration) -> Iterator[Refusal]:
+def _refusals(
+    robot: Robot, motions: Sequence[Motion], learnt: JointCalibration
+) -> Iterator[Refusal]:
     scale = float(learnt.values[0])
-    currents = np.concatenate([motion.current_A[:, motion.joints.index(learnt.joint)] for motion in motions])
+    currents = np.concatenate(
+        [motion.current_A[:, motion.joints.index(learnt.joint)] for motion in motions]
+    )
     driven = learnt.torque_constant * float(np.sqrt(np.mean(np.square(currents))))
     if scale <= 0.0 or learnt.residual * scale > UNEXPLAINED_SHARE * driven:
         yield rejected(
@@ -67,7 +88,8 @@ def _refusals(robot: Robot, motions: Sequence[Motion], learnt: JointCalibration)
         )
     if learnt.spread > WIDEST_SPREAD:
         worst = max(
-            (run for run in learnt.runs if run["load_kg"] > 0.0), key=lambda run: abs(run["read_kg"] / run["load_kg"] - 1.0)
+            (run for run in learnt.runs if run["load_kg"] > 0.0),
+            key=lambda run: abs(run["read_kg"] / run["load_kg"] - 1.0),
         )
         yield not_identifiable(
             "says_too_little",
@@ -78,7 +100,9 @@ def _refusals(robot: Robot, motions: Sequence[Motion], learnt: JointCalibration)
         )
 
 
-def torque_left_over(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts) -> float:
+def torque_left_over(
+    robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts
+) -> float:
     """What known loads, rotor and friction leave over of the torque of the only joint, rms in true torque [N m]."""
     (joint,) = motions[0].joints
     carried = carried_by(robot, joint, motions[0], facts)

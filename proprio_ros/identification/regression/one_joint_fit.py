@@ -31,7 +31,8 @@ from proprio_ros.sim.payload import PayloadFacts
 
 WINDOWS_S = (0.25, 0.5)
 HOP_SHARE = 0.125
-BANDWIDTH_HZ = 12.0  # Positions and torques are smoothed alike to this; a pendulum on a table swings at 1 Hz.
+# Positions and torques are smoothed alike to this; a pendulum on a table swings at 1 Hz.
+BANDWIDTH_HZ = 12.0
 STRETCH_S = 1.0  # Stretches that are left out together.
 MIN_STRETCHES = 4
 LOAD_FRICTION_STD = 0.05  # Gears lose part of the torque that they transmit.
@@ -108,7 +109,8 @@ def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) ->
     body_from_payload = hinge.model.frames[robot.payload_frame][1]
     turn = body_from_payload[:3, :3]
     lever = directions @ (turn @ facts.com + body_from_payload[:3, 3])
-    spread, own_axis = facts.shape.second_moment_per_mass, turn.T @ hinge.axis
+    spread = facts.shape.second_moment_per_mass
+    own_axis = turn.T @ hinge.axis
     about_centre = float(np.trace(spread) - own_axis @ spread @ own_axis)
     inertia = float(np.sum((directions @ bodies[:3, :3]) * directions))
     return Carried(
@@ -129,8 +131,13 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     hinge = Hinge.of(robot, joint, motions[0])
     across_gravity = hinge.gravity - (hinge.gravity @ hinge.axis) * hinge.axis
     if np.linalg.norm(across_gravity) < UPRIGHT_SHARE * np.linalg.norm(hinge.gravity):
-        raise RecordingError(f"{motions[0].name}: {joint} turns about the vertical, where gravity does nothing")
-    tables = [[table_of(robot, motion, joint, hinge, window_s) for motion in motions] for window_s in WINDOWS_S]
+        raise RecordingError(
+            f"{motions[0].name}: {joint} turns about the vertical, where gravity does nothing"
+        )
+    tables = [
+        [table_of(robot, motion, joint, hinge, window_s) for motion in motions]
+        for window_s in WINDOWS_S
+    ]
     stretches = stretches_of(tables[-1])
     if len(stretches) < MIN_STRETCHES:
         raise RecordingError(
@@ -146,11 +153,14 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     parts = tables[-1]
     solution = _by_torque(parts)
     matrix = np.vstack([part.columns for part in parts])
-    acceleration, others = matrix[:, 0], matrix[:, 1:]
+    acceleration = matrix[:, 0]
+    others = matrix[:, 1:]
     alone = np.linalg.lstsq(others, acceleration, rcond=None)[0]
     idle = acceleration - others @ alone
     frequency_squared = float(np.hypot(alone[0], alone[1]))
-    torques = np.concatenate([motion.current_A[:, motion.joints.index(joint)] for motion in motions])
+    torques = np.concatenate(
+        [motion.current_A[:, motion.joints.index(joint)] for motion in motions]
+    )
     return OneJointFit(
         joint, values, covariance, len(stretches), float(stdtrit(len(stretches) - 1, 0.975)), rms(solution.residual),
         rms(np.concatenate([part.torque for part in parts])), rms(matrix[:, :3] @ solution.load),
@@ -173,7 +183,11 @@ class Table:
 
 def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:
     """Number of the motion and of the stretch in it, of all."""
-    return [(number, int(label)) for number, part in enumerate(parts) for label in np.unique(part.stretch)]
+    return [
+        (number, int(label))
+        for number, part in enumerate(parts)
+        for label in np.unique(part.stretch)
+    ]
 
 
 def without(parts: Sequence[Table], number: int, label: int) -> list[Table]:
@@ -183,20 +197,32 @@ def without(parts: Sequence[Table], number: int, label: int) -> list[Table]:
     return [*parts[:number], *([rest] if kept.any() else []), *parts[number + 1 :]]
 
 
-def table_of(robot: Robot, motion: Motion, joint: str, hinge: Hinge, window_s: float, slow_rad_s: float = SLOW_RAD_S) -> Table:
+def table_of(
+    robot: Robot,
+    motion: Motion,
+    joint: str,
+    hinge: Hinge,
+    window_s: float,
+    slow_rad_s: float = SLOW_RAD_S,
+) -> Table:
     """What one motion says in windows of ``window_s``; where the joint is slower than ``slow_rad_s`` it does not count.
 
     Raises `RecordingError`: It does not move for long enough.
     """
     times_s, positions, currents = evenly(motion, [joint], BANDWIDTH_HZ, currents_too=True)
     period_s = float(np.median(np.diff(motion.times_s)))
-    position, axis, gravity = positions[:, 0], hinge.axis, hinge.gravity
+    position = positions[:, 0]
+    axis = hinge.axis
+    gravity = hinge.gravity
     velocity = np.gradient(position, period_s)
     width = max(round(window_s / period_s), 4)
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
-    cosine, sine = np.cos(position)[:, None], np.sin(position)[:, None]
+    cosine = np.cos(position)[:, None]
+    sine = np.sin(position)[:, None]
     # gravity in the frame of the body, which turned by the position; its torque on a first moment d along the axis: a . (d x g)
-    seen = gravity * cosine - np.cross(axis, gravity) * sine + axis * (axis @ gravity) * (1.0 - cosine)
+    seen = (
+        gravity * cosine - np.cross(axis, gravity) * sine + axis * (axis @ gravity) * (1.0 - cosine)
+    )
     moments = -np.column_stack([np.cross(d, seen) @ axis for d in hinge.directions])
     columns = np.column_stack(
         [
@@ -210,7 +236,9 @@ def table_of(robot: Robot, motion: Motion, joint: str, hinge: Hinge, window_s: f
     counts = windows.mean((np.abs(velocity) < slow_rad_s).astype(np.float64)) < 0.5
     counts &= ~across_gaps(motion, times_s, windows)
     if counts.sum() <= columns.shape[1]:
-        raise RecordingError(f"{motion.name}: {joint} does not move for long enough without a pause or a gap")
+        raise RecordingError(
+            f"{motion.name}: {joint} does not move for long enough without a pause or a gap"
+        )
     torque = robot.drive_trains[joint].torque_constant.value * windows.mean(currents[:, 0])
     middle_s = times_s[windows.starts] + 0.5 * window_s
     stretch = (middle_s / STRETCH_S).astype(np.int64)
@@ -233,7 +261,9 @@ class _Solution:
     residual: FloatArray
 
 
-def _stacked(parts: Sequence[Table]) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+def _stacked(
+    parts: Sequence[Table],
+) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
     """Load columns, shape (W, 3), friction columns of every motion, shape (W, 3 M), torque and number of the motion, shape (W,)."""
     number = np.repeat(np.arange(len(parts)), [len(part.torque) for part in parts])
     columns = np.vstack([part.columns for part in parts])
@@ -256,7 +286,11 @@ def _by_torque(parts: Sequence[Table]) -> _Solution:
         matrix[:, -1] = np.abs(load @ values[:3]) * direction
         noise = max(rms(weight * (torque - matrix @ values)), 1e-12)
         prior[-1] = noise / LOAD_FRICTION_STD
-        values = np.linalg.lstsq(np.vstack([matrix * weight[:, None], prior]), np.append(torque * weight, 0.0), rcond=None)[0]
+        values = np.linalg.lstsq(
+            np.vstack([matrix * weight[:, None], prior]),
+            np.append(torque * weight, 0.0),
+            rcond=None,
+        )[0]
         residual = torque - matrix @ values
         each = np.array([max(rms(residual[number == n]), 1e-12) for n in range(len(parts))])
         weight = (each.min() / each)[number]

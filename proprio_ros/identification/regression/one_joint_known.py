@@ -26,7 +26,12 @@ from scipy.special import stdtrit
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import JointFit
-from proprio_ros.identification.regression.between import PUBLISHED, half_width, spread_of, spread_posterior
+from proprio_ros.identification.regression.between import (
+    PUBLISHED,
+    half_width,
+    spread_of,
+    spread_posterior,
+)
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE
 from proprio_ros.identification.regression.one_joint_fit import (
     HOP_SHARE,
@@ -46,21 +51,21 @@ from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-CREEP_RAD_S = 0.1  # A joint that is slower for most of a window creeps, and its friction is not that of one that moves.
-LOAD_FRICTION_STD = 0.5  # Of the shares of load friction, for the heaviest load: gears that lose more do not turn back.
+# A joint that is slower for most of a window creeps, and its friction is not that of one that moves.
+CREEP_RAD_S = 0.1
+# Of the shares of load friction, for the heaviest load: gears that lose more do not turn back.
+LOAD_FRICTION_STD = 0.5
 OUTSIDE_SHARE = 0.1
 """What a mass errs, relative, for each factor of e that it lies outside of the loads that were known."""
 HEAVIEST = 4.0  # Times the heaviest known load: nothing beyond is looked for.
 GRID = 33
 ITERATIONS = 4
-STRETCHES, CALIBRATION, RUNS, ARM, PLACE, OUTSIDE = (
-    "what differs from stretch to stretch",
-    "what the calibration leaves open",
-    "what differs from recording to recording",
-    "the arm itself",
-    "place of the payload",
-    "a mass that no known load comes near",
-)
+STRETCHES = "what differs from stretch to stretch"
+CALIBRATION = "what the calibration leaves open"
+RUNS = "what differs from recording to recording"
+ARM = "the arm itself"
+PLACE = "place of the payload"
+OUTSIDE = "a mass that no known load comes near"
 
 
 @dataclass(frozen=True)
@@ -71,9 +76,11 @@ class KnownJointFit:
     mass: float
     std: float
     quantile: float  # half width of a 95 % interval in standard deviations
-    parts: tuple[tuple[str, float], ...]  # what puts how much standard deviation on it [kg], by name
+    # what puts how much standard deviation on it [kg], by name
+    parts: tuple[tuple[str, float], ...]
     stretches: int  # of the recordings
-    residual: float  # rms of the windows' mean torque that is left over [N m]; driven: of the torque itself
+    # rms of the windows' mean torque that is left over [N m]; driven: of the torque itself
+    residual: float
     driven: float
     at_the_end: bool  # whether the mass stands at the end of what was looked for
     shown: tuple[JointFit, ...]  # torque over time, for a picture
@@ -82,22 +89,30 @@ class KnownJointFit:
 def tables_of(robot: Robot, motion: Motion, joint: str) -> tuple[Table, ...]:
     """What one motion says, once for each length of the windows. Raises `RecordingError`: It does not move for long enough."""
     hinge = Hinge.of(robot, joint, motion)
-    return tuple(table_of(robot, motion, joint, hinge, window_s, CREEP_RAD_S) for window_s in WINDOWS_S)
+    return tuple(
+        table_of(robot, motion, joint, hinge, window_s, CREEP_RAD_S) for window_s in WINDOWS_S
+    )
 
 
 def _design(table: Table, load: FloatArray, share: float) -> FloatArray:
     """A column per term, shape (W, 6); those of load friction are taken ``share`` times."""
-    true, direction = table.columns[:, :3] @ load, table.columns[:, 4]
+    true = table.columns[:, :3] @ load
+    direction = table.columns[:, 4]
     lost = share * np.abs(true) * direction
-    return np.column_stack([true, table.columns[:, 0], table.columns[:, 3], direction, lost, lost * np.abs(true)])
+    return np.column_stack(
+        [true, table.columns[:, 0], table.columns[:, 3], direction, lost, lost * np.abs(true)]
+    )
 
 
-def terms_of(tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carried: Carried) -> tuple[FloatArray, float]:
+def terms_of(
+    tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carried: Carried
+) -> tuple[FloatArray, float]:
     """The terms that motions with known loads show, shape (6,), and rms of the torque that is left over, in true torque [N m].
 
     ``tables``: of each motion, by the length of the windows; ``loads_kg``: of each; ``carried``: what hangs on the joint.
     """
-    found, left = [], []
+    found = []
+    left = []
     heaviest = max(float(np.abs(part.columns[:, :3] @ (carried.arm + kg * carried.per_kg)).max()) for parts, kg in
                    zip(tables, loads_kg, strict=True) for part in parts)  # fmt: skip
     # none of the terms can be negative, and an offset can
@@ -106,25 +121,36 @@ def terms_of(tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carri
     for parts in zip(*tables, strict=True):
         values = np.array([1.0, *np.zeros(len(TERMS) - 1)])
         for _ in range(ITERATIONS):
-            rows, rights = [], []
+            rows = []
+            rights = []
             for number, (part, kg) in enumerate(zip(parts, loads_kg, strict=True)):
-                weight = 1.0 / np.sqrt(len(part.torque))  # each recording counts alike, however long
+                # each recording counts alike, however long
+                weight = 1.0 / np.sqrt(len(part.torque))
                 offsets = np.zeros((len(part.torque), len(parts)))
                 offsets[:, number] = 1.0
                 design = _design(part, carried.arm + kg * carried.per_kg, values[0])
                 rows.append(weight * np.hstack([design, offsets]))
                 rights.append(weight * part.torque)
-            matrix, right = np.vstack(rows), np.concatenate(rights)
+            matrix = np.vstack(rows)
+            right = np.concatenate(rights)
             prior = np.zeros((2, matrix.shape[1]))
             noise = float(np.sqrt(np.mean(np.square(right - matrix[:, : len(values)] @ values))))
-            prior[0, 4], prior[1, 5] = noise / LOAD_FRICTION_STD, noise * heaviest / LOAD_FRICTION_STD
+            prior[0, 4], prior[1, 5] = (
+                noise / LOAD_FRICTION_STD,
+                noise * heaviest / LOAD_FRICTION_STD,
+            )
             # as small as it can be: the bounded search then costs nothing
             stacked = np.column_stack([np.vstack([matrix, prior]), np.append(right, [0.0, 0.0])])
             root = np.asarray(np.linalg.qr(stacked, mode="r"))
-            solution = lsq_linear(root[:, :-1], root[:, -1], bounds=(lowest, np.inf), method="bvls").x
+            solution = lsq_linear(
+                root[:, :-1], root[:, -1], bounds=(lowest, np.inf), method="bvls"
+            ).x
             values = solution[: len(TERMS)]
         found.append(values)
-        left.append(float(np.sqrt(np.sum(np.square(right - matrix @ solution)) / len(parts))) / max(abs(values[0]), 1e-9))
+        left.append(
+            float(np.sqrt(np.sum(np.square(right - matrix @ solution)) / len(parts)))
+            / max(abs(values[0]), 1e-9)
+        )
     return np.mean(found, axis=0), float(np.mean(left))
 
 
@@ -135,30 +161,49 @@ def _left_over(
 
     With it comes how improbable that change is, in squares of what windows leave over, whose rms is ``noise`` [N m].
     """
-    load, found = carried.arm + mass * carried.per_kg, []
+    load = carried.arm + mass * carried.per_kg
+    found = []
     prior = max((noise / PUBLISHED["friction"]) ** 2 / HOP_SHARE, 1e-18)  # windows overlap
     for part in parts:
         design = _design(part, load, terms[0])
-        residual, friction = (each - each.mean() for each in (part.torque - design @ terms, design[:, 3] * terms[3]))
+        residual, friction = (
+            each - each.mean() for each in (part.torque - design @ terms, design[:, 3] * terms[3])
+        )
         change = float(friction @ residual) / (float(friction @ friction) + prior)
         found.append((residual - change * friction, prior * change**2))
     return found
 
 
-def _mass(parts: Sequence[Table], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float], noise: float) -> float:
+def _mass(
+    parts: Sequence[Table],
+    terms: FloatArray,
+    carried: Carried,
+    reach_kg: tuple[float, float],
+    noise: float,
+) -> float:
     """The mass that leaves least over [kg]."""
 
     def cost(mass: float) -> float:
-        return sum(float(left @ left) + more for left, more in _left_over(parts, terms, carried, mass, noise))
+        return sum(
+            float(left @ left) + more
+            for left, more in _left_over(parts, terms, carried, mass, noise)
+        )
 
     grid = np.linspace(*reach_kg, GRID)
     best = int(np.argmin([cost(float(mass)) for mass in grid]))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)]
-    return float(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-5}).x)
+    low = grid[max(best - 1, 0)]
+    high = grid[min(best + 1, GRID - 1)]
+    return float(
+        minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-5}).x
+    )
 
 
 def _by_stretches(
-    tables: Sequence[Sequence[Table]], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float], noise: float
+    tables: Sequence[Sequence[Table]],
+    terms: FloatArray,
+    carried: Carried,
+    reach_kg: tuple[float, float],
+    noise: float,
 ) -> tuple[float, float, int]:
     """Mass [kg], the variance that stretches and windows put on it [kg^2], and the number of stretches."""
     by_window = list(zip(*tables, strict=True))
@@ -166,9 +211,15 @@ def _by_stretches(
     mass = float(np.mean(masses))
     moved = []
     for stretch in stretches_of(by_window[0]):
-        rest = [[part for part in without(parts, *stretch) if len(part.torque) > 2] for parts in by_window]
+        rest = [
+            [part for part in without(parts, *stretch) if len(part.torque) > 2]
+            for parts in by_window
+        ]
         if all(rest):
-            moved.append(float(np.mean([_mass(parts, terms, carried, reach_kg, noise) for parts in rest])) - mass)
+            moved.append(
+                float(np.mean([_mass(parts, terms, carried, reach_kg, noise) for parts in rest]))
+                - mass
+            )
     count = len(moved)
     scatter = (count - 1) / count * float(np.sum(np.square(moved))) if count > 1 else np.inf
     return mass, scatter + float(np.var(masses, ddof=1)), count
@@ -180,7 +231,9 @@ def reach_of(loads_kg: FloatArray) -> tuple[float, float]:
     return -0.5 * heaviest, HEAVIEST * heaviest
 
 
-def learn_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts) -> JointCalibration:
+def learn_joint(
+    robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts
+) -> JointCalibration:
     """What motions with known loads say about their joint.
 
     Args:
@@ -202,8 +255,16 @@ def learn_joint(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[floa
     loads = np.asarray(loads_kg, dtype=np.float64)
     values, residual = terms_of(tables, loads.tolist(), carried)
     everyone = range(len(motions))
-    without = np.array([terms_of(tables[:n] + tables[n + 1 :], np.delete(loads, n).tolist(), carried)[0] for n in everyone])
-    read = [_by_stretches([tables[n]], without[n], carried, reach_of(loads), residual * abs(values[0])) for n in everyone]
+    without = np.array(
+        [
+            terms_of(tables[:n] + tables[n + 1 :], np.delete(loads, n).tolist(), carried)[0]
+            for n in everyone
+        ]
+    )
+    read = [
+        _by_stretches([tables[n]], without[n], carried, reach_of(loads), residual * abs(values[0]))
+        for n in everyone
+    ]
     runs = tuple(
         {"name": motion.name, "duration_s": float(motion.times_s[-1]), "load_kg": float(kg), "read_kg": mass,
          "std_kg": min(float(np.sqrt(variance)), 1e6)}
@@ -224,7 +285,9 @@ def _spread_by(calibration: JointCalibration, mass: float | None = None) -> Floa
     return spread_posterior(errors / scale, np.square(stds / scale))
 
 
-def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts) -> KnownJointFit:
+def identify_by_joint(
+    robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts
+) -> KnownJointFit:
     """The mass that all motions share.
 
     ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of the same joint; ``facts``: where
@@ -236,10 +299,16 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
     carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]
     loads = calibration.loads_kg
-    reach_kg, noise = reach_of(loads), calibration.residual * abs(float(calibration.values[0]))
-    mass, by_stretches, stretches = _by_stretches(tables, calibration.values, carried, reach_kg, noise)
+    reach_kg = reach_of(loads)
+    noise = calibration.residual * abs(float(calibration.values[0]))
+    mass, by_stretches, stretches = _by_stretches(
+        tables, calibration.values, carried, reach_kg, noise
+    )
     by_window = list(zip(*tables, strict=True))
-    by_others = [[_mass(parts, terms, carried, reach_kg, noise) for parts in by_window] for terms in calibration.without]
+    by_others = [
+        [_mass(parts, terms, carried, reach_kg, noise) for parts in by_window]
+        for terms in calibration.without
+    ]
     others = np.mean(by_others, axis=1)
     count = len(others)
     by_calibration = (count - 1) / count * float(np.sum(np.square(others - others.mean())))
@@ -257,15 +326,25 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
     }
     rest = max(sum(variances.values()), 1e-18)
     freedom = [(by_stretches, max(stretches - 1, 1)), (by_calibration, count - 1)]
-    half, spread_kg, usual_kg = 0.0, 0.0, float(held.mean())
+    half = 0.0
+    spread_kg = 0.0
+    usual_kg = float(held.mean())
     # what differs is a share of the load, as that of gears, or of its own, as dry friction is
-    for posterior, times in ((_spread_by(calibration), abs(mass)), (_spread_by(calibration, usual_kg), usual_kg)):
-        half = max(half, half_width(posterior, times, rest, freedom)) if np.isfinite(rest) else np.inf
+    for posterior, times in (
+        (_spread_by(calibration), abs(mass)),
+        (_spread_by(calibration, usual_kg), usual_kg),
+    ):
+        half = (
+            max(half, half_width(posterior, times, rest, freedom)) if np.isfinite(rest) else np.inf
+        )
         spread_kg = max(spread_kg, spread_of(posterior) * times)
     variances[RUNS] = spread_kg**2
     std = float(np.sqrt(rest + variances[RUNS]))
-    longest, scale = by_window[-1], max(abs(calibration.values[0]), 1e-9)
-    left_over = np.concatenate([left for left, _ in _left_over(longest, calibration.values, carried, mass, noise)])
+    longest = by_window[-1]
+    scale = max(abs(calibration.values[0]), 1e-9)
+    left_over = np.concatenate(
+        [left for left, _ in _left_over(longest, calibration.values, carried, mass, noise)]
+    )
     names = [motion.name for motion in motions]
     return KnownJointFit(
         mass,
@@ -276,5 +355,7 @@ def identify_by_joint(robot: Robot, motions: Sequence[Motion], calibration: Join
         rms(left_over) / scale,
         rms(np.concatenate([part.torque for part in longest])) / scale,
         not reach_kg[0] + 1e-3 < mass < reach_kg[1] - 1e-3,
-        shown_of(names, joint, longest, left_over, carried.per_kg, mass, calibration.residual, scale),
+        shown_of(
+            names, joint, longest, left_over, carried.per_kg, mass, calibration.residual, scale
+        ),
     )

@@ -39,13 +39,16 @@ from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, momentum_along, point_mass
 
-WINDOW_S, WINDOW_SAMPLES = 0.1, 10  # Windows are so long, and have so many samples at least.
+# Windows are so long, and have so many samples at least.
+WINDOW_S = 0.1
+WINDOW_SAMPLES = 10
 SMOOTHED_S, SMOOTHED_SAMPLES = 0.02, 3
 """Positions are those of a parabola through so much before and after, and so many samples at least."""
 COUNTS = 2.5  # An encoder that flickers by a count or two is at rest.
 THINNED_S = 0.005  # Samples that are closer say nothing more, once they are smoothed.
 LEARNT_S = 0.3  # In so long the period of the joint states shows.
-LEAST_TAU_S = 0.3  # What no model has (friction that goes with place and direction) stays alike for at least so long.
+# What no model has (friction that goes with place and direction) stays alike for at least so long.
+LEAST_TAU_S = 0.3
 NOISE_FACTOR = 2.0
 """A fit leaves less over in the motions that it was made from than in others; with this, 95 % intervals held on arms in MuJoCo."""
 LEAST_NOISE = 0.05  # A window is at least so noisy, in parts of what the calibration leaves over.
@@ -60,8 +63,11 @@ LATEST_STEP_S = 1.0  # How long ago, in seconds of motion, a change is looked fo
 FRESH_S = 0.6  # After so much motion a change stands, and where exactly it was.
 ONSET_SHARE = 0.05
 """An instant is found to a quarter of a window: of the first window after it so much may lie before it."""
-NOISE_WINDOWS, FEWEST_WINDOWS = 100, 20  # A window's noise is learnt from so many.
-MISFIT_S = 1.0  # Innovations that are larger than they should be widen the interval for about so long.
+# A window's noise is learnt from so many.
+NOISE_WINDOWS = 100
+FEWEST_WINDOWS = 20
+# Innovations that are larger than they should be widen the interval for about so long.
+MISFIT_S = 1.0
 LONG_PAUSE_S = 2.0  # After so long without a sample windows begin where samples come again.
 FROZEN, FROZEN_S, FROZEN_RAD_S = 4, 0.05, 0.1
 """Joint states that say the same so often, of an arm that was so fast for so long before, come from a publisher that stalls."""
@@ -69,7 +75,8 @@ TOLD_S = 1.0  # `changed` is told for so long.
 RESTING_S = 0.5  # An arm that has not moved for so long is at rest.
 WIDEST_SHARE, WIDEST_KG = 0.5, 0.01
 """No half width that is more than this share of the mass, and than this, is an answer."""
-CENTRE_STD_M = 0.01  # How far from the stated place in the hand the load's centre may be where nothing is said of it.
+# How far from the stated place in the hand the load's centre may be where nothing is said of it.
+CENTRE_STD_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,9 @@ class OnlineEstimate:
     @property
     def known(self) -> bool:
         """Whether the interval is narrow enough to be called a mass."""
-        return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * max(WIDEST_KG, WIDEST_SHARE * abs(self.mass_kg))
+        return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * max(
+            WIDEST_KG, WIDEST_SHARE * abs(self.mass_kg)
+        )
 
 
 class OnlineEstimator:
@@ -124,11 +133,17 @@ class OnlineEstimator:
         self._arm = Arm.of(robot, self.joints, zero_pose(robot, others) | (held or {}))
         names = self._arm.model.joint_names
         if tuple(names) != tuple(self.joints):
-            raise RobotError(f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(names)}")
+            raise RobotError(
+                f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(names)}"
+            )
         told = calibration.referenced
-        self._apart_std = np.array([LEAST_TORQUE_STD if told else relative_torque_std(robot, name) for name in self.joints])
+        self._apart_std = np.array(
+            [LEAST_TORQUE_STD if told else relative_torque_std(robot, name) for name in self.joints]
+        )
         self._calibration = calibration
-        self._least_rad = COUNTS * np.array([robot.drive_trains[name].encoder_resolution for name in self.joints])
+        self._least_rad = COUNTS * np.array(
+            [robot.drive_trains[name].encoder_resolution for name in self.joints]
+        )
         self.centre_m = tuple(float(axis) for axis in centre_m)
         self._knows = _Knows(self._arm, calibration, np.asarray(centre_m), max(centre_std_m, 1e-4))
         self._forget()
@@ -141,7 +156,9 @@ class OnlineEstimator:
         self._filter: _Filter | None = None
         self._after: _Filter | None = None  # the same since a change that is fresh
         self._fresh_s: float | None = None
-        self._looked_s = self._first_s = self._changed_at_s = self._before_s = self._moved_s = float("nan")
+        self._looked_s = self._first_s = self._changed_at_s = self._before_s = self._moved_s = (
+            float("nan")
+        )
         self._told_until_s = -np.inf
         self._same, self._jitter = 0, np.zeros((self._arm.count, self._arm.count))
 
@@ -177,7 +194,8 @@ class OnlineEstimator:
         self._samples.append(row)
         if not self._period_s and not self._learns_period():
             return False
-        new, smoothed_s = False, self._smoothed * self._period_s
+        new = False
+        smoothed_s = self._smoothed * self._period_s
         while time_s >= self._next_s + self._window_s + smoothed_s:
             self._make(self._next_s)
             self._next_s += self._hop_s
@@ -192,8 +210,13 @@ class OnlineEstimator:
             self._same = 0
             return False
         last = self._samples[-1]
-        before = next((each for each in reversed(self._samples) if last[0] - each[0] >= FROZEN_S), last)
-        if np.abs(np.subtract(last[1], before[1])).max() < FROZEN_RAD_S * (last[0] - before[0]) or before is last:
+        before = next(
+            (each for each in reversed(self._samples) if last[0] - each[0] >= FROZEN_S), last
+        )
+        if (
+            np.abs(np.subtract(last[1], before[1])).max() < FROZEN_RAD_S * (last[0] - before[0])
+            or before is last
+        ):
             return False  # it may have come to rest
         self._same += 1
         return True
@@ -224,12 +247,21 @@ class OnlineEstimator:
         self._hear(window)
 
     def _window(self, start_s: float) -> _Window | None:
-        period_s, reach, width, thin = self._period_s, self._smoothed, self._width, self._thin
-        lowest, highest = start_s - reach * period_s, start_s + (width + reach) * period_s
+        period_s = self._period_s
+        reach = self._smoothed
+        width = self._width
+        thin = self._thin
+        lowest = start_s - reach * period_s
+        highest = start_s + (width + reach) * period_s
         longest_s = min(max(3.5 * period_s, 0.25 * self._window_s), LONGEST_GAP_S)
         rows = [row for row in self._samples if lowest - longest_s <= row[0] <= highest + longest_s]
         times_s = np.array([row[0] for row in rows])
-        if len(rows) < 5 or np.diff(times_s).max() > longest_s or times_s[0] > lowest or times_s[-1] < highest:
+        if (
+            len(rows) < 5
+            or np.diff(times_s).max() > longest_s
+            or times_s[0] > lowest
+            or times_s[-1] < highest
+        ):
             return None
         # what came in a burst was not stamped when it was measured
         if not 0.6 < len(rows) * period_s / (times_s[-1] - times_s[0] + period_s) < 1.4:
@@ -239,15 +271,26 @@ class OnlineEstimator:
         current = _interpolated(grid_s, times_s, np.array([row[2] for row in rows]))
         # a parabola through the neighbours, and its slope (Savitzky & Golay 1964)
         design = np.linalg.pinv(np.vander(np.arange(-reach, reach + 1), 3, increasing=True))
-        view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[:width:thin]
-        smooth, velocity = view @ design[0], view @ design[1] / period_s
+        view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[
+            :width:thin
+        ]
+        smooth = view @ design[0]
+        velocity = view @ design[1] / period_s
         left_over = position[reach : reach + width : thin] - smooth
-        self._jitter = 0.8 * self._jitter + 0.2 * left_over.T @ left_over / len(smooth) / (1.0 - design[0][reach])
-        torque = np.lib.stride_tricks.sliding_window_view(current, thin, axis=0)[reach : reach + width : thin].mean(-1)
-        inside_s: FloatArray = np.asarray(start_s + period_s * np.arange(0, width, thin), dtype=np.float64)
+        self._jitter = 0.8 * self._jitter + 0.2 * left_over.T @ left_over / len(smooth) / (
+            1.0 - design[0][reach]
+        )
+        torque = np.lib.stride_tricks.sliding_window_view(current, thin, axis=0)[
+            reach : reach + width : thin
+        ].mean(-1)
+        inside_s: FloatArray = np.asarray(
+            start_s + period_s * np.arange(0, width, thin), dtype=np.float64
+        )
         constants = self._calibration.torque_constants
         moves = np.ptp(position, axis=0) > self._least_rad
-        made = self._arm.rows(self._windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves)
+        made = self._arm.rows(
+            self._windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves
+        )
         return _Window(made, self._of_acceleration(design[1], smooth[len(smooth) // 2]))
 
     def _of_acceleration(self, slope: FloatArray, position: FloatArray) -> FloatArray:
@@ -259,13 +302,16 @@ class OnlineEstimator:
         for number, share in enumerate(self._windows.slope):
             weights[number * self._thin : number * self._thin + len(slope)] += share * slope
         per_position = float(weights @ weights) / (self._thin * self._period_s**2) ** 2
-        inertia = inertia_matrix(self._arm.model, position, self._calibration.values[: 11 * self._arm.count])
+        inertia = inertia_matrix(
+            self._arm.model, position, self._calibration.values[: 11 * self._arm.count]
+        )
         result: FloatArray = per_position * inertia @ self._jitter @ inertia
         return result
 
     def _hear(self, window: _Window) -> None:
         """Go on by a window, and look for a step; where exactly it was shows in the windows after it."""
-        main, known = self._filter, self._fresh_s is not None
+        main = self._filter
+        known = self._fresh_s is not None
         assert main is not None
         main.step(window)
         if self._after is not None and self._after.motion_s > FRESH_S:
@@ -297,9 +343,11 @@ class OnlineEstimator:
         now = self._filter if self._after is None else self._after
         if now is None or not now.motion_s:
             return None
-        scale, mass = self._calibration.torque_scale, now.mass_kg
+        scale = self._calibration.torque_scale
+        mass = now.mass_kg
         # nobody knows whether all torque constants are off together or each on its own: the larger covers every mixture
-        counted, apart = np.linalg.norm(now.by_share), np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD)
+        counted = np.linalg.norm(now.by_share)
+        apart = np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD)
         constants = max(float(apart), abs(mass) * self._calibration.torque_scale_std)
         std = float(np.sqrt(max(now.std_kg**2 - float(counted) ** 2, 0.0) + constants**2)) * scale
         mass *= scale
@@ -319,21 +367,31 @@ class OnlineEstimator:
 class _Knows:
     """What is known of an arm, for every filter of it."""
 
-    def __init__(self, arm: Arm, calibration: MotionCalibration, centre_m: FloatArray, centre_std_m: float) -> None:
+    def __init__(
+        self, arm: Arm, calibration: MotionCalibration, centre_m: FloatArray, centre_std_m: float
+    ) -> None:
         count = arm.count
-        covariance, friction = calibration.covariance.copy(), calibration.friction
+        covariance = calibration.covariance.copy()
+        friction = calibration.friction
         covariance[friction, friction] += np.diag(calibration.friction_spread**2)
         # a file rounds: what should be zero may be a little below
         spread = np.sqrt(np.diag(covariance))
         size, ways = np.linalg.eigh(covariance / spread[:, None] / spread)
         kept = size > 1e-9 * size[-1]
-        self.values, self.count, self.widest_kg, self.centre_std_m = calibration.values, count, arm.kg, centre_std_m
+        self.values, self.count, self.widest_kg, self.centre_std_m = (
+            calibration.values,
+            count,
+            arm.kg,
+            centre_std_m,
+        )
         self.root = spread[:, None] * ways[:, kept] * np.sqrt(size[kept])
         # by how much the calibration's terms are off where one torque constant is off by its standard deviation
         self.by_share = calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
         self.noise = NOISE_FACTOR * np.maximum(calibration.residual, 1e-6)
         # an exponential that decays over tau makes 2 tau / hop neighbours one
-        self.tau_s = np.maximum(0.5 * calibration.correlation * HOP_SHARE * CALIBRATED_S, LEAST_TAU_S)
+        self.tau_s = np.maximum(
+            0.5 * calibration.correlation * HOP_SHARE * CALIBRATED_S, LEAST_TAU_S
+        )
         self.coulomb = np.abs(calibration.values[friction][count : 2 * count])
         self.point = point_mass(centre_m)
 
@@ -392,16 +450,31 @@ class _Filter:
 
     def step(self, window: _Window) -> None:
         """Go on by one window."""
-        start_s, hop_s = window.start_s, 0.5 * self._window_s
-        self._past.append((window, self._state[:, : 1 + self._knows.count], self._covariance, self._time_s, self._misfit))
+        start_s = window.start_s
+        hop_s = 0.5 * self._window_s
+        self._past.append(
+            (
+                window,
+                self._state[:, : 1 + self._knows.count],
+                self._covariance,
+                self._time_s,
+                self._misfit,
+            )
+        )
         while len(self._past) * hop_s > LATEST_STEP_S:
             self._past.popleft()
-            self._onsets, self._state = self._onsets[1:], np.delete(self._state, 1 + self._knows.count, axis=1)
+            self._onsets, self._state = (
+                self._onsets[1:],
+                np.delete(self._state, 1 + self._knows.count, axis=1),
+            )
             self._information, self._along = self._information[1:], self._along[1:]
         self._pass(start_s, hop_s)
         self._onsets.append(start_s + hop_s)
         self._state = np.column_stack([self._state, np.zeros(len(self._state))])
-        self._information, self._along = np.append(self._information, 0.0), np.append(self._along, 0.0)
+        self._information, self._along = (
+            np.append(self._information, 0.0),
+            np.append(self._along, 0.0),
+        )
         self._update(window)
         self.motion_s += hop_s
 
@@ -409,7 +482,10 @@ class _Filter:
         """What is forgotten from window to window."""
         late_s = hop_s if np.isnan(self._time_s) else start_s - self._time_s
         keeps = np.ones(len(self._state))
-        keeps[self._arm], keeps[self._other] = np.exp(-hop_s / MEMORY_S), np.exp(-late_s / self._knows.tau_s)
+        keeps[self._arm], keeps[self._other] = (
+            np.exp(-hop_s / MEMORY_S),
+            np.exp(-late_s / self._knows.tau_s),
+        )
         self._state = self._state * keeps[:, None]
         fading = keeps.copy()
         fading[self._load] = np.exp(0.5 * hop_s / MEMORY_S)
@@ -419,16 +495,22 @@ class _Filter:
         self._covariance, self._time_s = covariance, start_s
 
     def _update(self, made: _Window) -> None:
-        knows, window, mass_kg = self._knows, made.rows, self.mass_kg or self._heavy_kg
+        knows = self._knows
+        window = made.rows
+        mass_kg = self.mass_kg or self._heavy_kg
         joint = window.joint
-        along, design, count = window.payload @ knows.point, window.design.copy(), knows.count
+        along = window.payload @ knows.point
+        design = window.design.copy()
+        count = knows.count
         fill_drives(design, knows.values, window, slice(11 * count, 12 * count), mass_kg * along)
         heavy = max(abs(mass_kg), 0.02) * knows.centre_std_m
         rows = np.hstack([
             design @ knows.root, np.eye(count)[joint] * knows.noise, along[:, None] * knows.widest_kg,
             window.payload[:, 1:4] * heavy,
         ])  # fmt: skip
-        shares = np.clip(2.0 * (np.array(self._onsets) - window.start_s[0]) / self._window_s - 1.0, -1.0, 1.0)
+        shares = np.clip(
+            2.0 * (np.array(self._onsets) - window.start_s[0]) / self._window_s - 1.0, -1.0, 1.0
+        )
         before = 0.5 + 35.0 / 32.0 * (shares - shares**3 + 0.6 * shares**5 - shares**7 / 7.0)
         heard = np.hstack([
             (window.torque - design @ knows.values)[:, None], design @ knows.by_share, along[:, None] * (1.0 - before)
@@ -450,13 +532,16 @@ class _Filter:
         self._along = self._along + steps.T @ weighted
         self._information = self._information + np.einsum("ij,ik,kj->j", steps, inverse, steps)
         keeps = np.exp(-0.5 * self._window_s / MISFIT_S)
-        self._misfit = keeps * self._misfit + (1.0 - keeps) * float(innovation[:, 0] @ weighted) / len(joint)
+        self._misfit = keeps * self._misfit + (1.0 - keeps) * float(
+            innovation[:, 0] @ weighted
+        ) / len(joint)
         for row, number in enumerate(joint):
             self._loud[number].append((float(innovation[row, 0]) ** 2, float(expected[row, row])))
 
     def _noise(self, joint: int) -> float:
         """Variance of a window's mean torque that is its own [N^2 m^2], by the innovations of late."""
-        own, heard = self._knows.noise[joint] ** 2, self._loud[joint]
+        own = self._knows.noise[joint] ** 2
+        heard = self._loud[joint]
         if len(heard) < FEWEST_WINDOWS:
             return float(own)
         squares, expected = np.median(np.array(heard), axis=0)
@@ -475,16 +560,22 @@ class _Filter:
         score = np.where(ready, np.abs(change_kg) * np.sqrt(information), 0.0)
         best = int(np.argmax(score))
         least_kg = LEAST_SHARE * abs(self.mass_kg)
-        return self._onsets[best] if score[best] > sigmas and abs(change_kg[best]) > least_kg else None
+        return (
+            self._onsets[best] if score[best] > sigmas and abs(change_kg[best]) > least_kg else None
+        )
 
     def after(self, onset_s: float) -> _Filter:
         """The same, with a load of which nothing is known since then."""
-        new, load = _Filter(self._knows, self._window_s), self._load
+        new = _Filter(self._knows, self._window_s)
+        load = self._load
         behind = [past for past in self._past if past[0].start_s + self._window_s > onset_s + 1e-6]
         _, state, covariance, new._time_s, new._misfit = behind[0]
         number = self._onsets.index(onset_s)
         change_kg = float(self._along[number] / max(self._information[number], 1e-12))
-        new._begun_s, new._heavy_kg = onset_s, float(state[load.start, 0]) * self._knows.widest_kg + change_kg
+        new._begun_s, new._heavy_kg = (
+            onset_s,
+            float(state[load.start, 0]) * self._knows.widest_kg + change_kg,
+        )
         new._state, new._covariance = state.copy(), covariance.copy()
         new._state[load] = 0.0
         new._covariance[load], new._covariance[:, load] = 0.0, 0.0
@@ -506,7 +597,9 @@ def inertia_matrix(model: ReducedModel, position: FloatArray, terms: FloatArray)
     for body, own in enumerate(bodies):
         joints = carriers(model, body)
         of_body = motion.seen_by(body, motion.twist[:, body, None])
-        result[joints] += np.tensordot(own, momentum_along(*motion.seen_by(body, motion.axis[:, joints]), *of_body), 1)
+        result[joints] += np.tensordot(
+            own, momentum_along(*motion.seen_by(body, motion.axis[:, joints]), *of_body), 1
+        )
     return result
 
 

@@ -51,7 +51,9 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %" if share < 10.0 else "over 1000 %"
 
 
-def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: str = "") -> Iterator[Refusal]:
+def unexplained_torque(
+    joints: Sequence[str], share: FloatArray, by: str, name: str = ""
+) -> Iterator[Refusal]:
     """Where the worst joint's torque is not what the model makes of it.
 
     ``joints``: their names; ``share``: of the torque, that is left over by joint; NaN where one did not move; ``by``: what the
@@ -98,7 +100,9 @@ def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:
         )
 
 
-def far_from_prior(keys: Sequence[Key], values: FloatArray, prior: FloatArray, std: FloatArray, known: str) -> Iterator[Refusal]:
+def far_from_prior(
+    keys: Sequence[Key], values: FloatArray, prior: FloatArray, std: FloatArray, known: str
+) -> Iterator[Refusal]:
     """Where the worst of an arm's terms is not what ``known`` has it to be.
 
     ``keys``: kind and joint of each term; ``values``: that came out; ``prior``: what should have come out; ``std``: how
@@ -117,23 +121,31 @@ def far_from_prior(keys: Sequence[Key], values: FloatArray, prior: FloatArray, s
         )
 
 
-def centre_elsewhere(name: str, stated: Centre, fit: MotionFit, free: MotionFit) -> Iterator[Refusal]:
+def centre_elsewhere(
+    name: str, stated: Centre, fit: MotionFit, free: MotionFit
+) -> Iterator[Refusal]:
     """Where ``fit`` has the payload at a stated centre, ``free`` finds another, and the mass is another one for it."""
-    mass, at = float(free.values[0]), np.asarray(stated[0])
+    mass = float(free.values[0])
+    at = np.asarray(stated[0])
     # both err alike as torque constants do
     std = np.sqrt(max(float(free.std[0]) ** 2 - free.parts[CONSTANTS] ** 2, 0.0))
     if mass < LEAST_SIGMAS * free.std[0] or abs(fit.values[0] - mass) < free.quantile * std:
         return
     moments = np.hstack([-at[:, None], np.eye(3)])  # about the stated centre they are nothing
     off = moments @ free.values[:4]
-    covariance = moments @ free.covariance[:4, :4] @ moments.T + np.diag(np.square(mass * np.asarray(stated[1])))
+    covariance = moments @ free.covariance[:4, :4] @ moments.T + np.diag(
+        np.square(mass * np.asarray(stated[1]))
+    )
     if Z95 * np.sqrt(off @ np.linalg.solve(covariance, off)) > APART_SIGMAS * free.quantile:
         yield elsewhere(name, at, free.values[1:4] / mass)
 
 
 def elsewhere(name: str, stated: FloatArray, found: FloatArray) -> Refusal:
     """The refusal of a stated centre where another one explains the motion."""
-    said, seen = (", ".join(written(value, spec) for value in at) for at, spec in ((stated, ".3g"), (found, ".3f")))
+    said, seen = (
+        ", ".join(written(value, spec) for value in at)
+        for at, spec in ((stated, ".3g"), (found, ".3f"))
+    )
     return rejected(
         "misfit",
         "the payload is not where it is stated to be",

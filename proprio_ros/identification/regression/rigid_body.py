@@ -56,7 +56,9 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
         return parameters.copy()
     # with the mass held, the rest of its error counts as it is given the mass
     scaled = covariance / np.outer(size, size)
-    information = np.linalg.inv(scaled[1:, 1:] - np.outer(scaled[1:, 0], scaled[0, 1:]) / scaled[0, 0])
+    information = np.linalg.inv(
+        scaled[1:, 1:] - np.outer(scaled[1:, 0], scaled[0, 1:]) / scaled[0, 0]
+    )
     units = np.array([pseudo_inertia(unit) for unit in np.eye(PARAMETERS)[1:]])
     fixed = pseudo_inertia(np.eye(PARAMETERS)[0])
     # a sphere at the origin is a body, and the barrier keeps every step one
@@ -66,7 +68,9 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
         for _ in range(_NEWTON_STEPS):
             inverse = np.linalg.inv(fixed + np.tensordot(rest, units, 1))
             turned = inverse @ units
-            gradient = 2.0 * information @ (rest - wanted[1:]) - barrier * np.trace(turned, axis1=1, axis2=2)
+            gradient = 2.0 * information @ (rest - wanted[1:]) - barrier * np.trace(
+                turned, axis1=1, axis2=2
+            )
             hessian = 2.0 * information + barrier * np.einsum("aij,bji->ab", turned, turned)
             step = -np.linalg.solve(hessian, gradient)
             # the decrement measures how far the minimum is; within 1/4 of it full steps stay inside the cone
@@ -86,8 +90,10 @@ def inertia_about_centre(parameters: FloatArray) -> tuple[FloatArray, FloatArray
 
     Returns: Shape (6,), and per unit of each parameter, shape (6, 10).
     """
-    mass, moment = parameters[0], parameters[1:4]
-    value, gradient = parameters[4:].copy(), np.zeros((6, PARAMETERS))
+    mass = parameters[0]
+    moment = parameters[1:4]
+    value = parameters[4:].copy()
+    gradient = np.zeros((6, PARAMETERS))
     gradient[:, 4:] = np.eye(6)
     for row, (i, j) in enumerate(zip(*_UPPER, strict=True)):
         # Steiner: less m (c . c E - c c^T), with c = h / m

@@ -13,18 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
-from proprio_ros.identification.regression.between import CONSIDERED, LEARNT, PUBLISHED, Between, by_evidence
+from proprio_ros.identification.regression.between import (
+    CONSIDERED,
+    LEARNT,
+    PUBLISHED,
+    Between,
+    by_evidence,
+)
 from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
 
-ITERATIONS = 6  # Of weights and load friction; the mass of a UR10e changes by less than 1 g in the last.
+# Of weights and load friction; the mass of a UR10e changes by less than 1 g in the last.
+ITERATIONS = 6
 WAVES = 4  # Sine and cosine of a joint's angle, and of twice the angle.
 PLACE_SHARE = 0.15  # Standard deviation of each of them in Coulomb friction, relative to it.
 
-FEWEST_FREE = 0.2  # Of a joint's independent windows at least so many count as not used up by unknowns.
+# Of a joint's independent windows at least so many count as not used up by unknowns.
+FEWEST_FREE = 0.2
 FIXED = 1e-6  # Of its spread is what a term that is not followed may move by.
-SPREAD_SIGMAS = 3.0  # Inertia that ends so many standard deviations of its prior from nothing is as open as that.
+# Inertia that ends so many standard deviations of its prior from nothing is as open as that.
+SPREAD_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,9 @@ class Prior:
     covariance: FloatArray
 
 
-def posterior(information: FloatArray, side: FloatArray, prior: Prior) -> tuple[FloatArray, FloatArray]:
+def posterior(
+    information: FloatArray, side: FloatArray, prior: Prior
+) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance, ``(1 + V N)^-1 V``: neither the prior V nor the data N need an inverse of their own.
 
     Both are scaled by the prior's standard deviations, which differ by ten orders of magnitude.
@@ -96,38 +107,63 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def solve_following(
-    problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration | None
+    problem: Problem,
+    prior: Prior,
+    between: Between,
+    per_kg: FloatArray,
+    known: MotionCalibration | None,
 ) -> tuple[Solution, Solution, FloatArray]:
     """The estimate that follows what differs as the evidence has it, the open one, and its scatter, shape (U, U).
 
     Where nothing is ``known``, recordings differ from their mean: torque and zeros of that are the arm's own.
     """
     opened = solve(problem, prior, between, per_kg, known, considered=())
-    first, kinds = problem.own(0).start, np.tile(between.kinds, problem.motions)
+    first = problem.own(0).start
+    kinds = np.tile(between.kinds, problem.motions)
     at = first + np.flatnonzero(np.isin(kinds, CONSIDERED))
     basis: FloatArray = np.eye(len(at))
     if known is None:
-        basis = np.asarray(np.kron(_contrasts(problem.motions), np.eye(len(at) // problem.motions)), np.float64)
+        basis = np.asarray(
+            np.kron(_contrasts(problem.motions), np.eye(len(at) // problem.motions)), np.float64
+        )
     # what the data say of these terms alone; all else follows them linearly
     precision = np.linalg.inv(opened.covariance[np.ix_(at, at)])
-    information = precision - np.diag(1.0 / np.square(np.tile(opened.between.std, problem.motions)[at - first]))
+    information = precision - np.diag(
+        1.0 / np.square(np.tile(opened.between.std, problem.motions)[at - first])
+    )
     leads = opened.covariance[:, at] @ precision
     std = np.tile(between.std, problem.motions)[at - first]
-    information, side = std[:, None] * information * std, std * (precision @ opened.values[at])
+    information = std[:, None] * information * std
+    side = std * (precision @ opened.values[at])
     of_basis = basis.T @ information @ basis, basis.T @ side
     mean, wider, terms, weights = by_evidence(kinds[at - first][: basis.shape[1]], *of_basis)
-    mean, terms = basis @ mean, terms @ basis.T
+    mean = basis @ mean
+    terms = terms @ basis.T
     apart = (terms - mean) * std @ leads.T
-    spreads = {**opened.between.spreads, **{kind: between.spreads[kind] * times for kind, times in wider.items()}}
-    differs, wide = replace(opened.between, spreads=spreads), Prior(opened.prior.values, opened.prior.covariance.copy())
+    spreads = {
+        **opened.between.spreads,
+        **{kind: between.spreads[kind] * times for kind, times in wider.items()},
+    }
+    differs = replace(opened.between, spreads=spreads)
+    wide = Prior(opened.prior.values, opened.prior.covariance.copy())
     spread = np.tile(differs.std, problem.motions)[at - first][:, None] * basis
     wide.covariance[np.ix_(at, at)] = spread @ spread.T
     _, covariance = posterior(opened.information, opened.information @ wide.values, wide)
     values = opened.values + leads @ (std * mean - opened.values[at])
     left_over = problem.torque - opened.scaled @ values / opened.weight
     deviations = scores(opened.scaled, left_over * opened.weight, problem.stretch) @ covariance
-    fields = {"values": values, "covariance": covariance, "prior": wide, "between": differs, "residual": left_over}
-    return replace(opened, deviations=deviations, **fields), opened, (apart * weights[:, None]).T @ apart
+    fields = {
+        "values": values,
+        "covariance": covariance,
+        "prior": wide,
+        "between": differs,
+        "residual": left_over,
+    }
+    return (
+        replace(opened, deviations=deviations, **fields),
+        opened,
+        (apart * weights[:, None]).T @ apart,
+    )
 
 
 def _contrasts(count: int) -> FloatArray:
@@ -155,19 +191,29 @@ def solve(
         known: By which residuals are known; without one, the place's part of Coulomb friction is open by a share of it.
         considered: Kinds of what recordings differ by that the solution does not follow.
     """
-    matrix, right, joint, count = problem.matrix.copy(), problem.torque, problem.joint, problem.count
+    matrix = problem.matrix.copy()
+    right = problem.torque
+    joint = problem.joint
+    count = problem.count
     arm = PARAMETERS + ARM_TERMS * count
     geared = slice(PARAMETERS + 11 * count, PARAMETERS + 12 * count)
     waves = geared.stop + count + np.arange(WAVES * count)
     same, own = np.diag(prior.covariance).copy(), slice(arm, None)
-    prior, stated = Prior(prior.values, prior.covariance.copy()), between
-    kinds = [kind for kind in PUBLISHED if kind not in considered and (between.friction.any() or kind not in LEARNT)]
+    prior = Prior(prior.values, prior.covariance.copy())
+    stated = between
+    kinds = [
+        kind
+        for kind in PUBLISHED
+        if kind not in considered and (between.friction.any() or kind not in LEARNT)
+    ]
     follows = np.where(np.isin(between.kinds, considered), FIXED, 1.0)
 
     def differing() -> None:
         """Give every motion's own terms their spread."""
         at = range(arm, len(same))
-        prior.covariance[at, at] = same[own] + np.tile(np.square(between.std * follows), problem.motions)
+        prior.covariance[at, at] = same[own] + np.tile(
+            np.square(between.std * follows), problem.motions
+        )
 
     differing()
     moves = np.bincount(joint, minlength=count) > 0
@@ -177,7 +223,12 @@ def solve(
         weight = 1.0 / (rms * np.sqrt(correlation))[joint]
         scaled = matrix * weight[:, None]
         information = scaled.T @ scaled
-        return (weight, scaled, information, *posterior(information, scaled.T @ (right * weight), prior))
+        return (
+            weight,
+            scaled,
+            information,
+            *posterior(information, scaled.T @ (right * weight), prior),
+        )
 
     for _ in range(ITERATIONS):
         _, scaled, _, values, covariance = solved()
@@ -188,14 +239,25 @@ def solve(
             rms[number] = max(float(np.std(residual[mine])), 1e-9)
             correlation[number] = correlated_windows(residual[mine], problem.stretch[mine])
             if known is not None and not considered:  # what unknowns take up is not left over
-                used = np.einsum("ij,ij->", scaled[mine] @ covariance, scaled[mine]) * correlation[number] / mine.sum()
+                used = (
+                    np.einsum("ij,ij->", scaled[mine] @ covariance, scaled[mine])
+                    * correlation[number]
+                    / mine.sum()
+                )
                 rms[number] /= np.sqrt(max(1.0 - used, FEWEST_FREE))
         if known is not None:
             # what a longer recording knows of its residuals holds for a short one, too
-            rms, correlation = np.maximum(rms, 0.5 * known.residual), np.maximum(correlation, known.correlation)
+            rms, correlation = (
+                np.maximum(rms, 0.5 * known.residual),
+                np.maximum(correlation, known.correlation),
+            )
         else:
-            coulomb = np.mean([values[problem.own(n, count)][:count] for n in range(problem.motions)], axis=0)
-            prior.covariance[waves, waves] = np.tile(np.square(PLACE_SHARE * coulomb) + 1e-12, WAVES)
+            coulomb = np.mean(
+                [values[problem.own(n, count)][:count] for n in range(problem.motions)], axis=0
+            )
+            prior.covariance[waves, waves] = np.tile(
+                np.square(PLACE_SHARE * coulomb) + 1e-12, WAVES
+            )
         # something light has little first moment and inertia, wherever in the hand it sits
         heavy_kg = abs(values[0]) + np.sqrt(covariance[0, 0])
         stds = heavy_kg * per_kg
@@ -210,12 +272,25 @@ def solve(
     weight, scaled, information, values, covariance = solved()
     deviations = scores(scaled, right * weight - scaled @ values, problem.stretch) @ covariance
     left_over = right - matrix @ values
-    return Solution(values, covariance, information, deviations, left_over, rms, correlation, prior, between, scaled, weight)
+    return Solution(
+        values,
+        covariance,
+        information,
+        deviations,
+        left_over,
+        rms,
+        correlation,
+        prior,
+        between,
+        scaled,
+        weight,
+    )
 
 
 def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> float:
     """Over how many windows a joint's residuals are correlated: one and twice the sum of their correlations within a stretch."""
-    total, variance = 1.0, float(np.mean(residual**2))
+    total = 1.0
+    variance = float(np.mean(residual**2))
     longest = int(np.bincount(np.unique(stretch, return_inverse=True)[1]).max())
     for lag in range(1, longest):
         same = stretch[lag:] == stretch[:-lag]

@@ -12,7 +12,9 @@ from proprio_ros.identification.estimate import JointFit
 from proprio_ros.records import FloatArray
 
 MOST_POINTS = 240  # Of a curve: a picture of it is no finer.
-BINS, LEAST_BIN_S = 60, 0.5  # A recording is told in so many parts at most, none shorter than a window.
+# A recording is told in so many parts at most, none shorter than a window.
+BINS = 60
+LEAST_BIN_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,9 @@ class Explained:
     # torque per kilogram at the payload's place, over the standard deviation of what is left over of that joint, (E,)
     by_mass: FloatArray
 
-    def joint_fits(self, names: Sequence[str], joints: Sequence[str], usual: FloatArray | Sequence[float]) -> tuple[JointFit, ...]:
+    def joint_fits(
+        self, names: Sequence[str], joints: Sequence[str], usual: FloatArray | Sequence[float]
+    ) -> tuple[JointFit, ...]:
         """Each joint of each motion that moved, thinned for a picture.
 
         Args:
@@ -51,7 +55,9 @@ class Explained:
                 if not len(rows):
                     continue
                 bins = (self.middle_s[rows] / bin_s).astype(np.int64)
-                told = np.bincount(bins, information[rows] / whole, minlength=int(np.ceil(end_s / bin_s)))
+                told = np.bincount(
+                    bins, information[rows] / whole, minlength=int(np.ceil(end_s / bin_s))
+                )
                 few = rows[:: -(-len(rows) // MOST_POINTS)]
                 fits.append(
                     JointFit(

@@ -28,7 +28,14 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.motions import LONGEST_GAP_S, Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel
-from proprio_ros.robot.regressor import PARAMETERS, carriers, cross_product, gravity_along, kinematics, momentum_along
+from proprio_ros.robot.regressor import (
+    PARAMETERS,
+    carriers,
+    cross_product,
+    gravity_along,
+    kinematics,
+    momentum_along,
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,8 @@ class Windows:
 
     samples: int  # of the signals, T
     starts: NDArray[np.int64]  # first sample of each window, shape (W,)
-    weight: FloatArray  # its values times the sampling period, normalised to a mean over time, shape (K,)
+    # its values times the sampling period, normalised to a mean over time, shape (K,)
+    weight: FloatArray
     slope: FloatArray  # those of its time derivative, shape (K,)
 
     @classmethod
@@ -46,7 +54,12 @@ class Windows:
         x = (np.arange(width) + 0.5) * 2.0 / width - 1.0
         weight = (1.0 - x**2) ** 3
         slope = -6.0 * x * (1.0 - x**2) ** 2 * 2.0 / width
-        return cls(samples, np.arange(0, samples - width + 1, hop), weight / weight.sum(), slope / weight.sum())
+        return cls(
+            samples,
+            np.arange(0, samples - width + 1, hop),
+            weight / weight.sum(),
+            slope / weight.sum(),
+        )
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Weighted mean of a signal, shape (T, ...), over each window, shape (W, ...)."""
@@ -66,17 +79,28 @@ class Windows:
         return self._matrix(self.slope)
 
     def _matrix(self, weight: FloatArray) -> csr_matrix:
-        width, count = len(weight), len(self.starts)
-        samples, rows = self.starts[:, None] + np.arange(width), np.arange(0, width * count + 1, width)
-        return csr_matrix((np.tile(weight, count), samples.ravel(), rows), shape=(count, self.samples))
+        width = len(weight)
+        count = len(self.starts)
+        samples = self.starts[:, None] + np.arange(width)
+        rows = np.arange(0, width * count + 1, width)
+        return csr_matrix(
+            (np.tile(weight, count), samples.ravel(), rows), shape=(count, self.samples)
+        )
 
     def _applied(self, matrix: csr_matrix, values: FloatArray) -> FloatArray:
-        result: FloatArray = (matrix @ values.reshape(len(values), -1)).reshape(len(self.starts), *values.shape[1:])
+        result: FloatArray = (matrix @ values.reshape(len(values), -1)).reshape(
+            len(self.starts), *values.shape[1:]
+        )
         return result
 
 
 def torque_regressor(
-    model: ReducedModel, position: FloatArray, velocity: FloatArray, windows: Windows, period_s: float, since: int = 0
+    model: ReducedModel,
+    position: FloatArray,
+    velocity: FloatArray,
+    windows: Windows,
+    period_s: float,
+    since: int = 0,
 ) -> FloatArray:
     """Mean torque at every joint over every window, per unit of every body's parameters.
 
@@ -92,14 +116,19 @@ def torque_regressor(
     """
     motion = kinematics(model, position, velocity)
     result = np.zeros((len(windows.starts), *2 * position.shape[1:], PARAMETERS))
-    axes, twists = motion.axis, motion.twist
+    axes = motion.axis
+    twists = motion.twist
     moved = cross_product(twists[:3], axes[3:]) + cross_product(twists[3:], axes[:3])
     turning = np.concatenate([cross_product(twists[:3], axes[:3]), moved])
     for body in range(since, position.shape[1]):
         joints = carriers(model, body)
-        screws = np.concatenate([axes[:, joints], turning[:, joints], twists[:, body, None]], axis=1)
+        screws = np.concatenate(
+            [axes[:, joints], turning[:, joints], twists[:, body, None]], axis=1
+        )
         angular, linear = motion.seen_by(body, screws)
-        momentum = momentum_along(angular[:, :-1], linear[:, :-1], angular[:, -1:], linear[:, -1:]).T
+        momentum = momentum_along(
+            angular[:, :-1], linear[:, :-1], angular[:, -1:], linear[:, -1:]
+        ).T
         mean = windows.mean(momentum[:, len(joints) :] + gravity_along(model, motion, body).T)
         result[:, joints, body] = windows.derivative(momentum[:, : len(joints)], period_s) - mean
     return result
@@ -121,7 +150,9 @@ def evenly(
     period_s = float(np.median(np.diff(motion.times_s)))
     times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
     position, current = (
-        np.column_stack([np.interp(times_s, motion.times_s, values[:, column]) for column in columns])
+        np.column_stack(
+            [np.interp(times_s, motion.times_s, values[:, column]) for column in columns]
+        )
         for values in (motion.position, motion.current_A)
     )
     b, a = butter(2, min(2.0 * bandwidth_Hz * period_s, 0.9))
@@ -133,7 +164,8 @@ def evenly(
 
 def across_gaps(motion: Motion, times_s: FloatArray, windows: Windows) -> NDArray[np.bool_]:
     """Which windows of evenly spaced samples span a gap in the recording, and know nothing of what happened there, shape (W,)."""
-    first, last = times_s[windows.starts], times_s[windows.starts + len(windows.weight) - 1]
+    first = times_s[windows.starts]
+    last = times_s[windows.starts + len(windows.weight) - 1]
     crossed = np.zeros(len(windows.starts), dtype=bool)
     for gap in np.flatnonzero(np.diff(motion.times_s) > LONGEST_GAP_S):
         crossed |= (first < motion.times_s[gap + 1]) & (last > motion.times_s[gap])

@@ -72,7 +72,9 @@ class Container(
         stated=("container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01"),
     )  # fmt: skip
 
-    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> ContainerJob:
+    def facts(
+        self, settings: Settings, solver: str = "lm", profile: str = "default"
+    ) -> ContainerJob:
         from proprio_ros.probes.container.facts import FORMS, container_facts
         from proprio_ros.probes.container.search import ContainerOptions
 
@@ -80,7 +82,8 @@ class Container(
         container = container_facts(settings, defaults)
         solving = settings.options(ContainerOptions, "solver.", defaults["solver"])
         camera, std = (
-            settings.take(f"sphere.{key}", defaults["sphere"].get(key), FORMS[f"sphere.{key}"]) for key in ("camera", "camera_std")
+            settings.take(f"sphere.{key}", defaults["sphere"].get(key), FORMS[f"sphere.{key}"])
+            for key in ("camera", "camera_std")
         )
         return ContainerJob(container, solving, camera, std)
 
@@ -102,10 +105,17 @@ class Container(
         from proprio_ros.sim.sphere import compile_kernels
 
         super().compile(robot, facts)
-        shape, law = facts.container.enclosure.shape, facts.container.law
+        shape = facts.container.enclosure.shape
+        law = facts.container.law
         compile_kernels(shape, law, facts.solving.integrator, rises=robot.friction_rises)
 
-    def chooser(self, robot: Robot, facts: ContainerJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
+    def chooser(
+        self,
+        robot: Robot,
+        facts: ContainerJob,
+        sequence: ExcitationSequence,
+        baseline: Sequence[Run] = (),
+    ) -> Chooser:
         from proprio_ros.probes.container.choosing import SphereUntilSure
         from proprio_ros.probes.container.identify import find_sphere, half_of
 
@@ -120,7 +130,9 @@ class Container(
 
         sources = zip(recorded.runs, recorded.sources, strict=True)
         tracks = [track_of(run, source, facts.camera, facts.camera_std) for run, source in sources]
-        return find_sphere(robot, recorded.runs, facts.container, facts.solving, recorded.baseline, tracks)
+        return find_sphere(
+            robot, recorded.runs, facts.container, facts.solving, recorded.baseline, tracks
+        )
 
     def sections(self, estimate: Estimate) -> list[str]:
         from proprio_ros.probes.container.figures import sections
@@ -131,7 +143,8 @@ class Container(
         """The container, with a sphere in its middle."""
         import numpy as np
 
-        container, enclosure = facts.container, facts.container.enclosure
+        container = facts.container
+        enclosure = facts.container.enclosure
         sphere = base.Body("sphere", [2.0 * enclosure.radius] * 3, np.eye(3), 0.9)
         walls = base.Body(enclosure.shape, enclosure.inner_size.tolist(), container.rotation, 0.25)
         return base.Shapes(container.centre.tolist(), [sphere, walls])

@@ -18,15 +18,35 @@ from proprio_ros.excitation.plans import LEAST_SHAKES, ExcitationSequence
 from proprio_ros.experiment_design import candidates
 from proprio_ros.experiment_design.choosing import Found, passes, time_of
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
-from proprio_ros.experiment_design.sequential import DURATIONS_S, MAX_TRAVEL, SHAKE_PERIOD_S, UNKNOWN_STD_KG, Catalogue, Known
+from proprio_ros.experiment_design.sequential import (
+    DURATIONS_S,
+    MAX_TRAVEL,
+    SHAKE_PERIOD_S,
+    UNKNOWN_STD_KG,
+    Catalogue,
+    Known,
+)
 from proprio_ros.experiment_design.until import CatalogueChooser
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import STILL_M
-from proprio_ros.probes.container.problem import LEVEL, ContainerFacts, ContainerProblem, sphere_run, start_prior
-from proprio_ros.probes.container.search import ContainerOptions, SphereSearch, check_shell, fit_empty, known_until, lost_at
+from proprio_ros.probes.container.problem import (
+    LEVEL,
+    ContainerFacts,
+    ContainerProblem,
+    sphere_run,
+    start_prior,
+)
+from proprio_ros.probes.container.search import (
+    ContainerOptions,
+    SphereSearch,
+    check_shell,
+    fit_empty,
+    known_until,
+    lost_at,
+)
 from proprio_ros.quantity import Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -39,7 +59,8 @@ STARTS = 8
 SIMULATED = 40  # pushes in which the sphere is simulated
 TILT_MARGIN = LEVEL
 """rad, beyond that slope: an arm that stands so far off still has the sphere at rest in the same end, and in time."""
-ROLLED_SHARE = 0.5  # the sphere leaves its end where it would come to rest this share of its least room away
+# the sphere leaves its end where it would come to rest this share of its least room away
+ROLLED_SHARE = 0.5
 
 
 class SphereUntilSure(CatalogueChooser):
@@ -75,15 +96,21 @@ class SphereUntilSure(CatalogueChooser):
         self._search = replace(search, facts=facts)
         rest = bent_pose(robot)
         still = tuple(
-            prepare_run(robot, candidates.still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell) for joint in joints
+            prepare_run(
+                robot, candidates.still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell
+            )
+            for joint in joints
         )
         every = self._problem(still)
         self._shared = SharedUnknowns(every)
-        for mass in ("payload_mass", "sphere_mass"):  # what is not known at all leaves nothing to be inverted
+        # what is not known at all leaves nothing to be inverted
+        for mass in ("payload_mass", "sphere_mass"):
             at = self._shared.at[mass]
             self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
         self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
-        self._values |= {("coulomb", joint): candidates.expected_coulomb(every, joint) for joint in joints}
+        self._values |= {
+            ("coulomb", joint): candidates.expected_coulomb(every, joint) for joint in joints
+        }
         self._covariance = np.linalg.inv(self._shared.prior)
         if weighed is not None:
             self._believe(weighed)
@@ -91,12 +118,17 @@ class SphereUntilSure(CatalogueChooser):
         self._taken = 0
         self.catalogue = Catalogue(robot, facts.shell, joints, STARTS, self._can_roll)
         # a rigid load is shell and sphere together
-        self._as_rigid = np.eye(len(self._shared.keys))[[self._shared.at[key] for key in self.catalogue.keys]]
+        self._as_rigid = np.eye(len(self._shared.keys))[
+            [self._shared.at[key] for key in self.catalogue.keys]
+        ]
         self._as_rigid[self.catalogue.at["payload_mass"], self._shared.at["sphere_mass"]] = 1.0
         self._found = Found(float(np.mean(self._unknown_kg)), UNKNOWN_STD_KG)
 
     def learn(self, runs: Sequence[Run]) -> Found:
-        new = [prepare_run(self.robot, run, None, self._search.facts.shell) for run in runs[self._taken :]]
+        new = [
+            prepare_run(self.robot, run, None, self._search.facts.shell)
+            for run in runs[self._taken :]
+        ]
         self._taken = len(runs)
         usable = [run for run in new if not unusable(run)]
         for run in usable:
@@ -108,7 +140,8 @@ class SphereUntilSure(CatalogueChooser):
             return replace(self._found, runs=0)
         self._believe(self._fit)
         at = self._shared.at["sphere_mass"]
-        mass, std = self._values["sphere_mass"], float(np.sqrt(self._covariance[at, at]))
+        mass = self._values["sphere_mass"]
+        std = float(np.sqrt(self._covariance[at, at]))
         return Found(mass, std, sum(self._search.rolling), self._fit.reduced_chi2)
 
     def _fitted(self, before: FitResult | None) -> FitResult:
@@ -135,7 +168,9 @@ class SphereUntilSure(CatalogueChooser):
 
     def _believe(self, fit: FitResult) -> None:
         index = fit.problem.index
-        self._values |= {key: float(fit.values[index[key]]) for key in self._shared.keys if key in index}
+        self._values |= {
+            key: float(fit.values[index[key]]) for key in self._shared.keys if key in index
+        }
         self._covariance = self._shared.covariance_after(fit)
 
     def ranked(self, pose: Mapping[str, float], target_std: float) -> list[candidates.Push]:
@@ -143,14 +178,19 @@ class SphereUntilSure(CatalogueChooser):
         shell = self._values["payload_mass"]
         low, high = (shell + mass for mass in self._unknown_kg)
         sphere = self._found.value if self._found.runs else float(np.mean(self._unknown_kg))
-        at, as_rigid = self._shared.at["sphere_mass"], self._as_rigid
+        at = self._shared.at["sphere_mass"]
+        as_rigid = self._as_rigid
         towards = as_rigid @ self._covariance[:, at], float(self._covariance[at, at])
         covariance = as_rigid @ self._covariance @ as_rigid.T
-        rigid = Known(shell + sphere, self._found.std, covariance, self._found.runs, towards=towards)
+        rigid = Known(
+            shell + sphere, self._found.std, covariance, self._found.runs, towards=towards
+        )
         chosen: list[candidates.Push] = []
         blocked: list[candidates.Push] = []
         ways: dict[tuple[object, ...], bool] = {}
-        for push in self.catalogue.rank(rigid, beside, target_std, (low, high), durations_s=DURATIONS_S[-1:]):
+        for push in self.catalogue.rank(
+            rigid, beside, target_std, (low, high), durations_s=DURATIONS_S[-1:]
+        ):
             if not self._rolls(push):
                 continue
             begins = (push.joint, *push.start.values())
@@ -159,7 +199,11 @@ class SphereUntilSure(CatalogueChooser):
             (chosen if ways[begins] else blocked).append(push)
             if len(chosen) == SIMULATED:
                 break
-        return candidates.best_first(self.promised(chosen, sphere, beside), target_std) if chosen else blocked
+        return (
+            candidates.best_first(self.promised(chosen, sphere, beside), target_std)
+            if chosen
+            else blocked
+        )
 
     def promised(
         self, pushes: Sequence[candidates.Push], sphere_kg: float, time_beside: candidates.TimeOf
@@ -187,13 +231,20 @@ class SphereUntilSure(CatalogueChooser):
                 far = int(np.argmax(np.abs(off[n, :last])))
                 if abs(off[n, far]) < LITTLE_TRAVEL or rolled[n, :last].max() < STILL_M:
                     continue
-                std, travel = float(stds[n, min(last, told) - 1]), float(off[n, far])
+                std = float(stds[n, min(last, told) - 1])
+                travel = float(off[n, far])
                 seconds = float(beside[n] + times[last - 1])
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
-                found.append(replace(push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel))
+                found.append(
+                    replace(
+                        push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel
+                    )
+                )
         return found
 
-    def _simulated(self, pushes: Sequence[candidates.Push], sphere_kg: float) -> tuple[np.ndarray, ...]:
+    def _simulated(
+        self, pushes: Sequence[candidates.Push], sphere_kg: float
+    ) -> tuple[np.ndarray, ...]:
         """Pushes over the longest duration, all in one launch.
 
         Returns:
@@ -204,7 +255,8 @@ class SphereUntilSure(CatalogueChooser):
         problem = self._problem(tuple(self.catalogue.standing(push) for push in pushes))
         known = self._values | {"sphere_mass": sphere_kg}
         values = np.array([known.get(unknown.key, unknown.value) for unknown in problem.unknowns])
-        runs, keys = problem.runs, self._shared.keys
+        runs = problem.runs
+        keys = self._shared.keys
         columns, variance = self._shared.columns_of(problem)
         q, v, dq, x, dx = problem.predict(values, columns)
         # of joints that none of them drives
@@ -212,13 +264,22 @@ class SphereUntilSure(CatalogueChooser):
         dq[..., lacks] = dx[..., lacks] = 0.0
         off = q - np.array([run.rest.value for run in runs])[:, None]
         usable = np.array([run.drive.usable_velocity for run in runs])
-        alive = np.isfinite(q) & np.isfinite(x).all(axis=2) & (np.abs(v) < usable[:, None]) & (np.abs(off) < MAX_TRAVEL)
+        alive = (
+            np.isfinite(q)
+            & np.isfinite(x).all(axis=2)
+            & (np.abs(v) < usable[:, None])
+            & (np.abs(off) < MAX_TRAVEL)
+        )
         alive = np.cumprod(alive, axis=1).astype(bool)
-        sigma = np.hypot(np.array([run.sigma[0] for run in runs])[:, None], np.abs(v) * self.robot.stamp_jitter_s)
+        sigma = np.hypot(
+            np.array([run.sigma[0] for run in runs])[:, None], np.abs(v) * self.robot.stamp_jitter_s
+        )
         across = np.array([run.across for run in problem.simulator.special.sphere_runs])
         rows = np.where(alive[..., None], dq / sigma[..., None], 0.0)
         seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
-        stds, spreads = self._shared.stds_along(rows, variance, self._covariance, "sphere_mass", seen)
+        stds, spreads = self._shared.stds_along(
+            rows, variance, self._covariance, "sphere_mass", seen
+        )
         counted = alive.sum(axis=1)
         told = np.minimum([known_until(spread, self._search.facts) for spread in spreads], counted)
         rolled = np.linalg.norm(np.einsum("rij,rtj->rti", across, x - x[:, :1]), axis=2)
@@ -240,12 +301,17 @@ class SphereUntilSure(CatalogueChooser):
     def _can_roll(self, still: PreparedRun, position: float) -> bool:
         """Whether the sphere rests in a known end where the joint stands, and a push can roll it out of there."""
         run = self._geometry(still)
-        tilted = [start_prior(run, self._resting, position + tilt) for tilt in (-TILT_MARGIN, 0.0, TILT_MARGIN)]
+        tilted = [
+            start_prior(run, self._resting, position + tilt)
+            for tilt in (-TILT_MARGIN, 0.0, TILT_MARGIN)
+        ]
         if any(len(prior.guesses) > 1 for prior in tilted):
             return False
         if self._apart(run, position - TILT_MARGIN, position + TILT_MARGIN):
             return False
-        return any(self._apart(run, position, position + travel) for travel in (-MAX_TRAVEL, MAX_TRAVEL))
+        return any(
+            self._apart(run, position, position + travel) for travel in (-MAX_TRAVEL, MAX_TRAVEL)
+        )
 
     def _rolls(self, push: candidates.Push) -> bool:
         """Whether a push turns the container so far that the sphere leaves the end in which it rests."""

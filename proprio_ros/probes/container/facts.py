@@ -25,32 +25,48 @@ MOST_PLACES = 2000  # places of the sphere in one run: two seconds at 1 kHz
 DECIDING = ("container.inner_size", "container.centre", "sphere.radius")
 """Facts without a safe default: those of the probe file are the sample recordings'."""
 _PLACE = "[x, y, z] in m"
-_NEAR_HAND = Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m")
+_NEAR_HAND = Number(
+    unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m"
+)
 _ANGLE = Number(unit="rad", lowest=-7.0, highest=7.0)
 _RATIO = Number(lowest=0.0, highest=10.0)
-_INNER = Number(unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are in m, so 60 mm is 0.06")
+_INNER = Number(
+    unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are in m, so 60 mm is 0.06"
+)
 FORMS: dict[str, Form] = {
     "container.shape": Choice("cylinder: its axis along z", ("box", "cylinder", "sphere")),
-    "container.centre": Numbers("of the container in `payload.frame`", _NEAR_HAND, 3, example=_PLACE),
-    "container.rpy": Numbers("how it is turned against that frame", _ANGLE, 3, example="three angles in rad"),
+    "container.centre": Numbers(
+        "of the container in `payload.frame`", _NEAR_HAND, 3, example=_PLACE
+    ),
+    "container.rpy": Numbers(
+        "how it is turned against that frame", _ANGLE, 3, example="three angles in rad"
+    ),
     "container.mass": Perhaps(
         "of the empty container; null: not known, so `--baseline` is needed",
         Number(unit="kg", lowest=0.0, highest=10.0, hint="masses are in kg"),
     ),
-    "container.mass_std": Number("of the scales; counts only where the mass is stated", "kg", 0.0, 10.0),
+    "container.mass_std": Number(
+        "of the scales; counts only where the mass is stated", "kg", 0.0, 10.0
+    ),
     "sphere.radius": Number("", "m", 0.0, 0.5, open=True, hint="lengths are in m"),
     "sphere.hollow": Truth("a thin shell rolls with more inertia than a solid ball"),
-    "sphere.settled": Truth("it lay still in the lowest place before the current came on; false: anywhere"),
+    "sphere.settled": Truth(
+        "it lay still in the lowest place before the current came on; false: anywhere"
+    ),
     "sphere.start": Perhaps(
         "of its centre from the container's, where that is known",
         Numbers("", Number(unit="m", lowest=-1.0, highest=1.0), 3, example=_PLACE),
     ),
     "sphere.start_std": Number("how well", "m", 0.0, 1.0),
-    "sphere.camera": Perhaps("where a camera saw its centre", Text(what="a topic or a CSV file", longest=4095)),
+    "sphere.camera": Perhaps(
+        "where a camera saw its centre", Text(what="a topic or a CSV file", longest=4095)
+    ),
     "sphere.camera_std": Number("of each coordinate", "m", 0.0, 1.0, open=True),
     "contact.law": Choice("ramped, or the paper's, whose damping sets in at once", LAWS),
     "contact.frequency": Number("of the sphere on a wall", "rad/s", 50.0, 5000.0),
-    "contact.damping_ratio": replace(_RATIO, meaning="0 bounces for ever, 1 not at all; fitted, within"),
+    "contact.damping_ratio": replace(
+        _RATIO, meaning="0 bounces for ever, 1 not at all; fitted, within"
+    ),
     "contact.damping_ratio_std": _RATIO,
     "contact.friction": replace(_RATIO, meaning="between sphere and walls; fitted, within"),
     "contact.friction_std": _RATIO,
@@ -78,24 +94,37 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
         size = [size[0], size[0], size[1]]
     elif shape == "sphere" and isinstance(size, (int, float)):
         size = [size, size, size]
-    inner_size = np.array(read("container.inner_size", size, Numbers("", _INNER, 3, example=_PLACE)))
+    inner_size = np.array(
+        read("container.inner_size", size, Numbers("", _INNER, 3, example=_PLACE))
+    )
     alike = {"cylinder": 2, "sphere": 3}.get(shape, 1)
     if np.ptp(inner_size[:alike]) > 0.0:
         form = "[diameter, length]" if shape == "cylinder" else "one diameter"
-        raise ConfigurationError(f"container.inner_size={list(size)} does not fit a {shape}: give {form} in m")
-    radius, centre = take("sphere.radius"), np.array(take("container.centre"))
-    mass, mass_std = take("container.mass"), take("container.mass_std")
-    start, hollow, turned = take("sphere.start"), take("sphere.hollow"), take("container.rpy")
+        raise ConfigurationError(
+            f"container.inner_size={list(size)} does not fit a {shape}: give {form} in m"
+        )
+    radius = take("sphere.radius")
+    centre = np.array(take("container.centre"))
+    mass = take("container.mass")
+    mass_std = take("container.mass_std")
+    start = take("sphere.start")
+    hollow = take("sphere.hollow")
+    turned = take("container.rpy")
     stated = {
         **{name: take(f"sphere.{name}") for name in ("settled", "start_std")},
         **{name: take(f"contact.{name}") for name in ("law", "traction", "k_e", "k_d", "k_f")},
-        **{n: Quantity(take(f"contact.{n}"), take(f"contact.{n}_std")) for n in ("damping_ratio", "friction")},
+        **{
+            n: Quantity(take(f"contact.{n}"), take(f"contact.{n}_std"))
+            for n in ("damping_ratio", "friction")
+        },
         "contact_frequency": take("contact.frequency"),
     }
     try:
         enclosure = Enclosure(shape, inner_size, radius, 2.0 / 3.0 if hollow else 0.4)
     except SimulationError as error:
-        raise ConfigurationError(f"{error}: check container.inner_size and sphere.radius") from error
+        raise ConfigurationError(
+            f"{error}: check container.inner_size and sphere.radius"
+        ) from error
     place = None if start is None else np.array(start)
     if place is not None and np.any(np.abs(place) > enclosure.room + 1e-3):
         raise ConfigurationError(
@@ -105,7 +134,9 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
     shell, std = (0.03, np.inf) if mass is None else (mass, mass_std)
     guessed = tuple(key for key in DECIDING if key not in settings.taken)
     rotation = rotation_from_rpy(turned)
-    return ContainerFacts(enclosure, centre, rotation, shell, std, start=place, guessed=guessed, **stated)
+    return ContainerFacts(
+        enclosure, centre, rotation, shell, std, start=place, guessed=guessed, **stated
+    )
 
 
 def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTrack | None:

@@ -23,7 +23,8 @@ MOST_SAMPLES = 120
 MOST_CLOCK_READINGS = 60
 SLOWER = 5.0
 PAUSE_S = 1.0  # at the end of the moving picture, before it starts again
-ALONG_SIGHT = 0.05  # gravity whose part across the line of sight is less than this is not drawn as an arrow
+# gravity whose part across the line of sight is less than this is not drawn as an arrow
+ALONG_SIGHT = 0.05
 MM = 1e3
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -37,7 +38,9 @@ def sections(estimate: Estimate) -> list[str]:
         shown = drawable(path)
         if shown is None:
             continue
-        moved = f"moved by up to {1e3 * shown.moved:.1f} mm" if shown.moved >= 5e-5 else "did not move"
+        moved = (
+            f"moved by up to {1e3 * shown.moved:.1f} mm" if shown.moved >= 5e-5 else "did not move"
+        )
         parts += [
             f"<h3>{breakable(path.run)}</h3>",
             framed(
@@ -59,7 +62,9 @@ def sections(estimate: Estimate) -> list[str]:
 
 def drawable(path: SpherePath) -> SpherePath | None:
     """The path without samples that are no numbers, and not more samples than a picture shows; None if nothing is left."""
-    good = np.isfinite(path.position).all(axis=1) & np.isfinite(path.world_from_container).all(axis=(1, 2))
+    good = np.isfinite(path.position).all(axis=1) & np.isfinite(path.world_from_container).all(
+        axis=(1, 2)
+    )
     rows = np.flatnonzero(good)
     if not len(rows):
         return None
@@ -71,18 +76,26 @@ def drawable(path: SpherePath) -> SpherePath | None:
 def path_figure(path: SpherePath, number: int) -> str:
     """The container's inside upright in its own frame, the sphere's path, and gravity at the start and the end."""
     plane = _plane(path.across)
-    inside, centres = MM * _outline(path, plane), MM * path.position @ plane.T
-    low, high = inside.min(axis=0), inside.max(axis=0)
+    inside = MM * _outline(path, plane)
+    centres = MM * path.position @ plane.T
+    low = inside.min(axis=0)
+    high = inside.max(axis=0)
     margin = 0.04 * (high - low).max()
-    low, high = low - margin, high + margin
-    widest, highest = 400.0, 300.0
+    low = low - margin
+    high = high + margin
+    widest = 400.0
+    highest = 300.0
     scale = min(widest / (high - low)[0], highest / (high - low)[1])  # px/mm
     size = scale * (high - low)
-    left, top = 52.0 + (widest - size[0]) / 2.0, 10.0
-    width, height = 52.0 + widest + 120.0, max(top + size[1] + 42.0, 250.0)
-    x0, y0 = left - scale * low[0], top + scale * high[1]
+    left = 52.0 + (widest - size[0]) / 2.0
+    top = 10.0
+    width = 52.0 + widest + 120.0
+    height = max(top + size[1] + 42.0, 250.0)
+    x0 = left - scale * low[0]
+    y0 = top + scale * high[1]
 
-    marks, names = [], []
+    marks = []
+    names = []
     for tick in _ticks(low[0], high[0]):
         at = x0 + scale * tick
         marks.append(f"M{_n(at)} {_n(top)}V{_n(top + size[1])}")
@@ -91,18 +104,30 @@ def path_figure(path: SpherePath, number: int) -> str:
         at = y0 - scale * tick
         marks.append(f"M{_n(left)} {_n(at)}H{_n(left + size[0])}")
         names.append(_text(left - 6, at + 4, _signed(tick), "end"))
-    names.append(_text(left + size[0] / 2, top + size[1] + 34, f"{_direction(plane[0], 'right')} (mm)", "middle"))
+    names.append(
+        _text(
+            left + size[0] / 2,
+            top + size[1] + 34,
+            f"{_direction(plane[0], 'right')} (mm)",
+            "middle",
+        )
+    )
     turned = f' transform="rotate(-90 {_n(left - 38)} {_n(top + size[1] / 2)})"'
-    names.append(_text(left - 38, top + size[1] / 2, f"{_direction(plane[1], 'up')} (mm)", "middle", turned))
+    names.append(
+        _text(left - 38, top + size[1] / 2, f"{_direction(plane[1], 'up')} (mm)", "middle", turned)
+    )
 
     colors = _colors(path.times_s)
     shapes = [f'<polygon points="{_points(inside)}" fill="{INSIDE}" stroke="{INK}"/>']
-    shapes.append(f'<g class="band" fill="{ACCENT}" stroke="none" opacity=".25">{_band(path, plane, scale)}</g>')
+    shapes.append(
+        f'<g class="band" fill="{ACCENT}" stroke="none" opacity=".25">{_band(path, plane, scale)}</g>'
+    )
     shapes += [
         f'<path d="M{_points(centres[k : k + 2])}" stroke="{colors[k]}" stroke-width="{_n(2.5 / scale)}"/>'
         for k in range(len(centres) - 1)
     ]
-    for k in _instants(path.times_s)[::-1]:  # the start on top: where nothing moved it would not be seen
+    # the start on top: where nothing moved it would not be seen
+    for k in _instants(path.times_s)[::-1]:
         drawn = f'cx="{_n(centres[k, 0])}" cy="{_n(centres[k, 1])}" r="{_n(MM * path.radius)}" stroke="{colors[k]}"'
         if k == 0:
             dashes = f"{_n(5 / scale)} {_n(4 / scale)}"
@@ -121,7 +146,10 @@ def path_figure(path: SpherePath, number: int) -> str:
     ]
     for at, k, word in ((66.0, 0, "at the start"), (146.0, -1, "at the end")):
         gravity = plane @ path.world_from_container[k].T @ DOWN
-        body += [_arrow((aside, at), gravity, 26.0, colors[k], word), _text(aside, at + 42, word, "middle")]
+        body += [
+            _arrow((aside, at), gravity, 26.0, colors[k], word),
+            _text(aside, at + 42, word, "middle"),
+        ]
     body.append(_time_scale(path, number, aside, 206.0))
     (x_first, y_first), (x_last, y_last) = centres[[0, -1]]
     words = (
@@ -134,10 +162,12 @@ def path_figure(path: SpherePath, number: int) -> str:
 def moving_figure(path: SpherePath, number: int) -> str:
     """The container turning as it did, gravity down, and the sphere in it, slower and again and again."""
     plane = _plane(path.across)
-    inside, centres = MM * _outline(path, plane), MM * path.position @ plane.T
+    inside = MM * _outline(path, plane)
+    centres = MM * path.position @ plane.T
     angles, fall = _turns(path, plane)
     reach = np.linalg.norm(inside, axis=1).max()
-    half, side = 130.0, 300.0
+    half = 130.0
+    side = 300.0
     scale = half / reach
     duration = SLOWER * (path.times_s[-1] - path.times_s[0]) + PAUSE_S
     keys = SLOWER * (path.times_s - path.times_s[0]) / duration
@@ -167,7 +197,9 @@ def moving_figure(path: SpherePath, number: int) -> str:
         _text(side + 34, 22, "gravity", "middle"),
         *_clock(path.times_s, keys, duration, side + 34, side - 40),
     ]
-    return _svg(side + 80, side, f"Path {number}: the container and the sphere as they moved", "", body)
+    return _svg(
+        side + 80, side, f"Path {number}: the container and the sphere as they moved", "", body
+    )
 
 
 def _evenly(count: int, most: int) -> np.ndarray:
@@ -232,7 +264,9 @@ def _band(path: SpherePath, plane: np.ndarray, scale: float) -> str:
             across = max(across, 0.5 / scale)  # an ellipse without width is not drawn
             x, y = MM * plane @ position
             turn = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
-            parts.append(f'<ellipse rx="{_n(along)}" ry="{_n(across)}" transform="translate({_n(x)} {_n(y)}) rotate({_n(turn)})"/>')
+            parts.append(
+                f'<ellipse rx="{_n(along)}" ry="{_n(across)}" transform="translate({_n(x)} {_n(y)}) rotate({_n(turn)})"/>'
+            )
     return "".join(parts)
 
 
@@ -273,9 +307,14 @@ def _clock(times_s: np.ndarray, keys: np.ndarray, duration: float, x: float, y: 
     rows = _evenly(len(times_s), MOST_CLOCK_READINGS)
     parts = []
     for place, row in enumerate(rows):
-        shown, when = (["visible"], ["0"]) if place == 0 else (["hidden", "visible"], ["0", f"{keys[row]:.4f}"])
+        shown, when = (
+            (["visible"], ["0"])
+            if place == 0
+            else (["hidden", "visible"], ["0", f"{keys[row]:.4f}"])
+        )
         if place + 1 < len(rows):
-            shown, when = [*shown, "hidden"], [*when, f"{keys[rows[place + 1]]:.4f}"]
+            shown = [*shown, "hidden"]
+            when = [*when, f"{keys[rows[place + 1]]:.4f}"]
         parts.append(
             f'<text x="{_n(x)}" y="{_n(y)}" text-anchor="middle" font-size="17" visibility="{shown[0]}">{times_s[row]:.2f} s'
             f'<animate attributeName="visibility" calcMode="discrete" values="{";".join(shown)}" keyTimes="{";".join(when)}" '
@@ -284,7 +323,9 @@ def _clock(times_s: np.ndarray, keys: np.ndarray, duration: float, x: float, y: 
     return parts
 
 
-def _arrow(middle: tuple[float, float], vector: np.ndarray, length: float, color: str, name: str) -> str:
+def _arrow(
+    middle: tuple[float, float], vector: np.ndarray, length: float, color: str, name: str
+) -> str:
     """An arrow about ``middle`` (px); a dot in a ring where the vector points along the line of sight."""
     seen = float(np.linalg.norm(vector))
     x, y = middle
@@ -295,7 +336,8 @@ def _arrow(middle: tuple[float, float], vector: np.ndarray, length: float, color
             f'<circle cx="{_n(x)}" cy="{_n(y)}" r="2" fill="{color}"/></g>'
         )
     ahead = np.array([vector[0], -vector[1]])  # the picture counts downwards
-    half, tip_length = length * ahead, 10.0 * ahead / seen
+    half = length * ahead
+    tip_length = 10.0 * ahead / seen
     sideways = 0.5 * np.array([-tip_length[1], tip_length[0]])
     tip = np.array(middle) + half
     shaft = np.array([np.array(middle) - half, tip - 0.6 * tip_length])

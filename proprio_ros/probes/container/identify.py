@@ -23,27 +23,56 @@ from proprio_ros.identification.coefficients import reduced_model
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, Verdict, no_answer
 from proprio_ros.identification.fit import SearchOptions, fit_opened, summary
-from proprio_ros.identification.gates import CONTRADICTION, MIN_USED, Contradiction, Findings, admitted, contradiction
-from proprio_ros.identification.judge import Guess, Refusal, Useful, not_negative, positive, rejected
+from proprio_ros.identification.gates import (
+    CONTRADICTION,
+    MIN_USED,
+    Contradiction,
+    Findings,
+    admitted,
+    contradiction,
+)
+from proprio_ros.identification.judge import (
+    Guess,
+    Refusal,
+    Useful,
+    not_negative,
+    positive,
+    rejected,
+)
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
-from proprio_ros.probes.container.problem import LIGHTEST_KG, ContainerFacts, ContainerProblem, SphereTrack
-from proprio_ros.probes.container.search import DISTINCT, ContainerOptions, SphereSearch, check_shell, fit_empty, lost_at, shortened
+from proprio_ros.probes.container.problem import (
+    LIGHTEST_KG,
+    ContainerFacts,
+    ContainerProblem,
+    SphereTrack,
+)
+from proprio_ros.probes.container.search import (
+    DISTINCT,
+    ContainerOptions,
+    SphereSearch,
+    check_shell,
+    fit_empty,
+    lost_at,
+    shortened,
+)
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, motion
 
 STILL_M = 1e-3  # a sphere that moves less was weighed like any load that does not move
-EMPTY_SIGMAS = 3.0  # how far from what was stated about it a baseline may be before it is not believed
+# how far from what was stated about it a baseline may be before it is not believed
+EMPTY_SIGMAS = 3.0
 ALIKE_KG, ALIKE_SHARE = 1e-3, 0.1
 """Masses that differ by less, or by this share, do not contradict each other: where a sphere bounces and how it slips is not quite
 what the law of contact says, which is worth so much in a single run. Half of the difference then counts as uncertainty."""
 SAME_KG = 5e-4  # a difference that is not worth a sentence
 GUESSED_SHARE, GUESSED_PLACE_M = 0.1, 5e-3
 """How far off a size and a place may be that were not stated: standard deviations."""
-STIFFER = 2.0  # the contact's frequency is not known: the fit is repeated with so many times as much
+# the contact's frequency is not known: the fit is repeated with so many times as much
+STIFFER = 2.0
 
 
 def find_sphere(
@@ -64,16 +93,23 @@ def find_sphere(
     """
     options = options or ContainerOptions()
     check_shell(facts, baseline)
-    found, search = Findings(), SphereSearch(robot, facts, options)
-    with_sphere = [(run, True, track) for run, track in zip(runs, tracks or [None] * len(runs), strict=True)]
+    found = Findings()
+    search = SphereSearch(robot, facts, options)
+    with_sphere = [
+        (run, True, track) for run, track in zip(runs, tracks or [None] * len(runs), strict=True)
+    ]
     for run, rolls, track in [*with_sphere, *((run, False, None) for run in baseline)]:
         prepared = prepare_run(robot, run, None, facts.shell)
         if admitted(robot, prepared, found):
             search = search.added(prepared, rolls, track)
     if not any(search.rolling):
-        return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
+        return no_answer(
+            "container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes
+        )
     if options.signals == "camera" and not any(search.tracks):
-        raise ConfigurationError("solver.signals=camera needs what a camera saw: state sphere.camera")
+        raise ConfigurationError(
+            "solver.signals=camera needs what a camera saw: state sphere.camera"
+        )
     against: list[Refusal] = []
     if not all(search.rolling):
         empty, against = _screen_baseline(search)
@@ -90,8 +126,12 @@ def find_sphere(
         search, _ = search.before_lost(cut)
         if not any(search.rolling):
             better = "tilt instead of shaking, or use less current"
-            found.reasons.insert(0, f"the sphere bounces too chaotically to determine its mass: {better}")
-            return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
+            found.reasons.insert(
+                0, f"the sphere bounces too chaotically to determine its mass: {better}"
+            )
+            return no_answer(
+                "container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes
+            )
         nominal = search.solve(Role.FROZEN)
         opened = search.solve(Role.FREE, nominal)
     return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
@@ -105,15 +145,19 @@ def half_of(estimate: Estimate) -> float | None:
 
 def _screen_baseline(search: SphereSearch) -> tuple[float, list[Refusal]]:
     """What the empty container weighs [kg], and why it may not have been empty."""
-    facts, baseline = search.facts, search.without(np.flatnonzero(search.rolling).tolist())
+    facts = search.facts
+    baseline = search.without(np.flatnonzero(search.rolling).tolist())
     empty = baseline.runs
     still = fit_empty(search.robot, empty, facts, search.options)
     mass, std = still.determined("payload_mass")
     names = ", ".join(run.run.name for run in empty)
-    not_empty, moving = "", None
+    not_empty = ""
+    moving = None
     if not still.explains:
         unknown_mass = replace(facts, mass=mass, mass_std=np.inf)
-        moving = fit_opened(replace(baseline, facts=unknown_mass, rolling=(True,) * len(empty)).solve)
+        moving = fit_opened(
+            replace(baseline, facts=unknown_mass, rolling=(True,) * len(empty)).solve
+        )
     if moving is not None and moving.explains:
         not_empty = (
             f"the baseline was not empty: {names} is explained with {1e3 * moving.value_of('sphere_mass'):.1f} g rolling in the "
@@ -125,7 +169,9 @@ def _screen_baseline(search: SphereSearch) -> tuple[float, list[Refusal]]:
             f"the baseline is not explained by an empty container (reduced chi-square {still.reduced_chi2:.1f}): was it empty, "
             "held as it is now, and has the robot changed since its calibration?"
         )
-    elif np.isfinite(facts.mass_std) and abs(mass - facts.mass) > EMPTY_SIGMAS * np.hypot(std, facts.mass_std):
+    elif np.isfinite(facts.mass_std) and abs(mass - facts.mass) > EMPTY_SIGMAS * np.hypot(
+        std, facts.mass_std
+    ):
         not_empty = (
             f"the baseline was not empty, or container.mass is wrong: {names} says that the empty container weighs "
             f"{1e3 * mass:.1f} g, container.mass {1e3 * facts.mass:.1f} g"
@@ -147,7 +193,8 @@ class WeighedSphere(Conclusion):
 
     search: SphereSearch
 
-    probe, name = "container", "sphere_mass"
+    probe = "container"
+    name = "sphere_mass"
     check = "check container.inner_size, sphere.radius and the robot file's inertias"
     called = MappingProxyType({"payload_mass": "container_mass"})
 
@@ -165,12 +212,15 @@ class WeighedSphere(Conclusion):
     def widen(self) -> None:
         # by how much the mass would follow if a touch were quicker
         facts = self.facts
-        harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e)
+        harder = replace(
+            facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e
+        )
         self.count(self._shift(self._with(harder), self.fit.values.copy()), "contact stiffness")
 
     def guess(self) -> list[Guess]:
         """The facts that were not stated, and what being off by their spread would do to the mass."""
-        enclosure, share = self.facts.enclosure, f"{100.0 * GUESSED_SHARE:g} %"
+        enclosure = self.facts.enclosure
+        share = f"{100.0 * GUESSED_SHARE:g} %"
         edges = " x ".join(f"{1e3 * edge:g}" for edge in enclosure.inner_size)
         centre = ", ".join(f"{1e3 * place:g}" for place in self.facts.centre)
         words = {
@@ -185,9 +235,15 @@ class WeighedSphere(Conclusion):
                 other = self._with(changed)
                 values = other.base.copy()
                 values[self.problem.free] = self.fit.values[self.problem.free]
-                for at in (other.index[f"sphere_{axis}", row] for row in self.rolling for axis in "xyz"):
+                for at in (
+                    other.index[f"sphere_{axis}", row] for row in self.rolling for axis in "xyz"
+                ):
                     # where it lay moves with the walls
-                    values[at] = self.fit.values[at] + other.unknowns[at].value - self.problem.unknowns[at].value
+                    values[at] = (
+                        self.fit.values[at]
+                        + other.unknowns[at].value
+                        - self.problem.unknowns[at].value
+                    )
                 shifts.append(self._shift(other, values))
             guesses.append(Guess(key, *words[key], float(np.linalg.norm(shifts))))
         return guesses
@@ -198,8 +254,10 @@ class WeighedSphere(Conclusion):
 
     def _shift(self, other: ContainerProblem, values: np.ndarray) -> float:
         """By how much the mass would follow another problem with these values of all unknowns (changed), to first order [kg]."""
-        fit, posterior = self.fit, self.assessed.posterior
-        for key in ((f"sphere_{axis}", row) for row in self.rolling for axis in "xyz"):  # less deep in a harder wall
+        fit = self.fit
+        posterior = self.assessed.posterior
+        # less deep in a harder wall
+        for key in ((f"sphere_{axis}", row) for row in self.rolling for axis in "xyz"):
             at = other.index[key]
             values[at] = np.clip(values[at], other.unknowns[at].lower, other.unknowns[at].upper)
         soft, _, _ = self.problem.simulate(fit.values[None], self.problem.free[:1])
@@ -213,7 +271,8 @@ class WeighedSphere(Conclusion):
         return super().comparable() and not self.against
 
     def contradiction(self, outlier: int) -> Contradiction:
-        mass, name = self.assessed.value, self.runs[outlier].run.name
+        mass = self.assessed.value
+        name = self.runs[outlier].run.name
         others = [row for row in self.rolling if row != outlier]
         if outlier not in self.rolling or not others:
             sentence = (
@@ -222,19 +281,26 @@ class WeighedSphere(Conclusion):
             )
             return Contradiction(Reason("runs_contradict", sentence))
         # each with the empty container's runs
-        one, rest = (fit_opened(self.search.without(rows).solve).value_of(self.name) for rows in (others, [outlier]))
+        one, rest = (
+            fit_opened(self.search.without(rows).solve).value_of(self.name)
+            for rows in (others, [outlier])
+        )
         return compared(name, one, rest, mass)
 
     def refusals(self) -> Iterator[Refusal]:
         yield from self.misfit(self._bounces)
-        yield from self.lighter("the container", "was the baseline empty, and held in the same place?")
+        yield from self.lighter(
+            "the container", "was the baseline empty, and held in the same place?"
+        )
         yield from self.several(DISTINCT, "; record a run with another tilt, or state sphere.start")
 
     def _bounces(self) -> list[str]:
         """A sentence if the first halves of the runs are explained, and only what comes after is not."""
         halves = list(self.runs)
         for row in self.rolling:
-            halves[row] = shortened(halves[row], (halves[row].used + 1) // 2, halves[row].cut_reason)
+            halves[row] = shortened(
+                halves[row], (halves[row].used + 1) // 2, halves[row].cut_reason
+            )
         if min(halves[row].used for row in self.rolling) < MIN_USED:
             return []
         fit = fit_opened(replace(self.search, runs=tuple(halves)).solve)
@@ -250,17 +316,21 @@ class WeighedSphere(Conclusion):
         return Useful(self.search.options.wide_share, self.search.options.wide_floor_kg)
 
     def remarks(self) -> Iterator[str]:
-        mass, std = self.assessed.value, self.assessed.std
+        mass = self.assessed.value
+        std = self.assessed.std
         moved = max(path.moved for path in self.paths)
         if mass - Z95 * std <= 0.0:
-            yield (f"the container may as well be empty: a sphere of up to {1e3 * not_negative(mass, std)[1]:.1f} g would not show")
+            yield (
+                f"the container may as well be empty: a sphere of up to {1e3 * not_negative(mass, std)[1]:.1f} g would not show"
+            )
         elif moved < STILL_M:
             by = f" by more than {1e3 * moved:.1f} mm" if moved >= 5e-5 else ""
             fixed = "it was weighed like a fixed load: that it rolls is not confirmed; tilt further to see it roll"
             yield f"the sphere did not move{by} in any run, so {fixed}"
 
     def solver(self) -> SolverSummary:
-        nominal, options = self.nominal, self.search.options
+        nominal = self.nominal
+        options = self.search.options
         best = float(nominal.physical(self.name)[nominal.solution.best])
         return summary(
             nominal, self.name, options.starts_kg, max(1e-4, DISTINCT * abs(best), self.assessed.std),
@@ -282,21 +352,34 @@ class WeighedSphere(Conclusion):
     @cached_property
     def paths(self) -> tuple[SpherePath, ...]:
         """Where the sphere is believed to have been, in each run that has one."""
-        problem, free, special = self.problem, self.problem.free, self.problem.simulator.special
+        problem = self.problem
+        free = self.problem.free
+        special = self.problem.simulator.special
         own = self.assessed.covariance[np.ix_(free, free)]
         enclosure = problem.container.enclosure
         inside = enclosure.shape, enclosure.inner_size, enclosure.radius
         shown, _, _ = problem.simulate(self.fit.values[None], free[:1])
         paths = []
-        for row, (x, dx), run in zip(self.rolling, problem.path(self.fit.values, free), special.sphere_runs, strict=True):
+        for row, (x, dx), run in zip(
+            self.rolling, problem.path(self.fit.values, free), special.sphere_runs, strict=True
+        ):
             prepared = problem.runs[row]
             model = reduced_model(self.robot, prepared.run, {})
             world_from_base = model.placement[0][:3, :3]
-            body_from_container = model.frames[self.robot.payload_frame][1][:3, :3] @ problem.container.rotation
-            turned = [motion(model.kinds[0], model.axes[0], float(q)) for q in shown[0, row, : prepared.used]]
-            turns = np.array([world_from_base @ turn[:3, :3] @ body_from_container for turn in turned])
+            body_from_container = (
+                model.frames[self.robot.payload_frame][1][:3, :3] @ problem.container.rotation
+            )
+            turned = [
+                motion(model.kinds[0], model.axes[0], float(q))
+                for q in shown[0, row, : prepared.used]
+            ]
+            turns = np.array(
+                [world_from_base @ turn[:3, :3] @ body_from_container for turn in turned]
+            )
             std = np.sqrt(np.einsum("kif,fg,kig->ki", dx, own, dx))
-            paths.append(SpherePath(prepared.run.name, *inside, prepared.times_s, x, std, turns, run.axis))
+            paths.append(
+                SpherePath(prepared.run.name, *inside, prepared.times_s, x, std, turns, run.axis)
+            )
         return tuple(paths)
 
     def assumptions(self) -> tuple[str, ...]:
@@ -310,8 +393,14 @@ class WeighedSphere(Conclusion):
             if facts.law == "ramped"
             else f"k_e {facts.k_e:g} N/m, k_d {facts.k_d:g} N s/m, k_f {facts.k_f:g} N s/m, for {1e3 * LIGHTEST_KG:g} g or more"
         )
-        enclosure, options, step_s = facts.enclosure, self.search.options, self.problem.contact_step_s
-        mass = "taken from the empty-container runs" if len(self.rolling) < len(self.runs) else "stated"
+        enclosure = facts.enclosure
+        options = self.search.options
+        step_s = self.problem.contact_step_s
+        mass = (
+            "taken from the empty-container runs"
+            if len(self.rolling) < len(self.runs)
+            else "stated"
+        )
         filled = "solid" if enclosure.inertia_factor == 0.4 else "hollow"
         return (
             f"the container is {facts.shell.shape.description}, its centre at [{place}] mm in {self.robot.payload_frame}; its mass "
@@ -329,8 +418,14 @@ def _off_by_its_spread(facts: ContainerFacts, key: str) -> list[ContainerFacts]:
     if key == "container.centre":
         return [replace(facts, centre=facts.centre + GUESSED_PLACE_M * axis) for axis in np.eye(3)]
     if key == "sphere.radius":  # the smaller one: a larger one may not fit
-        return [replace(facts, enclosure=replace(enclosure, radius=enclosure.radius * (1.0 - GUESSED_SHARE)))]
+        return [
+            replace(
+                facts, enclosure=replace(enclosure, radius=enclosure.radius * (1.0 - GUESSED_SHARE))
+            )
+        ]
     # edges of the inside that change together
-    sides = {"sphere": [[1, 1, 1]], "cylinder": [[1, 1, 0], [0, 0, 1]]}.get(enclosure.shape, np.eye(3))
+    sides = {"sphere": [[1, 1, 1]], "cylinder": [[1, 1, 0], [0, 0, 1]]}.get(
+        enclosure.shape, np.eye(3)
+    )
     sizes = enclosure.inner_size * (1.0 + GUESSED_SHARE * np.array(sides, dtype=float))
     return [replace(facts, enclosure=replace(enclosure, inner_size=size)) for size in sizes]

@@ -23,7 +23,14 @@ from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
-from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, SphereRun, SphereSimulator, paper_contact
+from proprio_ros.sim.sphere import (
+    SPHERE_INDEX,
+    Contact,
+    Enclosure,
+    SphereRun,
+    SphereSimulator,
+    paper_contact,
+)
 
 LEVEL = 0.03
 """A sphere rolls down any slope; but below this one (1.7 degrees) an arm that is not level may have sloped the other way."""
@@ -40,11 +47,13 @@ class ContainerFacts:
     enclosure: Enclosure  # its inside, and the sphere's size
     # of the container in the payload frame [m], shape (3,)
     centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # payload_R_container, shape (3, 3)
+    # payload_R_container, shape (3, 3)
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
     # mass, mass_std: of the shell [kg]; an infinite standard deviation means not stated
     mass: float = 0.03
     mass_std: float = np.inf
-    settled: bool = True  # whether the sphere lay still in the lowest place before the current came on
+    # whether the sphere lay still in the lowest place before the current came on
+    settled: bool = True
     # start, start_std: where its centre was instead, in the container's frame [m], shape (3,); None where not stated
     start: np.ndarray | None = None
     start_std: float = 1e-3
@@ -76,7 +85,9 @@ class ContainerFacts:
         """Constants of a touch at the values that are expected; of the paper's law, with the lightest sphere."""
         if self.law == "paper":
             return paper_contact(LIGHTEST_KG, self.k_e, self.k_d, self.k_f, self.friction.value)
-        return Contact.of(self.contact_frequency, self.damping_ratio.value, self.friction.value, self.traction)
+        return Contact.of(
+            self.contact_frequency, self.damping_ratio.value, self.friction.value, self.traction
+        )
 
 
 @dataclass(frozen=True)
@@ -112,21 +123,32 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     room = facts.enclosure.room
     gravity = run.gravity_at(position)
     weight = float(np.linalg.norm(gravity))
-    mean, std = np.zeros(3), room.copy()  # about as likely at a wall as in the middle
-    lower, upper = -room, room.copy()
+    # about as likely at a wall as in the middle
+    mean = np.zeros(3)
+    std = room.copy()
+    lower = -room
+    upper = room.copy()
     # along the joint's axis the sphere may be anywhere: it makes no difference
     matters = np.abs(run.axis) < 0.9 if run.kind == "revolute" else np.ones(3, dtype=bool)
     if facts.start is not None:
-        mean, std = np.asarray(facts.start, dtype=np.float64), np.full(3, facts.start_std)
+        mean = np.asarray(facts.start, dtype=np.float64)
+        std = np.full(3, facts.start_std)
         # where walls carry the sphere it is a little inside them
         outside = float(facts.sinks(9.81))
-        return StartPrior(mean, std, np.minimum(-room - outside, mean), np.maximum(room + outside, mean), mean[None])
+        return StartPrior(
+            mean,
+            std,
+            np.minimum(-room - outside, mean),
+            np.maximum(room + outside, mean),
+            mean[None],
+        )
     free = np.ones(3, dtype=bool)
     if facts.settled and facts.enclosure.shape == "box":
         free = np.abs(gravity) < LEVEL * weight
         mean = np.where(free, 0.0, np.sign(gravity) * (room + facts.sinks(np.abs(gravity))))
         std = np.where(free, std, RESTING_STD_M)
-        lower, upper = np.minimum(lower, mean), np.maximum(upper, mean)
+        lower = np.minimum(lower, mean)
+        upper = np.maximum(upper, mean)
     elif facts.settled:
         # what pulls it towards a curved wall, and how far that wall is: the rim of a cylinder, or the whole sphere
         round_axes = [0, 1] if facts.enclosure.shape == "cylinder" else [0, 1, 2]
@@ -142,7 +164,11 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
             lower[2], upper[2] = min(lower[2], mean[2]), max(upper[2], mean[2])
     guesses = [mean]
     for axis in np.flatnonzero(free & matters):
-        guesses = [np.where(np.arange(3) == axis, share * room, guess) for guess in guesses for share in (0.0, -0.9, 0.9)]
+        guesses = [
+            np.where(np.arange(3) == axis, share * room, guess)
+            for guess in guesses
+            for share in (0.0, -0.9, 0.9)
+        ]
     return StartPrior(mean, std, lower, upper, np.array(guesses))
 
 
@@ -175,11 +201,14 @@ def container_unknowns(
     # the paper's law has a damping constant of its own
     damping = Quantity(facts.damping_ratio.value) if facts.law == "paper" else facts.damping_ratio
     for kind, known in (("contact_damping", damping), ("contact_friction", facts.friction)):
-        unknowns.append(Unknown(kind, known.value, known.std, min(0.02, known.value), 2.0).at_role(drive_role))
+        unknowns.append(
+            Unknown(kind, known.value, known.std, min(0.02, known.value), 2.0).at_role(drive_role)
+        )
     for row, prior in zip(np.flatnonzero(rolling).tolist(), priors, strict=True):
         ranges = np.stack([prior.mean, prior.std, prior.lower, prior.upper], axis=1).tolist()
         unknowns += [
-            Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.FREE) for axis, known in zip("xyz", ranges, strict=True)
+            Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.FREE)
+            for axis, known in zip("xyz", ranges, strict=True)
         ]
     return unknowns
 
@@ -196,7 +225,8 @@ class _Seen:
 
 def _between(known_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
     """What takes values at some instants to others between them, shape (C, K): a cubic spline."""
-    from scipy.interpolate import CubicSpline  # half of a second to import, and few runs have a camera
+    # half of a second to import, and few runs have a camera
+    from scipy.interpolate import CubicSpline
 
     return np.asarray(CubicSpline(known_s, np.eye(len(known_s)))(wanted_s))
 
@@ -250,17 +280,25 @@ class ContainerProblem(Problem):
     @property
     def contact_step_s(self) -> float:
         """The longest step of a run with a sphere [s]."""
-        return min(run.step_s for run, rolls in zip(self.simulator.runs, self.rolling, strict=True) if rolls)
+        return min(
+            run.step_s
+            for run, rolls in zip(self.simulator.runs, self.rolling, strict=True)
+            if rolls
+        )
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SphereSimulator]:
         step_s = self.container.contact.step_s(self.container.enclosure.inertia_factor, integrator)
         rolling: list[SphereRun] = []
         for row in np.flatnonzero(self.rolling):
             run = runs[row]
-            joint = replace(run, step_s=min(run.step_s, step_s), fine_step_s=min(run.fine_step_s, step_s))
+            joint = replace(
+                run, step_s=min(run.step_s, step_s), fine_step_s=min(run.fine_step_s, step_s)
+            )
             rolling.append(sphere_run(self.robot, self._rolling_runs[row], self.container, joint))
         special = SphereSimulator(rolling, self.container.enclosure, self.container.law, integrator)
-        return MixedSimulator(special, [runs[row] for row in np.flatnonzero(~self.rolling)], self.rolling, integrator)
+        return MixedSimulator(
+            special, [runs[row] for row in np.flatnonzero(~self.rolling)], self.rolling, integrator
+        )
 
     def _touches(self, unknown: Unknown, row: int) -> bool:
         if unknown.kind in ("sphere_mass", "contact_damping", "contact_friction"):
@@ -269,12 +307,19 @@ class ContainerProblem(Problem):
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
-        at, to = self.index, SPHERE_INDEX
+        at = self.index
+        to = SPHERE_INDEX
         facts = self.container
         mass = values[:, at["sphere_mass"]]
         for row in np.flatnonzero(self.rolling).tolist():
-            direct: list[tuple[Key, str]] = [("sphere_mass", "sphere_mass"), ("sphere_mass", "carried")]
-            direct += [("contact_friction", "friction"), (("zero", self.runs[row].run.joint), "tilt")]
+            direct: list[tuple[Key, str]] = [
+                ("sphere_mass", "sphere_mass"),
+                ("sphere_mass", "carried"),
+            ]
+            direct += [
+                ("contact_friction", "friction"),
+                (("zero", self.runs[row].run.joint), "tilt"),
+            ]
             direct += [((f"sphere_{axis}", row), f"start_{axis}") for axis in "xyz"]
             for key, parameter in direct:
                 if key in at:  # the zero may be known
@@ -286,7 +331,11 @@ class ContainerProblem(Problem):
                 for column, factor in by_unknown:
                     dp[:, row, to["tilt"], column] += share * factor
             if facts.law == "paper":
-                for constant, parameter in ((facts.k_e, "stiffness"), (facts.k_d, "damping"), (facts.k_f, "traction")):
+                for constant, parameter in (
+                    (facts.k_e, "stiffness"),
+                    (facts.k_d, "damping"),
+                    (facts.k_f, "traction"),
+                ):
                     p[:, row, to[parameter]] = constant / mass
                     dp[:, row, to[parameter], at["sphere_mass"]] = -constant / mass**2
             else:
@@ -297,7 +346,9 @@ class ContainerProblem(Problem):
                 p[:, row, to["traction"]] = facts.traction
         return p, dp
 
-    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cost, gradient, matrix = super().linearise(internal, counts)
         if not self._seen:
             return cost, gradient, matrix
@@ -305,7 +356,8 @@ class ContainerProblem(Problem):
         width = len(self.simulator.parameters)
         direct = size <= width
         x, dx = self.simulator.special.last_path(size if direct else width)
-        x, dx = x.reshape(guesses, -1, *x.shape[1:]), dx.reshape(guesses, -1, *dx.shape[1:])
+        x = x.reshape(guesses, -1, *x.shape[1:])
+        dx = dx.reshape(guesses, -1, *dx.shape[1:])
         slope = self.coordinates.slope(internal)
         _, dp = self._kernel_parameters(self.coordinates.physical(internal))
         dp = dp.reshape(guesses, len(self.runs), width, size)
@@ -322,9 +374,13 @@ class ContainerProblem(Problem):
                 slopes = dx[guess, seen.rolling_row, :last]
                 if not direct:
                     slopes = slopes @ dp[guess, seen.row]
-                off = between @ x[guess, seen.rolling_row, :last].reshape(last, 3) - seen.track.position[passed]
+                off = (
+                    between @ x[guess, seen.rolling_row, :last].reshape(last, 3)
+                    - seen.track.position[passed]
+                )
                 by = np.einsum("ck,kif->cif", between, slopes) * slope[guess]
-                residual, by = off.ravel() / seen.track.std, by.reshape(-1, size) / seen.track.std
+                residual = off.ravel() / seen.track.std
+                by = by.reshape(-1, size) / seen.track.std
                 cost[guess] += 0.5 * float(residual @ residual)
                 gradient[guess] += by.T @ residual
                 matrix[guess] += by.T @ by
@@ -335,7 +391,9 @@ class ContainerProblem(Problem):
         if self._seen:
             paths = self.path(values, self.free)
             for seen in self._seen:
-                by = np.einsum("ck,kif->cif", seen.between, paths[seen.rolling_row][1]).reshape(-1, len(self.free))
+                by = np.einsum("ck,kif->cif", seen.between, paths[seen.rolling_row][1]).reshape(
+                    -1, len(self.free)
+                )
                 information += by.T @ by / seen.track.std**2
         return information
 
@@ -344,7 +402,9 @@ class ContainerProblem(Problem):
         if not self._seen:
             return float("nan")
         paths = self.path(values, self.free[:1])
-        off = [seen.between @ paths[seen.rolling_row][0] - seen.track.position for seen in self._seen]
+        off = [
+            seen.between @ paths[seen.rolling_row][0] - seen.track.position for seen in self._seen
+        ]
         return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
 
     def predict(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -357,16 +417,22 @@ class ContainerProblem(Problem):
             container.
         """
         p, every = self._all_parameters(values[None])
-        runs, width = len(self.runs), len(self.simulator.parameters)
+        runs = len(self.runs)
+        width = len(self.simulator.parameters)
         dp = np.take_along_axis(every[0], columns[:, None, :], axis=2)
         with np.errstate(over="ignore", invalid="ignore"):
             q, v, by_p = self.simulator.jacobian(self._worlds(1), p[0], self._identity(runs))
             x, dx = self.simulator.special.last_path(width)
-            dq, dx = by_p @ dp, dx @ dp[:, None]
-        q, v, x = q.copy(), v.copy(), x.copy()
+            dq = by_p @ dp
+            dx = dx @ dp[:, None]
+        q = q.copy()
+        v = v.copy()
+        x = x.copy()
         if self._ripples:
             for row in range(runs):
-                shown, slopes = self._observe(row, values[None], q[None, row], dq[None, row], columns[row])
+                shown, slopes = self._observe(
+                    row, values[None], q[None, row], dq[None, row], columns[row]
+                )
                 q[row], dq[row] = shown[0], slopes[0]
         return q, v, dq, x, dx
 
@@ -380,4 +446,7 @@ class ContainerProblem(Problem):
         every = np.tile(np.eye(len(self.simulator.parameters)), (len(rows), 1, 1))
         x, by_parameter = self.simulator.special.path(np.arange(len(rows)), p[0, rows], every)
         dx = np.einsum("rtkp,rpf->rtkf", by_parameter, dp[0, rows])
-        return [(x[n, : self.runs[row].used], dx[n, : self.runs[row].used]) for n, row in enumerate(rows)]
+        return [
+            (x[n, : self.runs[row].used], dx[n, : self.runs[row].used])
+            for n, row in enumerate(rows)
+        ]

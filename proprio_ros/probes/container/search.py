@@ -11,7 +11,13 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_fit import FRICTION_STARTS
-from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, solve_load, unexplained
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    fit_both,
+    solve_load,
+    unexplained,
+)
 from proprio_ros.identification.gates import MIN_USED
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
@@ -31,9 +37,11 @@ from proprio_ros.sim.joint import JointRun
 
 LOST_SHARE = 0.25
 """Where the sphere is, is no longer known when its standard deviation passes this share of the room it has, .."""
-LOST_GROWTH = 2.0  # .. and so many times what it was when the current came on: not to know where it lay is not chaos.
+# .. and so many times what it was when the current came on: not to know where it lay is not chaos.
+LOST_GROWTH = 2.0
 UNPREDICTABLE = "the sphere's bounces made its place unpredictable"
-DISTINCT = 0.03  # ends of the first search whose masses differ by less than this share, or by 0.1 g, are one
+# ends of the first search whose masses differ by less than this share, or by 0.1 g, are one
+DISTINCT = 0.03
 MOST_ENDS = 5
 
 
@@ -44,7 +52,8 @@ class ContainerOptions:
     # integrator, step_s: see ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter
     integrator: str = "rk4"
     step_s: float = 1.0 / 240.0
-    starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)  # first guesses of the sphere's mass
+    # first guesses of the sphere's mass
+    starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)
     # wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``
     wide_share: float = 0.5
     wide_floor_kg: float = 0.005
@@ -52,7 +61,9 @@ class ContainerOptions:
 
     def __post_init__(self) -> None:
         if self.signals not in SIGNALS:
-            raise ConfigurationError(f"solver.signals={self.signals!r}: choose one of {', '.join(SIGNALS)}")
+            raise ConfigurationError(
+                f"solver.signals={self.signals!r}: choose one of {', '.join(SIGNALS)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -66,9 +77,16 @@ class SphereSearch:
     rolling: tuple[bool, ...] = ()
     tracks: tuple[SphereTrack | None, ...] = ()
 
-    def added(self, run: PreparedRun, rolls: bool, track: SphereTrack | None = None) -> SphereSearch:
+    def added(
+        self, run: PreparedRun, rolls: bool, track: SphereTrack | None = None
+    ) -> SphereSearch:
         """With another run."""
-        return replace(self, runs=(*self.runs, run), rolling=(*self.rolling, rolls), tracks=(*self.tracks, track))
+        return replace(
+            self,
+            runs=(*self.runs, run),
+            rolling=(*self.rolling, rolls),
+            tracks=(*self.tracks, track),
+        )
 
     def without(self, rows: Sequence[int]) -> SphereSearch:
         """All runs but some."""
@@ -79,19 +97,29 @@ class SphereSearch:
 
     def before_lost(self, cut: Mapping[int, int]) -> tuple[SphereSearch, list[int]]:
         """The runs up to where `lost_at` says that the sphere's place gets lost, and which are too short then and left out."""
-        runs = [shortened(run, cut[row], UNPREDICTABLE) if row in cut else run for row, run in enumerate(self.runs)]
+        runs = [
+            shortened(run, cut[row], UNPREDICTABLE) if row in cut else run
+            for row, run in enumerate(self.runs)
+        ]
         lost = [row for row in cut if runs[row].used < MIN_USED]
         return replace(self, runs=tuple(runs)).without(lost), lost
 
     def problem(self, role: Role) -> tuple[ContainerProblem, list[np.ndarray]]:
         """The problem, and the guesses of where the sphere lies in each run that has one."""
-        robot, runs, facts, rolling, options = self.robot, self.runs, self.facts, self.rolling, self.options
+        robot = self.robot
+        runs = self.runs
+        facts = self.facts
+        rolling = self.rolling
+        options = self.options
         priors = []
         for run in (run for run, rolls in zip(runs, rolling, strict=True) if rolls):
             nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
-            priors.append(start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value))
+            priors.append(
+                start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value)
+            )
         unknowns = container_unknowns(robot, runs, rolling, facts, priors, role)
-        steps, seen = (options.integrator, options.step_s), (self.tracks, options.signals)
+        steps = (options.integrator, options.step_s)
+        seen = (self.tracks, options.signals)
         problem = ContainerProblem(robot, runs, facts, rolling, unknowns, *steps, *seen)
         return problem, [prior.guesses for prior in priors]
 
@@ -109,7 +137,12 @@ class SphereSearch:
             iterations, tolerance = (10, 0.03) if rough else (30, 1e-3)
             internal = problem.coordinates.internal(starts)
             solution = solvers.levenberg_marquardt(
-                problem, internal, None, iterations=iterations, tolerance=tolerance, persistent=not rough
+                problem,
+                internal,
+                None,
+                iterations=iterations,
+                tolerance=tolerance,
+                persistent=not rough,
             )
             return FitResult.of(problem, solution)
         # every guess of the place goes with every guess of the mass; runs take their n-th guess together
@@ -119,10 +152,17 @@ class SphereSearch:
         starts[:, problem.index["sphere_mass"]] = np.tile(masses, places)
         for row, guess in zip(np.flatnonzero(self.rolling).tolist(), guesses, strict=True):
             columns = [problem.index[f"sphere_{axis}", row] for axis in "xyz"]
-            starts[:, columns] = np.repeat(guess[np.arange(places) % len(guess)], len(masses), axis=0)
+            starts[:, columns] = np.repeat(
+                guess[np.arange(places) % len(guess)], len(masses), axis=0
+            )
         internal = problem.coordinates.internal(starts[:, free])
         solution = solvers.levenberg_marquardt(
-            problem, internal, problem.simulator.windows, window_iterations=3, iterations=12, tolerance=0.03
+            problem,
+            internal,
+            problem.simulator.windows,
+            window_iterations=3,
+            iterations=12,
+            tolerance=0.03,
         )
         return FitResult.of(problem, solution)
 
@@ -134,7 +174,9 @@ class SphereSearch:
 
 def _carried_over(fit: FitResult, problem: ContainerProblem) -> np.ndarray:
     """The distinct ends of a fit as values of another problem's unknowns, shape (S, N); what the fit had not is at its prior."""
-    ends = fit.problem.all_values(fit.problem.coordinates.physical(fit.solution.internal))[_distinct(fit)]
+    ends = fit.problem.all_values(fit.problem.coordinates.physical(fit.solution.internal))[
+        _distinct(fit)
+    ]
     values = np.tile(problem.base, (len(ends), 1))
     to = [row for row, unknown in enumerate(problem.unknowns) if unknown.key in fit.problem.index]
     values[:, to] = ends[:, [fit.problem.index[problem.unknowns[row].key] for row in to]]
@@ -164,12 +206,17 @@ def _distinct(fit: FitResult) -> list[int]:
     for end in np.argsort(fit.solution.cost):
         if not np.isfinite(fit.solution.cost[end]) or len(kept) == MOST_ENDS:
             break
-        if all(abs(masses[end] - masses[other]) > max(DISTINCT * abs(masses[other]), 1e-4) for other in kept):
+        if all(
+            abs(masses[end] - masses[other]) > max(DISTINCT * abs(masses[other]), 1e-4)
+            for other in kept
+        ):
             kept.append(int(end))
     return kept or [fit.solution.best]
 
 
-def fit_empty(robot: Robot, empty: Sequence[PreparedRun], facts: ContainerFacts, options: ContainerOptions) -> FitResult:
+def fit_empty(
+    robot: Robot, empty: Sequence[PreparedRun], facts: ContainerFacts, options: ContainerOptions
+) -> FitResult:
     """Weigh the empty container."""
     weighing = SearchOptions(integrator=options.integrator, step_s=options.step_s)
     return fit_both(partial(solve_load, robot, empty, facts.shell, weighing), unexplained)[1]
@@ -190,7 +237,8 @@ def lost_at(fit: FitResult) -> dict[int, int]:
     assert isinstance(problem, ContainerProblem)
     covariance = Posterior(problem, fit.values).covariance
     cut: dict[int, int] = {}
-    rows, paths = np.flatnonzero(problem.rolling), problem.path(fit.values, problem.free)
+    rows = np.flatnonzero(problem.rolling)
+    paths = problem.path(fit.values, problem.free)
     for row, (_, dx), run in zip(rows, paths, problem.simulator.special.sphere_runs, strict=True):
         off = np.einsum("ij,kjf->kif", run.across, dx)
         std = np.sqrt(np.einsum("kif,fg,kig->ki", off, covariance, off).max(axis=1))

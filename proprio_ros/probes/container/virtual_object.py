@@ -13,9 +13,11 @@ if TYPE_CHECKING:
     from proprio_ros.records import FloatArray
     from proprio_ros.virtual.arm import VirtualArm
 
-CONTAINER, SPHERE = "held/container", "held/sphere"
+CONTAINER = "held/container"
+SPHERE = "held/sphere"
 CONTACT_SOLREF = (0.002, 1.0)
-WALL_M = 0.05  # walls are this thick to the outside, so that a fast sphere cannot pass them in one step
+# walls are this thick to the outside, so that a fast sphere cannot pass them in one step
+WALL_M = 0.05
 LEVEL = 0.02  # a floor that is tilted less than this holds the sphere in its middle [rad]
 
 
@@ -38,7 +40,8 @@ class Container(objects.HandObject):
     }
 
     mass_kg: float = 0.03  # of the walls, spread evenly over them
-    inner_size_m: objects.Vector = (0.06, 0.04, 0.04)  # along the axes of the payload frame, shape (3,)
+    # along the axes of the payload frame, shape (3,)
+    inner_size_m: objects.Vector = (0.06, 0.04, 0.04)
     centre_m: objects.Vector = (0.035, 0.0, 0.0)  # of the box in the payload frame, shape (3,)
     # sphere_mass_kg, sphere_radius_m: of the sphere, a solid ball
     sphere_mass_kg: float = 0.012
@@ -57,15 +60,24 @@ class Container(objects.HandObject):
                 "make it smaller than half the shortest side"
             )
         if not 0.0 <= self.friction <= 10.0:
-            raise ConfigurationError(f"friction={self.friction:g}: give a coefficient of friction, e.g. 0.4")
+            raise ConfigurationError(
+                f"friction={self.friction:g}: give a coefficient of friction, e.g. 0.4"
+            )
 
     @property
     def inertia(self) -> objects.SixOfInertia:
         """Of the walls about the box's centre: xx, yy, zz, xy, xz, yz [kg m^2]."""
         side = self.inner_size_m
-        areas = (side[1] * side[2], side[0] * side[2], side[0] * side[1])  # of the walls across x, y and z
+        # of the walls across x, y and z
+        areas = (side[1] * side[2], side[0] * side[2], side[0] * side[1])
         # along an axis the two walls across it lie at its ends, the other four are spread over it
-        x, y, z = (self.mass_kg * side[i] ** 2 * (areas[i] / 4.0 + (sum(areas) - areas[i]) / 12.0) / sum(areas) for i in range(3))
+        x, y, z = (
+            self.mass_kg
+            * side[i] ** 2
+            * (areas[i] / 4.0 + (sum(areas) - areas[i]) / 12.0)
+            / sum(areas)
+            for i in range(3)
+        )
         return (y + z, x + z, x + y, 0.0, 0.0, 0.0)
 
     @property
@@ -79,18 +91,34 @@ class Container(objects.HandObject):
         box = hand.add_body(name=CONTAINER, pos=self.centre_m)
         objects.set_inertia(box, self.mass_kg, (0.0, 0.0, 0.0), self.inertia)
         half = 0.5 * np.array(self.inner_size_m)
-        touching = {"condim": 3, "friction": (self.friction, 0.0, 0.0), "solref": CONTACT_SOLREF, "mass": 0.0}
+        touching = {
+            "condim": 3,
+            "friction": (self.friction, 0.0, 0.0),
+            "solref": CONTACT_SOLREF,
+            "mass": 0.0,
+        }
         for axis in range(3):
             for side in (-1.0, 1.0):
-                centre, size = np.zeros(3), half + WALL_M
+                centre = np.zeros(3)
+                size = half + WALL_M
                 size[axis], centre[axis] = 0.5 * WALL_M, side * (half[axis] + 0.5 * WALL_M)
                 # walls meet the sphere, and nothing else anything
-                box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=centre, contype=1, conaffinity=0, **touching)
+                box.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_BOX,
+                    size=size,
+                    pos=centre,
+                    contype=1,
+                    conaffinity=0,
+                    **touching,
+                )
         ball = spec.worldbody.add_body(name=SPHERE)
         ball.add_freejoint(name=SPHERE)
         inertia = 0.4 * self.sphere_mass_kg * self.sphere_radius_m**2
-        objects.set_inertia(ball, self.sphere_mass_kg, (0.0, 0.0, 0.0), (inertia, inertia, inertia, 0.0, 0.0, 0.0))
-        kind, radius = mujoco.mjtGeom.mjGEOM_SPHERE, (self.sphere_radius_m, 0.0, 0.0)
+        objects.set_inertia(
+            ball, self.sphere_mass_kg, (0.0, 0.0, 0.0), (inertia, inertia, inertia, 0.0, 0.0, 0.0)
+        )
+        kind = mujoco.mjtGeom.mjGEOM_SPHERE
+        radius = (self.sphere_radius_m, 0.0, 0.0)
         ball.add_geom(type=kind, size=radius, contype=0, conaffinity=1, **touching)
 
     def begin(self, arm: VirtualArm) -> None:
@@ -108,7 +136,8 @@ class Container(objects.HandObject):
         """Put the sphere elsewhere in its container, moving with it: its centre from the container's [m], shape (3,)."""
         import numpy as np
 
-        box, ball = arm.data.body(CONTAINER), arm.data.joint(SPHERE)
+        box = arm.data.body(CONTAINER)
+        ball = arm.data.joint(SPHERE)
         arm.mujoco.mj_forward(arm.model, arm.data)
         offset = box.xmat.reshape(3, 3) @ inside_m
         speed = np.zeros(6)  # angular, then linear, in the base frame
@@ -120,6 +149,7 @@ class Container(objects.HandObject):
     def sphere_m(self, arm: VirtualArm) -> FloatArray:
         """Where the sphere's centre is in the container of an arm that holds it, from the container's centre [m], shape (3,)."""
         arm.mujoco.mj_kinematics(arm.model, arm.data)
-        box, ball = arm.data.body(CONTAINER), arm.data.body(SPHERE)
+        box = arm.data.body(CONTAINER)
+        ball = arm.data.body(SPHERE)
         inside: FloatArray = box.xmat.reshape(3, 3).T @ (ball.xpos - box.xpos)
         return inside

@@ -24,7 +24,9 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
     name = "contents"
     subject = "contents"
     answer = ("contents_mass", "kg")
-    numbers = MappingProxyType({"mass": "contents_mass", "fill": "fill", "liquid_inside": "liquid_inside"})
+    numbers = MappingProxyType(
+        {"mass": "contents_mass", "fill": "fill", "liquid_inside": "liquid_inside"}
+    )
     keys = ("contents.",)
     unknowns: ClassVar[Mapping[str, Kind]] = {
         "contents_mass": Kind("kg", "mass of the contents"), "total_mass": Kind("kg", "container with contents"),
@@ -59,7 +61,9 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         stated=("contents.radius=0.035", "contents.height=0.1", "contents.bottom=[0.015,0,-0.04]"),
     )  # fmt: skip
 
-    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> ContentsFacts:
+    def facts(
+        self, settings: Settings, solver: str = "lm", profile: str = "default"
+    ) -> ContentsFacts:
         from proprio_ros.probes.contents.facts import contents_facts
 
         return contents_facts(settings, probe_file(self.name, ("contents",))["contents"])

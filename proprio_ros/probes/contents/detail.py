@@ -17,7 +17,8 @@ class ContentsDetail:
 
     kind: str
     probabilities: Mapping[str, float]
-    moved: tuple[tuple[str, np.ndarray, np.ndarray], ...]  # of each run its name, times [s] and place from the axis [m]
+    # of each run its name, times [s] and place from the axis [m]
+    moved: tuple[tuple[str, np.ndarray, np.ndarray], ...]
 
     def as_json(self) -> dict[str, Any]:
         """The kind; the probabilities are values."""

@@ -33,4 +33,7 @@ def moved_figure(detail: ContentsDetail) -> str:
         axes.set_xlabel("time since the current came on (s)")
         axes.set_ylabel("from the container's axis (mm)")
         axes.legend(loc="best")
-        return svg(figure, "How far the moving part of the contents is from the container's axis in each run")
+        return svg(
+            figure,
+            "How far the moving part of the contents is from the container's axis in each run",
+        )

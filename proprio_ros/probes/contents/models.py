@@ -29,7 +29,13 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.slosh import SloshRun, SloshSimulator
 from proprio_ros.sim.slosh_kernels import GRAVITY, SLOSH_PARAMETERS
 
-MODELS = {"nothing": "nothing", "rigid": "rigid", "frozen": "rigid", "liquid": "liquid", "granular": "granular"}
+MODELS = {
+    "nothing": "nothing",
+    "rigid": "rigid",
+    "frozen": "rigid",
+    "liquid": "liquid",
+    "granular": "granular",
+}
 """Each is of a kind: what is rigid lies anywhere, or fills the bottom as what flows does, so that lying low tells neither."""
 PLACE = PAYLOAD_TERMS[1:4]  # of the empty container's centre
 FIRST_MODE = 1.8412  # least root of J1'
@@ -47,7 +53,8 @@ class ContentsFacts:
     radius: float  # radius, height: of its inside [m]
     height: float
     bottom: np.ndarray  # middle of the inside bottom in the payload frame [m], shape (3,)
-    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # payload_R_container, shape (3, 3)
+    # payload_R_container, shape (3, 3)
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
     # mass, mass_std: of the empty container [kg]; an infinite standard deviation means not stated
     mass: float = 0.05
     mass_std: float = np.inf
@@ -77,27 +84,44 @@ class Slosh:
         """For a fill [m]."""
         k = FIRST_MODE / radius
         share = 2.0 * np.tanh(k * fill) / (2.39 * k * fill)
-        return cls(fill, share, fill - 2.0 / k * np.tanh(0.5 * k * fill), GRAVITY * k * np.tanh(k * fill))
+        return cls(
+            fill, share, fill - 2.0 / k * np.tanh(0.5 * k * fill), GRAVITY * k * np.tanh(k * fill)
+        )
 
 
 def damping_ratio(radius: float, fill: float, viscosity: float) -> float:
     """Of the first mode; kinematic viscosity in m^2/s."""
     deep = FIRST_MODE * fill / radius
     near = (1.0 - fill / radius) / np.cosh(deep) + 1.0
-    return float(0.79 * np.sqrt(viscosity / np.sqrt(radius**3 * GRAVITY)) * (1.0 + 0.318 / np.sinh(deep) * near))
+    return float(
+        0.79
+        * np.sqrt(viscosity / np.sqrt(radius**3 * GRAVITY))
+        * (1.0 + 0.318 / np.sinh(deep) * near)
+    )
 
 
 def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
     """What is open about the contents under a model."""
     if model == "nothing":
         return []
-    mass = Unknown("contents_mass", 0.1, MASS_STD_KG, -0.05 if model == "rigid" else 5e-4, 5.0, asinh_scale=0.005)
+    mass = Unknown(
+        "contents_mass",
+        0.1,
+        MASS_STD_KG,
+        -0.05 if model == "rigid" else 5e-4,
+        5.0,
+        asinh_scale=0.005,
+    )
     spread = Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0)
     if model == "rigid":
         centre = facts.bottom + facts.rotation @ np.array([0.0, 0.0, 0.3 * facts.height])
         off = np.abs(facts.rotation @ np.array([0.2 * facts.radius] * 2 + [0.2 * facts.height]))
         of_it = zip("xyz", centre.tolist(), off.tolist(), strict=True)
-        return [mass, *(Unknown(f"contents_com_{axis}", at, std, -1.0, 1.0) for axis, at, std in of_it), spread]
+        return [
+            mass,
+            *(Unknown(f"contents_com_{axis}", at, std, -1.0, 1.0) for axis, at, std in of_it),
+            spread,
+        ]
     dense = Unknown("contents_density", 1000.0, 500.0, 300.0, 15000.0)
     if model == "frozen":
         return [mass, dense, spread]
@@ -120,7 +144,9 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
     ]
 
 
-def inside_terms(model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def inside_terms(
+    model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """What the contents put into the simulator, as analytic functions of their unknowns, each of shape (S,).
 
     Returns:
@@ -128,15 +154,19 @@ def inside_terms(model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]) 
         shape (S, 5), zeros of what does not move.
     """
     mass, zero = u["contents_mass"], np.zeros_like(u["contents_mass"])
-    area, axis = np.pi * facts.radius**2, facts.rotation[:, 2]
+    area = np.pi * facts.radius**2
+    axis = facts.rotation[:, 2]
 
     def ten(part: np.ndarray, com: np.ndarray, tall: np.ndarray) -> np.ndarray:
-        level, up = u["contents_spread"] * facts.radius**2 / 4.0, u["contents_spread"] * tall**2 / 12.0
+        level = u["contents_spread"] * facts.radius**2 / 4.0
+        up = u["contents_spread"] * tall**2 / 12.0
         along = np.outer(axis, axis)
         spread = level[:, None, None] * (np.eye(3) - along) + up[:, None, None] * along
         whole = np.zeros((len(part), 4, 4), dtype=np.result_type(part, com, spread))
         whole[:, 0, 0], whole[:, 0, 1:] = part, part[:, None] * com
-        whole[:, 1:, 1:] = part[:, None, None] * (com[:, :, None] * com[:, None, :]) + mass[:, None, None] * spread
+        whole[:, 1:, 1:] = (
+            part[:, None, None] * (com[:, :, None] * com[:, None, :]) + mass[:, None, None] * spread
+        )
         rows = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (2, 2), (3, 3), (1, 2), (1, 3), (2, 3)]
         return np.stack([whole[:, i, j] for i, j in rows], axis=1)
 
@@ -145,26 +175,39 @@ def inside_terms(model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]) 
         return ten(mass, com, zero + 0.5 * facts.height), np.stack([zero] * 5, axis=1)
     fill = np.sqrt((mass / (u["contents_density"] * area)) ** 2 + LOWEST_FILL_M**2)
     # beside where the container was said to stand, as its own centre is
-    beside = np.stack([u.get(name, at) - at + zero for name, at in zip(PLACE, facts.shell.com, strict=True)], axis=1)
+    beside = np.stack(
+        [u.get(name, at) - at + zero for name, at in zip(PLACE, facts.shell.com, strict=True)],
+        axis=1,
+    )
     beside = beside - (beside @ axis)[:, None] * axis
     if model == "frozen":
-        return ten(mass, facts.bottom + beside + 0.5 * fill[:, None] * axis, fill), np.stack([zero] * 5, axis=1)
+        return ten(mass, facts.bottom + beside + 0.5 * fill[:, None] * axis, fill), np.stack(
+            [zero] * 5, axis=1
+        )
     slosh = Slosh.of(facts.radius, fill)
     share = slosh.share * u["slosh_share"]
-    stiffness, friction = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2, GRAVITY * u.get("grain_friction", zero)
+    stiffness = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2
+    friction = GRAVITY * u.get("grain_friction", zero)
     damping = 2.0 * np.exp(u["slosh_damping_log"]) * np.sqrt(stiffness)
     rigid = mass * (1.0 - share)
     height = (0.5 * fill - share * slosh.height) / (1.0 - share)
     # the bowl stays where it was said to be: to first order the rest may have its share of the difference
     place = facts.bottom + beside / (1.0 - share)[:, None] + height[:, None] * axis
-    return ten(rigid, place, fill), np.stack([mass * share, slosh.height + zero, stiffness, damping, friction], axis=1)
+    return ten(rigid, place, fill), np.stack(
+        [mass * share, slosh.height + zero, stiffness, damping, friction], axis=1
+    )
 
 
 def slosh_of(facts: ContentsFacts, u: Mapping[str, np.ndarray]) -> np.ndarray:
     """Fill [m], slosh frequency [Hz] and damping ratio of a liquid, shape (S, 3); of complex unknowns, too."""
     moving = inside_terms("liquid", facts, u)[1]
-    fill = np.sqrt((u["contents_mass"] / (u["contents_density"] * np.pi * facts.radius**2)) ** 2 + LOWEST_FILL_M**2)
-    return np.stack([fill, np.sqrt(moving[:, 2]) / (2.0 * np.pi), np.exp(u["slosh_damping_log"])], axis=1)
+    fill = np.sqrt(
+        (u["contents_mass"] / (u["contents_density"] * np.pi * facts.radius**2)) ** 2
+        + LOWEST_FILL_M**2
+    )
+    return np.stack(
+        [fill, np.sqrt(moving[:, 2]) / (2.0 * np.pi), np.exp(u["slosh_damping_log"])], axis=1
+    )
 
 
 def container_seen(robot: Robot, run: PreparedRun, facts: ContentsFacts) -> tuple[float, SloshRun]:
@@ -179,7 +222,9 @@ def container_seen(robot: Robot, run: PreparedRun, facts: ContentsFacts) -> tupl
     fixed = axis * float(axis @ gravity)
     turning = np.stack([fixed, gravity - fixed, -np.cross(axis, gravity)])
     nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
-    return float(axis @ up), SloshRun(nothing, float(along @ bottom), float(high @ bottom), turning @ along, turning @ high)
+    return float(axis @ up), SloshRun(
+        nothing, float(along @ bottom), float(high @ bottom), turning @ along, turning @ high
+    )
 
 
 class ContentsProblem(Problem):
@@ -196,15 +241,22 @@ class ContentsProblem(Problem):
         self._prepared, self._turns = tuple(runs), [turning_with(robot, run) for run in runs]
         self._now: tuple[np.ndarray, ...] = ()
         known = load_unknowns(robot, runs, facts.shell, Role.FREE, facts.mass)
-        known[0] = replace(known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG).at_role(Role.FREE)
+        known[0] = replace(
+            known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG
+        ).at_role(Role.FREE)
         super().__init__(robot, runs, facts.shell, [*self.inside, *known])
         self._affine &= model == "nothing"
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator[SloshSimulator]:
+    def _simulator(
+        self, runs: list[JointRun], integrator: str
+    ) -> JointSimulator | MixedSimulator[SloshSimulator]:
         if self.model not in MOVING:
             return JointSimulator(runs, integrator)
         rows = np.flatnonzero(self.filled).tolist()
-        moving = [replace(container_seen(self.robot, self._prepared[r], self.container)[1], joint=runs[r]) for r in rows]
+        moving = [
+            replace(container_seen(self.robot, self._prepared[r], self.container)[1], joint=runs[r])
+            for r in rows
+        ]
         plain = [runs[row] for row in np.flatnonzero(~self.filled)]
         return MixedSimulator(SloshSimulator(moving, integrator), plain, self.filled, integrator)
 
@@ -217,13 +269,22 @@ class ContentsProblem(Problem):
         """`inside_terms` at values (S, N), and their derivatives by each of the contents' unknowns, by complex steps."""
         names = [*(unknown.kind for unknown in self.inside), *PLACE]
         columns = [self.index[name] for name in names]
-        found, slopes = inside_terms(self.model, self.container, dict(zip(names, values[:, columns].T, strict=True))), []
+        found = inside_terms(
+            self.model, self.container, dict(zip(names, values[:, columns].T, strict=True))
+        )
+        slopes = []
         for row in columns:
             shifted = values.astype(complex)
             shifted[:, row] += 1j * COMPLEX_STEP
-            changed = inside_terms(self.model, self.container, dict(zip(names, shifted[:, columns].T, strict=True)))
+            changed = inside_terms(
+                self.model, self.container, dict(zip(names, shifted[:, columns].T, strict=True))
+            )
             slopes.append([part.imag / COMPLEX_STEP for part in changed])
-        return *found, np.array(columns), *(np.array([slope[n] for slope in slopes]) for n in (0, 1))
+        return (
+            *found,
+            np.array(columns),
+            *(np.array([slope[n] for slope in slopes]) for n in (0, 1)),
+        )
 
     def _moving_part(
         self, row: int, values: np.ndarray, payload: tuple[np.ndarray, dict[int, np.ndarray]] | None
@@ -232,7 +293,10 @@ class ContentsProblem(Problem):
             assert payload is not None
             ten, _, columns, by_ten, _ = self._now
             change = dict(zip(columns.tolist(), by_ten, strict=True))
-            payload = payload[0] + ten, {**payload[1], **{n: payload[1].get(n, 0.0) + each for n, each in change.items()}}
+            payload = (
+                payload[0] + ten,
+                {**payload[1], **{n: payload[1].get(n, 0.0) + each for n, each in change.items()}},
+            )
         return super()._moving_part(row, values, payload)
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +305,8 @@ class ContentsProblem(Problem):
         self._now = self._terms(values)
         p, dp = super()._all_parameters(values)
         _, moving, columns, _, by_moving = self._now
-        mass, names = self.index["contents_mass"], list(self.simulator.parameters)
+        mass = self.index["contents_mass"]
+        names = list(self.simulator.parameters)
         first = names.index("slosh_mass") if len(names) == len(SLOSH_PARAMETERS) else 0
         for row in np.flatnonzero(self.filled).tolist():
             p[:, row, names.index("carried")] += values[:, mass]
@@ -251,7 +316,8 @@ class ContentsProblem(Problem):
             p[:, row, first : first + 5] = moving
             dp[:, row, first : first + 5, columns] = by_moving
             p[:, row, names.index("settled")] = float(self.model == "liquid")
-            tilt, zero = names.index("tilt"), self.index.get(("zero", self.runs[row].run.joint))
+            tilt = names.index("tilt")
+            zero = self.index.get(("zero", self.runs[row].run.joint))
             if zero is not None:
                 p[:, row, tilt] += values[:, zero]
                 dp[:, row, tilt, zero] += 1.0
@@ -267,18 +333,32 @@ class ContentsProblem(Problem):
     def held(self, values: np.ndarray) -> list[PreparedRun]:
         """The runs with held joints that give way as their servos let them where all else moves by these unknowns, shape (N,)."""
         p = self.parameters(values[None], self.free[:1])[0][0]
-        fine = [replace(run, sample_times_s=np.arange(0.0, run.sample_times_s[-1] + FINE_S, FINE_S)) for run in self.simulator.runs]
-        q, v, _ = self._simulator(fine, "rk4").jacobian(np.arange(len(p), dtype=np.int32), p, np.zeros((*p.shape, 1)))
+        fine = [
+            replace(run, sample_times_s=np.arange(0.0, run.sample_times_s[-1] + FINE_S, FINE_S))
+            for run in self.simulator.runs
+        ]
+        q, v, _ = self._simulator(fine, "rk4").jacobian(
+            np.arange(len(p), dtype=np.int32), p, np.zeros((*p.shape, 1))
+        )
         driven = [
-            Followed(run.sample_times_s, *(each[row, : len(run.sample_times_s)] for each in (q, v))) for row, run in enumerate(fine)
+            Followed(run.sample_times_s, *(each[row, : len(run.sample_times_s)] for each in (q, v)))
+            for row, run in enumerate(fine)
         ]
         inside = values[self.index["contents_mass"]] if self.inside else 0.0
         runs = [run.run for run in self.runs]
-        motions = give_way(self.robot, runs, driven, self.facts, values[self.index["payload_mass"]] + inside * self.filled)
+        motions = give_way(
+            self.robot,
+            runs,
+            driven,
+            self.facts,
+            values[self.index["payload_mass"]] + inside * self.filled,
+        )
         found = []
         for run, own, others in zip(self.runs, driven, motions, strict=True):
             times_s, load = loads_of_yielding(self.robot, run.run, others, self.facts, 0.0, own)
-            found.append(replace(run, yielding_times_s=times_s, yielding_load=load) if others else run)
+            found.append(
+                replace(run, yielding_times_s=times_s, yielding_load=load) if others else run
+            )
         return found
 
     def path(self, values: np.ndarray) -> list[tuple[str, np.ndarray, np.ndarray]]:
@@ -288,4 +368,7 @@ class ContentsProblem(Problem):
             return []
         p, _ = self.parameters(values[None], self.free[:1])
         x = self.simulator.special.path(np.arange(len(rows)), p[0, rows])
-        return [(run.run.name, run.times_s, x[n, : run.used]) for n, run in enumerate(self.runs[row] for row in rows)]
+        return [
+            (run.run.name, run.times_s, x[n, : run.used])
+            for n, run in enumerate(self.runs[row] for row in rows)
+        ]

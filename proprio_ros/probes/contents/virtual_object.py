@@ -7,7 +7,16 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.virtual.objects import LONGEST_M, HandObject, Payload, SixOfInertia, Vector, check_lengths, check_mass, set_inertia
+from proprio_ros.virtual.objects import (
+    LONGEST_M,
+    HandObject,
+    Payload,
+    SixOfInertia,
+    Vector,
+    check_lengths,
+    check_mass,
+    set_inertia,
+)
 
 WATER_KG_M3 = 1000.0
 DAMPING_RATIO = 0.02
@@ -34,7 +43,8 @@ class Filled(HandObject):
     liquid_kg: float = 0.15
     radius_m: float = 0.035  # radius_m, height_m: of its inside
     height_m: float = 0.1
-    bottom_m: Vector = (0.015, 0.0, -0.04)  # middle of its inside bottom in the payload frame, shape (3,)
+    # middle of its inside bottom in the payload frame, shape (3,)
+    bottom_m: Vector = (0.015, 0.0, -0.04)
 
     def __post_init__(self) -> None:
         check_mass("mass", self.mass_kg)
@@ -44,7 +54,9 @@ class Filled(HandObject):
         check_lengths("bottom", self.bottom_m, -LONGEST_M)
         if self.fill_m > self.height_m:
             full = 1e3 * self.height_m * self.liquid_kg / self.fill_m
-            raise ConfigurationError(f"liquid={self.liquid_kg:g}: the cylinder is full with {full:.0f} g; give less, in kg")
+            raise ConfigurationError(
+                f"liquid={self.liquid_kg:g}: the cylinder is full with {full:.0f} g; give less, in kg"
+            )
 
     @property
     def fill_m(self) -> float:
@@ -55,7 +67,11 @@ class Filled(HandObject):
     def emptied(self) -> Payload:
         """The cylinder with nothing in it."""
         x, y, z = self.bottom_m
-        return Payload(self.mass_kg, (x, y, z + 0.5 * self.height_m), inertia_kg_m2=self._solid(self.mass_kg, self.height_m, 2.0))
+        return Payload(
+            self.mass_kg,
+            (x, y, z + 0.5 * self.height_m),
+            inertia_kg_m2=self._solid(self.mass_kg, self.height_m, 2.0),
+        )
 
     def _solid(self, mass: float, tall: float, hollow: float = 1.0) -> SixOfInertia:
         across = mass * (hollow * self.radius_m**2 / 4.0 + tall**2 / 12.0)
@@ -77,8 +93,12 @@ class Filled(HandObject):
         lower = hand.add_body(name="held/still", pos=np.add(self.bottom_m, (0.0, 0.0, low)))
         set_inertia(lower, rest, (0.0, 0.0, 0.0), self._solid(rest, self.fill_m))
         long = GRAVITY / float(slosh.stiffness)  # a pendulum's that swings as often
-        upper = hand.add_body(name="held/moving", pos=np.add(self.bottom_m, (0.0, 0.0, float(slosh.height))))
+        upper = hand.add_body(
+            name="held/moving", pos=np.add(self.bottom_m, (0.0, 0.0, float(slosh.height)))
+        )
         small = 0.01 * moving * long**2
         set_inertia(upper, moving, (0.0, 0.0, 0.0), (small, small, small, 0.0, 0.0, 0.0))
-        joint = upper.add_joint(name="held/slosh", type=mujoco.mjtJoint.mjJNT_BALL, pos=(0.0, 0.0, long))
+        joint = upper.add_joint(
+            name="held/slosh", type=mujoco.mjtJoint.mjJNT_BALL, pos=(0.0, 0.0, long)
+        )
         joint.damping[0] = 2.0 * DAMPING_RATIO * moving * float(np.sqrt(slosh.stiffness)) * long**2

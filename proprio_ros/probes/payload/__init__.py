@@ -52,7 +52,9 @@ class Payload(
     answer = ("payload_mass", "kg")
     numbers = MappingProxyType({"mass": "payload_mass"})
     keys = ("payload.", "paper.")
-    unknowns = MappingProxyType({"equivalent_pendulum_length": Kind("m", "length of the equivalent pendulum")})
+    unknowns = MappingProxyType(
+        {"equivalent_pendulum_length": Kind("m", "length of the equivalent pendulum")}
+    )
     default_sequence = "payload"
     virtual_object = VirtualPayload
     solvers = ("lm", "adam", "cma")
@@ -70,9 +72,13 @@ class Payload(
 
         defaults = probe_file(self.name, ("payload", "solver", "paper"))
         payload = payload_facts(settings, defaults["payload"])
-        weighing = replace(settings.options(WeighingOptions, "solver.", defaults["solver"]), solver=solver)
+        weighing = replace(
+            settings.options(WeighingOptions, "solver.", defaults["solver"]), solver=solver
+        )
         paper = settings.options(PaperOptions, "paper.", defaults["paper"])
-        return PayloadJob(payload, weighing, paper if profile == "paper" else None, frozenset(settings.taken))
+        return PayloadJob(
+            payload, weighing, paper if profile == "paper" else None, frozenset(settings.taken)
+        )
 
     def reference(self, settings: Settings) -> PayloadFacts:
         from proprio_ros.probes.payload.facts import payload_facts
@@ -86,18 +92,25 @@ class Payload(
         if facts.paper is None:
             return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
         if swings := [run.name for run in recorded.runs if run.free]:
-            raise RecordingError(f"{swings[0]} is a free swing; the paper's method wants a joint that a current drives")
+            raise RecordingError(
+                f"{swings[0]} is a free swing; the paper's method wants a joint that a current drives"
+            )
         text = recorded.text
-        setting = facts.paper if text is None else as_published(facts.paper, text.setting, facts.stated)
+        setting = (
+            facts.paper if text is None else as_published(facts.paper, text.setting, facts.stated)
+        )
         return identify_as_paper(robot, recorded.runs, facts.payload, setting)
 
-    def identify_motions(self, robot: Robot, recorded: base.Recorded, facts: PayloadJob) -> Estimate:
+    def identify_motions(
+        self, robot: Robot, recorded: base.Recorded, facts: PayloadJob
+    ) -> Estimate:
         from proprio_ros.probes.payload.known_joint import identify_known_joint
         from proprio_ros.probes.payload.moving import identify_in_motion
         from proprio_ros.probes.payload.one_joint import identify_one_joint
         from proprio_ros.probes.payload.standing import identify_standing
 
-        motions, baseline = recorded.motions, recorded.baseline_motions
+        motions = recorded.motions
+        baseline = recorded.baseline_motions
         if facts.paper is not None:
             raise RecordingError(
                 f"{motions[0].name}: is a motion under a controller; the paper's method wants a joint driven from rest"
@@ -122,7 +135,13 @@ class Payload(
 
         return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
 
-    def chooser(self, robot: Robot, facts: PayloadJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
+    def chooser(
+        self,
+        robot: Robot,
+        facts: PayloadJob,
+        sequence: ExcitationSequence,
+        baseline: Sequence[Run] = (),
+    ) -> Chooser:
         from proprio_ros.experiment_design.until import UntilSure
         from proprio_ros.quantity import Z95
 
@@ -139,7 +158,9 @@ class Payload(
         assert robot.motion_calibration is not None
         centre_m = [float(axis) for axis in facts.payload.com]
         std_m = float(max(facts.payload.com_std)) or CENTRE_STD_M
-        return StandingEstimator(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
+        return StandingEstimator(
+            robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held
+        )
 
     def load(self, facts: PayloadJob, mass_kg: float) -> base.Carried:
         from proprio_ros.probes.payload.facts import inertia_tensor
@@ -147,7 +168,9 @@ class Payload(
         payload = facts.payload
         source = "assumed" if payload.shape_std_relative > 0.0 else "stated"
         centre_m = [float(axis) for axis in payload.com]
-        return base.Carried(mass_kg, centre_m, inertia_tensor(payload, mass_kg), payload.com_guessed, source)
+        return base.Carried(
+            mass_kg, centre_m, inertia_tensor(payload, mass_kg), payload.com_guessed, source
+        )
 
     def carried(self, facts: PayloadJob, estimate: Estimate) -> base.Carried | None:
         import numpy as np
@@ -155,10 +178,13 @@ class Payload(
         mass = estimate.values[0].value
         if not isinstance(mass, float):
             return None
-        load, centre = self.load(facts, mass), self._found_centre(estimate)
+        load = self.load(facts, mass)
+        centre = self._found_centre(estimate)
         if centre is not None:
             load = replace(load, com_m=centre, com_guessed=False)
-        found = next((value.value for value in estimate.values if value.name == "payload_inertia"), None)
+        found = next(
+            (value.value for value in estimate.values if value.name == "payload_inertia"), None
+        )
         if not isinstance(found, list) or None in found:
             return load
         xx, xy, xz, yy, yz, zz = found
@@ -179,6 +205,8 @@ class Payload(
     @staticmethod
     def _found_centre(estimate: Estimate) -> list[float] | None:
         """Centre of mass [m], where all three of its coordinates were identified."""
-        found = next((value.value for value in estimate.values if value.name == "payload_com"), None)
+        found = next(
+            (value.value for value in estimate.values if value.name == "payload_com"), None
+        )
         known = [axis for axis in found if axis is not None] if isinstance(found, list) else []
         return known if len(known) == 3 else None

@@ -13,14 +13,24 @@ from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.sim.payload import SHAPES, PayloadFacts, PayloadShape
 
 _PLACE = "[x, y, z] in m"
-_NEAR_HAND = Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m")
+_NEAR_HAND = Number(
+    unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m"
+)
 _LENGTH = Number(unit="m", lowest=0.0, highest=1.0, hint="lengths are in m")
 FORMS: dict[str, Form] = {
     "payload.com": Numbers("centre of mass in `payload.frame`", _NEAR_HAND, 3, example=_PLACE),
-    "payload.com_std": Numbers("how far the true centre may lie from it; above 0 it is estimated, too", _LENGTH, 3, example=_PLACE),
+    "payload.com_std": Numbers(
+        "how far the true centre may lie from it; above 0 it is estimated, too",
+        _LENGTH,
+        3,
+        example=_PLACE,
+    ),
     "payload.shape": Choice("of uniform density", SHAPES),
     "payload.size_std_relative": Number(
-        "of the mass's spread (size squared); counts only while shape and size are not stated", "", 0.0, 10.0
+        "of the mass's spread (size squared); counts only while shape and size are not stated",
+        "",
+        0.0,
+        10.0,
     ),
     "payload.inertia_per_mass": Numbers(
         "about the centre of mass; instead of shape and size",
@@ -30,7 +40,9 @@ FORMS: dict[str, Form] = {
     ),
 }
 """What may be stated about a payload; `payload.size` has the form that its shape needs."""
-_SIZE = Number(unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are in m, so 30 mm is 0.03")
+_SIZE = Number(
+    unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are in m, so 30 mm is 0.03"
+)
 
 
 def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFacts:
@@ -40,7 +52,9 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     """
 
     def take(key: str, default: Any) -> Any:
-        return settings.take(key, default, None if default is None and key not in settings.left else FORMS[key])
+        return settings.take(
+            key, default, None if default is None and key not in settings.left else FORMS[key]
+        )
 
     guessed = not {"payload.com", "payload.com_std"} & set(settings.left)
     com, com_std = (np.array(take(f"payload.{key}", defaults[key])) for key in ("com", "com_std"))
@@ -50,19 +64,34 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     size_std = take("payload.size_std_relative", defaults["size_std_relative"])
     if per_mass is not None:
         if name is not None or size is not None:
-            raise ConfigurationError("give payload.inertia_per_mass, or payload.shape and payload.size, not both")
-        return PayloadFacts(com, com_std, PayloadShape.from_inertia_per_mass(per_mass), 0.0, guessed)
+            raise ConfigurationError(
+                "give payload.inertia_per_mass, or payload.shape and payload.size, not both"
+            )
+        return PayloadFacts(
+            com, com_std, PayloadShape.from_inertia_per_mass(per_mass), 0.0, guessed
+        )
     if name is None and size is not None:
         name = "box" if isinstance(size, list) else "sphere"
-    shape_name = name if name is not None else read("payload.shape", defaults["shape"], FORMS["payload.shape"])
+    shape_name = (
+        name
+        if name is not None
+        else read("payload.shape", defaults["shape"], FORMS["payload.shape"])
+    )
     if size is None and shape_name != "point":
         # a shape without its size is a guess, and so is the probe file's ball
         edge = read("payload.size", defaults["size"], _SIZE)
-        guess: dict[str, Any] = {"sphere": edge, "cube": edge, "box": [edge] * 3, "cylinder": [edge, edge]}
+        guess: dict[str, Any] = {
+            "sphere": edge,
+            "cube": edge,
+            "box": [edge] * 3,
+            "cylinder": [edge, edge],
+        }
         shape = PayloadShape.of(shape_name, guess.get(shape_name))
         return PayloadFacts(com, com_std, shape, size_std, guessed)
     if shape_name != "point":
-        size = read("payload.size", size, Numbers("", _SIZE, most=3) if isinstance(size, list) else _SIZE)
+        size = read(
+            "payload.size", size, Numbers("", _SIZE, most=3) if isinstance(size, list) else _SIZE
+        )
     return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0, guessed)
 
 

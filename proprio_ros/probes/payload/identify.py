@@ -24,8 +24,24 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification import gates, swings
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, Verdict, no_answer
-from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, fit_opened, known_exactly, solve_load, summary
-from proprio_ros.identification.judge import FAR, Guess, Refusal, Useful, not_identifiable, positive, rejected
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    fit_both,
+    fit_opened,
+    known_exactly,
+    solve_load,
+    summary,
+)
+from proprio_ros.identification.judge import (
+    FAR,
+    Guess,
+    Refusal,
+    Useful,
+    not_identifiable,
+    positive,
+    rejected,
+)
 from proprio_ros.identification.mistakes import Mistake, of_joint
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
@@ -42,9 +58,12 @@ COM = tuple(f"payload_com_{axis}" for axis in "xyz")
 ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 """Masses that differ by less, or by this share, do not contradict each other: what a model misses of torque and friction goes with
 the mass, by 1 to 2 % in each run. Half of the difference then counts as uncertainty."""
-GUESSED_PLACE_M = 5e-3  # How far off the centre of mass may be, per axis, where nobody stated it: standard deviation.
-DECIDES = 0.1  # A guess that is worth less than this share of the standard deviation is not worth a sentence.
-DRIFT_SIGMAS = 3.0  # How far from nothing an empty hand may weigh before the calibration is called out of date.
+# How far off the centre of mass may be, per axis, where nobody stated it: standard deviation.
+GUESSED_PLACE_M = 5e-3
+# A guess that is worth less than this share of the standard deviation is not worth a sentence.
+DECIDES = 0.1
+# How far from nothing an empty hand may weigh before the calibration is called out of date.
+DRIFT_SIGMAS = 3.0
 
 CAUSE_RATIO, BETTER = 10.0, 3.0
 """A mistake is named where undoing it makes the reduced chi-square so many times smaller; and so many times, where only then it is
@@ -55,7 +74,8 @@ relative, has been measured."""
 
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
-BETTER_FOLLOWED = 1.5  # So many times better, and an open zero is believed; less, and the mass may be either.
+# So many times better, and an open zero is believed; less, and the mass may be either.
+BETTER_FOLLOWED = 1.5
 COVERED = 2.0
 """A swing may hold so many times less than the lightest load of its calibration; it does not tell whose rotor and arm it is of."""
 SWING_ROUNDS = 4  # How often the error of a simulated swing is looked at again.
@@ -85,7 +105,8 @@ def weigh(
 
     Raises `RecordingError`: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
-    kept, left_out = list(runs), list[str]()
+    kept = list(runs)
+    left_out = list[str]()
     estimate, weighed, spoilt = first = _weigh(robot, kept, facts, options, baseline)
     one = len({run.name.rpartition("#")[0] or run.name for run in runs}) == 1
     while one and spoilt is not None and len(left_out) + 1 <= gates.LEFT_OUT_AT_MOST * len(runs):
@@ -108,7 +129,8 @@ def _weigh(
     """The answer, what may tell the cause of a refusal, and the run that stands in its way, where there is one."""
     facts = facts or PayloadFacts()
     options = options or WeighingOptions()
-    found, weighing = gates.Findings(), 0
+    found = gates.Findings()
+    weighing = 0
     usable: list[PreparedRun] = []
     given: list[Run] = []  # what these were made from
     still: list[PreparedRun] = []
@@ -121,16 +143,26 @@ def _weigh(
         elif prepared.used >= gates.MIN_USED:
             still.append(prepared)
     if not weighing:
-        return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes), None, None
+        return (
+            no_answer(
+                "payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes
+            ),
+            None,
+            None,
+        )
     if swings.are_free_responses(usable):
         return _weigh_swings(robot, usable, facts, options, found, len(runs)), None, None
     drift = _drift(robot, usable[weighing:], facts, options)
     known = robot.is_calibrated(joints_of(usable))
 
     def solve(role: Role, start: FitResult | None = None) -> FitResult:
-        return solve_load(robot, usable, facts, options, role, start, rough=known and role is Role.FROZEN)
+        return solve_load(
+            robot, usable, facts, options, role, start, rough=known and role is Role.FROZEN
+        )
 
-    nominal, opened = fit_both(solve, lambda nominal, opened: not (opened if known else nominal).explains)
+    nominal, opened = fit_both(
+        solve, lambda nominal, opened: not (opened if known else nominal).explains
+    )
     open_file = not robot.is_calibrated() and not known_exactly(robot, usable)
     if open_file and not nominal.explains and opened.chi2 < 0.5 * nominal.chi2:
         found.notes.append(
@@ -142,11 +174,19 @@ def _weigh(
     if estimate.verdict is not Verdict.REJECTED:
         return estimate, weighed, None
     off = [reason for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off"]
-    rows = [row for row, run in enumerate(usable) if any(reason.startswith(f"{run.run.name}: ") for reason in off)]
+    rows = [
+        row
+        for row, run in enumerate(usable)
+        if any(reason.startswith(f"{run.run.name}: ") for reason in off)
+    ]
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
     # a push that came late for a stall: only with another onset of its own is it followed
-    own = [(abs(unknown.pull or 0.0), unknown.scope) for unknown in estimate.unknowns if isinstance(unknown.scope, int)]
+    own = [
+        (abs(unknown.pull or 0.0), unknown.scope)
+        for unknown in estimate.unknowns
+        if isinstance(unknown.scope, int)
+    ]
     rows += [row for pull, row in sorted(own, reverse=True) if pull > FAR]
     spoilt = next((given[row] for row in rows if usable[row].load is None), None)
     return estimate, weighed, spoilt
@@ -168,7 +208,9 @@ def _weigh_swings(
         again_searched, again, worse = _followed(elsewhere, runs, facts, options)
         before, after = (fit.problem.robot.swing_error for fit in (opened, again))
         if not worse and (misfit or before > BETTER_FOLLOWED * after):
-            searched, opened, misfit = again_searched, again, worse
+            searched = again_searched
+            opened = again
+            misfit = worse
             said = f"{joint} swings as if its zero were {opened.value_of(('swing_zero', 0)):+.3f} rad off what the file says: was "
             found.notes.append(f"{said}the horn put on anew? The zero was fitted, too")
         elif not worse:
@@ -182,8 +224,12 @@ def _weigh_swings(
             "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with swings "
             "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)"
         )
-        against.append(not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing))
-    return Weighed(searched, opened, found, count, facts, options, against=against, either_kg=either_kg).estimate()
+        against.append(
+            not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing)
+        )
+    return Weighed(
+        searched, opened, found, count, facts, options, against=against, either_kg=either_kg
+    ).estimate()
 
 
 def _followed(
@@ -217,7 +263,9 @@ def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[
     return tuple(doubling * share for share in SWING_STARTS)
 
 
-def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions) -> list[Refusal]:
+def _drift(
+    robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
+) -> list[Refusal]:
     """What an empty hand that does not weigh nothing says against the calibration."""
     if not baseline:
         return []
@@ -249,7 +297,8 @@ class Weighed(Conclusion):
     still: Sequence[PreparedRun] = ()
     either_kg: float = 0.0  # how far off a mass is that explains swings as well
 
-    probe, name = "payload", "payload_mass"
+    probe = "payload"
+    name = "payload_mass"
 
     @property
     def swings(self) -> bool:
@@ -259,7 +308,11 @@ class Weighed(Conclusion):
     @property
     def fit(self) -> FitResult:
         """The nominal one where it explains what no calibration knows better."""
-        return self.nominal if self.nominal.explains and not self.known and not self.swings else self.opened
+        return (
+            self.nominal
+            if self.nominal.explains and not self.known and not self.swings
+            else self.opened
+        )
 
     def widen(self) -> None:
         mass = self.assessed.value
@@ -276,21 +329,28 @@ class Weighed(Conclusion):
         return True
 
     def contradiction(self, outlier: int) -> gates.Contradiction:
-        mass, name = self.assessed.value, self.runs[outlier].run.name
+        mass = self.assessed.value
+        name = self.runs[outlier].run.name
         if self.runs[outlier].load is not None:
             why = "the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
             return gates.Contradiction(f"{name}: {why}")
         others = [run for row, run in enumerate(self.runs) if row != outlier]
         if all(run.load is not None for run in others):
             together = f"the empty-hand runs ({1e3 * mass:.1f} g together)"
-            return gates.Contradiction(f"{name} contradicts {together}: has the robot changed meanwhile?")
+            return gates.Contradiction(
+                f"{name} contradicts {together}: has the robot changed meanwhile?"
+            )
         # where they say the same, the run is coarser than the others, and the fit's residuals show by how much
         one, rest = (
-            fit_opened(partial(solve_load, self.robot, group, self.facts, self.options)).value_of(self.name)
+            fit_opened(partial(solve_load, self.robot, group, self.facts, self.options)).value_of(
+                self.name
+            )
             for group in ([self.runs[outlier]], others)
         )
         question = "was the same object held in the same place, and does the base stand as it did?"
-        return gates.contradiction(name, "kg", one, rest, ALIKE_SHARE * abs(mass), ALIKE_KG, question)
+        return gates.contradiction(
+            name, "kg", one, rest, ALIKE_SHARE * abs(mass), ALIKE_KG, question
+        )
 
     def guess(self) -> list[Guess]:
         """Where the centre of mass is, unless that was stated: on a wrist joint 5 mm are 4 % of the mass."""
@@ -304,16 +364,26 @@ class Weighed(Conclusion):
         return [Guess("payload.com", taken, f"{1e3 * GUESSED_PLACE_M:g} mm per axis", off)]
 
     def refusals(self) -> Iterator[Refusal]:
-        fit, mass, unknown = self.fit, self.assessed.value, self.fit.problem.unknowns[self.assessed.row]
+        fit = self.fit
+        mass = self.assessed.value
+        unknown = self.fit.problem.unknowns[self.assessed.row]
         if sticks := gates.stood_still(self.robot, fit.problem, fit.values, self.still, mass):
             yield rejected("stood_still", "a joint stood still that should have moved", sticks)
         if mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6):
             bound = "the mass ended on a bound of the search"
-            yield rejected("on_bound", bound, f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?")
+            yield rejected(
+                "on_bound",
+                bound,
+                f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?",
+            )
         if moving := [] if fit.explains or self.swings else self._moving_starts():
             yield self.misfit_of(*moving)
         yield from self.misfit()
-        calibrate = "has the robot changed since? calibrate it again" if self.known else "calibrate the robot"
+        calibrate = (
+            "has the robot changed since? calibrate it again"
+            if self.known
+            else "calibrate the robot"
+        )
         yield from self.lighter("the hand", calibrate, " with its load")
         slow = [run for run in self.runs if abs(run.travel) < gates.LITTLE_TRAVEL]
         if fit is self.opened and not self.known and len(slow) == len(self.runs):
@@ -324,12 +394,18 @@ class Weighed(Conclusion):
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
         yield from self.several(0.02)
-        loads = [float(run["load_kg"]) for run in self.robot.calibration.runs] if self.robot.calibration else []
+        loads = (
+            [float(run["load_kg"]) for run in self.robot.calibration.runs]
+            if self.robot.calibration
+            else []
+        )
         if self.swings and loads and COVERED * mass < min(loads):
             said = f"{self.runs[0].run.joint} swings as with {shown('kg', mass, spec='.0f')}, and no load of its calibration was "
             said += f"lighter than {shown('kg', min(loads), spec='.0f')}; a swing does not tell whose it is: another servo or arm "
             said += "than the one that was calibrated reads like that. If it is this one, calibrate with such a load, too"
-            yield not_identifiable("not_covered", "the calibration does not cover so light a load", said)
+            yield not_identifiable(
+                "not_covered", "the calibration does not cover so light a load", said
+            )
 
     def _all_refusals(self) -> Iterator[Refusal]:
         """And what takes more fits: an interval that hardly reaches above nothing may lie elsewhere, not just be too wide."""
@@ -348,7 +424,8 @@ class Weighed(Conclusion):
             return
         # nothing but the file says what it is, and one run seldom does
         for words, fit in self._without(Mistake("half", 2.0), Mistake("twice", 0.5)):
-            other, mass = fit.value_of(self.name), self.assessed.value
+            other = fit.value_of(self.name)
+            mass = self.assessed.value
             if fit.chi2 < self.fit.chi2 + AS_WELL and abs(other - mass) > Z95 * self.assessed.std:
                 several = "more than one mass explains the recording"
                 said = f"{1e3 * mass:.1f} g, or {1e3 * other:.1f} g if the torque constant of {', '.join(joints_of(self.runs))} is"
@@ -370,13 +447,18 @@ class Weighed(Conclusion):
         better = BETTER if explains and not self.opened.explains else CAUSE_RATIO
         if not only and better * chi2 > self.opened.reduced_chi2:
             return ()
-        return (Reason("misfit", f"{words}: then a payload explains the recording, and now none does"),)
+        return (
+            Reason("misfit", f"{words}: then a payload explains the recording, and now none does"),
+        )
 
     def _without(self, *mistakes: Mistake) -> Iterator[tuple[str, FitResult]]:
         """What each mistake is called, and the fit without it where that is of a payload."""
         for mistake in mistakes:
             try:
-                undone = [prepare_run(self.robot, mistake.undone(each.run), each.load, self.facts) for each in self.runs]
+                undone = [
+                    prepare_run(self.robot, mistake.undone(each.run), each.load, self.facts)
+                    for each in self.runs
+                ]
                 fit = fit_opened(partial(solve_load, self.robot, undone, self.facts, self.options))
             except (RecordingError, np.linalg.LinAlgError):
                 continue
@@ -388,7 +470,9 @@ class Weighed(Conclusion):
         """A sentence for each run that fits far better if it did not start from rest."""
         # with the robot as its file states it: free friction can imitate a start velocity, and the other way round
         options = replace(self.options, solver="lm")
-        moving = solve_load(self.robot, self.runs, self.facts, options, Role.FROZEN, start_velocity_std=10.0)
+        moving = solve_load(
+            self.robot, self.runs, self.facts, options, Role.FROZEN, start_velocity_std=10.0
+        )
         if not moving.chi2 < 0.5 * self.fit.chi2:
             return []
         mass = moving.value_of(self.name)
@@ -418,8 +502,11 @@ class Weighed(Conclusion):
         best = float(searched.physical(self.name)[searched.solution.best])
         # starts agree when they explain the recording alike, at masses that the interval cannot separate
         alike = max(1e-4, 0.01 * abs(best), 0.1 * self.assessed.std)
-        made, options = searched.solution.iterations, self.options
-        return summary(searched, self.name, options.starts_kg, alike, made, options, margin=0.5, final=self.fit)
+        made = searched.solution.iterations
+        options = self.options
+        return summary(
+            searched, self.name, options.starts_kg, alike, made, options, margin=0.5, final=self.fit
+        )
 
     def values(self, withheld: str) -> tuple[Value, ...]:
         problem = self.fit.problem
@@ -430,7 +517,9 @@ class Weighed(Conclusion):
         return mass, _centre_of_mass(self.fit, self.assessed.covariance, rows, withheld)
 
     def assumptions(self) -> tuple[str, ...]:
-        facts, robot, options = self.facts, self.robot, self.options
+        facts = self.facts
+        robot = self.robot
+        options = self.options
         place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
         if np.isfinite(self.fit.chi2) and not any(facts.com_std):
             off = 0.01 * float(np.linalg.norm(self.assessed.posterior.follows(self.name, COM)))
@@ -441,7 +530,11 @@ class Weighed(Conclusion):
         free = "friction differs from swing to swing, by one factor each"
         stay = self.fit is self.nominal and not self.swings
         tilt = f"; 1 degree of tilt of its base changes the mass by up to {shown('kg', self._tilted(1.0), spec='.2g')}"
-        file = "its values stay where the file puts them" if stay else "what it leaves open was fitted under its priors"
+        file = (
+            "its values stay where the file puts them"
+            if stay
+            else "what it leaves open was fitted under its priors"
+        )
         return (
             f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}{changes}",
             f"{free if self.swings else 'each probe starts from rest'}; the held joints stand at their recorded mean",
@@ -457,18 +550,24 @@ class Weighed(Conclusion):
             per_kg = run.coefficients.per_kg(self.facts)
             _, cos, sin, _ = run.coefficients.arm + self.assessed.value * per_kg
             turned = run.weight_at_rest(np.array([0.0, sin, -cos, 0.0]))
-            worst = max(worst, abs(np.radians(degrees) * turned / (run.weight_at_rest(per_kg) or np.inf)))
+            worst = max(
+                worst, abs(np.radians(degrees) * turned / (run.weight_at_rest(per_kg) or np.inf))
+            )
         return worst
 
 
-def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], withheld: str) -> Value:
+def _centre_of_mass(
+    fit: FitResult, covariance: np.ndarray, rows: list[int], withheld: str
+) -> Value:
     """Each coordinate on its own: what the probe did not excite stays at its prior, and is not called an estimate."""
-    values, stds = fit.values[rows], np.sqrt(np.diag(covariance)[rows])
+    values = fit.values[rows]
+    stds = np.sqrt(np.diag(covariance)[rows])
     priors = np.array([fit.problem.unknowns[row].std for row in rows])
     silent = (priors > 0.0) & (stds > 0.7 * priors) | bool(withheld)
     intervals = np.stack([values - Z95 * stds, values + Z95 * stds], axis=1)
     value, std, interval = (
-        [None if off else each for each, off in zip(of.tolist(), silent, strict=True)] for of in (values, stds, intervals)
+        [None if off else each for each, off in zip(of.tolist(), silent, strict=True)]
+        for of in (values, stds, intervals)
     )
     unexcited = ", ".join(axis for axis, off in zip("xyz", silent, strict=True) if off)
     reason = f"{unexcited} not excited: the probe adds nothing to the prior" if unexcited else ""
@@ -480,9 +579,14 @@ def _static_std(problem: Problem, runs: Sequence[PreparedRun]) -> float:
     if any(abs(run.travel) >= gates.LITTLE_TRAVEL for run in runs):
         return 0.0
     per_kg = [abs(run.weight_at_rest(run.coefficients.per_kg(problem.facts))) for run in runs]
-    return min(float(np.hypot.reduce(run.torque_stds)) / max(w, 1e-9) for run, w in zip(runs, per_kg, strict=True))
+    return min(
+        float(np.hypot.reduce(run.torque_stds)) / max(w, 1e-9)
+        for run, w in zip(runs, per_kg, strict=True)
+    )
 
 
 def scan_masses(mass: float) -> np.ndarray:
     """Masses worth looking at around a value: three orders of magnitude, and a fine stretch about it [kg], shape (M,)."""
-    return np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
+    return np.unique(
+        np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)])
+    )

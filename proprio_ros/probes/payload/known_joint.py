@@ -10,7 +10,12 @@ from proprio_ros.identification.judge import Refusal, judge, positive, rejected
 from proprio_ros.identification.regression.motion_fit import check_torque_constant
 from proprio_ros.identification.regression.one_joint_fit import STRETCH_S
 from proprio_ros.identification.regression.one_joint_known import KnownJointFit, identify_by_joint
-from proprio_ros.identification.regression.refusals import UNEXPLAINED_SHARE, WIDEST_SHARE, interval_too_wide, lighter_than_empty
+from proprio_ros.identification.regression.refusals import (
+    UNEXPLAINED_SHARE,
+    WIDEST_SHARE,
+    interval_too_wide,
+    lighter_than_empty,
+)
 from proprio_ros.probes.payload.moving import MotionDetail, motion_answer
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.motions import Motion
@@ -21,7 +26,9 @@ MISFIT_RATIO = 5.0
 """A motion may be explained so much worse than those of the calibration, which may have been gentler."""
 
 
-def identify_known_joint(robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts) -> Estimate:
+def identify_known_joint(
+    robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts
+) -> Estimate:
     """Identify the payload that all ``motions`` share.
 
     ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of this very joint; ``facts``: where
@@ -39,7 +46,11 @@ def identify_known_joint(robot: Robot, motions: Sequence[Motion], calibration: J
         robot,
         motions,
         refusal,
-        [positive("payload_mass", "kg", fit.mass, fit.std, refusal.withheld, quantile=fit.quantile)],
+        [
+            positive(
+                "payload_mass", "kg", fit.mass, fit.std, refusal.withheld, quantile=fit.quantile
+            )
+        ],
         (
             f"one joint moved under a controller: the {motions[0].source} and the positions, with torque, rotor and friction as "
             f"{len(loads)} motions with known loads of {shown('kg', float(loads.min()), spec='.0f')} to "
@@ -57,8 +68,11 @@ def identify_known_joint(robot: Robot, motions: Sequence[Motion], calibration: J
     )
 
 
-def _refusals(motion: Motion, calibration: JointCalibration, fit: KnownJointFit) -> Iterator[Refusal]:
-    joint, half = calibration.joint, fit.quantile * fit.std
+def _refusals(
+    motion: Motion, calibration: JointCalibration, fit: KnownJointFit
+) -> Iterator[Refusal]:
+    joint = calibration.joint
+    half = fit.quantile * fit.std
     unexplained = fit.residual / max(fit.driven, 1e-12)
     if unexplained > UNEXPLAINED_SHARE or fit.residual > MISFIT_RATIO * calibration.residual:
         yield rejected(
@@ -67,7 +81,9 @@ def _refusals(motion: Motion, calibration: JointCalibration, fit: KnownJointFit)
             f"{motion.name}: {100.0 * unexplained:.0f} % of the torque of {joint} is not explained by any load with what its "
             "calibration knows: did anything touch the arm, or is the servo set otherwise than then?",
         )
-    yield from lighter_than_empty(fit.mass, half, "check the URDF's masses and the loads of the calibration")
+    yield from lighter_than_empty(
+        fit.mass, half, "check the URDF's masses and the loads of the calibration"
+    )
     advice = f"; lift and lower the load, faster and for longer than the {STRETCH_S * fit.stretches:.0f} s used here"
     # a mass at the end of what was looked for may be any
     share = 0.0 if fit.at_the_end else WIDEST_SHARE

@@ -16,13 +16,25 @@ import numpy as np
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate, Fit, JointFit, Value, Verdict
-from proprio_ros.identification.judge import ACCEPTED, Refusal, judge, not_identifiable, positive, rejected
+from proprio_ros.identification.judge import (
+    ACCEPTED,
+    Refusal,
+    judge,
+    not_identifiable,
+    positive,
+    rejected,
+)
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import STRETCH_S, once_each
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
-from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
+from proprio_ros.identification.regression.motion_fit import (
+    Centre,
+    MotionFit,
+    fit_empty,
+    fit_payload,
+)
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
 from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body
 from proprio_ros.quantity import shown
@@ -32,7 +44,8 @@ from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
-DRIFT_SIGMAS = 3.0  # How far from nothing an empty hand may weigh before the calibration is called out of date.
+# How far from nothing an empty hand may weigh before the calibration is called out of date.
+DRIFT_SIGMAS = 3.0
 SEEN_SHARE = 0.5  # Of the spread of any load's parameters: what is known no better is not seen.
 WIDEST_OF_ARM = 0.04
 """A mass whose half width is more than `WIDEST_SHARE` of it and this share of the arm's own mass is ``too_wide``."""
@@ -43,11 +56,18 @@ class MotionDetail:
     """What only an answer from a motion has."""
 
     stretches: int  # with the payload, that the interval was made from
-    unseen: tuple[str, ...]  # of the ten inertial parameters, those that this motion does not determine
+    # of the ten inertial parameters, those that this motion does not determine
+    unseen: tuple[str, ...]
     stretch_s: float = STRETCH_S  # their length [s]
 
     def as_json(self) -> dict[str, object]:
-        return {"motion": {"stretches": self.stretches, "stretch_s": self.stretch_s, "undetermined": list(self.unseen)}}
+        return {
+            "motion": {
+                "stretches": self.stretches,
+                "stretch_s": self.stretch_s,
+                "undetermined": list(self.unseen),
+            }
+        }
 
 
 def motion_answer(
@@ -84,7 +104,11 @@ def motion_answer(
 
 @once_each()
 def identify_in_motion(
-    robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts, centre_is_stated: bool = False
+    robot: Robot,
+    motions: Sequence[Motion],
+    baseline: Sequence[Motion],
+    facts: PayloadFacts,
+    centre_is_stated: bool = False,
 ) -> Estimate:
     """Identify the payload that all ``motions`` share.
 
@@ -101,11 +125,13 @@ def identify_in_motion(
     calibration = robot.motion_calibration
     if calibration is not None:
         fit = fit_payload(robot, motions, calibration, empty=baseline, centre=centre)
-        of_arm, known = _drifted(robot, baseline, calibration), "calibration"
+        of_arm = _drifted(robot, baseline, calibration)
+        known = "calibration"
     elif baseline:
         calibration = fit_empty(robot, baseline)
         fit = fit_payload(robot, motions, calibration, centre=centre)
-        of_arm, known = calibration_refusals(robot, baseline, calibration), "baseline"
+        of_arm = calibration_refusals(robot, baseline, calibration)
+        known = "baseline"
     else:
         unknown = not_identifiable(
             "no_empty_motion",
@@ -115,20 +141,28 @@ def identify_in_motion(
         )
         nothing = [positive("payload_mass", "kg", 0.0, 0.0, unknown.withheld)]
         assumptions = _assumptions(robot, motions, None, None)
-        return motion_answer(robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None)
+        return motion_answer(
+            robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None
+        )
     refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
     beside = baseline if robot.motion_calibration is not None else ()
     named = refusal
     if len(motions) > 1 and refusal.verdict is Verdict.REJECTED:
         with suppress(RecordingError):  # one is too short by itself
-            named = _apart(refusal, motions, [fit_payload(robot, [m], calibration, empty=beside) for m in motions], known)
+            named = _apart(
+                refusal,
+                motions,
+                [fit_payload(robot, [m], calibration, empty=beside) for m in motions],
+                known,
+            )
     if named is refusal:
         named = with_cause(refusal, robot, (*motions, *baseline))
     if centre is not None and named is refusal:
         free = fit_payload(robot, motions, calibration, empty=beside)
         named = _elsewhere(refusal, motions, centre, fit, free, known)
     refusal = named
-    mass, std = float(fit.values[0]), float(fit.std[0])
+    mass = float(fit.values[0])
+    std = float(fit.std[0])
     values = [positive("payload_mass", "kg", mass, std, refusal.withheld, quantile=fit.quantile)]
     if not refusal.withheld and not centre_is_stated:
         values.extend(_place(fit))
@@ -147,9 +181,14 @@ def identify_in_motion(
     )
 
 
-def _apart(refusal: Refusal, motions: Sequence[Motion], alone: Sequence[MotionFit], known: str) -> Refusal:
+def _apart(
+    refusal: Refusal, motions: Sequence[Motion], alone: Sequence[MotionFit], known: str
+) -> Refusal:
     """The refusal, with what each motion says ``alone``, where each is explained by itself."""
-    if any(judge(_refusals([motion], fit, known)) is not ACCEPTED for motion, fit in zip(motions, alone, strict=True)):
+    if any(
+        judge(_refusals([motion], fit, known)) is not ACCEPTED
+        for motion, fit in zip(motions, alone, strict=True)
+    ):
         return refusal
     places = [_place(fit)[0].value for fit in alone]
     told = ", ".join(
@@ -159,21 +198,37 @@ def _apart(refusal: Refusal, motions: Sequence[Motion], alone: Sequence[MotionFi
     )
     said = f"each motion is explained by itself, and together they are not: {told}"
     cure = "was the same object held in the same place? Weigh them apart"
-    return replace(refusal, reasons=(Reason("runs_contradict", f"{said}: {cure}"), *refusal.reasons))
+    return replace(
+        refusal, reasons=(Reason("runs_contradict", f"{said}: {cure}"), *refusal.reasons)
+    )
 
 
-def _elsewhere(refusal: Refusal, motions: Sequence[Motion], stated: Centre, fit: MotionFit, free: MotionFit, known: str) -> Refusal:
+def _elsewhere(
+    refusal: Refusal,
+    motions: Sequence[Motion],
+    stated: Centre,
+    fit: MotionFit,
+    free: MotionFit,
+    known: str,
+) -> Refusal:
     """The refusal, with what a fit that looks for the payload's centre says of the one that was stated, where that explains all."""
     place = _place(free)[0].value
-    if not isinstance(place, list) or None in place or judge(_refusals(motions, free, known)) is not ACCEPTED:
+    if (
+        not isinstance(place, list)
+        or None in place
+        or judge(_refusals(motions, free, known)) is not ACCEPTED
+    ):
         return refusal
-    name, found = motions[0].name, refusals.elsewhere(motions[0].name, stated[0], np.asarray(place))
+    name = motions[0].name
+    found = refusals.elsewhere(motions[0].name, stated[0], np.asarray(place))
     if refusal.verdict is not Verdict.REJECTED:
         found = next(refusals.centre_elsewhere(name, stated, fit, free), refusal)
     return found if found is refusal else replace(found, reasons=(*found.reasons, *refusal.reasons))
 
 
-def _drifted(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
+def _drifted(
+    robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration
+) -> Iterator[Refusal]:
     if baseline:
         fit = fit_payload(robot, baseline, calibration)
         yield from drift(float(fit.values[0]), float(fit.std[0]))
@@ -212,9 +267,12 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
                 "was something picked up or put down meanwhile? Record the motions with and without it apart",
             )
     unexplained = refusals.deciding(fit.tells, fit.unexplained)
-    yield from refusals.unexplained_torque(fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: ")
+    yield from refusals.unexplained_torque(
+        fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: "
+    )
     ratio = fit.residual / fit.empty_residual
-    worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))  # never of one that does not decide
+    # never of one that does not decide
+    worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))
     if unexplained[worst] > 0.1 and ratio[worst] > MISFIT_RATIO:
         yield rejected(
             "misfit",
@@ -224,13 +282,20 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
         )
     yield from refusals.unlike_urdf(fit.arm_over_urdf)
     yield from refusals.far_from_prior(fit.keys, fit.arm, fit.arm_prior, fit.arm_std, known)
-    yield from refusals.lighter_than_empty(float(fit.values[0]), fit.half_width, "are the recordings mixed up?")
+    yield from refusals.lighter_than_empty(
+        float(fit.values[0]), fit.half_width, "are the recordings mixed up?"
+    )
 
 
 def _louder(fit: MotionFit) -> str:
     """What it would do if all torques were read too large, and whether that would be noticed."""
-    least, much = float(refusals.noticed(fit).min()), shown("kg", 0.1 * fit.louder_kg, spec="+.0f")
-    shows = f"shows that from some {100.0 * least:.0f} % on" if np.isfinite(least) else "does not show that"
+    least = float(refusals.noticed(fit).min())
+    much = shown("kg", 0.1 * fit.louder_kg, spec="+.0f")
+    shows = (
+        f"shows that from some {100.0 * least:.0f} % on"
+        if np.isfinite(least)
+        else "does not show that"
+    )
     return f"torques are read as with the empty hand: were all 10 % larger, the mass would err by up to {much}; this motion {shows}"
 
 
@@ -246,9 +311,16 @@ def _too_wide(fit: MotionFit) -> Iterator[Refusal]:
 
 
 def _assumptions(
-    robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration | None, fit: MotionFit | None
+    robot: Robot,
+    motions: Sequence[Motion],
+    calibration: MotionCalibration | None,
+    fit: MotionFit | None,
 ) -> tuple[str, ...]:
-    known = "together with the baseline's" if robot.motion_calibration is None else "under the calibration's"
+    known = (
+        "together with the baseline's"
+        if robot.motion_calibration is None
+        else "under the calibration's"
+    )
     stated = max(relative_torque_std(robot, joint) for joint in motions[0].joints)
     torque_std = stated if calibration is None else calibration.torque_scale_std
     referenced = calibration is not None and calibration.referenced
@@ -257,7 +329,14 @@ def _assumptions(
         f"{known}, the arm's own inertia and friction included",
         f"torque constants as {'the reference showed them' if referenced else f'in {robot.source.name}'}, to "
         f"{100.0 * torque_std:.1f} %: a mass errs as they do",
-        *([] if fit is None else [f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says", _louder(fit)]),
+        *(
+            []
+            if fit is None
+            else [
+                f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says",
+                _louder(fit),
+            ]
+        ),
         "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset per joint",
     )
 
@@ -268,19 +347,30 @@ def _rms(values: np.ndarray) -> float:
 
 def _place(fit: MotionFit) -> tuple[Value, Value]:
     """Centre of mass, and inertia about it, in the payload's frame, where the mass is known well enough to divide by."""
-    mass, std = float(fit.values[0]), fit.std
+    mass = float(fit.values[0])
+    std = fit.std
     if abs(mass) < refusals.LEAST_SIGMAS * std[0] or mass <= 0.0:
         nothing = "too little is held to say "
         return (
             Value("payload_com", "m", [None] * 3, [None] * 3, [None] * 3, nothing + "where"),
-            Value("payload_inertia", "kg m^2", [None] * 6, [None] * 6, [None] * 6, nothing + "how it is spread"),
+            Value(
+                "payload_inertia",
+                "kg m^2",
+                [None] * 6,
+                [None] * 6,
+                [None] * 6,
+                nothing + "how it is spread",
+            ),
         )
     body = nearest_body(fit.values, fit.covariance)
     centre = body[1:4] / mass
     # of the quotient, to first order
     gradient = np.hstack([-centre[:, None], np.eye(3)]) / mass
     stds = np.sqrt(np.diag(gradient @ fit.covariance[:4, :4] @ gradient.T))
-    bounds = [[float(c - fit.quantile * s), float(c + fit.quantile * s)] for c, s in zip(centre, stds, strict=True)]
+    bounds = [
+        [float(c - fit.quantile * s), float(c + fit.quantile * s)]
+        for c, s in zip(centre, stds, strict=True)
+    ]
     return Value("payload_com", "m", centre.tolist(), stds.tolist(), bounds), _inertia(fit, body)
 
 
@@ -294,7 +384,11 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     seen[moments] &= fit.quantile * stds[moments] < refusals.WIDEST_SHARE * value[moments]
     for product, (one, other) in {1: (0, 3), 2: (0, 5), 4: (3, 5)}.items():
         seen[product] &= seen[one] or seen[other]
-    names = [name for name, told in zip(("xx", "xy", "xz", "yy", "yz", "zz"), seen, strict=True) if not told]
+    names = [
+        name
+        for name, told in zip(("xx", "xy", "xz", "yy", "yz", "zz"), seen, strict=True)
+        if not told
+    ]
     reason = ""
     if names:
         reason = f"{', '.join(names)} not determined by this motion: turn the hand faster about the axes that it is about"

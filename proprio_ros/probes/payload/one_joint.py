@@ -9,10 +9,28 @@ from itertools import chain
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, Value
-from proprio_ros.identification.judge import FAR, Refusal, judge, not_identifiable, positive, rejected
+from proprio_ros.identification.judge import (
+    FAR,
+    Refusal,
+    judge,
+    not_identifiable,
+    positive,
+    rejected,
+)
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE, relative_torque_std
-from proprio_ros.identification.regression.one_joint_fit import STRETCH_S, OneJointFit, carried_by, fit_one_joint, shown_of
-from proprio_ros.identification.regression.refusals import UNEXPLAINED_SHARE, interval_too_wide, lighter_than_empty, unlike_urdf
+from proprio_ros.identification.regression.one_joint_fit import (
+    STRETCH_S,
+    OneJointFit,
+    carried_by,
+    fit_one_joint,
+    shown_of,
+)
+from proprio_ros.identification.regression.refusals import (
+    UNEXPLAINED_SHARE,
+    interval_too_wide,
+    lighter_than_empty,
+    unlike_urdf,
+)
 from proprio_ros.probes.payload.moving import MotionDetail, motion_answer
 from proprio_ros.quantity import Quantity, shown
 from proprio_ros.recordings.motions import Motion
@@ -21,14 +39,17 @@ from proprio_ros.sim.payload import PayloadFacts
 
 UNSTATED_TORQUE_STD = 0.2
 """A torque constant without a standard deviation is a maker's number; a motor board's own torque was seen to be off by 17 %."""
-KNOWN_TORQUE_STD = 0.03  # No mass is stated where the torque's scale is known worse than this, relative.
+# No mass is stated where the torque's scale is known worse than this, relative.
+KNOWN_TORQUE_STD = 0.03
 FREE_SHARE = 0.6
 """A joint whose acceleration gravity explains so far, as that of a pendulum about as long as the lever, needs no motor to move."""
-MAGNITUDE_SHARE = 0.1  # An effort of one sign that is explained no better than to this share is taken for a magnitude.
+# An effort of one sign that is explained no better than to this share is taken for a magnitude.
+MAGNITUDE_SHARE = 0.1
 LOAD_SHARE = 1.0  # The load must take as much of the torque as all the rest does, rms over rms.
 LEAST_LENGTH_SHARE = 0.2
 """No pendulum is this short, in parts of its lever: it would have its mass there and no inertia."""
-LONGEST_SHARE = 0.25  # No length of the equivalent pendulum is given whose half width is more than this share of it.
+# No length of the equivalent pendulum is given whose half width is more than this share of it.
+LONGEST_SHARE = 0.25
 AWRY_RAD = 0.15  # The load hangs where the URDF says, but for this.
 LEAST_FRICTION_SHARE = 0.02  # Friction is stated no better than to this share of the torque.
 
@@ -42,7 +63,8 @@ class Weighed:
     # mass, std: [kg]
     mass: float
     std: float
-    parts: tuple[tuple[str, float], ...]  # what puts how much standard deviation on the mass, in words and [kg]
+    # what puts how much standard deviation on the mass, in words and [kg]
+    parts: tuple[tuple[str, float], ...]
     torque_std: float  # of the torque's scale, relative
     # length of the equivalent pendulum that arm and payload make by the robot file, and its standard deviation [m]
     expected_m: tuple[float, float]
@@ -50,7 +72,8 @@ class Weighed:
     awry: tuple[float, float]
     arm_kg_m: float  # first moment of the arm [kg m]
     lever_m: float  # from the joint's axis to the payload [m]
-    arm_over_urdf: float | None  # first moment of the empty arm over that of its URDF; None without a motion of it
+    # first moment of the empty arm over that of its URDF; None without a motion of it
+    arm_over_urdf: float | None
     per_kg: np.ndarray  # see `Carried`, shape (3,)
 
 
@@ -61,7 +84,9 @@ def torque_std(robot: Robot, joint: str) -> float:
     return UNSTATED_TORQUE_STD
 
 
-def identify_one_joint(robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts) -> Estimate:
+def identify_one_joint(
+    robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts
+) -> Estimate:
     """Identify how the joint swings, and the payload that all ``motions`` share.
 
     Args:
@@ -83,16 +108,23 @@ def identify_one_joint(robot: Robot, motions: Sequence[Motion], baseline: Sequen
     return _estimate(robot, motions, fit, empty, weighed, refusal, mass_refusal)
 
 
-def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit | None, facts: PayloadFacts) -> Weighed:
-    drive, hangs = robot.drive_trains[fit.joint], carried_by(robot, fit.joint, motion, facts)
-    urdf_inertia, urdf_moment, lever = float(hangs.arm[0]), hangs.arm[1:], hangs.per_kg[1:]
+def _weighed(
+    robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit | None, facts: PayloadFacts
+) -> Weighed:
+    drive = robot.drive_trains[fit.joint]
+    hangs = carried_by(robot, fit.joint, motion, facts)
+    urdf_inertia = float(hangs.arm[0])
+    urdf_moment = hangs.arm[1:]
+    lever = hangs.per_kg[1:]
     length = max(float(np.linalg.norm(lever)), 1e-6)
     toward = lever / length
     arm_std = robot.arm_scale.std if robot.is_calibrated([fit.joint]) else URDF_SHARE
     if empty is None:
-        arm, arm_moment_std = urdf_moment, arm_std * float(np.linalg.norm(urdf_moment))
+        arm = urdf_moment
+        arm_moment_std = arm_std * float(np.linalg.norm(urdf_moment))
     else:
-        arm, arm_moment_std = empty.values[2:], float(np.sqrt(toward @ empty.covariance[2:, 2:] @ toward))
+        arm = empty.values[2:]
+        arm_moment_std = float(np.sqrt(toward @ empty.covariance[2:, 2:] @ toward))
     carried = fit.values[2:] - arm
     mass = float(carried @ toward) / length
     relative = torque_std(robot, fit.joint)
@@ -104,7 +136,10 @@ def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit 
     # against the URDF an error of the scale takes its share of the whole moment, against the empty arm of the payload's alone
     scaled = mass if empty is not None else float(fit.values[2:] @ toward) / length
     parts = (
-        ("what differs from stretch to stretch", float(np.sqrt(toward @ fit.covariance[2:, 2:] @ toward)) / length),
+        (
+            "what differs from stretch to stretch",
+            float(np.sqrt(toward @ fit.covariance[2:, 2:] @ toward)) / length,
+        ),
         ("torque constants", abs(scaled) * relative),
         ("the arm itself", arm_moment_std / length),
         ("place of the payload", abs(mass) * hangs.centre_std_m / length),
@@ -137,7 +172,9 @@ def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit 
 
 def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Refusal]:
     """Why nothing at all is said."""
-    rest = float(np.hypot(fit.residual, np.sqrt(max(fit.driven**2 - fit.load**2 - fit.residual**2, 0.0))))
+    rest = float(
+        np.hypot(fit.residual, np.sqrt(max(fit.driven**2 - fit.load**2 - fit.residual**2, 0.0)))
+    )
     unexplained = fit.residual / max(fit.driven, 1e-12)
     percent = f"{100.0 * unexplained:.0f} %"
     if fit.one_sign and unexplained > MAGNITUDE_SHARE:
@@ -156,8 +193,12 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
             f"acceleration, and the motor's {shown('N m', fit.driven, spec='.3g')} (rms) are of the size of friction, so they say "
             "little about the load: record a motion in which the motor lifts, holds back and turns the load round",
         )
-    inertia, inertia_std = float(fit.values[1]), float(fit.std[1])
-    unseen = abs(inertia) < fit.quantile * inertia_std or 0.0 < float(fit.values[0]) < LEAST_LENGTH_SHARE * weighed.lever_m
+    inertia = float(fit.values[1])
+    inertia_std = float(fit.std[1])
+    unseen = (
+        abs(inertia) < fit.quantile * inertia_std
+        or 0.0 < float(fit.values[0]) < LEAST_LENGTH_SHARE * weighed.lever_m
+    )
     if unexplained <= UNEXPLAINED_SHARE and unseen:
         yield not_identifiable(
             "says_too_little",
@@ -166,7 +207,11 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
             "slowly, or the effort was computed, not measured; let the motor accelerate it",
         )
     if unexplained > UNEXPLAINED_SHARE or inertia <= 0.0:
-        share = f"{percent} of its effort is not explained" if inertia > 0.0 else "its inertia came out negative"
+        share = (
+            f"{percent} of its effort is not explained"
+            if inertia > 0.0
+            else "its inertia came out negative"
+        )
         yield rejected(
             "misfit",
             "the model does not explain the recording",
@@ -191,7 +236,9 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
         )
 
 
-def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Refusal]:
+def _mass_refusals(
+    robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weighed
+) -> Iterator[Refusal]:
     """Why no mass is said."""
     drive = robot.drive_trains[fit.joint]
     confirmed = weighed.arm_over_urdf is not None or robot.is_calibrated([fit.joint])
@@ -221,8 +268,13 @@ def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weig
         )
     least = LEAST_FRICTION_SHARE * fit.driven
     damping = drive.electric_damping
-    viscous = Quantity(drive.viscous.value + damping, float(np.hypot(drive.viscous.std, EMF_SHARE * damping)))
-    for term, value, stated in (("viscous", fit.viscous, viscous), ("Coulomb", fit.coulomb, drive.coulomb)):
+    viscous = Quantity(
+        drive.viscous.value + damping, float(np.hypot(drive.viscous.std, EMF_SHARE * damping))
+    )
+    for term, value, stated in (
+        ("viscous", fit.viscous, viscous),
+        ("Coulomb", fit.coulomb, drive.coulomb),
+    ):
         spread = max(stated.std, 0.5 * abs(stated.value), least)
         if abs(value - stated.value) > FAR * spread:
             yield rejected(
@@ -261,11 +313,23 @@ def _estimate(
     if refusal.withheld:
         length = Value("equivalent_pendulum_length", "m", None, reason=refusal.withheld)
     else:
-        value, std = float(fit.values[0]), float(fit.std[0])
+        value = float(fit.values[0])
+        std = float(fit.std[0])
         bounds = [value - fit.quantile * std, value + fit.quantile * std]
         length = Value("equivalent_pendulum_length", "m", value, std, bounds)
-    arm = "an empty hand in the same motion" if empty is not None else f"the bodies of the URDF, to {100.0 * URDF_SHARE:.0f} %"
-    mass = positive("payload_mass", "kg", weighed.mass, weighed.std, mass_refusal.withheld, quantile=fit.quantile)
+    arm = (
+        "an empty hand in the same motion"
+        if empty is not None
+        else f"the bodies of the URDF, to {100.0 * URDF_SHARE:.0f} %"
+    )
+    mass = positive(
+        "payload_mass",
+        "kg",
+        weighed.mass,
+        weighed.std,
+        mass_refusal.withheld,
+        quantile=fit.quantile,
+    )
     return motion_answer(
         robot,
         motions,

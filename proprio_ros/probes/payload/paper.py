@@ -17,7 +17,15 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.estimate import Estimate, Fit, Scan, SolverSummary, StartPath, Value, Verdict
+from proprio_ros.identification.estimate import (
+    Estimate,
+    Fit,
+    Scan,
+    SolverSummary,
+    StartPath,
+    Value,
+    Verdict,
+)
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.identification.posterior import run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
@@ -51,14 +59,20 @@ class PaperOptions:
 
     def __post_init__(self) -> None:
         if not 1 <= self.substeps <= 1024:
-            raise ConfigurationError(f"paper.substeps={self.substeps}: choose 1 to 1024 (the paper: 4 to 64)")
+            raise ConfigurationError(
+                f"paper.substeps={self.substeps}: choose 1 to 1024 (the paper: 4 to 64)"
+            )
         if self.iterations < 1 or self.extended_iterations < 1 or self.learning_rate <= 0.0:
-            raise ConfigurationError("paper.iterations, extended_iterations and learning_rate must be positive")
+            raise ConfigurationError(
+                "paper.iterations, extended_iterations and learning_rate must be positive"
+            )
         if not self.starts_kg or min(self.starts_kg) <= 0.0:
             raise ConfigurationError("paper.starts_kg needs at least one positive mass in kg")
 
 
-def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, options: PaperOptions) -> Estimate:
+def identify_as_paper(
+    robot: Robot, runs: Sequence[Run], facts: PayloadFacts, options: PaperOptions
+) -> Estimate:
     """Identify the mass of one run as the paper does.
 
     The value is the least-error mass. It carries no interval, because the method has none; the verdict comes from the whole
@@ -69,10 +83,13 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
         RecordingError: See ``weigh``.
     """
     if len(runs) != 1:
-        raise ConfigurationError(f"profile paper fits one run at a time, not {len(runs)}: choose one bag, or the default profile")
+        raise ConfigurationError(
+            f"profile paper fits one run at a time, not {len(runs)}: choose one bag, or the default profile"
+        )
     run = runs[0]
     honest = weigh(robot, runs, facts, WeighingOptions())
-    if honest.fit is None:  # the joint did not move, or nothing of the run is usable: there is nothing to fit
+    # the joint did not move, or nothing of the run is usable: there is nothing to fit
+    if honest.fit is None:
         return honest
     loss = last_frame_loss(robot, run, facts, options)
     starts = np.array(options.starts_kg)[:, None]
@@ -80,13 +97,21 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
         adam_descent(loss, starts, options.learning_rate, iterations, lower=1e-6)
         for iterations in (options.iterations, options.extended_iterations)
     )
-    frozen, found = scheduled.internal[:, 0], extended.internal[:, 0].tolist()
+    frozen = scheduled.internal[:, 0]
+    found = extended.internal[:, 0].tolist()
     best = found[extended.best]
     paths = []
     for s, start in enumerate(starts[:, 0].tolist()):
-        agrees, path = abs(found[s] - best) <= 0.005 * best, (extended.path[:, s, 0], extended.path_cost[:, s])
-        paths.append(StartPath(start, found[s], float(extended.cost[s]), agrees, *path, scheduled=float(frozen[s])))
-    fits, rms, expected = run_fits(loss.whole, loss.whole.all_values(np.array([[best]]))[0], [loss.prepared])
+        agrees = abs(found[s] - best) <= 0.005 * best
+        path = (extended.path[:, s, 0], extended.path_cost[:, s])
+        paths.append(
+            StartPath(
+                start, found[s], float(extended.cost[s]), agrees, *path, scheduled=float(frozen[s])
+            )
+        )
+    fits, rms, expected = run_fits(
+        loss.whole, loss.whole.all_values(np.array([[best]]))[0], [loss.prepared]
+    )
     reduced = float(np.mean(((fits[0].simulated - fits[0].measured) / fits[0].sigma) ** 2))
     masses = scan_masses(best)
     reasons = [_without_interval(reason) for reason in honest.reasons]
@@ -103,18 +128,27 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
         f"the schedule of {options.iterations} iterations stops at {shown('kg', *frozen, spec='.1f', between=', ')}; "
         f"the least error is at {shown('kg', best, spec='.1f')}"
     )
-    mass = Value("payload_mass", "kg", best, reason="least error of the last frame; the method gives no interval")
+    mass = Value(
+        "payload_mass",
+        "kg",
+        best,
+        reason="least error of the last frame; the method gives no interval",
+    )
     return replace(
         honest,
         verdict=verdict,
         reasons=tuple(reasons),
         values=(mass,),
         fit=Fit(rms, expected, reduced),
-        solver=SolverSummary("adam", "paper", options.iterations, tuple(paths), "semi_implicit", loss.step_s),
+        solver=SolverSummary(
+            "adam", "paper", options.iterations, tuple(paths), "semi_implicit", loss.step_s
+        ),
         run_fits=fits,
         unknowns=(),
         budget=(),
-        scan=Scan(masses, 1e6 * loss(masses[:, None])[0], "squared error of the last frame (mrad^2)"),
+        scan=Scan(
+            masses, 1e6 * loss(masses[:, None])[0], "squared error of the last frame (mrad^2)"
+        ),
         assumptions=(
             "the mass is the only unknown; torque constant, friction, armature and timing are taken as the robot file states them",
             "the run starts at rest at its first sample",
@@ -126,18 +160,25 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
     )
 
 
-def last_frame_loss(robot: Robot, run: Run, facts: PayloadFacts, options: PaperOptions) -> LastFrame:
+def last_frame_loss(
+    robot: Robot, run: Run, facts: PayloadFacts, options: PaperOptions
+) -> LastFrame:
     """The paper's loss of a run, as a function of the mass.
 
     Raises:
         ConfigurationError: The loss wants a sample that the run does not have.
         RecordingError: See ``prepare_run``.
     """
-    prepared = prepare_run(robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0), held_position={}))
+    prepared = prepare_run(
+        robot,
+        replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0), held_position={}),
+    )
     last = (len(run.times_s) - 1) if options.loss_sample is None else options.loss_sample
     loss_time = float(run.times_s[last]) if options.loss_time_s is None else options.loss_time_s
     if not 0 <= last < len(run.times_s) or loss_time <= 0.0:
-        raise ConfigurationError(f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples")
+        raise ConfigurationError(
+            f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples"
+        )
     step = FRAME_S / options.substeps
     return LastFrame(robot, prepared, facts, step, loss_time, float(run.position[last]))
 
@@ -146,13 +187,18 @@ def _without_interval(reason: str) -> str:
     """A reason of the default profile; where that speaks of its interval, it is said whose interval that is."""
     match getattr(reason, "code", "other"):
         case "not_calibrated":
-            return Reason("not_calibrated", "the robot has not been calibrated: the method takes its file's numbers as exact")
+            return Reason(
+                "not_calibrated",
+                "the robot has not been calibrated: the method takes its file's numbers as exact",
+            )
         case "coarse_fit" | "guessed_facts" | "too_wide" as code:
             return Reason(code, f"default profile: {reason}")
     return reason
 
 
-def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Container[str]) -> PaperOptions:
+def as_published(
+    paper: PaperOptions, setting: Mapping[str, Any], stated: Container[str]
+) -> PaperOptions:
     """The setting that came with a recording of the authors, in which they fitted it; keys that the user stated stay."""
     simulation = setting.get("simulation", {})
     changes: dict[str, Any] = {}
@@ -161,14 +207,19 @@ def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Contai
     fit = setting.get("fit", {})
     if "start_mass_kg" in fit and "paper.starts_kg" not in stated:
         # the starts of the paper's Table II below 1 kg, the recording's own first
-        changes["starts_kg"] = tuple(sorted({float(fit["start_mass_kg"]), 0.001, 0.005, 0.095, 0.191}))
+        changes["starts_kg"] = tuple(
+            sorted({float(fit["start_mass_kg"]), 0.001, 0.005, 0.095, 0.191})
+        )
     if "optimizer" in fit and "paper.iterations" not in stated:
         changes["iterations"] = 15
     if "loss" in fit and "paper.loss_sample" not in stated:
         # the authors keep the states before each step, so the last one they compare lies one substep before
         # frame 36; it meets sample 35
         substeps = changes.get("substeps", paper.substeps)
-        changes |= {"loss_time_s": (PROBE_FRAMES - 1 / substeps) * FRAME_S, "loss_sample": PROBE_FRAMES - 1}
+        changes |= {
+            "loss_time_s": (PROBE_FRAMES - 1 / substeps) * FRAME_S,
+            "loss_sample": PROBE_FRAMES - 1,
+        }
     return replace(paper, **changes)
 
 
@@ -181,7 +232,15 @@ class LastFrame:
         whole: The same robot and run with all samples, to see how the rest of the trajectory fits.
     """
 
-    def __init__(self, robot: Robot, run: PreparedRun, facts: PayloadFacts, step_s: float, time_s: float, target: float) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        run: PreparedRun,
+        facts: PayloadFacts,
+        step_s: float,
+        time_s: float,
+        target: float,
+    ) -> None:
         self._target = target
         self.prepared, self.step_s, self.time_s = run, step_s, time_s
         last = replace(run.run, times_s=np.array([time_s]), position=np.array([target]))
@@ -200,6 +259,8 @@ class LastFrame:
         problem = self._problem
         p, dp = problem.parameters(problem.all_values(mass), self._mass)
         assert isinstance(problem.simulator, JointSimulator)
-        q, _, dq = problem.simulator.jacobian(np.zeros(len(mass), dtype=np.int32), p[:, 0], dp[:, 0])
+        q, _, dq = problem.simulator.jacobian(
+            np.zeros(len(mass), dtype=np.int32), p[:, 0], dp[:, 0]
+        )
         error = q[:, :1] - self._target
         return error[:, 0] ** 2, 2.0 * error * dq[:, 0]

@@ -17,7 +17,12 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import MotionFit, fit_payload
-from proprio_ros.identification.regression.refusals import APART_SIGMAS, WIDEST_SHARE, lighter_than_empty, unlike_urdf
+from proprio_ros.identification.regression.refusals import (
+    APART_SIGMAS,
+    WIDEST_SHARE,
+    lighter_than_empty,
+    unlike_urdf,
+)
 from proprio_ros.probes.payload.moving import WIDEST_OF_ARM, drift, motion_answer
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
@@ -43,7 +48,8 @@ def identify_standing(
         TooLittleMotion: They do not stand, either.
         RecordingError: A recording is of no use.
     """
-    centre_m, centre_std_m = np.asarray(facts.com), np.maximum(facts.com_std, 1e-3) if centre_is_stated else None
+    centre_m = np.asarray(facts.com)
+    centre_std_m = np.maximum(facts.com_std, 1e-3) if centre_is_stated else None
     fit = fit_at_rest(robot, motions, learnt, centre_m, centre_std_m)
     empty = (fit_at_rest(robot, [motion], learnt, centre_m, centre_std_m) for motion in baseline)
     of_arm = chain.from_iterable(drift(each.mass_kg, each.std_kg) for each in empty)
@@ -52,7 +58,13 @@ def identify_standing(
         centre = None if centre_std_m is None else (centre_m, centre_std_m)
         moving = fit_payload(robot, motions, learnt, centre=centre, least=1)
     arm_kg = Arm.of(robot, learnt.joints, dict(motions[0].held)).kg
-    refusal = judge(chain(of_arm, _refusals(motions[0].name, fit, moving, learnt.arm_over_urdf), _too_wide(fit, arm_kg)))
+    refusal = judge(
+        chain(
+            of_arm,
+            _refusals(motions[0].name, fit, moving, learnt.arm_over_urdf),
+            _too_wide(fit, arm_kg),
+        )
+    )
     how = (
         f"{fit.moved_s:.1f} s of motion, each under the friction of the calibration"
         if fit.moved_s
@@ -74,7 +86,9 @@ def identify_standing(
     )
 
 
-def _refusals(name: str, fit: RestFit, moving: MotionFit | None, arm_over_urdf: float) -> Iterator[Refusal]:
+def _refusals(
+    name: str, fit: RestFit, moving: MotionFit | None, arm_over_urdf: float
+) -> Iterator[Refusal]:
     worse = 0.0 if moving is None else float(np.nanmax(moving.residual / moving.empty_residual))
     other, other_std = fit.beside or (fit.mass_kg, 0.0)
     apart = abs(other - fit.mass_kg) > APART_SIGMAS * np.hypot(other_std, fit.std_kg)

@@ -48,7 +48,9 @@ class Softness(
     name = "softness"
     subject = "block"
     answer = ("youngs_modulus", "Pa")
-    numbers = MappingProxyType({name: name for name in ("youngs_modulus", "lame_mu", "lame_lambda")})
+    numbers = MappingProxyType(
+        {name: name for name in ("youngs_modulus", "lame_mu", "lame_lambda")}
+    )
     keys = ("block.",)
     unknowns: ClassVar[Mapping[str, Kind]] = {
         "youngs_modulus": Kind("Pa", "Young's modulus"),
@@ -78,7 +80,9 @@ class Softness(
         stated=("block.size=0.03",),
     )  # fmt: skip
 
-    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> SoftnessJob:
+    def facts(
+        self, settings: Settings, solver: str = "lm", profile: str = "default"
+    ) -> SoftnessJob:
         from proprio_ros.probes.softness.facts import block_facts
         from proprio_ros.probes.softness.identify import SqueezeOptions
 
@@ -86,13 +90,21 @@ class Softness(
         block = block_facts(settings, defaults["block"])
         return SoftnessJob(block, settings.options(SqueezeOptions, "solver.", defaults["solver"]))
 
-    def check(self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, limits: Mapping[str, float]) -> None:
+    def check(
+        self,
+        robot: Robot,
+        facts: SoftnessJob,
+        sequence: ExcitationSequence,
+        limits: Mapping[str, float],
+    ) -> None:
         joint, *others = {run.joint for run in sequence.runs}
         if others or robot.model.joint(joint).kind != "prismatic":
             raise ConfigurationError(
                 f"{sequence.name} drives {', '.join([joint, *others])}: squeeze with a joint that slides a finger"
             )
-        squeeze = largest_squeeze(robot, joint, max(run.max_travel for run in sequence.runs), facts.block)
+        squeeze = largest_squeeze(
+            robot, joint, max(run.max_travel for run in sequence.runs), facts.block
+        )
         if squeeze > limits[LIMIT]:
             raise ConfigurationError(
                 f"{sequence.name} may squeeze a block of {1e3 * facts.block.length:g} mm by {100.0 * squeeze:.0f} %, more than "
@@ -116,7 +128,8 @@ class Softness(
 
         block = facts.block
         table = block.table(rebuild=True)
-        squeezes, ratios = (0.1, 0.2, 0.3), (0.1, 0.3, 0.45)
+        squeezes = (0.1, 0.2, 0.3)
+        ratios = (0.1, 0.3, 0.45)
         # force over E A: what a Young's modulus has to be multiplied with
         phi = [table(squeezes, ratio)[0].tolist() for ratio in ratios]
         content = {
@@ -126,18 +139,29 @@ class Softness(
         edges = " x ".join(f"{1e3 * edge:.4g}" for edge in block.size)
         lines = [
             f"block of {edges} mm, faces {block.contact}, law {block.law}, squeezed by up to {100.0 * table.reach:.0f} %",
-            "force over E A at a squeeze of" + "".join(f"{100.0 * squeeze:8.0f} %" for squeeze in squeezes),
+            "force over E A at a squeeze of"
+            + "".join(f"{100.0 * squeeze:8.0f} %" for squeeze in squeezes),
         ]
         for ratio, row in zip(ratios, phi, strict=True):
-            lines.append(f"  Poisson's ratio {ratio:<12g}" + "".join(f"{value:10.4f}" for value in row))
+            lines.append(
+                f"  Poisson's ratio {ratio:<12g}" + "".join(f"{value:10.4f}" for value in row)
+            )
         return content, "\n".join(lines)
 
-    def chooser(self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()) -> Chooser:
+    def chooser(
+        self,
+        robot: Robot,
+        facts: SoftnessJob,
+        sequence: ExcitationSequence,
+        baseline: Sequence[Run] = (),
+    ) -> Chooser:
         from proprio_ros.probes.softness.choosing import SqueezesUntilSure
         from proprio_ros.quantity import Z95
 
         def whole(runs: Sequence[Run]) -> float | None:
-            modulus = self.identify(robot, base.Recorded(runs, baseline), facts).value("youngs_modulus")
+            modulus = self.identify(robot, base.Recorded(runs, baseline), facts).value(
+                "youngs_modulus"
+            )
             if not isinstance(modulus.value, float) or not isinstance(modulus.std, float):
                 return None
             return Z95 * modulus.std / modulus.value
@@ -164,14 +188,20 @@ class Softness(
 
     def shapes(self, robot: Robot, facts: SoftnessJob, estimate: Estimate) -> base.Shapes | None:
         rotation = block_rotation(robot, estimate.run_fits[0].joint)
-        return base.Shapes([0.0, 0.0, 0.0], [base.Body("box", facts.block.size.tolist(), rotation, 0.6)])
+        return base.Shapes(
+            [0.0, 0.0, 0.0], [base.Body("box", facts.block.size.tolist(), rotation, 0.6)]
+        )
 
 
 def largest_squeeze(robot: Robot, joint: str, travel_m: float, facts: BlockFacts) -> float:
     """How far a block is squeezed, relative to its length, when a finger that touches it goes on by so much, as published."""
     drive = robot.drive_trains[joint]
     measured = drive.finger_travel
-    steepest = 1.0 if measured is None else float(measured.ratio_at(measured.at_rad).max()) / drive.transmission
+    steepest = (
+        1.0
+        if measured is None
+        else float(measured.ratio_at(measured.at_rad).max()) / drive.transmission
+    )
     return facts.fingers * steepest * travel_m / facts.length
 
 

@@ -32,7 +32,8 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 
-CURRENTS, DURATIONS_S = 10, (0.6, 1.0)
+CURRENTS = 10
+DURATIONS_S = (0.6, 1.0)
 LEAST_BEYOND = 1.2  # the smallest current, over what friction takes of it
 UNKNOWN_SHARE = 3.0
 """How far off a modulus may be that no squeeze has told, as a share of it: so that the variance is finite."""
@@ -55,14 +56,21 @@ class SqueezesUntilSure(Chooser):
         sequence: ExcitationSequence,
         whole: Callable[[Sequence[Run]], float | None] | None = None,
     ) -> None:
-        super().__init__(robot, sequence, Sought("youngs_modulus", "Pa", share=True, label="Young's modulus"), whole)
+        super().__init__(
+            robot,
+            sequence,
+            Sought("youngs_modulus", "Pa", share=True, label="Young's modulus"),
+            whole,
+        )
         if not sequence.runs:
             raise ConfigurationError(f"{sequence.name}: state a first squeeze under 'runs'")
         self._facts, self._options = facts, options
         self._first = sequence.runs[0]
         self._farthest_m = max(run.max_travel for run in sequence.runs)
         stated = [run.max_current_A for run in sequence.runs if run.max_current_A is not None]
-        self._limit_A = min([robot.motors[self._first.joint].current_limit_A, *([max(stated)] if stated else [])])
+        self._limit_A = min(
+            [robot.motors[self._first.joint].current_limit_A, *([max(stated)] if stated else [])]
+        )
         self._usable: list[PreparedRun] = []
         self._heard = 0
         self._fit: FitResult | None = None
@@ -82,7 +90,12 @@ class SqueezesUntilSure(Chooser):
         at = self._shared.at["youngs_modulus"]
         self._shared.prior[at, at] += (UNKNOWN_SHARE * modulus) ** -2
         self._covariance = self._shared.covariance_after(self._fit)
-        return Found(modulus, float(np.sqrt(self._covariance[at, at])), len(self._usable), self._fit.reduced_chi2)
+        return Found(
+            modulus,
+            float(np.sqrt(self._covariance[at, at])),
+            len(self._usable),
+            self._fit.reduced_chi2,
+        )
 
     def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
         if self._fit is None:
@@ -95,33 +108,57 @@ class SqueezesUntilSure(Chooser):
         towards = float(np.sign(self._first.current_A))
         rubs_A = (drive.coulomb.value + 0.5 * drive.coulomb.std) / drive.torque_constant.value
         least = min(max(LEAST_BEYOND * rubs_A, 0.5 * abs(self._first.current_A)), self._limit_A)
-        currents = [towards * size for size in np.geomspace(least, self._limit_A, CURRENTS).round(3).tolist()]
+        currents = [
+            towards * size
+            for size in np.geomspace(least, self._limit_A, CURRENTS).round(3).tolist()
+        ]
         longest_s = max(DURATIONS_S)
-        still = prepare_run(self.robot, still_run(joint, start, currents[0], longest_s), KnownLoad(), past_fast=True)
-        made = [replace(still, run=replace(still.run, input_current_A=np.array([current]))) for current in currents]
+        still = prepare_run(
+            self.robot, still_run(joint, start, currents[0], longest_s), KnownLoad(), past_fast=True
+        )
+        made = [
+            replace(still, run=replace(still.run, input_current_A=np.array([current])))
+            for current in currents
+        ]
         seconds = float(time_of(self.robot, self._sequence, pose)([start])[0])
         return best_first(self._promised(currents, made, start, seconds), target_std)
 
     def _promised(
-        self, currents: Sequence[float], runs: Sequence[PreparedRun], start: dict[str, float], beside_s: float
+        self,
+        currents: Sequence[float],
+        runs: Sequence[PreparedRun],
+        start: dict[str, float],
+        beside_s: float,
     ) -> list[Push]:
         """What squeezes from one start would tell of the modulus, each with every duration in which the fingers move far enough."""
-        fit, robot, facts, options = self._fit, self.robot, self._facts, self._options
+        fit = self._fit
+        robot = self.robot
+        facts = self._facts
+        options = self._options
         assert fit is not None
-        problem = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options).problem(Role.FREE)
+        problem = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options).problem(
+            Role.FREE
+        )
         found = list(zip(fit.problem.unknowns, fit.values.tolist(), strict=True))
         gap = float(np.mean([value for unknown, value in found if unknown.kind == "gap"]))
         known = {unknown.key: value for unknown, value in found if unknown.shared}
-        values = np.array([gap if u.kind == "gap" else known.get(u.key, u.value) for u in problem.unknowns])
+        values = np.array(
+            [gap if u.kind == "gap" else known.get(u.key, u.value) for u in problem.unknowns]
+        )
         with np.errstate(over="ignore", invalid="ignore"):
             q, v, dq = problem.simulate(values[None], problem.free)
-        q, v, dq = q[0], v[0], dq[0]
-        drive, rest = runs[0].drive, runs[0].rest.value
+        q = q[0]
+        v = v[0]
+        dq = dq[0]
+        drive = runs[0].drive
+        rest = runs[0].rest.value
         per_rad = abs(drive.transmission)
         travel = np.abs(q - rest) * per_rad
         alive = np.isfinite(q) & np.isfinite(dq).all(axis=2) & (np.abs(v) < FASTEST)
         # it ends at the sample where it is seen to have gone so far
-        alive &= np.concatenate([np.ones((len(runs), 1), bool), travel[:, :-1] < self._farthest_m], axis=1)
+        alive &= np.concatenate(
+            [np.ones((len(runs), 1), bool), travel[:, :-1] < self._farthest_m], axis=1
+        )
         alive = np.cumprod(alive, axis=1).astype(bool)
         sigma = np.hypot(runs[0].sigma[0], np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s)
         times = runs[0].times_s
@@ -137,20 +174,27 @@ class SqueezesUntilSure(Chooser):
             for c, current in enumerate(currents):
                 last = min(int(np.searchsorted(times, duration + 1e-9)), int(alive[c].sum()))
                 # what its travel ends before is the same push
-                if last < MIN_USED or (duration > DURATIONS_S[0] and times[last - 1] <= DURATIONS_S[0]):
+                if last < MIN_USED or (
+                    duration > DURATIONS_S[0] and times[last - 1] <= DURATIONS_S[0]
+                ):
                     continue
                 gone = (q[c, :last] - rest) * drive.transmission
                 if np.abs(gone).max() < self._first.min_travel:
                     continue
-                lasts, std = beside_s + float(times[last - 1]), float(stds[c, last - 1])
+                lasts = beside_s + float(times[last - 1])
+                std = float(stds[c, last - 1])
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-6 * now))) / lasts
                 ends = float(gone[np.argmax(np.abs(gone))])
-                pushes.append(Push(self._first.joint, start, current, 0.0, duration, lasts, std, gain, ends))
+                pushes.append(
+                    Push(self._first.joint, start, current, 0.0, duration, lasts, std, gain, ends)
+                )
         return pushes
 
     def run_of(self, push: Push) -> ExcitationRun:
         start = {push.joint: push.start[push.joint]}
-        first = replace(self._first, max_travel=self._farthest_m, max_current_A=self._limit_A, raise_by=RAISE_BY)
+        first = replace(
+            self._first, max_travel=self._farthest_m, max_current_A=self._limit_A, raise_by=RAISE_BY
+        )
         return replace(first, current_A=push.current_A, duration_s=push.duration_s, start=start)
 
     def sequence_of(self, run: ExcitationRun) -> ExcitationSequence:

@@ -58,4 +58,8 @@ class SoftnessDetail:
 
     def as_json(self) -> dict[str, Any]:
         """The joint interval, where both values are the recording's."""
-        return {} if self.joint is None or not self.joint.determined else {"joint_interval": self.joint}
+        return (
+            {}
+            if self.joint is None or not self.joint.determined
+            else {"joint_interval": self.joint}
+        )

@@ -21,14 +21,21 @@ from proprio_ros.sim.quasistatic import CONTACTS
 _RATIO = Number("", "", 0.0, HIGHEST_RATIO, hint=f"it must lie between 0 and {HIGHEST_RATIO}")
 FORMS: dict[str, Form] = {
     "block.mesh": Perhaps(
-        "file with tetrahedra, x along the squeeze", Text(what="the name of a file with tetrahedra", longest=4095)
+        "file with tetrahedra, x along the squeeze",
+        Text(what="the name of a file with tetrahedra", longest=4095),
     ),
-    "block.mesh_scale": Number("m per unit of length in that file: 0.001 where it is in mm", "", 0.0, 1e3, open=True),
-    "block.mass": Perhaps("does not show in a squeeze, so it is not used", Number(unit="kg", lowest=0.0, highest=1e3)),
+    "block.mesh_scale": Number(
+        "m per unit of length in that file: 0.001 where it is in mm", "", 0.0, 1e3, open=True
+    ),
+    "block.mass": Perhaps(
+        "does not show in a squeeze, so it is not used", Number(unit="kg", lowest=0.0, highest=1e3)
+    ),
     "block.law": Choice("of elasticity", tuple(LAWS_OF_ELASTICITY)),
     "block.contact": Choice("bonded: faces that stick", tuple(CONTACTS)),
     "block.fingers": Whole("that move", "", 1, 2, hint="one finger moves, or two"),
-    "block.gap": Number("how far the fingers together close before they touch; fitted, within", "m", -0.5, 0.5),
+    "block.gap": Number(
+        "how far the fingers together close before they touch; fitted, within", "m", -0.5, 0.5
+    ),
     "block.gap_std": Number("", "m", 0.0, 0.5),
     "block.poissons_ratio": replace(_RATIO, meaning="before the squeeze"),
     "block.poissons_ratio_std": Number("", "", 0.0, 1.0),
@@ -36,7 +43,9 @@ FORMS: dict[str, Form] = {
     "block.relaxation_std_s": Number("", "s", 0.0, 100.0),
 }
 """What may be stated about a block; `block.size` is one number or three."""
-_SIZE = Number(unit="m", lowest=0.0, highest=0.5, open=True, hint="these are lengths in m, so 30 mm is 0.03")
+_SIZE = Number(
+    unit="m", lowest=0.0, highest=0.5, open=True, hint="these are lengths in m, so 30 mm is 0.03"
+)
 
 
 def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
@@ -48,18 +57,26 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     def take(name: str) -> Any:
         return settings.take(f"block.{name}", defaults.get(name), FORMS[f"block.{name}"])
 
-    path, scale = take("mesh"), take("mesh_scale")
+    path = take("mesh")
+    scale = take("mesh_scale")
     mesh = None if path is None else read_mesh(Path(path).expanduser(), scale)
     size = settings.take("block.size", defaults.get("size"))
     if mesh is not None:
         size = mesh.size.tolist()
         if max(size) > 0.5:
-            raise ConfigurationError(f"block.mesh={path}: is {max(size):g} m long; if it is in mm, state block.mesh_scale=0.001")
+            raise ConfigurationError(
+                f"block.mesh={path}: is {max(size):g} m long; if it is in mm, state block.mesh_scale=0.001"
+            )
     three = size if isinstance(size, list) else [size] * 3
     edges = np.array(read("block.size", three, Numbers("", _SIZE, 3, example="[x, y, z] in m")))
-    take("mass")  # a block's weight changes its squeeze by less than a thousandth; stated or not, it is not used
+    # a block's weight changes its squeeze by less than a thousandth; stated or not, it is not used
+    take("mass")
     law, contact, fingers = (take(name) for name in ("law", "contact", "fingers"))
-    uncertain = (("gap", "gap_std"), ("poissons_ratio", "poissons_ratio_std"), ("relaxation_s", "relaxation_std_s"))
+    uncertain = (
+        ("gap", "gap_std"),
+        ("poissons_ratio", "poissons_ratio_std"),
+        ("relaxation_s", "relaxation_std_s"),
+    )
     gap, ratio, relaxation = (Quantity(take(value), take(std)) for value, std in uncertain)
     guessed = ("block.size",) if mesh is None and "block.size" not in settings.taken else ()
     return BlockFacts(edges, law, contact, fingers, gap, ratio, relaxation, mesh, guessed)

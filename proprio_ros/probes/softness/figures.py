@@ -8,12 +8,18 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate
-from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
+from proprio_ros.probes.softness.detail import (
+    BlockShape,
+    JointInterval,
+    SoftnessDetail,
+    SqueezeCurve,
+)
 from proprio_ros.quantity import shown_unit
 from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, plain, svg
 from proprio_ros.report.html import framed
 
-VIEW = np.array([-0.3, 1.0, -0.3])  # where one looks: along y, a little from the right and from above
+# where one looks: along y, a little from the right and from above
+VIEW = np.array([-0.3, 1.0, -0.3])
 
 
 def sections(estimate: Estimate) -> list[str]:
@@ -24,7 +30,9 @@ def sections(estimate: Estimate) -> list[str]:
     parts = ["<h2>The block</h2>", framed(squeeze_figure(detail.curves), size="small-one")]
     if detail.joint is not None:
         prior = "Poisson's ratio is the prior's here, and so is how long the region is."
-        picture = framed(joint_figure(detail.joint), "" if detail.joint.determined else prior, "small-one")
+        picture = framed(
+            joint_figure(detail.joint), "" if detail.joint.determined else prior, "small-one"
+        )
         parts += ["<h3>Both Lamé parameters together</h3>", picture]
     return parts
 
@@ -41,19 +49,32 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
 
     aside = np.array([0.5 * (1.0 - shape.squeeze), 0.0, 0.0])
     half = 1.15 * np.abs(shape.points[:, 1:]).max(axis=0)
-    corners = np.array([[0.0, y * half[0], z * half[1]] for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    corners = np.array(
+        [[0.0, y * half[0], z * half[1]] for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    )
     seen = shape.points[shape.triangles]
     normal = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     front = normal @ VIEW < 0.0
-    seen, normal = seen[front], normal[front]
+    seen = seen[front]
+    normal = normal[front]
     order = np.argsort(-(seen.mean(axis=1) @ VIEW))
     light = 0.35 + 0.65 * np.clip(normal @ np.array([0.3, -0.5, 0.81]), 0.0, 1.0)
-    faces = np.clip(1.0 - (1.0 - np.array(to_rgb(ACCENT))) * (1.15 - 0.75 * light[:, None]), 0.0, 1.0)[order]
+    faces = np.clip(
+        1.0 - (1.0 - np.array(to_rgb(ACCENT))) * (1.15 - 0.75 * light[:, None]), 0.0, 1.0
+    )[order]
     far, near = ([flat(corners + side)] for side in (-aside, aside))
     block = [*flat(seen[order])], faces, f"{INK}40", None
-    for polygons, colors, edges, alpha in ((far, MUTED, MUTED, 0.9), block, (near, MUTED, MUTED, 0.45)):
-        axes.add_collection(PolyCollection(polygons, facecolors=colors, edgecolors=edges, linewidths=0.3, alpha=alpha))
+    for polygons, colors, edges, alpha in (
+        (far, MUTED, MUTED, 0.9),
+        block,
+        (near, MUTED, MUTED, 0.45),
+    ):
+        axes.add_collection(
+            PolyCollection(
+                polygons, facecolors=colors, edgecolors=edges, linewidths=0.3, alpha=alpha
+            )
+        )
     words = f"{shape.time_s:.2f} s\n{100.0 * max(shape.squeeze, 0.0):.0f} %"
     axes.text(left, floor, words, ha="center", va="top")
 
@@ -63,7 +84,9 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
     shapes = curves[0].shapes
     rows = [1.0, 2.0] if shapes else [0.01, 2.0]
     with drawn(5.2, 1.6 * sum(rows), nrows=2, height_ratios=rows) as (figure, (above, below)):
-        floor = -1.7 * max((float(np.abs(shape.points[:, 1:]).max()) for shape in shapes), default=0.0)
+        floor = -1.7 * max(
+            (float(np.abs(shape.points[:, 1:]).max()) for shape in shapes), default=0.0
+        )
         for place, shape in enumerate(shapes):
             _draw_block(above, shape, 2.1 * place, floor)
         above.autoscale_view()
@@ -71,16 +94,21 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
         above.axis("off")
         for curve in curves:
             order = np.argsort(curve.squeeze)
-            percent, force = 100.0 * curve.squeeze[order], curve.force_N[order]
+            percent = 100.0 * curve.squeeze[order]
+            force = curve.force_N[order]
             below.plot(percent, force, "-o", markersize=3, linewidth=1.2, label=plain(curve.run))
         below.set_xlabel("squeeze (% of the block's length)")
         percent_mm = 10.0 * curves[0].length
-        travel = below.secondary_xaxis("top", functions=(lambda p: p * percent_mm, lambda mm: mm / percent_mm))
+        travel = below.secondary_xaxis(
+            "top", functions=(lambda p: p * percent_mm, lambda mm: mm / percent_mm)
+        )
         travel.set_xlabel("travel of the fingers after the touch (mm)")
         below.set_ylabel("force on a finger (N)")
         if len(curves) > 1:
             below.legend()
-        return svg(figure, "The block between the fingers, and force over squeeze by the fitted law")
+        return svg(
+            figure, "The block between the fingers, and force over squeeze by the fitted law"
+        )
 
 
 def joint_figure(joint: JointInterval) -> str:
@@ -91,7 +119,8 @@ def joint_figure(joint: JointInterval) -> str:
         axes.fill(mu, lam, color=ACCENT, alpha=0.25, linewidth=0)
         axes.plot(mu, lam, color=ACCENT, linewidth=1.2, label="holds both with 95 %")
         axes.plot(*(factor * joint.value), "o", color=SIMULATED, markersize=5, label="estimate")
-        right, top = 1.15 * mu.max(), 1.15 * lam.max()
+        right = 1.15 * mu.max()
+        top = 1.15 * lam.max()
         for ratio in (0.1, 0.2, 0.3, 0.4, 0.45):
             slope = 2.0 * ratio / (1.0 - 2.0 * ratio)  # lambda over mu
             end = min(right, top / slope)

@@ -20,13 +20,38 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
-from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, fit_opened, source_label, summary, unexplained
-from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Contradiction, Findings, contradiction, screen_run
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    fit_both,
+    fit_opened,
+    source_label,
+    summary,
+    unexplained,
+)
+from proprio_ros.identification.gates import (
+    MIN_USED,
+    UNMOVED_RAD,
+    Contradiction,
+    Findings,
+    contradiction,
+    screen_run,
+)
 from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
-from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts, SqueezeProblem, block_unknowns
+from proprio_ros.probes.softness.detail import (
+    BlockShape,
+    JointInterval,
+    SoftnessDetail,
+    SqueezeCurve,
+)
+from proprio_ros.probes.softness.problem import (
+    HIGHEST_RATIO,
+    BlockFacts,
+    SqueezeProblem,
+    block_unknowns,
+)
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -41,11 +66,13 @@ UNTOUCHED = 3e-3  # relative squeeze below which a block was hardly pressed
 CRUSHED = 0.45  # relative squeeze beyond which no law of elasticity here is to be trusted
 SHOWN_SHAPES, SHOWN_CELLS, MOST_SHOWN_TETS = 6, 4, 2000
 """How many states of the block a report shows, of how many cells along its longest edge; a finer mesh is not shown."""
-CHI2_95_OF_TWO = 5.991464547107979  # what the square of a standard normal vector of two components stays below in 95 %
+# what the square of a standard normal vector of two components stays below in 95 %
+CHI2_95_OF_TWO = 5.991464547107979
 RATIO_SPREAD = 1.3
 """Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is
 stated, its interval is so much wider."""
-GUESSED_SHARE = 0.1  # how far off each side of a block may be that was not stated: standard deviation
+# how far off each side of a block may be that was not stated: standard deviation
+GUESSED_SHARE = 0.1
 PRIOR_DOMINATED = 0.7  # posterior over prior standard deviation above which a value is the prior's
 
 
@@ -60,7 +87,8 @@ class SqueezeOptions:
     starts_Pa: tuple[float, ...] = (3e3, 1e4, 4e4, 1.6e5, 6e5)
     # half width of the 95 % interval of Young's modulus over its value beyond which none is given
     widest_relative: float = 1.0
-    wide_share: float = 0.5  # an answer whose half width exceeds this share of the value is ``too_wide``
+    # an answer whose half width exceeds this share of the value is ``too_wide``
+    wide_share: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -75,32 +103,48 @@ class SqueezeSearch:
 
     def part(self, rows: Sequence[int]) -> SqueezeSearch:
         """Some of the runs."""
-        runs, squeezing = tuple(self.runs[row] for row in rows), tuple(self.squeezing[row] for row in rows)
+        runs = tuple(self.runs[row] for row in rows)
+        squeezing = tuple(self.squeezing[row] for row in rows)
         return replace(self, runs=runs, squeezing=squeezing)
 
     def problem(self, role: Role) -> SqueezeProblem:
         """The problem, in which the recording may move of the robot what the role says."""
-        robot, runs, squeezing, facts, options = self.robot, self.runs, self.squeezing, self.facts, self.options
+        robot = self.robot
+        runs = self.runs
+        squeezing = self.squeezing
+        facts = self.facts
+        options = self.options
         unknowns = block_unknowns(robot, runs, squeezing, facts, role)
-        return SqueezeProblem(robot, runs, facts, squeezing, unknowns, options.integrator, options.step_s)
+        return SqueezeProblem(
+            robot, runs, facts, squeezing, unknowns, options.integrator, options.step_s
+        )
 
     def solve(self, role: Role, start: FitResult | None = None) -> FitResult:
         """Fit the runs from every guess, or from the values of another fit, which may have had fewer runs."""
-        problem, guesses = self.problem(role), self.options.starts_Pa
+        problem = self.problem(role)
+        guesses = self.options.starts_Pa
         if start is None:
             starts = np.tile(problem.coordinates.prior_mean, (len(guesses), 1))
             starts[:, list(problem.free).index(problem.index["youngs_modulus"])] = guesses
-            windows, tolerance = problem.simulator.windows, 1e-3
+            windows = problem.simulator.windows
+            tolerance = 1e-3
         else:
             starts = start.values_of(problem.unknowns)[problem.free][None]
-            windows, tolerance = None, 1e-4
+            windows = None
+            tolerance = 1e-4
         internal = problem.coordinates.internal(starts)
-        solution = solvers.levenberg_marquardt(problem, internal, windows, iterations=40, tolerance=tolerance)
+        solution = solvers.levenberg_marquardt(
+            problem, internal, windows, iterations=40, tolerance=tolerance
+        )
         return FitResult.of(problem, solution)
 
 
 def find_softness(
-    robot: Robot, runs: Sequence[Run], facts: BlockFacts, options: SqueezeOptions | None = None, baseline: Sequence[Run] = ()
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: BlockFacts,
+    options: SqueezeOptions | None = None,
+    baseline: Sequence[Run] = (),
 ) -> Estimate:
     """Identify the elastic moduli of the block that all ``runs`` squeeze; the baseline is closings of the empty gripper.
 
@@ -126,7 +170,9 @@ def find_softness(
     # a probe raises a current that moved too little: those that did not move are no flaw of the others
     (found.notes if any(squeezes for _, squeezes in usable) else found.reasons).extend(unmoved)
     if not any(squeezes for _, squeezes in usable):
-        return no_answer("softness", "youngs_modulus", "Pa", robot.name, len(runs), found.reasons, found.notes)
+        return no_answer(
+            "softness", "youngs_modulus", "Pa", robot.name, len(runs), found.reasons, found.notes
+        )
     prepared_runs, squeezing = zip(*usable, strict=True)
     search = SqueezeSearch(robot, prepared_runs, squeezing, facts, options)
     nominal, opened = fit_both(search.solve, unexplained)
@@ -134,7 +180,11 @@ def find_softness(
 
 
 def fit_squeezes(
-    robot: Robot, runs: Sequence[PreparedRun], facts: BlockFacts, options: SqueezeOptions, before: FitResult | None = None
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: BlockFacts,
+    options: SqueezeOptions,
+    before: FitResult | None = None,
 ) -> FitResult:
     """Fit squeezes, gripper and block together, without a verdict; ``before`` is what some of the same runs said."""
     search = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options)
@@ -151,7 +201,8 @@ class Squeezed(Conclusion):
 
     search: SqueezeSearch
 
-    probe, name = "softness", "youngs_modulus"
+    probe = "softness"
+    name = "youngs_modulus"
     searched_for = "modulus"
     check = "check block.size and the robot file"
     beside = "a gripper or a block"
@@ -167,10 +218,14 @@ class Squeezed(Conclusion):
         others = [row for row in range(len(self.runs)) if row != outlier]
         parts = [self.search.part(rows) for rows in ([outlier], others)]
         if not all(any(part.squeezing) for part in parts):
-            return Contradiction(f"{name} contradicts the other runs: was the gripper empty where it should be?")
+            return Contradiction(
+                f"{name} contradicts the other runs: was the gripper empty where it should be?"
+            )
         one, rest = (float(fit_opened(part.solve).physical(self.name)[0]) for part in parts)
         alike = max(ALIKE_SHARE * rest, self.assessed.std)  # what all runs together leave open
-        return contradiction(name, "Pa", one, rest, alike, 0.0, "was the same block held in the same way?")
+        return contradiction(
+            name, "Pa", one, rest, alike, 0.0, "was the same block held in the same way?"
+        )
 
     def guess(self) -> list[Guess]:
         """The size, unless stated: of a given stiffness E A / L, the modulus goes with the length over both other sides."""
@@ -184,18 +239,25 @@ class Squeezed(Conclusion):
     @cached_property
     def curves(self) -> tuple[SqueezeCurve, ...]:
         """Force on a finger over squeeze, as simulated, with the quasi-static law alone."""
-        problem, facts, values = self.fit.problem, self.search.facts, self.fit.values
+        problem = self.fit.problem
+        facts = self.search.facts
+        values = self.fit.values
         assert isinstance(problem, SqueezeProblem)
         at = problem.index
-        modulus, ratio = float(values[at["youngs_modulus"]]), float(values[at["poissons_ratio"]])
+        modulus = float(values[at["youngs_modulus"]])
+        ratio = float(values[at["poissons_ratio"]])
         table = problem.simulator.special.squeeze_runs[0].response
         curves: list[SqueezeCurve] = []
-        for row, squeeze in zip(np.flatnonzero(problem.squeezing), problem.squeezes(values), strict=True):
+        for row, squeeze in zip(
+            np.flatnonzero(problem.squeezing), problem.squeezes(values), strict=True
+        ):
             pressed = np.maximum(squeeze, 0.0)
             force = modulus * facts.area * table(pressed, np.full(len(pressed), ratio))[0]
             run = problem.runs[row]
             shapes = () if curves else _shapes(facts, ratio, run.times_s, squeeze)
-            curves.append(SqueezeCurve(run.run.name, facts.length, run.times_s, squeeze, force, shapes))
+            curves.append(
+                SqueezeCurve(run.run.name, facts.length, run.times_s, squeeze, force, shapes)
+            )
         return tuple(curves)
 
     @property
@@ -205,7 +267,9 @@ class Squeezed(Conclusion):
 
     def refusals(self) -> Iterator[Refusal]:
         yield from self.misfit()
-        modulus, std, largest = self.assessed.value, self.assessed.std, self.largest
+        modulus = self.assessed.value
+        std = self.assessed.std
+        largest = self.largest
         unknown = self.fit.problem.unknowns[self.assessed.row]
         if largest < UNTOUCHED or modulus <= unknown.lower * 1.01:
             yield not_identifiable(
@@ -214,7 +278,10 @@ class Squeezed(Conclusion):
                 f"the block was squeezed by {100.0 * max(largest, 0.0):.1f} % at most: is it between the fingers, and block.size "
                 "right?",
             )
-        if modulus >= unknown.upper * 0.99 or Z95 * std > self.search.options.widest_relative * modulus:
+        if (
+            modulus >= unknown.upper * 0.99
+            or Z95 * std > self.search.options.widest_relative * modulus
+        ):
             better = "calibrate the gripper on closings without the block"
             yield not_identifiable(
                 "one_sided",
@@ -233,14 +300,25 @@ class Squeezed(Conclusion):
         return Useful(self.search.options.wide_share)
 
     def solver(self) -> SolverSummary:
-        nominal, options = self.nominal, self.search.options
-        alike = max(0.02 * float(nominal.physical(self.name)[nominal.solution.best]), 0.1 * self.assessed.std)
+        nominal = self.nominal
+        options = self.search.options
+        alike = max(
+            0.02 * float(nominal.physical(self.name)[nominal.solution.best]),
+            0.1 * self.assessed.std,
+        )
         iterations = nominal.solution.iterations + self.fit.solution.iterations
         steps = SearchOptions(integrator=options.integrator, step_s=options.step_s)
-        return summary(nominal, self.name, options.starts_Pa, alike, iterations, steps, final=self.fit)
+        return summary(
+            nominal, self.name, options.starts_Pa, alike, iterations, steps, final=self.fit
+        )
 
     def values(self, withheld: str) -> tuple[Value, ...]:
-        names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
+        names = {
+            "youngs_modulus": "Pa",
+            "poissons_ratio": "1",
+            "lame_mu": "Pa",
+            "lame_lambda": "Pa",
+        }
         if withheld:
             return tuple(Value(name, unit, None, reason=withheld) for name, unit in names.items())
         modulus, ratio, both, undetermined = self.moduli
@@ -274,7 +352,8 @@ class Squeezed(Conclusion):
         """
         rows = [self.fit.problem.index["youngs_modulus"], self.fit.problem.index["poissons_ratio"]]
         modulus, ratio = self.fit.values[rows].tolist()
-        both, prior = self.assessed.covariance[np.ix_(rows, rows)], self.search.facts.poissons_ratio
+        both = self.assessed.covariance[np.ix_(rows, rows)]
+        prior = self.search.facts.poissons_ratio
         std = float(np.sqrt(both[1, 1]))
         if prior.std == 0.0:
             return modulus, ratio, both, ""
@@ -286,7 +365,8 @@ class Squeezed(Conclusion):
             return modulus, prior.value, known, undetermined
         if RATIO_SPREAD * std > PRIOR_DOMINATED * prior.std:
             undetermined = (
-                f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; {better}"
+                f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, "
+                f"the prior to +-{prior.std:.2f}; {better}"
             )
             return modulus, ratio, both, undetermined
         spread = np.array([1.0, RATIO_SPREAD])
@@ -304,14 +384,23 @@ class Squeezed(Conclusion):
         sizes = np.where(std > 0.0, std, 1.0)
         scale, axes = np.linalg.eigh(both / np.outer(sizes, sizes))
         circle = np.stack([np.cos(turn), np.sin(turn)])
-        ellipse = sizes[:, None] * (axes * np.sqrt(CHI2_95_OF_TWO * np.maximum(scale, 0.0)) @ circle)
-        around = np.maximum(modulus + ellipse[0], 0.0), np.clip(ratio + ellipse[1], 0.0, HIGHEST_RATIO)
-        covariance, outline = _lame_covariance(modulus, ratio, both), np.stack(lame(*around), axis=1)
+        ellipse = sizes[:, None] * (
+            axes * np.sqrt(CHI2_95_OF_TWO * np.maximum(scale, 0.0)) @ circle
+        )
+        around = (
+            np.maximum(modulus + ellipse[0], 0.0),
+            np.clip(ratio + ellipse[1], 0.0, HIGHEST_RATIO),
+        )
+        covariance = _lame_covariance(modulus, ratio, both)
+        outline = np.stack(lame(*around), axis=1)
         value = np.array(lame(modulus, ratio))
-        return JointInterval(("lame_mu", "lame_lambda"), "Pa", value, covariance, outline, not undetermined)
+        return JointInterval(
+            ("lame_mu", "lame_lambda"), "Pa", value, covariance, outline, not undetermined
+        )
 
     def assumptions(self) -> tuple[str, ...]:
-        facts, options = self.search.facts, self.search.options
+        facts = self.search.facts
+        options = self.search.options
         size = " x ".join(f"{1e3 * edge:.4g}" for edge in facts.size)
         shape = "" if facts.mesh is None else f", a mesh of {len(facts.mesh.tets)} tetrahedra"
         drive = self.runs[0].drive
@@ -338,7 +427,9 @@ def _lame_covariance(modulus: float, ratio: float, both: np.ndarray) -> np.ndarr
     return covariance
 
 
-def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.ndarray) -> tuple[BlockShape, ...]:
+def _shapes(
+    facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.ndarray
+) -> tuple[BlockShape, ...]:
     """The block at some instants on the way to the largest squeeze, for a picture; none where that would take long or far."""
     mesh = facts.mesh
     if mesh is None:
@@ -349,7 +440,9 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
         return ()
     moduli = lame_of_small_strain(facts.law, *lame(1.0, ratio))
     try:
-        squeezed = QuasiStatic(mesh, facts.law, facts.contact).curve(mesh.length * np.maximum(squeeze[at], 0.0), *moduli)
+        squeezed = QuasiStatic(mesh, facts.law, facts.contact).curve(
+            mesh.length * np.maximum(squeeze[at], 0.0), *moduli
+        )
     except SimulationError:
         return ()
     places = squeezed.points
@@ -357,7 +450,8 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
     middle[..., 0] = 0.5 * (places[..., 0].min(axis=1) + places[..., 0].max(axis=1))[:, None]
     scaled = (places - middle) / mesh.length
     return tuple(
-        BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.surface) for row, points in zip(at, scaled, strict=True)
+        BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.surface)
+        for row, points in zip(at, scaled, strict=True)
     )
 
 
@@ -367,7 +461,8 @@ def _beyond_measured(runs: Sequence[PreparedRun]) -> list[str]:
     if measured is None:
         return []
     low, high = (end(float(end(run.position)) for run in runs) for end in (min, max))
-    first, last = measured.at_rad[0], measured.at_rad[-1]
+    first = measured.at_rad[0]
+    last = measured.at_rad[-1]
     spare = 0.1 * (last - first)
     if first - spare <= low and high <= last + spare:
         return []

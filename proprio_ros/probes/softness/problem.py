@@ -28,7 +28,8 @@ from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SqueezeRun, SqueezeSimulator
 
 SOFTEST_PA, START_PA, STIFFEST_PA = 1e2, 3e4, 1e8
 """Moduli that are looked for: foam has a thousand pascals, hard rubber ten millions."""
-LEAST_RELAXATION_S = -2e-4  # no block gives energy back, but a force that comes a little late looks as if it did
+# no block gives energy back, but a force that comes a little late looks as if it did
+LEAST_RELAXATION_S = -2e-4
 HIGHEST_RATIO = 0.47
 """Beyond it a block keeps its volume, and four-node tetrahedra lock, even with J averaged over a cell."""
 
@@ -72,22 +73,40 @@ class BlockFacts:
 def closing_of(run: PreparedRun, facts: BlockFacts) -> np.ndarray:
     """By how much the fingers close on each other, by the first three powers of the angle of the motor's shaft; shape (3,)."""
     current = run.run.input_current_A
-    towards = float(np.sign(current[np.argmax(np.abs(current))]))  # the current says which way is closing
+    # the current says which way is closing
+    towards = float(np.sign(current[np.argmax(np.abs(current))]))
     return towards * facts.fingers * np.array(run.drive.travel_coefficients)
 
 
 def block_unknowns(
-    robot: Robot, runs: Sequence[PreparedRun], squeezing: Sequence[bool], facts: BlockFacts, drive_role: Role
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    squeezing: Sequence[bool],
+    facts: BlockFacts,
+    drive_role: Role,
 ) -> list[Unknown]:
     """All unknowns: the block's, and those of the robot, of which the recording may move what ``drive_role`` says."""
-    ratio, relaxation, gap = facts.poissons_ratio, facts.relaxation_s, facts.gap
+    ratio = facts.poissons_ratio
+    relaxation = facts.relaxation_s
+    gap = facts.gap
     unknowns = [
-        Unknown("youngs_modulus", START_PA, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA),
+        Unknown(
+            "youngs_modulus", START_PA, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA
+        ),
         Unknown("poissons_ratio", ratio.value, ratio.std, 0.0, HIGHEST_RATIO).at_role(Role.FREE),
-        Unknown("block_relaxation", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0).at_role(Role.FREE),
+        Unknown(
+            "block_relaxation", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0
+        ).at_role(Role.FREE),
     ]
-    gaps = [Unknown("gap", gap.value, gap.std, -0.01, 0.1, scope=row) for row in np.flatnonzero(squeezing).tolist()]
-    return [*unknowns, *(gap.at_role(Role.FREE) for gap in gaps), *robot_unknowns(robot, runs, drive_role)]
+    gaps = [
+        Unknown("gap", gap.value, gap.std, -0.01, 0.1, scope=row)
+        for row in np.flatnonzero(squeezing).tolist()
+    ]
+    return [
+        *unknowns,
+        *(gap.at_role(Role.FREE) for gap in gaps),
+        *robot_unknowns(robot, runs, drive_role),
+    ]
 
 
 class SqueezeProblem(Problem):
@@ -122,13 +141,18 @@ class SqueezeProblem(Problem):
         self._affine = False  # viscosity is a product of two unknowns
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SqueezeSimulator]:
-        block, table = self.block, self.block.table()
+        block = self.block
+        table = self.block.table()
         squeezed = []
         for row in np.flatnonzero(self.squeezing):
             first, *bend = self._closing[row].tolist()
-            squeezed.append(SqueezeRun(runs[row], block.length, block.area, first, table, tuple(bend)))
+            squeezed.append(
+                SqueezeRun(runs[row], block.length, block.area, first, table, tuple(bend))
+            )
         others = [runs[row] for row in np.flatnonzero(~self.squeezing)]
-        return MixedSimulator(SqueezeSimulator(squeezed, integrator), others, self.squeezing, integrator)
+        return MixedSimulator(
+            SqueezeSimulator(squeezed, integrator), others, self.squeezing, integrator
+        )
 
     def _touches(self, unknown: Unknown, row: int) -> bool:
         if unknown.kind in ("youngs_modulus", "poissons_ratio", "block_relaxation"):
@@ -137,8 +161,10 @@ class SqueezeProblem(Problem):
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
-        at, to = self.index, SQUEEZE_INDEX
-        modulus, relaxation = values[:, at["youngs_modulus"]], values[:, at["block_relaxation"]]
+        at = self.index
+        to = SQUEEZE_INDEX
+        modulus = values[:, at["youngs_modulus"]]
+        relaxation = values[:, at["block_relaxation"]]
         for row in np.flatnonzero(self.squeezing).tolist():
             for name in ("youngs_modulus", "poissons_ratio"):
                 p[:, row, to[name]] = values[:, at[name]]
@@ -148,7 +174,9 @@ class SqueezeProblem(Problem):
             dp[:, row, to["block_viscosity"], at["block_relaxation"]] = modulus
             # the fingers touch where they have closed by the gap from where they stood
             rest = self.runs[row].rest.value
-            p[:, row, to["gap"]] = self._closing[row] @ rest ** np.arange(1, 4) + values[:, at["gap", row]]
+            p[:, row, to["gap"]] = (
+                self._closing[row] @ rest ** np.arange(1, 4) + values[:, at["gap", row]]
+            )
             dp[:, row, to["gap"], at["gap", row]] = 1.0
         return p, dp
 

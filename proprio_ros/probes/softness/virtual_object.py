@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from proprio_ros.records import FloatArray
     from proprio_ros.virtual.arm import VirtualArm
 
-FLATTEST = 0.02  # a block is as stiff as one that is squeezed to this share of its length, however much further
+# a block is as stiff as one that is squeezed to this share of its length, however much further
+FLATTEST = 0.02
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,13 @@ class SoftBlock(HandObject):
         check_lengths("size", self.size_m, 0.001)
         check_lengths("gap", (self.gap_m,), 0.0)
         if not 0.0 <= self.damping < math.inf:
-            raise ConfigurationError(f"damping={self.damping:g}: give a number that is not negative")
+            raise ConfigurationError(
+                f"damping={self.damping:g}: give a number that is not negative"
+            )
         if not 0.0 <= self.poissons_ratio < 0.5:
-            raise ConfigurationError(f"nu={self.poissons_ratio:g}: Poisson's ratio is from 0 to below 0.5")
+            raise ConfigurationError(
+                f"nu={self.poissons_ratio:g}: Poisson's ratio is from 0 to below 0.5"
+            )
 
     @property
     def emptied(self) -> None:
@@ -66,7 +71,9 @@ class SoftBlock(HandObject):
 
     def check(self, arm: VirtualArm) -> None:
         if arm.finger is None:
-            raise ConfigurationError(f"{arm.robot.name} drives no sliding finger that could press a block; hold a payload instead")
+            raise ConfigurationError(
+                f"{arm.robot.name} drives no sliding finger that could press a block; hold a payload instead"
+            )
 
     def act(self, arm: VirtualArm, force: FloatArray) -> None:
         """Presses the driven finger, with what those that follow it pass on; positive opens."""

@@ -23,7 +23,11 @@ from proprio_ros.errors import BusError
 
 REGISTERS = XM430_W350.registers
 KEPT = ("return_delay_time", "drive_mode", "operating_mode", "homing_offset", "current_limit")
-RANGE, LENGTH, LIMIT, ACCESS = 4, 5, 6, 7  # error numbers of Protocol 2.0
+# error numbers of Protocol 2.0
+RANGE = 4
+LENGTH = 5
+LIMIT = 6
+ACCESS = 7
 FAR = 1_000_000
 PUSH = 30  # counts, 81 mA
 
@@ -59,13 +63,17 @@ class Bench:
         """Result of the vendor's library, and the error number in the answer."""
         address = REGISTERS[register].address
         packets = sdk.PacketHandler(2.0)
-        result, error = self._tried(lambda port: packets.writeTxRx(port, self.id, address, len(data), list(data)))
+        result, error = self._tried(
+            lambda port: packets.writeTxRx(port, self.id, address, len(data), list(data))
+        )
         return result, error & ~ALERT
 
     def raw_read(self, address: int, length: int) -> tuple[bytes, int, int]:
         """Data, result and error number."""
         packets = sdk.PacketHandler(2.0)
-        data, result, error = self._tried(lambda port: packets.readTxRx(port, self.id, address, length))
+        data, result, error = self._tried(
+            lambda port: packets.readTxRx(port, self.id, address, length)
+        )
         return bytes(data), result, error & ~ALERT
 
     def _tried(self, exchange: Callable[[Any], Any]) -> Any:
@@ -191,7 +199,10 @@ def test_eeprom_is_locked_while_torque_is_on(bench: Bench) -> None:
     assert bench.read("torque_enable") == 1
     assert bench.refusal("return_delay_time", (delay + 1) % 255) == ACCESS
     assert bench.refusal("operating_mode", OperatingMode.POSITION) == ACCESS
-    assert (bench.read("return_delay_time"), bench.read("operating_mode")) == (delay, OperatingMode.CURRENT)
+    assert (bench.read("return_delay_time"), bench.read("operating_mode")) == (
+        delay,
+        OperatingMode.CURRENT,
+    )
     assert bench.refusal("led", 1) == 0, "RAM is not"
     bench.write("torque_enable", 0)
     assert bench.read("torque_enable") == 0
@@ -240,7 +251,9 @@ def test_return_delay(bench: Bench) -> None:
     bench.write("return_delay_time", 0)
     fast_s = exchange_s()
     bench.write("return_delay_time", 250)
-    assert 0.2e-3 < exchange_s() - fast_s < 1.5e-3, "500 us by the manual; adapters round to milliseconds"
+    assert 0.2e-3 < exchange_s() - fast_s < 1.5e-3, (
+        "500 us by the manual; adapters round to milliseconds"
+    )
 
 
 def test_sync_read_and_fast_sync_read_agree(bench: Bench) -> None:
@@ -308,7 +321,10 @@ def test_a_reboot_clears_ram_and_keeps_eeprom(bench: Bench) -> None:
     bench.bus.reboot(bench.id)
     assert (bench.read("led"), bench.read("torque_enable")) == (0, 0)
     assert bench.read("position_d_gain") == REGISTERS["position_d_gain"].initial
-    assert (bench.read("return_delay_time"), bench.read("operating_mode")) == (delay, OperatingMode.CURRENT)
+    assert (bench.read("return_delay_time"), bench.read("operating_mode")) == (
+        delay,
+        OperatingMode.CURRENT,
+    )
 
 
 def test_the_realtime_tick_counts_milliseconds_and_wraps(bench: Bench) -> None:
@@ -319,7 +335,9 @@ def test_the_realtime_tick_counts_milliseconds_and_wraps(bench: Bench) -> None:
     assert (second - first) % 32768 == pytest.approx(500, abs=100)
     to_wrap_ms = 32768 - second
     bench.wait(1e-3 * to_wrap_ms + 0.5)
-    assert 450 <= bench.read("realtime_tick") < 3000, "emulated servos need a moment for half a minute"
+    assert 450 <= bench.read("realtime_tick") < 3000, (
+        "emulated servos need a moment for half a minute"
+    )
 
 
 # --- with motion
@@ -341,7 +359,8 @@ def test_a_far_goal_position_drives_with_the_goal_current(turning: Bench) -> Non
     turning.write("torque_enable", 0)
     turning.write("operating_mode", OperatingMode.CURRENT_BASED_POSITION)
     turning.write("torque_enable", 1)
-    joint, here = turning.bus.servos[0].joint, turning.read("present_position")
+    joint = turning.bus.servos[0].joint
+    here = turning.read("present_position")
     for sign in (1, -1):
         turning.bus.write_goals({joint: Goal(PUSH, here + sign * FAR)})
         assert turning.read("goal_position") == here + sign * FAR

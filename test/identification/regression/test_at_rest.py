@@ -25,7 +25,9 @@ def robot() -> Robot:
     return load_robot("so101")
 
 
-@pytest.mark.parametrize("pose", [[0.0] * 5, [0.3, -0.8, 0.9, 0.4, -0.2], [-1.0, 0.5, -0.6, -1.2, 1.5]])
+@pytest.mark.parametrize(
+    "pose", [[0.0] * 5, [0.3, -0.8, 0.9, 0.4, -0.2], [-1.0, 0.5, -0.6, -1.2, 1.5]]
+)
 def test_gravity_is_that_of_mujoco(robot: Robot, pose: list[float]) -> None:
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjSpec.from_file(str(share_directory() / "urdf" / "so101.urdf")).compile()
@@ -43,23 +45,39 @@ def test_gravity_is_that_of_mujoco(robot: Robot, pose: list[float]) -> None:
 
 def recorded(robot: Robot, goals: list[list[float]], rate_hz: float = 30.0) -> Motion:
     """Each pose for 2 s, and a straight way of 1 s to the next; one count of noise."""
-    random, rows = np.random.default_rng(1), [np.array(goals[0], float)]
+    random = np.random.default_rng(1)
+    rows = [np.array(goals[0], float)]
     for goal in goals:
         start = rows[-1]
-        rows += [start + (np.array(goal) - start) * k / rate_hz for k in range(1, round(rate_hz) + 1)]
+        rows += [
+            start + (np.array(goal) - start) * k / rate_hz for k in range(1, round(rate_hz) + 1)
+        ]
         rows += [np.array(goal, float)] * round(2.0 * rate_hz)
     position = np.array(rows) + 1e-4 * random.standard_normal((len(rows), len(JOINTS)))
     times_s = np.arange(len(rows)) / rate_hz
-    return Motion("made", JOINTS, times_s, position, 0.1 * position, {"gripper": 0.0}, "measured current")
+    return Motion(
+        "made", JOINTS, times_s, position, 0.1 * position, {"gripper": 0.0}, "measured current"
+    )
 
 
 def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
-    goals = [[0.0] * 5, [0.5, -0.5, 0.2, 0.0, 0.3], [0.1, -0.9, 0.6, 0.0, 0.3], [0.1 + 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3]]
+    goals = [
+        [0.0] * 5,
+        [0.5, -0.5, 0.2, 0.0, 0.3],
+        [0.1, -0.9, 0.6, 0.0, 0.3],
+        [0.1 + 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3],
+    ]
     found = Stances.of(robot, recorded(robot, goals), JOINTS)
     assert found.position == pytest.approx(np.array(goals), abs=1e-3)
     assert found.current_A == pytest.approx(0.1 * found.position)
-    assert found.way.tolist() == [[0, 0, 0, 0, 0], [1, -1, 1, 0, 1], [-1, -1, 1, 0, 1], [1, -1, 1, 0, 1]]
-    further = [*goals[:3], [0.1 - 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3]]  # a touch, the way it came
+    assert found.way.tolist() == [
+        [0, 0, 0, 0, 0],
+        [1, -1, 1, 0, 1],
+        [-1, -1, 1, 0, 1],
+        [1, -1, 1, 0, 1],
+    ]
+    # a touch, the way it came
+    further = [*goals[:3], [0.1 - 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3]]
     assert Stances.of(robot, recorded(robot, further), JOINTS).position == pytest.approx(
         np.array([*further[:2], further[3]]), abs=1e-3
     )
@@ -69,7 +87,15 @@ def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
     # one that never rests has none
     swaying = recorded(robot, [[0.1 * (-1) ** k] * 5 for k in range(4)])
     ways = np.flatnonzero(np.abs(np.diff(swaying.position[:, 0])) > 2e-3)
-    moving = Motion("m", JOINTS, swaying.times_s[: len(ways)], swaying.position[ways], swaying.current_A[ways], {}, "")
+    moving = Motion(
+        "m",
+        JOINTS,
+        swaying.times_s[: len(ways)],
+        swaying.position[ways],
+        swaying.current_A[ways],
+        {},
+        "",
+    )
     assert not len(Stances.of(robot, moving, JOINTS).way)
 
 
@@ -83,11 +109,18 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
     told = {what: (kg, answer) for what, kg, answer in answers}
     for what in (STANDS, WHOLE):
         kg, answer = told[what]
-        assert not isinstance(answer, str) and answer.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), answer
+        assert not isinstance(answer, str) and answer.verdict in (
+            Verdict.ACCEPTED,
+            Verdict.TOO_WIDE,
+        ), answer
         low, high = answer.values[0].ci95
         assert low <= kg <= high and high - low < 0.3
     _, still = told[STILL]
-    assert isinstance(still, OnlineEstimate) and still.known and still.ci95_kg[0] <= 0.3 <= still.ci95_kg[1], still
+    assert (
+        isinstance(still, OnlineEstimate)
+        and still.known
+        and still.ci95_kg[0] <= 0.3 <= still.ci95_kg[1]
+    ), still
     assert "each servo has the gain that it was calibrated with" in told[STANDS][1].assumptions[1]  # type: ignore[union-attr]
 
     from proprio_ros.pipeline.replay import replay
@@ -96,5 +129,6 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
     arm = Sticky(np.random.default_rng(1))
     _, (pose, _) = arm.stood(0.3, np.random.default_rng(2))
     still = {name: values[12:] for name, values in pose.items()}
-    with pytest.raises(TooLittleMotion, match="no joint moved by more than"):  # and nothing was calibrated
+    # and nothing was calibrated
+    with pytest.raises(TooLittleMotion, match="no joint moved by more than"):
         replay(write(tmp_path / "still", still), Options(robot="so101"))

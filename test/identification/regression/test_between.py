@@ -70,7 +70,9 @@ def test_what_rests_on_several_spreads_is_known_as_well_as_the_least_of_them() -
 
 
 def test_a_published_spread_counts_as_so_many_runs() -> None:
-    assert spread_of_runs(1.0, np.array([3.0]), np.array([1.0]), 4.0) == pytest.approx(np.sqrt(13.0 / 5.0))
+    assert spread_of_runs(1.0, np.array([3.0]), np.array([1.0]), 4.0) == pytest.approx(
+        np.sqrt(13.0 / 5.0)
+    )
     assert spread_of_runs(1.0, np.array([3.0]), np.array([0.0]), 1e9) == pytest.approx(1.0)
 
 
@@ -83,10 +85,13 @@ def test_the_evidence_is_the_density_of_the_data_and_the_terms_are_their_posteri
         of_data = np.eye(12) + (matrix * variances) @ matrix.T
         return -0.5 * float(data @ np.linalg.solve(of_data, data) + np.linalg.slogdet(of_data)[1])
 
-    one, none = np.array([1.0, 2.0, 0.5]), np.zeros(3)
+    one = np.array([1.0, 2.0, 0.5])
+    none = np.zeros(3)
     evidence, terms = under(one, matrix.T @ matrix, matrix.T @ data)
     assert evidence == pytest.approx(density(one) - density(none))
-    assert terms == pytest.approx(np.linalg.solve(matrix.T @ matrix + np.diag(1.0 / one), matrix.T @ data))
+    assert terms == pytest.approx(
+        np.linalg.solve(matrix.T @ matrix + np.diag(1.0 / one), matrix.T @ data)
+    )
 
 
 def test_spreads_that_the_data_decide() -> None:
@@ -98,7 +103,9 @@ def test_spreads_that_the_data_decide() -> None:
     assert np.sqrt(weights @ np.square(pairs)) == pytest.approx([cut, cut], rel=0.15)
     for true in (0.4, 1.3, 3.2):
         says = np.sum(40.0 * (-np.log(pairs) - 0.5 * np.square(true / pairs)), axis=1)
-        assert np.sqrt(likely(says, pairs)[0] @ np.square(pairs)) == pytest.approx([true] * 2, rel=0.2)
+        assert np.sqrt(likely(says, pairs)[0] @ np.square(pairs)) == pytest.approx(
+            [true] * 2, rel=0.2
+        )
 
 
 def test_terms_are_followed_as_far_as_they_stand_out() -> None:
@@ -128,15 +135,22 @@ def test_arms_whose_recordings_differ() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [3000, 3049, 3051])
-def test_efforts_a_tenth_too_large_are_refused_or_the_answer_says_what_they_do(tmp_path: Path, seed: int) -> None:
+def test_efforts_a_tenth_too_large_are_refused_or_the_answer_says_what_they_do(
+    tmp_path: Path, seed: int
+) -> None:
     """A large arm's motion shows it; two of small arms do not, and say what they then err by."""
     pytest.importorskip("mujoco")
     build = (SIX, FOUR)[seed % 2]
-    arm, robot = DifferingArm(seed, build, 12.0), load_robot(write_robot(tmp_path, build=build))
+    arm = DifferingArm(seed, build, 12.0)
+    robot = load_robot(write_robot(tmp_path, build=build))
     held = arm.held()
-    empty, loaded = arm.recorded("before", alike=True), arm.recorded("later", held, alike=True)
+    empty = arm.recorded("before", alike=True)
+    loaded = arm.recorded("later", held, alike=True)
     louder_by = (0.95, 1.05, 1.1)
-    right, *wrong = (identify_in_motion(robot, [louder(loaded, by)], [empty], PayloadFacts()) for by in (1.0, *louder_by))
+    right, *wrong = (
+        identify_in_motion(robot, [louder(loaded, by)], [empty], PayloadFacts())
+        for by in (1.0, *louder_by)
+    )
     (said,) = (line for line in right.assumptions if line.startswith("torques are read"))
     mass = right.values[0]
     assert mass.ci95[0] < held[0] < mass.ci95[1]
@@ -144,9 +158,15 @@ def test_efforts_a_tenth_too_large_are_refused_or_the_answer_says_what_they_do(t
         assert said.endswith("shows that from some 8 % on")
         assert wrong[-1].verdict is Verdict.REJECTED and wrong[-1].reasons[0].code == "other_torque"
         return
-    assert said.endswith("does not show that") or float(said.split("from some ")[1].split(" %")[0]) > 12.0
+    assert (
+        said.endswith("does not show that")
+        or float(said.split("from some ")[1].split(" %")[0]) > 12.0
+    )
     tenth_kg = 1e-3 * float(said.split("up to +")[1].split(" g")[0])
-    moved = [(answer.values[0].value - mass.value) / (by - 1.0) for by, answer in zip(louder_by, wrong, strict=True)]
+    moved = [
+        (answer.values[0].value - mass.value) / (by - 1.0)
+        for by, answer in zip(louder_by, wrong, strict=True)
+    ]
     # what stands out of the noise is followed, so by less where that is little
     assert 3.0 * tenth_kg < min(moved) and max(moved) < 11.0 * tenth_kg
     assert moved[-1] == pytest.approx(10.0 * tenth_kg, rel=0.15)
@@ -162,8 +182,16 @@ def test_a_servo_whose_coulomb_friction_has_grown_by_half(tmp_path: Path, seed: 
     servo.coulomb_N_m, servo.lost = 0.1, 0.02
     pendulum_urdf(tmp_path, "servo", 0.01, 0.1)
     (tmp_path / "servo.yaml").write_text(FILE)
-    known = {str(write(tmp_path / f"known{n}", servo.moved(kg, random, 100.0))): kg for n, kg in enumerate(KNOWN_KG)}
-    calibrate_from_bags([], known, Options(robot=str(tmp_path / "servo.yaml"), settings=POINT), tmp_path / "known.yaml")
+    known = {
+        str(write(tmp_path / f"known{n}", servo.moved(kg, random, 100.0))): kg
+        for n, kg in enumerate(KNOWN_KG)
+    }
+    calibrate_from_bags(
+        [],
+        known,
+        Options(robot=str(tmp_path / "servo.yaml"), settings=POINT),
+        tmp_path / "known.yaml",
+    )
     servo.coulomb_N_m *= 1.5
     bag = write(tmp_path / "asked", servo.moved(0.5, random, 100.0))
     mass = replay(bag, Options(calibration=tmp_path / "known.yaml", settings=POINT)).values[0]

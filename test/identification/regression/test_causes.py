@@ -58,7 +58,9 @@ def turned(motion: Motion) -> Motion:
         (turned, f"the effort or the angle of {LIFT} has the sign"),
     ],
 )
-def test_one_mistake_is_named(robot: Robot, motion: Motion, bend: Callable[[Motion], Motion], words: str) -> None:
+def test_one_mistake_is_named(
+    robot: Robot, motion: Motion, bend: Callable[[Motion], Motion], words: str
+) -> None:
     assert words in torque_cause(robot, bend(motion))
 
 
@@ -67,45 +69,70 @@ def test_gravity_from_elsewhere_is_named(robot: Robot, motion: Motion) -> None:
     wall = replace(robot, gravity=np.array([0.0, 6.94, -6.94]))
     said = torque_cause(wall, motion)
     assert "--set robot.gravity=[" in said
-    stated = np.array([float(word) for word in said.rpartition("[")[2].partition("]")[0].split(",")])
+    stated = np.array(
+        [float(word) for word in said.rpartition("[")[2].partition("]")[0].split(",")]
+    )
     assert np.arccos(-stated[2] / np.linalg.norm(stated)) < 0.1
 
 
 def test_nothing_is_named_where_nothing_is_wrong(robot: Robot, motion: Motion) -> None:
     assert torque_cause(robot, motion) == ""
-    refusal = rejected("misfit", "the model does not explain the recording", "something else happened")
+    refusal = rejected(
+        "misfit", "the model does not explain the recording", "something else happened"
+    )
     assert with_cause(refusal, robot, [motion]) == refusal
     bad = efforts(-1.0)(motion)
     assert with_cause(ACCEPTED, robot, [bad]) == ACCEPTED
     first, *others = with_cause(refusal, robot, [bad]).reasons
-    assert first.startswith(f"{motion.name}: the effort of all joints") and tuple(others) == refusal.reasons
+    assert (
+        first.startswith(f"{motion.name}: the effort of all joints")
+        and tuple(others) == refusal.reasons
+    )
 
 
 def test_a_centre_that_is_stated_wrongly_is_named(robot: Robot) -> None:
     """And a joint without any effort is passed over, or refused with a share of its torque that is a number."""
-    arm, held = Twin(5, SIX), (1.5, np.array([0.03, 0.0, 0.05]))
-    empty, loaded = arm.record("empty", 15.0), arm.record("loaded", 12.0, held)
-    right, wrong = (PayloadFacts(com=com, com_std=(0.003, 0.003, 0.003)) for com in (tuple(held[1]), (0.25, 0.0, 0.0)))
+    arm = Twin(5, SIX)
+    held = (1.5, np.array([0.03, 0.0, 0.05]))
+    empty = arm.record("empty", 15.0)
+    loaded = arm.record("loaded", 12.0, held)
+    right, wrong = (
+        PayloadFacts(com=com, com_std=(0.003, 0.003, 0.003))
+        for com in (tuple(held[1]), (0.25, 0.0, 0.0))
+    )
     assert identify_in_motion(robot, [loaded], [empty], right, True).verdict is Verdict.ACCEPTED
     answer = identify_in_motion(robot, [loaded], [empty], wrong, True)
-    assert answer.verdict is Verdict.REJECTED and answer.reasons[0].startswith("loaded: payload.com is stated as [0.25, 0, 0]")
+    assert answer.verdict is Verdict.REJECTED and answer.reasons[0].startswith(
+        "loaded: payload.com is stated as [0.25, 0, 0]"
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         answer = identify_in_motion(robot, [efforts(0.0, LIFT)(loaded)], [empty], right)
-    assert answer.verdict is Verdict.REJECTED and any("% of the torque of j2" in reason for reason in answer.reasons)
+    assert answer.verdict is Verdict.REJECTED and any(
+        "% of the torque of j2" in reason for reason in answer.reasons
+    )
 
 
-def test_a_centre_stated_a_few_centimetres_off_is_named_by_an_answer_and_by_a_reference(robot: Robot) -> None:
+def test_a_centre_stated_a_few_centimetres_off_is_named_by_an_answer_and_by_a_reference(
+    robot: Robot,
+) -> None:
     """3 cm off 1.5 kg read 1.375 kg, 1.307 to 1.443, and were accepted; a reference then said that torque constants are off."""
-    arm, held = Twin(5, SIX), (1.5, np.array([0.03, 0.0, 0.05]))
-    empty, loaded = arm.record("empty", 15.0), arm.record("loaded", 12.0, held)
+    arm = Twin(5, SIX)
+    held = (1.5, np.array([0.03, 0.0, 0.05]))
+    empty = arm.record("empty", 15.0)
+    loaded = arm.record("loaded", 12.0, held)
     for x in (0.06, 0.08):
         facts = PayloadFacts(com=(x, 0.0, 0.05), com_std=(0.003, 0.003, 0.003))
         answer = identify_in_motion(robot, [loaded], [empty], facts, True)
-        assert answer.verdict is Verdict.REJECTED and f"stated as [{x:g}, 0, 0.05] m" in answer.reasons[0]
+        assert (
+            answer.verdict is Verdict.REJECTED
+            and f"stated as [{x:g}, 0, 0.05] m" in answer.reasons[0]
+        )
         centre = (np.asarray(facts.com), np.asarray(facts.com_std))
         learnt = calibrate_motions(robot, [empty], [(loaded, 1.5)], centre)
-        assert learnt.verdict is Verdict.REJECTED and "payload.com is stated as" in learnt.reasons[0]
+        assert (
+            learnt.verdict is Verdict.REJECTED and "payload.com is stated as" in learnt.reasons[0]
+        )
     right = (held[1], np.full(3, 0.003))
     assert calibrate_motions(robot, [empty], [(loaded, 1.5)], right).verdict is Verdict.ACCEPTED
 
@@ -121,5 +148,7 @@ def test_two_motions_that_hold_something_elsewhere_are_told_apart(robot: Robot) 
     assert identify_in_motion(robot, [one], [empty], PayloadFacts()).verdict is Verdict.ACCEPTED
     answer = identify_in_motion(robot, [one, other], [empty], PayloadFacts())
     assert answer.verdict is Verdict.REJECTED
-    assert answer.reasons[0].startswith("each motion is explained by itself, and together they are not: one 1")
+    assert answer.reasons[0].startswith(
+        "each motion is explained by itself, and together they are not: one 1"
+    )
     assert "was the same object held in the same place" in answer.reasons[0]

@@ -16,7 +16,11 @@ from support.arm_in_motion import FOUR, Twin, write_robot
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.identification.regression.online import LATEST_STEP_S, OnlineEstimate, OnlineEstimator
+from proprio_ros.identification.regression.online import (
+    LATEST_STEP_S,
+    OnlineEstimate,
+    OnlineEstimator,
+)
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
@@ -31,12 +35,19 @@ class Case:
     def __init__(self, folder: Path, seed: int) -> None:
         self.robot: Robot = load_robot(write_robot(folder, build=FOUR))
         arm = Twin(seed, FOUR)
-        self.calibration: MotionCalibration = fit_empty(self.robot, [arm.record(f"empty {n}", 20.0) for n in range(2)])
-        self.parts = [arm.record("before", 8.0), arm.record("held", 8.0, HELD), arm.record("after", 8.0)]
+        self.calibration: MotionCalibration = fit_empty(
+            self.robot, [arm.record(f"empty {n}", 20.0) for n in range(2)]
+        )
+        self.parts = [
+            arm.record("before", 8.0),
+            arm.record("held", 8.0, HELD),
+            arm.record("after", 8.0),
+        ]
 
     def day(self) -> Iterator[tuple[int, float, OnlineEstimate]]:
         """Number of the part, seconds into it, and the estimate, each tenth of a second."""
-        weight, begun_s = OnlineEstimator(self.robot, self.calibration), 0.0
+        weight = OnlineEstimator(self.robot, self.calibration)
+        begun_s = 0.0
         for number, part in enumerate(self.parts):
             for time_s, position, current in rows_of(part):
                 if weight.add(begun_s + time_s, position, current):
@@ -76,12 +87,19 @@ def test_an_arm_at_rest_keeps_its_answer_whatever_its_motors_do(case: Case) -> N
         weight.add(time_s, position, current)
     moving = weight.estimate()
     assert moving is not None and moving.resting_since_s is None
-    end_s, rng = float(case.parts[0].times_s[-1]), np.random.default_rng(1)
+    end_s = float(case.parts[0].times_s[-1])
+    rng = np.random.default_rng(1)
     for step in range(1, 300):
         # dry friction carries any of this
-        weight.add(end_s + 0.01 * step, position, 3.0 * current + 0.05 * rng.standard_normal(len(current)))
+        weight.add(
+            end_s + 0.01 * step, position, 3.0 * current + 0.05 * rng.standard_normal(len(current))
+        )
     still = weight.estimate()
-    assert still is not None and still.resting_since_s is not None and end_s - 0.5 < still.resting_since_s < end_s + 0.7
+    assert (
+        still is not None
+        and still.resting_since_s is not None
+        and end_s - 0.5 < still.resting_since_s < end_s + 0.7
+    )
     # windows that began before the arm stood still may have been made since
     for step in range(300, 600):
         weight.add(end_s + 0.01 * step, position, -current)
@@ -127,7 +145,8 @@ def test_samples_come_in_any_rhythm(case: Case) -> None:
     """Half as many, and unevenly spaced, say about the same."""
     masses = []
     for keep in (1, 2):
-        weight, rng = OnlineEstimator(case.robot, case.calibration), np.random.default_rng(2)
+        weight = OnlineEstimator(case.robot, case.calibration)
+        rng = np.random.default_rng(2)
         for row, (time_s, position, current) in enumerate(rows_of(case.parts[1])):
             if row % keep == 0 and rng.uniform() > 0.05:
                 weight.add(time_s, position, current)
@@ -138,16 +157,20 @@ def test_samples_come_in_any_rhythm(case: Case) -> None:
 
 
 @pytest.mark.long
-def test_torque_constants_apart_and_friction_by_the_angle_are_known_from_the_calibration(tmp_path: Path) -> None:
+def test_torque_constants_apart_and_friction_by_the_angle_are_known_from_the_calibration(
+    tmp_path: Path,
+) -> None:
     """Of two joints that carry the same, one motor gives 4 % more than its file says and the other 4 % less."""
-    robot, arm = load_robot(write_robot(tmp_path, build=FOUR)), Twin(5, FOUR)
+    robot = load_robot(write_robot(tmp_path, build=FOUR))
+    arm = Twin(5, FOUR)
     arm.torque = arm.torque * np.array([1.0, 1.04, 0.96, 1.0])
     arm.place[:] = 0.3
     known = fit_empty(robot, [arm.record(f"empty {n}", 20.0) for n in range(2)])
     held = arm.record("held", 10.0, HELD)
     late: dict[str, np.ndarray] = {}
     for name, calibration in (("known", known), ("unknown", without_shares_and_waves(known))):
-        weight, rows = OnlineEstimator(robot, calibration), []
+        weight = OnlineEstimator(robot, calibration)
+        rows = []
         for time_s, position, current in rows_of(held):
             if weight.add(time_s, position, current) and time_s > 4.0:
                 estimate = weight.estimate()
@@ -161,8 +184,13 @@ def test_torque_constants_apart_and_friction_by_the_angle_are_known_from_the_cal
 
 def without_shares_and_waves(known: MotionCalibration) -> MotionCalibration:
     """As if nothing were known of them, and they were nothing."""
-    rows = [n for n, (kind, _) in enumerate(known.keys) if kind == "torque_share" or kind.startswith("coulomb_")]
-    values, covariance = known.values.copy(), known.covariance.copy()
+    rows = [
+        n
+        for n, (kind, _) in enumerate(known.keys)
+        if kind == "torque_share" or kind.startswith("coulomb_")
+    ]
+    values = known.values.copy()
+    covariance = known.covariance.copy()
     values[rows] = 0.0
     covariance[rows], covariance[:, rows] = 0.0, 0.0
     covariance[rows, rows] = 1e-12

@@ -18,11 +18,17 @@ from support.sensing_arm import SensingArm, write_sensing_arm
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.identification.regression.online import OnlineEstimate, OnlineEstimator, inertia_matrix
+from proprio_ros.identification.regression.online import (
+    OnlineEstimate,
+    OnlineEstimator,
+    inertia_matrix,
+)
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
-TAKEN_S, LEFT_S, MASS_KG = 4.0, 8.0, 0.5
+TAKEN_S = 4.0
+LEFT_S = 8.0
+MASS_KG = 0.5
 
 
 class Case:
@@ -32,7 +38,9 @@ class Case:
         self.robot: Robot = load_robot(write_sensing_arm(folder, 7, 211))
         arm = SensingArm(folder, 7, 211, 200.0)
         self.arm = arm
-        self.known: MotionCalibration = fit_empty(self.robot, [arm.work(16.0, name=f"empty {n}") for n in range(2)])
+        self.known: MotionCalibration = fit_empty(
+            self.robot, [arm.work(16.0, name=f"empty {n}") for n in range(2)]
+        )
         self.day = arm.work(12.0, [(TAKEN_S, arm.load(MASS_KG)), (LEFT_S, None)])
 
 
@@ -41,9 +49,13 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
     return Case(tmp_path_factory.mktemp("sensing"))
 
 
-def told(case: Case, motion: Motion, known: MotionCalibration | None = None) -> Iterator[tuple[float, OnlineEstimate]]:
+def told(
+    case: Case, motion: Motion, known: MotionCalibration | None = None
+) -> Iterator[tuple[float, OnlineEstimate]]:
     weight = OnlineEstimator(case.robot, known or case.known)
-    for time_s, position, effort in zip(motion.times_s.tolist(), motion.position, motion.current_A, strict=True):
+    for time_s, position, effort in zip(
+        motion.times_s.tolist(), motion.position, motion.current_A, strict=True
+    ):
         if weight.add(time_s, position, effort) and (estimate := weight.estimate()) is not None:
             yield time_s, estimate
 
@@ -56,23 +68,30 @@ def changes(day: list[tuple[float, OnlineEstimate]]) -> list[float]:
 def test_a_change_is_noticed_within_a_fifth_of_a_second_and_weighed_within_half(case: Case) -> None:
     day = list(told(case, case.day))
     noticed = changes(day)
-    assert len(noticed) == 2 and 0.0 < noticed[0] - TAKEN_S < 0.2 and 0.0 < noticed[1] - LEFT_S < 0.2, noticed
+    assert (
+        len(noticed) == 2 and 0.0 < noticed[0] - TAKEN_S < 0.2 and 0.0 < noticed[1] - LEFT_S < 0.2
+    ), noticed
     for since_s, mass_kg in ((noticed[0], MASS_KG), (noticed[1], 0.0)):
         first = next(estimate for at, estimate in day if at > since_s and estimate.motion_s >= 0.5)
-        assert first.ci95_kg[0] < mass_kg < first.ci95_kg[1] and first.ci95_kg[1] - first.ci95_kg[0] < 0.25 * MASS_KG
+        assert (
+            first.ci95_kg[0] < mass_kg < first.ci95_kg[1]
+            and first.ci95_kg[1] - first.ci95_kg[0] < 0.25 * MASS_KG
+        )
 
 
 @pytest.mark.long
 def test_a_stall_is_no_change(case: Case) -> None:
     """For a third of a second a publisher says what it said last; then it goes on where the arm is by then."""
-    position, effort = case.day.position.copy(), case.day.current_A.copy()
+    position = case.day.position.copy()
+    effort = case.day.current_A.copy()
     speed = np.abs(np.diff(case.day.position, axis=0)).max(axis=1)
     for start_s in (1.0, 2.0, 3.0):  # where the arm is fast
         first = int(np.argmax(np.where(np.abs(case.day.times_s[1:] - start_s) < 0.4, speed, 0.0)))
         position[first : first + 60], effort[first : first + 60] = position[first], effort[first]
     stalled = replace(case.day, position=position, current_A=effort)
     assert len(changes(list(told(case, stalled)))) == 2
-    weight, frozen = OnlineEstimator(case.robot, case.known), 0
+    weight = OnlineEstimator(case.robot, case.known)
+    frozen = 0
     for row in zip(stalled.times_s.tolist(), position, effort, strict=True):
         weight.add(*row)
         frozen += weight.frozen
@@ -91,11 +110,13 @@ def test_joint_states_that_come_in_bursts_are_no_change(case: Case) -> None:
 @pytest.mark.long
 def test_poses_that_the_calibration_did_not_cover_widen_the_interval(case: Case) -> None:
     """The same motion, asked with a calibration of a tenth of the room, and of all of it."""
-    arm, wide = case.arm, case.arm.reached_rad
+    arm = case.arm
+    wide = case.arm.reached_rad
     arm.reached_rad = 0.1 * wide
     near = fit_empty(case.robot, [arm.work(16.0, name=f"near {n}") for n in range(2)])
     arm.reached_rad = wide
-    motion, half = arm.work(6.0, [(0.0, arm.load(MASS_KG))]), []
+    motion = arm.work(6.0, [(0.0, arm.load(MASS_KG))])
+    half = []
     for calibration in (case.known, near):
         estimate = list(told(case, motion, calibration))[-1][1]
         half.append(estimate.ci95_kg[1] - estimate.mass_kg)
@@ -110,11 +131,14 @@ def test_the_inertia_matrix_is_that_of_mujoco(case: Case, tmp_path: Path) -> Non
     other = SensingArm(tmp_path, 7, 211)
     spec = mujoco.MjSpec.from_file(str(tmp_path / "sensing.urdf"))
     model = spec.compile()
-    data, full = mujoco.MjData(model), np.zeros((7, 7))
+    data = mujoco.MjData(model)
+    full = np.zeros((7, 7))
     arm = Arm.of(case.robot, case.known.joints, {})
     terms = np.concatenate([*arm.bodies, 0.01 * np.arange(7)])
     for pose in other.rng.uniform(-2.0, 2.0, (3, 7)):
         data.qpos[:] = pose
         mujoco.mj_forward(model, data)
         mujoco_inertia_matrix(model, data, full)
-        assert np.allclose(inertia_matrix(arm.model, pose, terms), full + np.diag(0.01 * np.arange(7)), atol=1e-6)
+        assert np.allclose(
+            inertia_matrix(arm.model, pose, terms), full + np.diag(0.01 * np.arange(7)), atol=1e-6
+        )

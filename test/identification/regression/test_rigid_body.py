@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body, pseudo_inertia
+from proprio_ros.identification.regression.rigid_body import (
+    inertia_about_centre,
+    nearest_body,
+    pseudo_inertia,
+)
 from proprio_ros.robot.regressor import body_parameters
 
 STDS = np.array([0.01, *[0.005] * 3, *[0.02] * 6])
@@ -14,8 +18,11 @@ STDS = np.array([0.01, *[0.005] * 3, *[0.02] * 6])
 def points(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Masses [kg], places [m] and the ten parameters of a few points: a body by definition."""
     rng = np.random.default_rng(seed)
-    masses, places = rng.uniform(0.1, 0.5, 6), rng.normal(0.1, 0.1, (6, 3))
-    inertia = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, places, strict=True))
+    masses = rng.uniform(0.1, 0.5, 6)
+    places = rng.normal(0.1, 0.1, (6, 3))
+    inertia = sum(
+        m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, places, strict=True)
+    )
     upper = inertia[np.triu_indices(3)]
     return masses, places, np.concatenate([[masses.sum()], masses @ places, upper])
 
@@ -63,10 +70,13 @@ def test_inertia_about_the_centre_and_its_gradient(seed: int) -> None:
     masses, places, parameters = points(seed)
     value, gradient = inertia_about_centre(parameters)
     away = places - masses @ places / masses.sum()
-    expected = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, away, strict=True))
+    expected = sum(
+        m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, away, strict=True)
+    )
     assert value == pytest.approx(expected[np.triu_indices(3)], abs=1e-14)
     for column in range(10):
         step = np.zeros(10)
         step[column] = 1e-6
-        ahead, behind = inertia_about_centre(parameters + step)[0], inertia_about_centre(parameters - step)[0]
+        ahead = inertia_about_centre(parameters + step)[0]
+        behind = inertia_about_centre(parameters - step)[0]
         assert gradient[:, column] == pytest.approx((ahead - behind) / 2e-6, abs=1e-8)

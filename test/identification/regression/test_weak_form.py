@@ -53,9 +53,13 @@ def test_twists_are_the_derivatives_of_where_the_bodies_are() -> None:
         times_s = time_s + step_s * np.array([-1.0, 0.0, 1.0])
         position, velocity, _ = sines(times_s)
         motion = kinematics(model, position, velocity)
-        origin, twist, rotation = motion.origin.T, motion.twist.T[1], motion.rotation.transpose(3, 2, 1, 0)
+        origin = motion.origin.T
+        twist = motion.twist.T[1]
+        rotation = motion.rotation.transpose(3, 2, 1, 0)
         speed = (origin[2] - origin[0]) / (2.0 * step_s)
-        np.testing.assert_allclose(speed, twist[:, 3:] + np.cross(twist[:, :3], origin[1]), atol=1e-8)
+        np.testing.assert_allclose(
+            speed, twist[:, 3:] + np.cross(twist[:, :3], origin[1]), atol=1e-8
+        )
         spin = (rotation[2] - rotation[0]) / (2.0 * step_s) @ np.swapaxes(rotation[1], 1, 2)
         np.testing.assert_allclose(spin[:, 2, 1], twist[:, 0], atol=1e-8)
         np.testing.assert_allclose(spin[:, 0, 2], twist[:, 1], atol=1e-8)
@@ -79,7 +83,12 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, Motion, Motio
     robot = load_robot(write_robot(tmp_path_factory.mktemp("twin")))
     arm = Twin(13)
     held = (0.8, np.array([0.05, 0.03, -0.02]))
-    return robot, arm.record("empty", 15.0), arm.record("loaded", 15.0, held), arm.record("again", 15.0)
+    return (
+        robot,
+        arm.record("empty", 15.0),
+        arm.record("loaded", 15.0, held),
+        arm.record("again", 15.0),
+    )
 
 
 Recorded = tuple[Robot, Motion, Motion, Motion]
@@ -90,24 +99,39 @@ def test_a_payload_and_its_place(twin: Recorded) -> None:
     robot, empty, loaded, _ = twin
     estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
-    mass, centre = estimate.value("payload_mass"), estimate.value("payload_com")
+    mass = estimate.value("payload_mass")
+    centre = estimate.value("payload_com")
     assert mass.ci95[0] < 0.8 < mass.ci95[1]
     assert abs(mass.value - 0.8) < 0.05 and mass.ci95[1] - mass.ci95[0] < 0.12
-    assert all(low < truth < high for (low, high), truth in zip(centre.ci95, (0.05, 0.03, -0.02), strict=True))
+    assert all(
+        low < truth < high
+        for (low, high), truth in zip(centre.ci95, (0.05, 0.03, -0.02), strict=True)
+    )
 
 
 @pytest.mark.long
 def test_how_a_long_payload_is_spread(tmp_path: Path) -> None:
     """A bar of 2 kg along x and y, but not z; a small ball of the same mass has no inertia that anybody could see."""
-    robot, arm, centre = load_robot(write_robot(tmp_path)), Twin(11), np.array([0.05, 0.03, -0.02])
+    robot = load_robot(write_robot(tmp_path))
+    arm = Twin(11)
+    centre = np.array([0.05, 0.03, -0.02])
     truth = (0.25, 0.25, 0.02)
     empty = arm.record("empty", 20.0)
-    bar = identify_in_motion(robot, [arm.record("bar", 20.0, (2.0, centre), truth)], [empty], PayloadFacts())
+    bar = identify_in_motion(
+        robot, [arm.record("bar", 20.0, (2.0, centre), truth)], [empty], PayloadFacts()
+    )
     inertia = bar.value("payload_inertia")
     told = [n for n in (0, 3, 5) if inertia.value[n] is not None]
-    assert told and all(inertia.ci95[n][0] < truth[(0, 3, 5).index(n)] < inertia.ci95[n][1] for n in told)
-    assert all(low < 0.0 < high for low, high in (inertia.ci95[n] for n in (1, 2, 4) if inertia.value[n] is not None))
-    ball = identify_in_motion(robot, [arm.record("ball", 20.0, (2.0, centre))], [empty], PayloadFacts())
+    assert told and all(
+        inertia.ci95[n][0] < truth[(0, 3, 5).index(n)] < inertia.ci95[n][1] for n in told
+    )
+    assert all(
+        low < 0.0 < high
+        for low, high in (inertia.ci95[n] for n in (1, 2, 4) if inertia.value[n] is not None)
+    )
+    ball = identify_in_motion(
+        robot, [arm.record("ball", 20.0, (2.0, centre))], [empty], PayloadFacts()
+    )
     assert ball.value("payload_inertia").value[0] is None
     assert "not determined by this motion" in ball.value("payload_inertia").reason
 
@@ -134,7 +158,12 @@ def test_what_must_be_refused(twin: Recorded) -> None:
     refused(loaded, [], Verdict.NOT_IDENTIFIABLE, "--baseline")
     # another unit: both recordings alike
     tenth = [replace(motion, current_A=0.1 * motion.current_A) for motion in (loaded, empty)]
-    refused(tenth[0], tenth[1:], Verdict.REJECTED, "about 0.1 times what the URDF needs: it is in another unit")
+    refused(
+        tenth[0],
+        tenth[1:],
+        Verdict.REJECTED,
+        "about 0.1 times what the URDF needs: it is in another unit",
+    )
     turned = [replace(motion, current_A=-motion.current_A) for motion in (loaded, empty)]
     refused(turned[0], turned[1:], Verdict.REJECTED, "")
     # picked up in mid-recording
@@ -155,7 +184,12 @@ def test_what_must_be_refused(twin: Recorded) -> None:
 def test_too_short_a_motion_is_said(twin: Recorded) -> None:
     robot, empty, loaded, _ = twin
     kept = loaded.times_s < 6.0
-    short = replace(loaded, times_s=loaded.times_s[kept], position=loaded.position[kept], current_A=loaded.current_A[kept])
+    short = replace(
+        loaded,
+        times_s=loaded.times_s[kept],
+        position=loaded.position[kept],
+        current_A=loaded.current_A[kept],
+    )
     with pytest.raises(RecordingError, match="record 10 s"):
         fit_payload(robot, [short], fit_empty(robot, [empty]))
 
@@ -171,7 +205,8 @@ def test_intervals_hold_on_arms_drawn_at_random(tmp_path: Path) -> None:
         arm = Twin(seed)
         mass = float(rng.uniform(0.2, 1.5))
         held = (mass, np.array([0.05, 0.0, 0.0]) + 0.04 * rng.standard_normal(3))
-        loaded, empty = arm.record("loaded", 15.0, held), arm.record("empty", 15.0)
+        loaded = arm.record("loaded", 15.0, held)
+        empty = arm.record("empty", 15.0)
         fit = fit_payload(robot, [loaded], fit_empty(robot, [empty]))
         far.append(abs(float(fit.values[0]) - mass) / (fit.quantile * float(fit.std[0])))
         place = fit.values[1:4] / fit.values[0]
