@@ -15,6 +15,7 @@ import numpy as np
 from proprio_ros.errors import some
 from proprio_ros.recordings.effort import EFFORT_UNITS, ampere
 from proprio_ros.recordings.motions import MOVED_RAD
+from proprio_ros.recordings.pace import Pace, pace_by_velocities
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
 from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.regressor import body_parameters, carriers, gravity_along, kinematics
@@ -70,10 +71,23 @@ def moving(record: JointRecord, slides: Sequence[str] = ()) -> tuple[str, ...]:
 
 def findings(recording: Recording, slides: Sequence[str] = ()) -> tuple[Finding, ...]:
     """All that a recording shows of itself without a robot, efforts in whatever unit the publisher used."""
-    moved = moving(recording.joints, slides)
-    each = (_still_columns, _velocity, _registers, _stale)
-    by_column = (finding for of in each for finding in of(recording.joints, moved))
-    return (*_held(recording, moved), *by_column, *_command_as_effort(recording))
+    record = recording.joints
+    moved = moving(record, slides)
+    pace = pace_by_velocities(recording)
+    stretched = pace is not None and pace.is_off
+    by_column = (
+        *_still_columns(record, moved),
+        *_velocity(record, moved, stretched),
+        *_registers(record, moved),
+        *_stale(record, moved),
+    )
+    time_scale = [] if pace is None or not stretched else [_time_scale(pace, moved)]
+    return (*_held(recording, moved), *time_scale, *by_column, *_command_as_effort(recording))
+
+
+def _time_scale(pace: Pace, moved: Sequence[str]) -> Finding:
+    """A time axis that is stretched, by joints that moved."""
+    return Finding("time_scale", pace.sentence, tuple(moved), dict.fromkeys(moved, pace.scale))
 
 
 def _held(recording: Recording, moved: Sequence[str]) -> Iterator[Finding]:
@@ -168,7 +182,8 @@ def _times_s(record: JointRecord) -> FloatArray:
     return 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
 
 
-def _velocity(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
+def _velocity(record: JointRecord, moved: Sequence[str], stretched: bool) -> Iterator[Finding]:
+    """Velocities that lag, or of another unit; of a stretched time axis they have none of their own to be blamed for."""
     if record.velocity is None:
         return
     times_s = _times_s(record)
@@ -191,7 +206,8 @@ def _velocity(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
             "positions alone are used"
         )
         yield Finding("velocity_lags", sentence, tuple(late), late)
-    if other := {name: ratio for name, ratio in ratios.items() if not 0.8 < ratio < 1.25}:
+    other = {name: ratio for name, ratio in ratios.items() if not 0.8 < ratio < 1.25}
+    if other and not stretched:
         sentence = (
             f"the velocity of {some(other)} is {_span(other, '.3g')} times the derivative of its position: "
             "another unit (rpm are 9.55 times rad/s, degrees/s 57.3 times), or another joint's; positions alone are used"

@@ -1,0 +1,134 @@
+"""The scale of a time axis by velocities: on motions known in closed form, and on real arms whose stamps are stretched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.machines import REAL
+
+from proprio_ros.recordings.pace import pace_by_velocities
+from proprio_ros.recordings.plausibility import findings
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.records import FloatArray, JointRecord, Recording
+
+TIMES_S = np.arange(0.0, 20.0, 0.01)
+# amplitude [rad] and angular frequency [rad/s] of the waves of each joint
+WAVES = {
+    "a": ((0.8, 0.9), (0.3, 2.3)),
+    "b": ((0.5, 1.3), (0.2, 4.1)),
+    "c": ((1.1, 0.6), (0.1, 6.0)),
+}
+real = pytest.mark.skipif(not REAL.exists(), reason="needs the real recordings")
+
+
+def positions(joint: str) -> FloatArray:
+    return np.sum([size * np.sin(omega * TIMES_S) for size, omega in WAVES[joint]], axis=0)
+
+
+def velocities(joint: str, filter_s: float = 0.0, delay_s: float = 0.0) -> FloatArray:
+    """In closed form, behind a filter of first order and a delay: ``Re(i w A exp(i w t) / (1 + i w a))`` of each wave."""
+    parts = []
+    for size, omega in WAVES[joint]:
+        through = np.exp(-1j * omega * delay_s) / (1.0 + 1j * omega * filter_s)
+        parts.append(np.real(size * omega * np.exp(1j * omega * TIMES_S) * through))
+    return np.sum(parts, axis=0)
+
+
+def recording(velocity: FloatArray, stretched: float = 1.0) -> Recording:
+    """Three joints with counts of an encoder; the stamps run ``stretched`` times as fast as the clock."""
+    position = np.column_stack([positions(joint) for joint in WAVES])
+    counts = np.round(position / 0.0015) * 0.0015
+    times_ns = np.rint(1e9 * stretched * TIMES_S).astype(np.int64)
+    return Recording("bag", JointRecord(times_ns, tuple(WAVES), counts, velocity), None)
+
+
+def of_all(filter_s: float = 0.0, delay_s: float = 0.0) -> FloatArray:
+    """With the noise and the counts of a real register."""
+    exact = np.column_stack([velocities(joint, filter_s, delay_s) for joint in WAVES])
+    noise = np.random.default_rng(3).normal(0.0, 0.02, exact.shape)
+    return np.round((exact + noise) / 0.024) * 0.024
+
+
+@pytest.mark.parametrize("filter_s, delay_s", [(0.0, 0.0), (0.05, 0.0), (0.0, 0.045), (0.03, 0.02)])
+@pytest.mark.parametrize("stretched", [0.5, 0.73, 1.0, 1.4, 2.0])
+def test_a_scale_is_found_whatever_lags(stretched: float, filter_s: float, delay_s: float) -> None:
+    pace = pace_by_velocities(recording(of_all(filter_s, delay_s), stretched))
+    assert pace is not None
+    assert pace.scale * stretched == pytest.approx(1.0, abs=0.01)
+    assert abs(pace.scale - 1.0 / stretched) < 2.0 * pace.std
+    assert pace.is_off == (stretched != 1.0)
+
+
+def test_check_blames_the_time_axis_and_not_the_units_of_all_joints() -> None:
+    found = findings(recording(of_all(), 0.73))
+    assert [finding.code for finding in found] == ["time_scale"]
+    assert "1.37" in found[0].sentence
+    assert found[0].values["a"] == pytest.approx(1.37, abs=0.01)
+    assert findings(recording(of_all(0.005), 1.0)) == ()
+
+
+def test_another_unit_is_none_of_the_time_axis() -> None:
+    of_one = of_all()
+    of_one[:, 1] *= 0.73
+    for velocity in (of_one, of_all() * 57.3, of_all() / 57.3, -of_all()):
+        assert pace_by_velocities(recording(velocity)) is None
+    assert "velocity_scale" in [finding.code for finding in findings(recording(of_all() * 57.3))]
+
+
+def test_of_one_joint_alone_a_factor_may_be_its_unit() -> None:
+    velocity = np.full((len(TIMES_S), 3), np.nan)
+    velocity[:, 0] = velocities("a")
+    assert pace_by_velocities(recording(velocity, 0.73)) is None
+    alone = pace_by_velocities(recording(velocity))
+    assert alone is not None
+    assert not alone.is_off
+
+
+def test_velocities_made_of_positions_say_nothing_of_time() -> None:
+    position = recording(of_all()).joints.position
+    assumed = np.diff(position, axis=0, prepend=position[:1]) / 0.0137
+    assert pace_by_velocities(recording(assumed)) is None
+
+
+def test_velocities_that_follow_nothing_say_nothing() -> None:
+    assert pace_by_velocities(recording(np.random.default_rng(5).normal(size=(2000, 3)))) is None
+    position = recording(of_all()).joints.position
+    silent = JointRecord(np.arange(2000) * 10**7, tuple(WAVES), position)
+    assert pace_by_velocities(Recording("bag", silent, None)) is None
+
+
+def test_angles_that_wrap_and_gaps_do_not_matter() -> None:
+    whole = recording(of_all(), 0.73)
+    position = np.mod(whole.joints.position, 2.0 * np.pi)
+    kept = np.ones(len(TIMES_S), dtype=bool)
+    kept[700:760] = False
+    record = whole.joints
+    assert record.velocity is not None
+    cut = JointRecord(record.times_ns[kept], record.names, position[kept], record.velocity[kept])
+    pace = pace_by_velocities(Recording("bag", cut, None))
+    assert pace is not None
+    assert pace.scale == pytest.approx(1.0 / 0.73, rel=0.01)
+
+
+def read(bag: Path) -> Recording:
+    return read_recording(bag, nominal_torque_constants={}, joint_order=[], states_only=True)
+
+
+@real
+@pytest.mark.parametrize("stretched", [0.6, 0.73, 1.0, 1.5])
+@pytest.mark.parametrize(
+    "bag", ["ur10e_loaded_14", "omx_empty_1", "kuka_lwr4_empty_3", "gen3_gap_and_wrap"]
+)
+def test_real_registers(bag: str, stretched: float) -> None:
+    whole = read(REAL / bag)
+    times_ns = whole.joints.times_ns
+    stamps = times_ns[0] + np.rint(stretched * (times_ns - times_ns[0])).astype(np.int64)
+    bent = replace(whole, joints=replace(whole.joints, times_ns=stamps))
+    pace = pace_by_velocities(bent)
+    assert pace is not None
+    assert pace.scale * stretched == pytest.approx(1.0, abs=0.03)
+    assert abs(pace.scale - 1.0 / stretched) < 2.0 * pace.std
+    assert pace.is_off == (stretched != 1.0)
