@@ -4,7 +4,7 @@ parameter, a topic or a file of ``results``).
 ``pages/command_line.md`` comes from the parser of ``proprio_ros/cli``; ``pages/ros_interface.md`` from the parameter tables
 of the nodes and from the calls in ``configure`` that make publishers, subscriptions and services. ``pages/settings.md`` comes
 from the forms of settings, robot files and calibrations, and from the limits of what is read, ``pages/refusals.md`` from the
-codes of reasons. None needs ROS: where
+codes of reasons, ``pages/conformance.md`` from the table of ``test/conformance``. None needs ROS: where
 rclpy is missing, empty classes stand in for what the nodes import from it, so that the pages are the same everywhere.
 Tables of figures in README and ``pages/validation.md`` come from ``results/*.json`` (`figures`).
 """
@@ -29,6 +29,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import conformance_page
 import figures
 
 PAGES = Path(__file__).resolve().parent / "pages"
@@ -681,6 +682,7 @@ def pages() -> dict[Path, str]:
         PAGES / "ros_interface.md": ros_interface(),
         PAGES / "settings.md": settings(),
         PAGES / "refusals.md": refusals(),
+        PAGES / "conformance.md": conformance_page.page(NOTE, _table),
         **measured(),
     }
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.bent import Bend, bent
+from support.bends.messages import Bend, bent
 from support.drawn_arm import joints_of, write_urdf
 from support.moved_arm import record_arm
 

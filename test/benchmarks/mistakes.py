@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from real import STS_OBJECT, UR10E_KG, cut, parser_of, pendulum, ur10e_file
 from results import Results
-from support.bent import Bend, bent
+from support.bends.messages import Bend, bent
 from support.moved_arm import record_arm
 from support.simulated import bag_in, stated, truth_of
 

@@ -17,7 +17,7 @@ from between_recordings import Answer, place_answers, real_answers, said
 from ruamel.yaml import YAML
 from scipy.stats import norm
 from support.arm_in_motion import SIX, write_robot
-from support.bent import Bend, bent, commands_times, stamps_times
+from support.bends.messages import Bend, bent, commands_times, stamps_times
 from support.differing import DifferingArm
 from support.machines import REAL
 from support.simulated import bag_in

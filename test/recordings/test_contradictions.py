@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.bent import bent, commands_times, messages_of, stamps_times
+from support.bends.messages import bent, commands_times, messages_of, stamps_times
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.pipeline.check import check_bags

@@ -1,4 +1,4 @@
-"""Bags as they are but for one mistake, made of every message."""
+"""Bags as they are but for one mistake, made of every message; see `tape.py` for what is faster."""
 
 from __future__ import annotations
 

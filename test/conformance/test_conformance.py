@@ -1,0 +1,33 @@
+"""Every row of the table: verdict, reason code and named cause are right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.bends.bend import all_bends
+
+from conformance.table import VERDICTS, Row, all_rows, asked, files_of, wrong_with
+from proprio_ros.identification.reasons import CODES
+
+
+@pytest.mark.parametrize("row", all_rows(), ids=lambda row: row.name)
+def test_is_answered_right(row: Row, tmp_path: Path) -> None:
+    if row.of.missing:
+        pytest.skip(f"{row.base} does not ship with the package")
+    files = files_of(row, tmp_path)
+    outcome = asked(row.words, files, row.of.estimate)
+    assert not wrong_with(row, outcome), outcome
+
+
+def test_rows_name_what_there_is() -> None:
+    rows = all_rows()
+    names = [row.name for row in rows]
+    assert len(set(names)) == len(names)
+    bends = all_bends()
+    for row in rows:
+        assert set(row.verdicts) <= set(VERDICTS), row.name
+        assert set(row.codes) <= set(CODES), row.name
+        for each in row.bends:
+            wanted = set(bends[each.name].parameters)
+            assert wanted == set(each.parameters), row.name

@@ -1,0 +1,70 @@
+"""More than one publisher of joint states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from support.bends.bend import Right, Rng, bend, between, one_of
+from support.bends.tape import Stream, Tape
+
+PUBLISHERS = r"publish|zeros|copies|twice|second|repeated"
+
+
+def _beside(states: Stream, lag_ns: int) -> Stream:
+    """The same messages, recorded earlier or later."""
+    return replace(states, bag_ns=states.bag_ns + lag_ns)
+
+
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+    lag_us=one_of((-50, 50)),
+    effort=one_of((True, False)),
+)
+def zeros_with_the_same_stamps(tape: Tape, rng: Rng, lag_us: int, effort: bool) -> Tape:
+    """A second publisher sends zeros with the same stamps, before or after each message, with or without effort."""
+    copy = _beside(tape.states, 1000 * lag_us)
+    zeros = np.zeros_like(copy.values["position"])
+    values = {"position": zeros, "effort": zeros} if effort else {"position": zeros}
+    return tape.and_stream(replace(copy, values=values))
+
+
+@bend(
+    "publishers", Right(told=True, cause=PUBLISHERS), rate=one_of((2, 5, 10)), at=between(0.2, 0.8)
+)
+def zeros_at_times_of_its_own(tape: Tape, rng: Rng, rate: int, at: float) -> Tape:
+    """A second publisher sends zeros, less often and with stamps between the others'."""
+    states = tape.states
+    chosen = states.kept(np.arange(len(states.bag_ns)) % rate == 0)
+    shift_ns = int(at * np.median(np.diff(states.bag_ns)))
+    zeros = np.zeros_like(chosen.values["position"])
+    other = replace(
+        chosen,
+        bag_ns=chosen.bag_ns + shift_ns,
+        stamp_ns=chosen.stamp_ns + shift_ns,
+        values={"position": zeros},
+    )
+    return tape.and_stream(other)
+
+
+@bend("publishers", Right(told=True, cause=PUBLISHERS), samples=one_of((1, 5, 20)))
+def stale_copies(tape: Tape, rng: Rng, samples: int) -> Tape:
+    """A second publisher repeats what it heard some samples ago, with stamps of now."""
+    states = tape.states
+    late = {name: table[:-samples] for name, table in states.values.items()}
+    shift_ns = int(0.5 * np.median(np.diff(states.bag_ns)))
+    other = replace(
+        states,
+        bag_ns=states.bag_ns[samples:] + shift_ns,
+        stamp_ns=states.stamp_ns[samples:] + shift_ns,
+        values=late,
+    )
+    return tape.and_stream(other)
+
+
+@bend("publishers", Right(told=True, cause=PUBLISHERS + "|twice"))
+def every_message_twice(tape: Tape, rng: Rng) -> Tape:
+    """Each message comes twice, as from two bridges."""
+    return tape.and_stream(_beside(tape.states, 30_000))
