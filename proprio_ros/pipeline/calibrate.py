@@ -37,6 +37,7 @@ from proprio_ros.identification.regression.one_joint_estimate import (
     torque_left_over,
 )
 from proprio_ros.identification.robot_calibration import UNLEARNT, LoadedRun, calibrate
+from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.reading import text_of, yaml_of
 from proprio_ros.inputs.resources import (
     check_new_yaml,
@@ -133,7 +134,7 @@ def calibrate_from_bags(
         estimate = _from_motions(request, motions, progress)
     else:
         estimate = with_advice(
-            request.robot, calibrate(request.robot, runs, progress), progress=progress
+            request.robot, solvable(calibrate)(request.robot, runs, progress), progress=progress
         )
     if estimate.calibration is not None:
         made = moment_of(
@@ -188,7 +189,9 @@ def refresh_from_bags(
     robot = aged_robot(request.robot, now)
     read = time.perf_counter()
     estimate = with_advice(
-        robot, refresh(robot, [LoadedRun(run) for run in runs], progress), progress=progress
+        robot,
+        solvable(refresh)(robot, [LoadedRun(run) for run in runs], progress),
+        progress=progress,
     )
     if (learnt := estimate.calibration) is not None:
         learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
@@ -343,6 +346,7 @@ def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdenti
 
 
 @one_blas_thread
+@solvable
 def plan_excitations(
     masses_kg: Sequence[float],
     options: Options | None = None,
@@ -362,6 +366,7 @@ def plan_excitations(
     return request.robot, plan(request.robot, masses_kg, request.facts, count, progress, seconds)
 
 
+@solvable
 def _from_motions(
     request: Request, motions: Sequence[tuple[Motion, float]], progress: Callable[[str], None]
 ) -> CalibrationEstimate:

@@ -18,6 +18,7 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.at_rest import refuse_useless
 from proprio_ros.identification.regression.one_joint_fit import fit_one_joint
 from proprio_ros.identification.regression.one_joint_known import tables_of
+from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline import loading
@@ -194,6 +195,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     return replace(check, record=_advice(robot, recording, check))
 
 
+@solvable
 def _refuse_motion(robot: Robot, motion: Motion) -> None:
     """Raise what `replay` raises of this motion by itself."""
     if len(motion.joints) > 1:
@@ -271,7 +273,7 @@ def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> 
     # a joint that was not recorded stands somewhere, which matters little
     held = {**dict.fromkeys(robot.model.independent_joints, 0.0), **motion.held}
     try:
-        width_kg, per_kg = mass_from_motion(robot, replace(motion, held=held))
+        width_kg, per_kg = solvable(mass_from_motion)(robot, replace(motion, held=held))
     except (RecordingError, RobotError):
         return None
     stated = not is_description(str(robot.source))
@@ -325,6 +327,7 @@ def _input_of(
     return inputs.source, "N m or N, current x nominal torque constant" if published else "N m or N"
 
 
+@solvable
 def _run_check(robot: Robot, run: Run) -> RunCheck:
     joint = robot.model.joint(run.joint)
     travel = float(np.ptp(run.position)) if run.free else float(run.position[-1] - run.position[0])

@@ -15,6 +15,7 @@ from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Estimate, HeldView
 from proprio_ros.identification.recorded import held_views, recorded_run
+from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.pipeline.loading import (
     Recordings,
@@ -130,6 +131,7 @@ def _refuse_unsuited(request: Request, runs: Sequence[Run], motions: Sequence[Mo
         )
 
 
+@solvable
 def identify(
     request: Request, robot: Robot, read: Recorded, paths: Sequence[str | Path]
 ) -> Estimate:

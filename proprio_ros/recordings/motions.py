@@ -91,7 +91,10 @@ def motion_of(
         beside={joint: recorded[:, record.column(joint)] for joint in others},
     )
     if not (standing or motion.moved):
-        raise TooLittleMotion(f"{name}: no joint moved by more than {MOVED_RAD} rad")
+        raise TooLittleMotion(
+            f"{name}: no joint moved by more than {MOVED_RAD} rad: record the arm while it moves; a hand that stands still is "
+            "weighed roughly, with the --calibration of an arm that was calibrated by motions (docs: payload, at rest)"
+        )
     return motion
 
 

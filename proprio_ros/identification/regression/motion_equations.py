@@ -42,6 +42,8 @@ STRETCH_S = 2.5
 MIN_STRETCHES = 4
 # Of a difference quotient: a torque is nearly linear over it, and its digits are not lost.
 ZERO_STEP_RAD = 1e-3
+LEAST_WINDOWS = round(STRETCH_S / (WINDOW_S * HOP_SHARE))
+"""A joint that moves in fewer windows of all motions, less than one stretch, leaves no residual that could weigh it."""
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 _made: ContextVar[dict[bytes, Rows] | None] = ContextVar("made", default=None)
 
@@ -248,6 +250,10 @@ class Rows:
             )
         )
 
+    def only(self, kept: NDArray[np.bool_]) -> Rows:
+        """Some of them, by a truth value for each, shape (E,)."""
+        return Rows(*(getattr(self, field.name)[kept] for field in fields(self)))
+
     @property
     def stretch(self) -> NDArray[np.int64]:
         """Number of the stretch that the window's middle lies in, shape (E,)."""
@@ -255,6 +261,16 @@ class Rows:
             np.int64
         )
         return stretches
+
+
+def weighable(parts: Sequence[Rows]) -> list[Rows]:
+    """The rows without those of joints that have fewer than `LEAST_WINDOWS` in all parts together.
+
+    As many unknowns as rows explain whatever was read: nothing is left over, and such a joint would outweigh all others.
+    """
+    together = np.concatenate([part.joint for part in parts])
+    enough = np.bincount(together) >= LEAST_WINDOWS if len(together) else np.zeros(0, dtype=bool)
+    return [part.only(enough[part.joint]) for part in parts]
 
 
 def equations(

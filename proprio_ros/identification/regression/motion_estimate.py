@@ -31,6 +31,7 @@ from proprio_ros.identification.regression.motion_fit import (
     Centre,
     MotionFit,
     fit_payload,
+    held_by_file,
     learn_arm,
     share_of,
 )
@@ -128,17 +129,30 @@ def calibration_refusals(
     driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
     share = refusals.deciding(calibration.tells, share_of(calibration.residual, driven))
     yield from refusals.unexplained_torque(calibration.joints, share, "the arm and its friction")
-    yield from refusals.unlike_urdf(calibration.arm_over_urdf)
-    prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
+    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
+    prior = file_prior(robot, arm)
     # the prior has what a joint's torque repeats to; what its file leaves open is more, most of it in common with the others
     open_yet = [
         OWN_SHARE * relative_torque_std(robot, joint) if kind == "torque_share" else 0.0
         for kind, joint in calibration.keys
     ]
     std = np.hypot(np.sqrt(np.diag(prior.covariance)), open_yet)
-    yield from refusals.far_from_prior(
-        calibration.keys, calibration.values, prior.values, std, "robot file"
+    unlike = [
+        *refusals.unlike_urdf(calibration.arm_over_urdf),
+        *refusals.far_from_prior(
+            calibration.keys, calibration.values, prior.values, std, "robot file"
+        ),
+    ]
+    if not unlike:
+        return
+    held = held_by_file(robot, motions)
+    terms = slice(0, len(held.arm))  # what differs from motion to motion is open
+    with_it = refusals.far_from_prior(
+        calibration.keys[terms], held.arm, prior.values[terms], std[terms], "robot file"
     )
+    if not any(with_it):
+        yield from refusals.held_when_empty(held)
+    yield from unlike
 
 
 def _scaled(

@@ -27,7 +27,7 @@ from proprio_ros.calibration_files.motions import (
     Key,
     MotionCalibration,
 )
-from proprio_ros.errors import RecordingError, RobotError
+from proprio_ros.errors import RecordingError, RobotError, some
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.between import DIFFERS, WORDS, Between, effective_freedom
@@ -38,6 +38,7 @@ from proprio_ros.identification.regression.motion_equations import (
     Problem,
     Rows,
     equations,
+    weighable,
 )
 from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
 from proprio_ros.identification.regression.traces import Explained
@@ -151,7 +152,7 @@ def learn_arm(
     arm = Arm.of(robot, joints, dict(motions[0].held))
     count = arm.count
     shared = PARAMETERS + ARM_TERMS * arm.count
-    parts = [equations(robot, motion, joints) for motion in motions]
+    parts = weighable([equations(robot, motion, joints) for motion in motions])
     problem = Problem.of(parts, 0)
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
     prior = motion_prior.prior_of_file(robot, arm, runs)
@@ -209,6 +210,35 @@ def learn_arm(
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
     return learnt, _shown(problem, parts, solution, learnt, [motion.name for motion in motions])
+
+
+@dataclass(frozen=True)
+class HeldByFile:
+    """What motions hold where nothing but the robot file says what the arm is."""
+
+    mass_kg: float
+    std_kg: float
+    sigmas: float  # how far mass and first moment together are from nothing
+    arm: FloatArray  # the arm's terms that all motions share, in the order of `term_keys`, shape (17 n,)
+
+
+def held_by_file(robot: Robot, motions: Sequence[Motion]) -> HeldByFile:
+    """What the hand holds in motions, and the arm with it, by the robot file alone: coarse, as a URDF is.
+
+    Raises `RecordingError`: A motion is of no use.
+    """
+    joints = motions[0].joints
+    arm = Arm.of(robot, joints, dict(motions[0].held))
+    parts = weighable([equations(robot, motion, joints) for motion in motions])
+    problem = Problem.of(parts, len(motions))
+    prior = motion_prior.prior_of_file(robot, arm, len(motions))
+    none = np.zeros(len(FRICTION_TERMS) * arm.count)
+    per_kg = motion_prior.payload_stds(arm)
+    solution = solve(problem, prior, Between.published(none, none), per_kg)
+    shared = slice(PARAMETERS, PARAMETERS + ARM_TERMS * arm.count)
+    seen = solution.values[:4]  # mass and first moment: what gravity pulls at
+    squared = float(seen @ np.linalg.solve(solution.covariance[:4, :4], seen))
+    return HeldByFile(*solution.mass_and_std(), float(np.sqrt(squared)), solution.values[shared])
 
 
 def _friction_between(problem: Problem, solution: Solution) -> Between:
@@ -276,12 +306,11 @@ def fit_payload(
     joints = calibration.joints
     check_arm(robot, motions, calibration)
     arm = Arm.of(robot, joints, dict(motions[0].held))
-    parts = [
-        equations(robot, motion, joints, None if centre is None else centre[0])
-        for motion in motions
-    ]
+    place = None if centre is None else centre[0]
+    parts = weighable([equations(robot, motion, joints, place) for motion in motions])
     problem = Problem.of(parts, len(loaded))
     carrying = problem.carrying
+    _refuse_other_joints(loaded, problem, calibration)
     stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
     known, terms = motion_prior.calibrated_prior(arm, calibration, len(motions))
     between = motion_prior.between_of(calibration)
@@ -344,6 +373,24 @@ def fit_payload(
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
         shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
+    )
+
+
+def _refuse_other_joints(
+    loaded: Sequence[Motion], problem: Problem, calibration: MotionCalibration
+) -> None:
+    """What the arm's own weight is on a joint, only that joint's motion with an empty hand says.
+
+    Raises `RecordingError`: No joint moves both with the payload and without it.
+    """
+    moves = np.isin(np.arange(problem.count), problem.joint[problem.carrying])
+    known = calibration.residual > 0.0
+    if not moves.any() or (moves & known).any():
+        return
+    names = np.array(calibration.joints)
+    raise RecordingError(
+        f"{loaded[0].name}: the two motions move different joints: {some(names[moves])} with the load, {some(names[known])} with "
+        "the empty hand; what the arm itself weighs on a joint shows only where it moves in both: record the same motion twice"
     )
 
 

@@ -7,8 +7,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from proprio_ros.calibration_files.motions import UNITS, Key
+from proprio_ros.errors import some
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
-from proprio_ros.identification.regression.motion_fit import CONSTANTS, Centre, MotionFit
+from proprio_ros.identification.regression.motion_fit import (
+    CONSTANTS,
+    Centre,
+    HeldByFile,
+    MotionFit,
+)
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95, shown, written
 from proprio_ros.records import FloatArray
@@ -31,6 +37,17 @@ both are off alike, as from their URDF, a load shows it, too, and an interval ho
 def deciding(tells: FloatArray | None, values: FloatArray) -> FloatArray:
     """Values of the joints that decide; NaN of the others."""
     return values if tells is None else np.where(tells < DECIDES, np.nan, values)
+
+
+def moved_only_loaded(fit: MotionFit) -> tuple[str, ...]:
+    """A sentence about the joints that moved with the payload and never with an empty hand."""
+    only = np.isfinite(fit.residual) & ~np.isfinite(fit.empty_residual)
+    if not only.any():
+        return ()
+    names = some(np.array(fit.joints)[only])
+    return (
+        f"{names} moved with the load only: what the arm itself does there is as its URDF says, and counts for as little",
+    )
 
 
 def passed_over(joints: Sequence[str], tells: FloatArray, share: FloatArray) -> tuple[str, ...]:
@@ -69,16 +86,38 @@ def unexplained_torque(
         )
 
 
+def times(factor: float) -> str:
+    """A factor in words: what is beyond a hundred has no digits that mean something."""
+    return f"{factor:.2f} times" if abs(factor) < 100.0 else "over 100 times"
+
+
 def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
     """Where the arm weighs far more or less by its torques than by its URDF."""
     if not 1.0 / URDF_RATIO < arm_over_urdf < URDF_RATIO:
         yield rejected(
             "arm_unlike_urdf",
             "the arm does not fit its URDF",
-            f"by its torques the arm weighs {arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
+            f"by its torques the arm weighs {times(arm_over_urdf)} what its URDF says, and a payload would be off by as much: "
             f"check the effort's {'unit' if arm_over_urdf > 0.0 else 'sign'}, the torque constants and the URDF's masses, "
             "and that empty and loaded recordings are not mixed up",
         )
+
+
+def held_when_empty(held: HeldByFile) -> Iterator[Refusal]:
+    """Where a hand that should be empty holds something by the robot file, and with that the arm is as stated."""
+    if held.sigmas < LEAST_SIGMAS:
+        return
+    mass = shown("kg", abs(held.mass_kg), spec=".0f")
+    half = shown("kg", Z95 * held.std_kg, spec=".0f")
+    seen = f"holds {mass} +- {half}: was something held, or is a tool mounted that the URDF lacks?"
+    if held.mass_kg < 0.0:
+        seen = f"is {mass} +- {half} too light: has the URDF a hand or tool that is not mounted?"
+    yield rejected(
+        "hand_not_empty",
+        "the hand that should be empty is not as its URDF says",
+        f"by the robot file the hand that should be empty {seen} The arm without it is as stated: what stays mounted belongs in "
+        "the URDF, a payload comes on top",
+    )
 
 
 def noticed(fit: MotionFit) -> FloatArray:

@@ -176,7 +176,10 @@ def identify_in_motion(
         budget=list(fit.parts.items()),
         detail=MotionDetail(fit.stretches, fit.unseen()),
         beside=baseline,
-        notes=refusals.passed_over(fit.joints, fit.tells, fit.unexplained),
+        notes=(
+            *refusals.moved_only_loaded(fit),
+            *refusals.passed_over(fit.joints, fit.tells, fit.unexplained),
+        ),
         shown=fit.shown,
     )
 
@@ -333,7 +336,7 @@ def _assumptions(
             []
             if fit is None
             else [
-                f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says",
+                f"by its torques the arm weighs {refusals.times(fit.arm_over_urdf)} what its URDF says",
                 _louder(fit),
             ]
         ),
