@@ -23,7 +23,7 @@ Recordings in which one thing has gone wrong, and what is right to say of each: 
   exit code 2. Wherever an answer is given, its 95 % interval has to hold the truth. A refusal carries one of the
   codes ([Refusals](refusals.md)), where any stand there, and what is said names the cause: it matches the regular expression.
 
-To ask another tool, write `asked` of `test/conformance/table.py` for it: of a command and its files the verdict, the
+To ask another tool, write `asked` of `test/support/known/asking.py` for it: of a command and its files the verdict, the
 value, the interval and what was said."""
 
 
@@ -35,9 +35,9 @@ def page(note: str, table: Table) -> str:
         table: Of titles and rows a table in Markdown.
     """
     sys.path.insert(0, str(TESTS))
-    from conformance.bases import BASES
     from conformance.table import all_rows
     from support.bends.bend import all_bends
+    from support.known.bases import BASES
 
     parts = [note, ABOUT, "## Recordings"]
     bases = [

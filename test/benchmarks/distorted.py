@@ -1,224 +1,340 @@
-"""What is said of a real recording once something in it is wrong: what is accepted, and how far off that is.
+"""What is said of recordings in which one thing has gone wrong: how far off accepted answers are, whether refusals name the cause.
 
-    python test/benchmarks/distorted.py [--recordings ../shared/recordings_real]
+    python test/benchmarks/distorted.py --count 2000 --first SEED [--jobs 2] [--kinds KIND ...] [--bends NAME ...] [--bases ...]
 
-The UR10e with 2.805 kg, and without, is weighed in six ways (against a baseline or with a calibration; the distortion in what is
-weighed, or in both recordings), each with one thing changed that sensors, drivers and users get wrong: units, signs, clocks, zeros,
-filters, lost samples. An answer need not come; one that comes has to hold. One row for each distortion.
+Each of COUNT questions is drawn: a kind of trouble, a bend of it (`test/support/bends`) with its parameters, a recording of known
+truth (`test/support/known/bases.py`: real machines, pushes that ship, arms in MuJoCo that SEED draws), and whether the recording
+without a load is bent alike. An answer need not come; one that comes has to hold. Every answer beyond three standard
+deviations is listed with what makes it again: ``--first SEED --only NUMBER``. Recordings whose answer is refused as they are,
+are left out. ``--all`` prints every answer.
 """
 
 from __future__ import annotations
 
+import re
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from real import UR10E_KG, ur10e_file
 from results import Results, parser_of
-from scipy.signal import butter, lfilter
-from support.machines import REAL
+from support.bends.bend import KINDS, Bend, all_bends
+from support.bends.tape import tape_of
+from support.known.asking import ACCEPTED, Outcome, asked, bent_bag
+from support.known.bases import BASES, PUSH, Base, drawn
 
-from proprio_ros.errors import ProprioError
-from proprio_ros.identification.regression.motion_equations import once_each
-from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.pipeline.loading import bag_motion
-from proprio_ros.pipeline.request import Options, Request
-from proprio_ros.probes.payload.moving import identify_in_motion
 from proprio_ros.quantity import Z95
-from proprio_ros.recordings.motions import Motion
-from proprio_ros.robot import Robot, load_robot
-from proprio_ros.sim.payload import PayloadFacts
 
-Distortion = Callable[[Motion, np.random.Generator], Motion]
-LIFT = 1
-ELBOW = 2
+TOO_WIDE = "too_wide"
+FAR = 3.0
+"""Beyond so many standard deviations an accepted answer is wrong."""
 
 
-def currents(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Distortion:
-    """A distortion of the currents, shape (T, n)."""
-    return lambda motion, rng: replace(motion, current_A=change(motion.current_A.copy(), rng))
+@dataclass(frozen=True)
+class Drawn:
+    """One question.
+
+    Attributes:
+        number: Among those of a seed.
+        bend: Its name.
+        parameters: Of it.
+        base: Name of the recordings.
+        of: Which of them are bent.
+    """
+
+    number: int
+    bend: str
+    parameters: dict[str, Any]
+    base: str
+    of: tuple[str, ...]
+
+    def __str__(self) -> str:
+        parameters = ", ".join(f"{name} {value}" for name, value in self.parameters.items())
+        return f"{self.number}: {self.bend} {parameters} in {' and '.join(self.of)} of {self.base}"
 
 
-def positions(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Distortion:
-    """A distortion of the positions, shape (T, n)."""
-    return lambda motion, rng: replace(motion, position=change(motion.position.copy(), rng))
+@dataclass(frozen=True)
+class Answered:
+    """One question and what came out."""
+
+    drawn: Drawn
+    kind: str
+    truth: float
+    outcome: Outcome
+    cause_named: bool
+    lost: bool  # refused, though nothing stood in the way of an answer
+
+    @property
+    def accepted(self) -> bool:
+        return self.outcome.verdict == ACCEPTED and self.outcome.value is not None
+
+    @property
+    def refused(self) -> bool:
+        return not self.accepted and self.outcome.verdict != TOO_WIDE
+
+    @property
+    def sigmas(self) -> float | None:
+        """How far off, in standard deviations of the interval; None where none was given."""
+        outcome = self.outcome
+        if outcome.value is None or outcome.interval is None:
+            return None
+        low, high = outcome.interval
+        half = max(high - outcome.value, outcome.value - low)
+        return float(Z95 * abs(outcome.value - self.truth) / half)
+
+    @property
+    def holds(self) -> bool:
+        interval = self.outcome.interval
+        return interval is not None and interval[0] <= self.truth <= interval[1]
 
 
-def times(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Distortion:
-    """A distortion of the stamps [s], shape (T,)."""
-    return lambda motion, rng: replace(motion, times_s=change(motion.times_s.copy(), rng))
+@lru_cache(maxsize=4)
+def bases(first: int) -> dict[str, Base]:
+    """Real and shipped ones that are at hand, and simulated ones that a seed draws."""
+    there = [base for base in BASES.values() if not base.missing and _fixed(base)]
+    return {base.name: base for base in (*there, *drawn(first))}
 
 
-def of_joint(joint: int, change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., np.ndarray]:
-    """A change of one column."""
-
-    def changed(columns: np.ndarray, _: np.random.Generator) -> np.ndarray:
-        columns[:, joint] = change(columns[:, joint])
-        return columns
-
-    return changed
+def _fixed(base: Base) -> bool:
+    """Whether it is a recording, not drawn; of pushes without a calibration little is told."""
+    shipped = base.kind == PUSH and base.name.endswith("_calibrated")
+    return base.real or shipped
 
 
-def every(step: int) -> Distortion:
-    """Only some samples are left."""
-    return lambda motion, _: replace(
-        motion,
-        times_s=motion.times_s[::step],
-        position=motion.position[::step],
-        current_A=motion.current_A[::step],
+def suited(bend: Bend, base: Base) -> bool:
+    """Whether a bend can be made in a recording."""
+    return bend.needs in ("", base.kind)
+
+
+def draw(
+    number: int, first: int, bends: dict[str, Bend], among: Sequence[Base], made: Path
+) -> Drawn:
+    """One question, by seed and number.
+
+    Args:
+        number: Of it.
+        first: The seed.
+        bends: To draw from.
+        among: Recordings to draw from.
+        made: Where recordings are made.
+    """
+    rng = np.random.default_rng([first, number])
+    possible = [bend for bend in bends.values() if any(suited(bend, base) for base in among)]
+    kinds = sorted({bend.kind for bend in possible})
+    kind = kinds[number % len(kinds)]
+    of_kind = [bend for bend in possible if bend.kind == kind]
+    bend = of_kind[int(rng.integers(len(of_kind)))]
+    fit = [base for base in among if suited(bend, base)]
+    # real and simulated ones alike, however many there are of each
+    sorts = sorted({base.real for base in fit})
+    real = sorts[int(rng.integers(len(sorts)))]
+    fit = [base for base in fit if base.real == real]
+    base = fit[int(rng.integers(len(fit)))]
+    files = base.files(made)
+    both = "empty" in files and bool(rng.integers(2))
+    parameters = bend.drawn(rng, tape_of(files["loaded"]))
+    return Drawn(
+        number, bend.name, parameters, base.name, ("loaded", "empty") if both else ("loaded",)
     )
 
 
-def held(columns: np.ndarray, step: int) -> np.ndarray:
-    """A register that is read less often than it is published."""
-    return columns[np.arange(len(columns)) // step * step]
-
-
-def smoothed(columns: np.ndarray, cutoff_Hz: float) -> np.ndarray:
-    """As a driver that filters at 100 Hz."""
-    result: np.ndarray = lfilter(*butter(1, cutoff_Hz / 50.0), columns, axis=0)
-    return result
-
-
-def jittered(stamps_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Later by up to some milliseconds, and still in order."""
-    return np.maximum.accumulate(
-        stamps_s + rng.normal(0.0, 5e-3, len(stamps_s))
-    ) + 1e-9 * np.arange(len(stamps_s))
-
-
-DISTORTIONS: dict[str, Distortion] = {
-    "nothing": lambda motion, _: motion,
-    **{
-        f"currents x {k:g}": currents(lambda c, _, k=k: k * c)
-        for k in (0.5, 0.8, 0.9, 1.1, 1.2, 2.0)
-    },
-    **{
-        f"currents of {name} x {k:g}": currents(of_joint(j, lambda c, k=k: k * c))
-        for j, name in ((LIFT, "the shoulder"), (ELBOW, "the elbow"), (3, "wrist 1"))
-        for k in (0.7, 1.3, -1.0)
-    },
-    "currents of opposite sign": currents(lambda c, _: -c),
-    "currents without sign": currents(lambda c, _: np.abs(c)),
-    "currents of shoulder and elbow exchanged": currents(lambda c, _: c[:, [0, 2, 1, 3, 4, 5]]),
-    "currents 50 ms late": currents(lambda c, _: np.roll(c, 5, axis=0)),
-    "currents 50 ms early": currents(lambda c, _: np.roll(c, -5, axis=0)),
-    "currents 150 ms late": currents(lambda c, _: np.roll(c, 15, axis=0)),
-    "currents smoothed to 2 Hz": currents(lambda c, _: smoothed(c, 2.0)),
-    "currents smoothed to 0.5 Hz": currents(lambda c, _: smoothed(c, 0.5)),
-    "currents in steps of 1 A": currents(lambda c, _: np.round(c)),
-    "currents of 8 A at most": currents(lambda c, _: np.clip(c, -8.0, 8.0)),
-    "currents 1 A noisy": currents(lambda c, rng: c + rng.normal(0.0, 1.0, c.shape)),
-    "currents read ten times a second": currents(lambda c, _: held(c, 10)),
-    "shoulder drifts by 1 A": currents(
-        of_joint(LIFT, lambda c: c + np.linspace(-1.0, 1.0, len(c)))
-    ),
-    "shoulder drifts by 3 A": currents(
-        of_joint(LIFT, lambda c: c + np.linspace(-3.0, 3.0, len(c)))
-    ),
-    "shoulder's zero 0.1 rad off": positions(of_joint(LIFT, lambda p: p + 0.1)),
-    "elbow's zero 0.3 rad off": positions(of_joint(ELBOW, lambda p: p + 0.3)),
-    "positions x 1.05": positions(lambda p, _: 1.05 * p),
-    "positions 5 mrad noisy": positions(lambda p, rng: p + rng.normal(0.0, 5e-3, p.shape)),
-    "positions read 20 times a second": positions(lambda p, _: held(p, 5)),
-    "clock 10 % fast": times(lambda t, _: 0.9 * t),
-    "clock at half speed": times(lambda t, _: 2.0 * t),
-    "clock at twice the speed": times(lambda t, _: 0.5 * t),
-    "stamps 5 ms jittered": times(jittered),
-    "every fourth sample": every(4),
-}
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """One row for each distortion."""
-    parser = parser_of((__doc__ or "").splitlines()[0])
-    parser.add_argument("--recordings", type=Path, default=REAL)
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        default=list(DISTORTIONS),
-        choices=list(DISTORTIONS),
-        help="default: all",
-    )
-    options = parser.parse_args(arguments)
-    results = Results(__file__, options.json, arguments)
+def answer(question: Drawn, first: int, made: Path) -> Answered:
+    """Ask it."""
+    bend = all_bends()[question.bend]
+    base = bases(first)[question.base]
+    files = dict(base.files(made))
     with tempfile.TemporaryDirectory() as folder:
-        path = ur10e_file(options.recordings, Path(folder))
-        robot = load_robot(path)
-        loaded, empty, other = (
-            bag_motion(
-                options.recordings / bag, Request(robot, Options(robot=str(path), effort_unit="A"))
-            )
-            for bag in ("ur10e_loaded_14", "ur10e_empty_14", "ur10e_empty_15")
-        )
-    calibrated = replace(robot, motion_calibration=fit_empty(robot, [empty]))
+        for number, name in enumerate(question.of):
+            seed = 100_000 * first + 10 * question.number + number
+            made_of = [(bend, question.parameters)]
+            files[name] = bent_bag(files[name], Path(folder) / name, made_of, seed)
+        outcome = asked(base.command, files, base.estimate)
+    right = bend.right if "empty" in question.of else bend.right_alone
+    named = bool(right.cause) and re.search(right.cause, outcome.said) is not None
+    given = outcome.value is not None
+    return Answered(
+        question, bend.kind, base.truth, outcome, named, right.told is True and not given
+    )
+
+
+def told_as_they_are(among: Sequence[Base], made: Path) -> list[Base]:
+    """Those whose answer is given where nothing is wrong."""
+    there = []
+    for base in among:
+        outcome = asked(base.command, base.files(made), base.estimate)
+        if outcome.verdict == ACCEPTED:
+            there.append(base)
+        else:
+            print(f"left out: {base.name}, {outcome.verdict}")
+    return there
+
+
+def row(results: Results, name: str, answers: Sequence[Answered]) -> None:
+    """One row of the table."""
+    accepted = [each for each in answers if each.accepted]
+    refused = [each for each in answers if each.refused]
+    codes: Counter[str] = Counter()
+    for each in refused:
+        codes[each.outcome.codes[0] if each.outcome.codes else "unreadable"] += 1
+    sigmas = [each.sigmas for each in answers if each.sigmas is not None]
+    results.row(
+        "distorted",
+        kind=name,
+        asked=len(answers),
+        accepted=len(accepted),
+        hold=sum(each.holds for each in accepted),
+        wide=len(answers) - len(accepted) - len(refused),
+        beyond=sum(sigma > FAR for sigma in sigmas),
+        farthest=max(sigmas, default=None),
+        refused=len(refused),
+        named=sum(each.cause_named for each in refused),
+        lost=sum(each.lost for each in answers),
+        codes=", ".join(f"{code} {count}" for code, count in codes.most_common()),
+    )
+
+
+def tables(results: Results, answers: Sequence[Answered]) -> None:
+    """All of them."""
     results.table(
         "distorted",
         {
-            "distortion": "{distortion}",
-            "answers": "{answered} of {asked}",
+            "kind": "{kind}",
+            "asked": "{asked}",
+            "accepted": "{accepted}",
             "hold": "{hold}",
+            "too wide": "{wide}",
+            "beyond 3 sd": "{beyond}",
             "farthest, in sd": "{farthest:.1f}",
+            "refused": "{refused}",
+            "of them the cause named": "{named}",
+            "good ones lost": "{lost}",
             "refused because": "{codes}",
         },
     )
-    given = 0
-    kept = 0
-    farthest = 0.0
-    for name in options.only:
-        distortion = DISTORTIONS[name]
-        rng = np.random.default_rng(1)
-        wrong, wrong_empty, wrong_other = (
-            distortion(motion, rng) for motion in (loaded, empty, other)
-        )
-        questions = [
-            (UR10E_KG, robot, wrong, [empty]),
-            (UR10E_KG, calibrated, wrong, []),
-            (UR10E_KG, robot, wrong, [wrong_empty]),
-            (0.0, robot, wrong_other, [empty]),
-            (0.0, calibrated, wrong_other, []),
-            (0.0, robot, wrong_other, [wrong_empty]),
-        ]
-        sigmas = []
-        codes = []
-        with once_each():
-            for truth, arm, motion, baseline in questions:
-                said = answer(arm, motion, baseline, truth)
-                (codes if isinstance(said, str) else sigmas).append(said)
-        holding = sum(sigma <= Z95 for sigma in sigmas)
-        results.row(
-            "distorted", distortion=name, answered=len(sigmas), asked=len(questions), hold=holding,
-            farthest=max(sigmas, default=None), codes=", ".join(sorted(set(codes))),
-        )  # fmt: skip
-        given = given + len(sigmas)
-        kept = kept + holding
-        farthest = max([farthest, *sigmas])
-    results.row(
-        "distorted",
-        distortion="all",
-        answered=given,
-        asked=6 * len(options.only),
-        hold=kept,
-        farthest=farthest,
-        codes="",
+    for kind in [kind for kind in KINDS if any(each.kind == kind for each in answers)]:
+        row(results, kind, [each for each in answers if each.kind == kind])
+    row(results, "all", answers)
+    results.table(
+        "bends",
+        {
+            "bend": "{bend}",
+            "asked": "{asked}",
+            "accepted": "{accepted}",
+            "hold": "{hold}",
+            "beyond 3 sd": "{beyond}",
+            "refused": "{refused}",
+            "of them the cause named": "{named}",
+            "good ones lost": "{lost}",
+        },
     )
+    for name in sorted({each.drawn.bend for each in answers}):
+        mine = [each for each in answers if each.drawn.bend == name]
+        refused = [each for each in mine if each.refused]
+        results.row(
+            "bends",
+            bend=name,
+            asked=len(mine),
+            accepted=sum(each.accepted for each in mine),
+            hold=sum(each.accepted and each.holds for each in mine),
+            beyond=sum((each.sigmas or 0.0) > FAR for each in mine),
+            refused=len(refused),
+            named=sum(each.cause_named for each in refused),
+            lost=sum(each.lost for each in mine),
+        )
+    results.table(
+        "beyond",
+        {
+            "question": "{question}",
+            "truth": "{truth:.4g}",
+            "answer": "{value:.4g} ({low:.4g} to {high:.4g})",
+            "in sd": "{sigmas:.1f}",
+            "verdict": "{verdict}",
+        },
+    )
+    for each in answers:
+        if (each.sigmas or 0.0) > FAR and each.outcome.interval is not None:
+            low, high = each.outcome.interval
+            results.row(
+                "beyond",
+                question=str(each.drawn),
+                truth=each.truth,
+                value=each.outcome.value,
+                low=low,
+                high=high,
+                sigmas=each.sigmas,
+                verdict=each.outcome.verdict,
+            )
+
+
+def printed(each: Answered) -> str:
+    """A line about one answer."""
+    outcome = each.outcome
+    number = "" if outcome.value is None else f" {outcome.value:.4g} {outcome.interval}"
+    marks = " ".join(
+        word
+        for word, there in (
+            ("BEYOND", (each.sigmas or 0.0) > FAR),
+            ("MISSES", each.accepted and not each.holds),
+            ("LOST", each.lost),
+            ("UNNAMED", each.refused and not each.cause_named),
+        )
+        if there
+    )
+    codes = ",".join(outcome.codes)
+    return f"{marks or 'right'} | {each.drawn} | {each.truth:.4g} | {outcome.verdict}{number} | {codes} | {outcome.said[:600]}"
+
+
+def asked_all(questions: Sequence[Drawn], first: int, made: Path, jobs: int) -> Iterator[Answered]:
+    """Every answer, in the order of the questions."""
+    ask = partial(answer, first=first, made=made)
+    if jobs == 1:
+        yield from map(ask, questions)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        yield from pool.map(ask, questions, chunksize=4)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Ask, and keep the tables."""
+    parser = parser_of((__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--first", type=int, default=1, help="seed of questions and arms")
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of questions")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--bends", nargs="+", help="default: all of the kinds")
+    parser.add_argument("--bases", nargs="+", help="names, or how they begin; default: all")
+    parser.add_argument("--made", type=Path, help="folder that keeps simulated recordings")
+    parser.add_argument("--all", action="store_true", help="print every answer")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    bends = {
+        name: bend
+        for name, bend in all_bends().items()
+        if bend.kind in options.kinds and (options.bends is None or name in options.bends)
+    }
+    chosen = tuple(options.bases or ("",))
+    among = [base for base in bases(options.first).values() if base.name.startswith(chosen)]
+    among = [base for base in among if any(suited(bend, base) for bend in bends.values())]
+    with tempfile.TemporaryDirectory() as scratch:
+        made = options.made or Path(scratch)
+        made = made / str(options.first)
+        among = told_as_they_are(among, made)
+        numbers = options.only or range(options.count)
+        questions = [draw(number, options.first, bends, among, made) for number in numbers]
+        answers = []
+        for each in asked_all(questions, options.first, made, options.jobs):
+            answers.append(each)
+            line = printed(each)
+            if options.all or not line.startswith("right"):
+                print(line, flush=True)
+    tables(results, answers)
     results.keep()
-
-
-def answer(robot: Robot, motion: Motion, baseline: list[Motion], truth: float) -> float | str:
-    """By how many standard deviations of its interval it is off, or why there is none."""
-    try:
-        estimate = identify_in_motion(robot, [motion], baseline, PayloadFacts())
-    except ProprioError as error:
-        return type(error).__name__
-    mass = estimate.values[0]
-    if mass.value is None:
-        return estimate.reasons[0].code
-    low, high = mass.ci95
-    half = max(high - mass.value, mass.value - low)
-    return float(Z95 * abs(mass.value - truth) / half)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     ),
     "contents": ("--particles", "--at-most", "1"),
     "coverage": ("--robots", "1", "--per-effect", "0", "--jobs", "1"),
-    "distorted": ("--only", "every fourth sample"),
+    "distorted": ("--count", "2", "--kinds", "publishers", "--bases", "ur10e_nothing"),
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
     "early_end": ("--robots", "1", "--masses", "0.05", "--at-most", "20", "--jobs", "1"),
     "free_swings": ("--arms", "1", "--first", "10"),

@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
-import io
-import json
 import pkgutil
 import re
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from support.bends.bend import Bend, all_bends
-from support.bends.tape import tape_of
+from support.bends.bend import all_bends
+from support.known.asking import ACCEPTED, REFUSED, UNREADABLE, VERDICTS, Outcome, bent_bag
+from support.known.bases import BASES, Base, Files
 
 import conformance.rows
-from conformance.bases import BASES, Base, Files
-from proprio_ros.cli import main as proprio
-
-UNREADABLE = "unreadable"
-"""The verdict of what ends in one sentence, exit code 2."""
-ACCEPTED = "accepted"
-VERDICTS = (ACCEPTED, "too_wide", "rejected", "not_identifiable", UNREADABLE)
-REFUSED = VERDICTS[1:]
 
 
 @dataclass(frozen=True)
@@ -85,18 +74,6 @@ class Row:
         return (*(self.command or self.of.command), *self.more)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a tool answered."""
-
-    exit_code: int
-    verdict: str
-    codes: tuple[str, ...]
-    said: str  # all sentences
-    value: float | None = None
-    interval: tuple[float, float] | None = None
-
-
 def all_rows() -> tuple[Row, ...]:
     """Of all kinds, in the order of sections."""
     found: list[Row] = []
@@ -105,77 +82,22 @@ def all_rows() -> tuple[Row, ...]:
     return tuple(sorted(found, key=lambda row: row.section))
 
 
-def files_of(row: Row, folder: Path) -> Files:
-    """The base's files, bent, and what else the row makes; what is written goes into the folder."""
-    files = dict(row.of.files(folder))
-    bends = all_bends()
-    for name in files:
-        mine = [each for each in row.bends if name in each.of]
-        if mine:
-            files[name] = bent_bag(
-                files[name],
-                folder / name,
-                [(bends[each.name], each.parameters) for each in mine],
-                seed=zlib.crc32(f"{row.name} {name}".encode()),
-            )
-    return files if row.make is None else row.make(folder, files)
-
-
-def bent_bag(
-    bag: Path,
-    path: Path,
-    bends: Sequence[tuple[Bend, Mapping[str, Any]]],
-    seed: int,
-) -> Path:
-    """A bag with some bends, one after another; those of files after those of messages.
+def files_of(row: Row, made: Path, folder: Path) -> Files:
+    """The base's files, bent, and what else the row makes.
 
     Args:
-        bag: As it is.
-        path: Where the other goes.
-        bends: And their parameters.
-        seed: Of what is random in them.
-
-    Returns:
-        Where it is: a bend of files may give another name.
+        row: Of the table.
+        made: Where the base's files are made, if they are not there yet; rows share it.
+        folder: Where those of the row are made.
     """
-    rng = np.random.default_rng(seed)
-    tape = tape_of(bag)
-    of_files = [each for each in bends if each[0].kind == "files"]
-    for bend, parameters in bends:
-        if bend.kind != "files":
-            tape = bend.change(tape, rng, **parameters)
-    tape.write(path)
-    for bend, parameters in of_files:
-        path = bend.change(path, rng, **parameters)  # type: ignore[assignment]
-    return path
-
-
-def asked(words: Sequence[str], files: Files, estimate: str = "payload_mass") -> Outcome:
-    """What this package's command line answers; another tool is asked the same by another function."""
-    places = {name: str(path) for name, path in files.items()}
-    out = io.StringIO()
-    err = io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = proprio([*(word.format(**places) for word in words), "--json"])
-    told = json.loads(out.getvalue() or "{}")
-    sentences = [
-        *told.get("reasons", []),
-        *told.get("notes", []),
-        *told.get("assumptions", []),
-        told.get("error", ""),
-        err.getvalue(),
-    ]
-    value = next((each for each in told.get("estimates", []) if each["name"] == estimate), {})
-    interval = value.get("ci95")
-    bounded = interval is not None and None not in interval
-    return Outcome(
-        exit_code=code,
-        verdict=told.get("verdict") or (UNREADABLE if code else ACCEPTED),
-        codes=tuple(told.get("reason_codes", ())),
-        said=" | ".join(filter(None, sentences)),
-        value=value.get("value"),
-        interval=(interval[0], interval[1]) if bounded else None,
-    )
+    files = dict(row.of.files(made))
+    bends = all_bends()
+    for name in files:
+        mine = [(bends[each.name], each.parameters) for each in row.bends if name in each.of]
+        if mine:
+            seed = zlib.crc32(f"{row.name} {name}".encode())
+            files[name] = bent_bag(files[name], folder / name, mine, seed)
+    return files if row.make is None else row.make(folder, files)
 
 
 def wrong_with(row: Row, outcome: Outcome) -> list[str]:

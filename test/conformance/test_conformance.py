@@ -6,16 +6,23 @@ from pathlib import Path
 
 import pytest
 from support.bends.bend import all_bends
+from support.known.asking import VERDICTS, asked
 
-from conformance.table import VERDICTS, Row, all_rows, asked, files_of, wrong_with
+from conformance.table import Row, all_rows, files_of, wrong_with
 from proprio_ros.identification.reasons import CODES
 
 
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where recordings are made that several rows bend."""
+    return tmp_path_factory.mktemp("bases")
+
+
 @pytest.mark.parametrize("row", all_rows(), ids=lambda row: row.name)
-def test_is_answered_right(row: Row, tmp_path: Path) -> None:
+def test_is_answered_right(row: Row, made: Path, tmp_path: Path) -> None:
     if row.of.missing:
         pytest.skip(f"{row.base} does not ship with the package")
-    files = files_of(row, tmp_path)
+    files = files_of(row, made, tmp_path)
     outcome = asked(row.words, files, row.of.estimate)
     assert not wrong_with(row, outcome), outcome
 

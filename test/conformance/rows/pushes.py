@@ -11,7 +11,7 @@ ROWS = (
         name="push_as_it_is",
         section=_SECTION,
         trouble="nothing is wrong",
-        base="push_20g",
+        base="push_light_ball_20g_joint3",
         verdicts=VERDICTS[:2],
     ),
 )

@@ -81,7 +81,10 @@ def stamps_of_zero_first(tape: Tape, rng: Rng, count: int) -> Tape:
     return tape.retimed(zeros)
 
 
-@bend("clocks", Right(cause=CLOCK))
+@bend(
+    "clocks",
+    Right(told=False, cause=r"row number|numbers? of rows|count|index|1 s apart|steps of 1"),
+)
 def row_number_for_a_time(tape: Tape, rng: Rng) -> Tape:
     """The first stamp is 0 s, the second 1 s, and so on."""
     return tape.retimed(lambda times_ns: 10**9 * (1 + np.arange(len(times_ns), dtype=np.int64)))

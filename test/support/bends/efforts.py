@@ -20,6 +20,7 @@ from support.bends.bend import (
 from support.bends.tape import Stream, Tape
 
 EFFORT = r"effort|torque|current|unit|sign|friction"
+GONE = r"(effort|torque|current).*(stands? still|stood still|frozen|missing|zero|is 0|drop|was lost|left out)"
 
 
 def with_efforts(tape: Tape, change: Callable[[FloatArray, Stream], FloatArray]) -> Tape:
@@ -60,7 +61,7 @@ def joints_scaled(tape: Tape, rng: Rng, joints: list[str], factor: float) -> Tap
     return with_efforts(tape, scaled)
 
 
-@bend("efforts", Right(cause="effort|stands still|frozen|zero"), at=between(0.3, 0.8))
+@bend("efforts", Right(cause=GONE), at=between(0.3, 0.8))
 def effort_frozen(tape: Tape, rng: Rng, at: float) -> Tape:
     """From some moment on the effort stands still, as after a controller was switched."""
 
@@ -74,7 +75,7 @@ def effort_frozen(tape: Tape, rng: Rng, at: float) -> Tape:
 
 @bend(
     "efforts",
-    Right(cause="effort|stands still|frozen|zero|NaN"),
+    Right(cause=GONE),
     at=between(0.3, 0.8),
     value=one_of((0.0, float("nan"))),
 )
@@ -90,7 +91,7 @@ def effort_gone(tape: Tape, rng: Rng, at: float, value: float) -> Tape:
 
 @bend(
     "efforts",
-    Right(told=True, cause="effort"),
+    Right(told=True, cause=GONE),
     share=between(0.001, 0.05),
     value=one_of((0.0, float("nan"), 5e-324)),
 )
@@ -110,7 +111,7 @@ def effort_tared(tape: Tape, rng: Rng) -> Tape:
     return with_efforts(tape, lambda effort, _: effort - effort[0])
 
 
-@bend("efforts", Right(cause="friction|warm"), share=either_sign(0.03, 0.15))
+@bend("efforts", Right(cause="friction.*(fell|rose|changed)|warm"), share=either_sign(0.03, 0.15))
 def friction_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     """Coulomb friction changes along the recording by a share of each joint's effort, as while motors warm up."""
 
@@ -127,7 +128,7 @@ def friction_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     return with_efforts(tape, warmed)
 
 
-@bend("efforts", Right(cause="torque|effort|warm"), share=either_sign(0.03, 0.15))
+@bend("efforts", Right(cause="warm|fell|rose|drift"), share=either_sign(0.03, 0.15))
 def torque_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     """Effort per torque changes along the recording, as while magnets warm up."""
 
