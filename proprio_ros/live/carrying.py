@@ -123,14 +123,17 @@ class Carrier:
         bodies = columns.reshape(count, -1)
         design = np.hstack([bodies, *[none] * (len(self._values) // count - PARAMETERS - 1), own])
         hand = columns[:, self._arm.body] @ self._arm.from_payload
+        nothing = np.zeros(0)
         rows = Rows(
-            np.zeros(count),
-            np.arange(count),
-            design,
-            hand,
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(0),
+            start_s=np.zeros(count),
+            joint=np.arange(count),
+            design=design,
+            payload=hand,
+            direction=np.zeros(count),
+            torque=np.zeros(count),
+            zero=nothing,
+            inertial=nothing,
+            torque_rate=nothing,
         )
         along = hand @ point_mass(np.asarray(load.centre_m)) / self._scale
         fill_drives(design, self._values, rows, slice(11 * count, 12 * count), load.mass_kg * along)

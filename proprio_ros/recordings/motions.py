@@ -35,6 +35,9 @@ class Motion:
     begin_ns: int = 0  # stamp of the first sample [ns]; 0: not known
     # position of every other joint that was recorded, at the same times [rad or m], shape (T,) each
     beside: Mapping[str, FloatArray] = field(default_factory=dict)
+    # how well its clock is known: of the logarithm of its pace, and of how late currents are [s]; one standard deviation
+    pace_std: float = 0.0
+    lag_std_s: float = 0.0
 
     @property
     def moved(self) -> tuple[str, ...]:

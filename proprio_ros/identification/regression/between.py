@@ -30,14 +30,22 @@ PUBLISHED: Mapping[str, float] = {
     "friction": 0.15,
     "offset": 0.1,
     "zero": 0.003,
+    "pace": 0.0,
+    "lag": 0.0,
 }
-"""Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad]."""
+"""Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad].
+
+A clock keeps time until a recording shows that it does not (`clocks`): pace is by how much accelerations are larger than it has
+them, relative, and lag how much later torques are recorded than positions [s].
+"""
 PSEUDO_RECORDINGS = 4.0  # So many recordings the published word counts as.
 CONSIDERED = ("common_scale", "own_scale", "zero")
 """Kinds that the fit of empty recordings does not follow, since whatever the model lacks looks like them; a weighing does as far as
 the evidence says, and they count in what it errs by (as consider parameters do: Schmidt 1966, Advances in Control Systems 3)."""
 LEARNT = ("friction", "offset")
 """Kinds whose spread is learnt of what was found; what was found of the others is also what the model lacks."""
+CLOCK = ("pace", "lag")
+"""Kinds that are looked for in each recording alone, before all else."""
 FOLLOWED_TOGETHER = (("common_scale",), ("own_scale", "zero"))
 """Kinds whose spread the evidence decides, some together."""
 FACTORS = (0.01, 0.4, 0.8, 1.3, 2.0, 3.2, 5.0)
@@ -49,6 +57,7 @@ WORDS: Mapping[str, str] = {
     "friction": "friction that differs between recordings",
     "offset": "offsets that differ between recordings",
     **dict.fromkeys(CONSIDERED, DIFFERS),
+    **dict.fromkeys(CLOCK, "the clock of the recording"),
 }
 SPREAD_SCALE = 0.05
 """Of the prior of how far masses differ from recording to recording, relative: those of real XL330 and STS3215 do by 2 to 9 %."""
@@ -72,7 +81,7 @@ class Between:
     """What recordings of an arm of n joints have of their own, as standard deviations.
 
     A recording's own terms are viscous friction, Coulomb friction, offset, share of the torque and zero of each joint, and a share
-    of the torque in common: 5 n + 1.
+    of the torque in common, pace and lag of its clock: 5 n + 3.
     """
 
     spreads: Mapping[str, float]  # by kind, in the units of `PUBLISHED`
@@ -88,11 +97,11 @@ class Between:
 
     @property
     def kinds(self) -> NDArray[np.str_]:
-        """Of the own terms, shape (5 n + 1,)."""
+        """Of the own terms, shape (5 n + 3,)."""
         count = len(self.friction) // 3
         return np.repeat(
-            ["friction", "offset", "own_scale", "zero", "common_scale"],
-            [2 * count, count, count, count, 1],
+            ["friction", "offset", "own_scale", "zero", "common_scale", "pace", "lag"],
+            [2 * count, count, count, count, 1, 1, 1],
         )
 
     @property
@@ -105,7 +114,7 @@ class Between:
 
     @property
     def std(self) -> FloatArray:
-        """Of the own terms, shape (5 n + 1,)."""
+        """Of the own terms, shape (5 n + 3,)."""
         kinds = self.kinds
         of_friction = len(self.friction)
         std = np.array([self.spreads[kind] for kind in kinds])
@@ -118,7 +127,7 @@ class Between:
         """With what recordings show, beside what this says.
 
         ``now``: the spreads under which they were fitted; ``off``: how each one's own terms differ from the machine's,
-        shape (R, 5 n + 1); ``variances``: of these, after the fit, shape (R, 5 n + 1); ``kinds``: what is learnt.
+        shape (R, 5 n + 3); ``variances``: of these, after the fit, shape (R, 5 n + 3); ``kinds``: what is learnt.
         """
         std = now.std
         own = self.kinds

@@ -122,7 +122,9 @@ class Arm:
         slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
         window, joint = np.nonzero(counts & ~slow)
 
-        def torques(position: FloatArray, since: int = 0) -> FloatArray:
+        def torques(
+            position: FloatArray, since: int = 0, velocity: FloatArray = velocity
+        ) -> FloatArray:
             if not len(joint):
                 return np.zeros((0, self.count, PARAMETERS))
             return torque_regressor(self.model, position, velocity, windows, period_s, since)[
@@ -130,6 +132,8 @@ class Arm:
             ]
 
         regressor = torques(position)
+        still = np.zeros_like(velocity)
+        of_gravity = torques(position, velocity=still) if by_zeros else regressor
         shifted = []
         for turned, shift in enumerate(ZERO_STEP_RAD * np.eye(self.count)) if by_zeros else ():
             # a joint turns the bodies behind it, which have larger numbers
@@ -173,6 +177,8 @@ class Arm:
             direction=direction,
             torque=windows.mean(torque)[window, joint],
             zero=zero,
+            inertial=self._payload_and_bodies(regressor - of_gravity),
+            torque_rate=windows.derivative(torque, period_s)[window, joint],
         )
 
     def _payload_and_bodies(self, regressor: FloatArray) -> FloatArray:
@@ -215,8 +221,11 @@ def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) 
 
 
 def own_terms(count: int) -> int:
-    """What each motion has of its own: friction, offset, scale and zero of each of ``count`` joints, and a scale in common."""
-    return 5 * count + 1
+    """What each motion has of its own.
+
+    Friction, offset, scale and zero of each of ``count`` joints, a scale in common, and its clock: pace and lag.
+    """
+    return 5 * count + 3
 
 
 def sizes(mass_kg: float, length_m: float) -> list[float]:
@@ -239,6 +248,10 @@ class Rows:
     # by how much the columns of the payload's parameters and the bodies' change per radian of each joint's zero, shape
     # (E, n, 10 + 10 n); of no joint where nobody asked
     zero: FloatArray
+    # what of the columns of the payload's parameters and the bodies' is not gravity's: it goes with the square of the clock's
+    # pace, shape (E, 10 + 10 n); zero where nobody asked
+    inertial: FloatArray
+    torque_rate: FloatArray  # mean of the motor torque's time derivative [N m/s], shape (E,)
 
     @classmethod
     def together(cls, parts: Sequence[Rows]) -> Rows:
@@ -318,10 +331,12 @@ def equations(
         return rows
     payload = rows.payload.copy()
     zero = rows.zero.copy()
+    inertial = rows.inertial.copy()
     point = point_mass(centre_m)
     payload[:, 0] = rows.payload @ point
     zero[:, :, 0] = rows.zero[:, :, :PARAMETERS] @ point
-    return replace(rows, payload=payload, zero=zero)
+    inertial[:, 0] = rows.inertial[:, :PARAMETERS] @ point
+    return replace(rows, payload=payload, zero=zero, inertial=inertial)
 
 
 def fill_drives(
@@ -353,9 +368,9 @@ def fill_drives(
 
 @dataclass(frozen=True)
 class Problem:
-    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and each motion's own, 5 n + 1 (see `Between`)."""
+    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and each motion's own, 5 n + 3 (see `Between`)."""
 
-    # shape (E, U); columns of gears, torque constants, scales and zeros are filled while it is solved
+    # shape (E, U); columns of gears, torque constants, scales, zeros and clocks are filled while it is solved
     matrix: FloatArray
     # torque, joint, direction: of each equation, see `Rows`
     torque: FloatArray
@@ -364,7 +379,10 @@ class Problem:
     direction: FloatArray
     motion: NDArray[np.int64]  # number of its motion, shape (E,)
     by_mass: FloatArray  # mean torque per kilogram at the payload's place, held or not, shape (E,)
-    zero: FloatArray  # see `Rows`, with nothing of the payload where none is held
+    # zero, inertial: see `Rows`, with nothing of the payload where none is held
+    zero: FloatArray
+    inertial: FloatArray
+    torque_rate: FloatArray  # see `Rows`
     loaded: int  # so many motions, the first ones, hold the payload
     count: int  # of joints, n
 
@@ -386,6 +404,8 @@ class Problem:
         stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
         zero = rows.zero.copy()
         zero[motion >= loaded, :, :PARAMETERS] = 0.0
+        inertial = rows.inertial.copy()
+        inertial[motion >= loaded, :PARAMETERS] = 0.0
         return cls(
             np.vstack(matrix),
             rows.torque,
@@ -395,14 +415,20 @@ class Problem:
             motion,
             rows.payload[:, 0],
             zero,
+            inertial,
+            rows.torque_rate,
             loaded,
             count,
         )
 
     def only(self, kept: NDArray[np.bool_]) -> Problem:
         """Some of its equations."""
-        arrays = ("matrix", "torque", "joint", "stretch", "direction", "motion", "by_mass", "zero")
-        return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
+        arrays = {
+            field.name: getattr(self, field.name)[kept]
+            for field in fields(self)
+            if field.name not in ("loaded", "count")
+        }
+        return replace(self, **arrays)
 
     @property
     def motions(self) -> int:
@@ -424,11 +450,27 @@ class Problem:
         count = self.count
         bodies = slice(0, PARAMETERS * (1 + count))
         by_zero = self.zero @ values[bodies]
+        by_pace = self._by_pace(values)
         torque = matrix @ values
-        shares = np.column_stack([-np.eye(count)[self.joint] * torque[:, None], by_zero, -torque])
+        own_shares = -np.eye(count)[self.joint] * torque[:, None]
+        shares = np.column_stack([own_shares, by_zero, -torque, by_pace, -self.torque_rate])
         for number in range(self.motions):
             rows = self.motion == number
             matrix[rows, self.own(number, len(FRICTION_TERMS) * count)] = shares[rows]
+
+    def _by_pace(self, values: FloatArray) -> FloatArray:
+        """Torque of a solution per unit of how much larger all accelerations are than the clock has them [N m], shape (E,).
+
+        Inertia goes with acceleration, viscous friction with velocity, and so with its square root.
+        """
+        count = self.count
+        bodies = slice(0, PARAMETERS * (1 + count))
+        rotors = slice(bodies.stop, bodies.stop + count)
+        torque = self.inertial @ values[bodies] + self.matrix[:, rotors] @ values[rotors]
+        for number in range(self.motions):
+            viscous = slice(self.own(number).start, self.own(number).start + count)
+            torque += 0.5 * self.matrix[:, viscous] @ values[viscous]
+        return torque
 
     @property
     def carrying(self) -> NDArray[np.bool_]:

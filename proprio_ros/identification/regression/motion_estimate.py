@@ -26,6 +26,7 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
+from proprio_ros.identification.regression.clocks import with_clocks
 from proprio_ros.identification.regression.motion_equations import Arm, once_each
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
@@ -71,16 +72,17 @@ def calibrate_motions(
     """
     robot = replace(robot, motion_calibration=None)
     progress(f"fitting {len(motions)} motions")
+    motions = with_clocks(robot, motions)
     calibration, fits = learn_arm(robot, motions)
-    notes = tuple(
-        note
-        for motion in (*motions, *(motion for motion, _ in references))
-        for note in motion.notes
-    )
     refusal = with_cause(judge(calibration_refusals(robot, motions, calibration)), robot, motions)
     if not refusal.withheld and references:
         progress("weighing the references")
+        loaded = [motion for motion, _ in references]
+        masses_kg = [mass_kg for _, mass_kg in references]
+        followed = with_clocks(robot, loaded, calibration, loaded=True)
+        references = list(zip(followed, masses_kg, strict=True))
         calibration, refusal = _scaled(robot, calibration, references, centre)
+    recorded = [*motions, *(motion for motion, _ in references)]
     progress("weighing each empty motion by the others")
     weighed = () if refusal.withheld else _weighed_empty(robot, motions)
     arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
@@ -110,7 +112,7 @@ def calibrate_motions(
                 strict=True,
             )
         ),
-        notes=notes,
+        notes=tuple(note for motion in recorded for note in motion.notes),
         weighable=weighable,
         weighed_empty=weighed,
         joint_fits=fits,

@@ -21,6 +21,7 @@ from scipy.special import stdtrit
 
 from proprio_ros.calibration_files.motions import (
     ARM_TERMS,
+    BETWEEN,
     BODY_TERMS,
     FRICTION_TERMS,
     TERMS,
@@ -196,7 +197,7 @@ def learn_arm(
         deviations=solution.deviations @ mean.T,
         friction_spread=between.std[: len(none)],
         between={
-            kind: (spread, between.recordings[kind]) for kind, spread in between.spreads.items()
+            kind: (between.spreads[kind], between.recordings[kind]) for kind in sorted(BETWEEN)
         },
         residual=solution.rms,
         correlation=solution.correlation,
@@ -313,7 +314,7 @@ def fit_payload(
     _refuse_other_joints(loaded, problem, calibration)
     stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
     known, terms = motion_prior.calibrated_prior(arm, calibration, len(motions))
-    between = motion_prior.between_of(calibration)
+    between = motion_prior.between_of(calibration, motions)
     per_kg = motion_prior.payload_stds(arm)
     if centre is not None:
         per_kg[1:4] = np.maximum(centre[1], 1e-3)
@@ -498,7 +499,8 @@ def _of_its_own(problem: Problem, solution: Solution, kind: str) -> tuple[FloatA
         own = problem.own(number)
         share[:, own][:, solution.between.kinds == kind] = np.eye(problem.count) / problem.loaded
         if kind == "own_scale":
-            share[:, own.stop - 1] = 1.0 / problem.loaded
+            common = np.flatnonzero(solution.between.kinds == "common_scale")
+            share[:, own.start + common] = 1.0 / problem.loaded
     before, after = (
         np.sum(share @ each * share, axis=1)
         for each in (solution.prior.covariance, solution.covariance)
@@ -512,7 +514,8 @@ def _of_its_own(problem: Problem, solution: Solution, kind: str) -> tuple[FloatA
 
 def _follows_torque(problem: Problem, solution: Solution) -> float:
     """How the mass follows the loaded motions' share of the torque in common [kg]."""
-    shares = [problem.own(number).stop - 1 for number in range(problem.loaded)]
+    (common,) = np.flatnonzero(solution.between.kinds == "common_scale")
+    shares = [problem.own(number).start + common for number in range(problem.loaded)]
     return float(
         solution.covariance[0, shares].sum() / solution.covariance[np.ix_(shares, shares)].sum()
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from proprio_ros.calibration_files.motions import (
@@ -18,6 +20,7 @@ from proprio_ros.identification.regression.between import (
 )
 from proprio_ros.identification.regression.motion_equations import Arm, own_terms, sizes
 from proprio_ros.identification.regression.solve import WAVES, Prior
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import PARAMETERS
@@ -120,8 +123,11 @@ def calibrated_prior(
     return with_payload(arm, Prior(terms @ calibration.values, covariance)), terms
 
 
-def between_of(calibration: MotionCalibration) -> Between:
-    """By how much a recording differs from a calibration, whose own torque and zeros nobody knows, either."""
+def between_of(calibration: MotionCalibration, motions: Sequence[Motion] = ()) -> Between:
+    """By how much recordings differ from a calibration, whose own torque, zeros and clock nobody knows, either.
+
+    ``motions``: those recordings; of theirs clocks are known as well as they say.
+    """
     stated = {kind: (spread, PSEUDO_RECORDINGS) for kind, spread in PUBLISHED.items()} | dict(
         calibration.between
     )
@@ -129,6 +135,9 @@ def between_of(calibration: MotionCalibration) -> Between:
         kind: 2.0**0.5 * PUBLISHED[kind] if kind in CONSIDERED else stated[kind][0]
         for kind in PUBLISHED
     }
+    # a pace that is off by a share puts accelerations off by twice that
+    spreads["pace"] = 2.0**0.5 * 2.0 * max((motion.pace_std for motion in motions), default=0.0)
+    spreads["lag"] = 2.0**0.5 * max((motion.lag_std_s for motion in motions), default=0.0)
     recordings = {kind: stated[kind][1] for kind in PUBLISHED}
     # the file has friction's spread in full
     unit = np.concatenate(

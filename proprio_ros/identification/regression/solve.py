@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
 from proprio_ros.identification.regression.between import (
+    CLOCK,
     CONSIDERED,
     LEARNT,
     PUBLISHED,
@@ -117,7 +118,7 @@ def solve_following(
 
     Where nothing is ``known``, recordings differ from their mean: torque and zeros of that are the arm's own.
     """
-    opened = solve(problem, prior, between, per_kg, known, considered=())
+    opened = solve(problem, prior, between, per_kg, known, followed=CONSIDERED)
     first = problem.own(0).start
     kinds = np.tile(between.kinds, problem.motions)
     at = first + np.flatnonzero(np.isin(kinds, CONSIDERED))
@@ -179,7 +180,7 @@ def solve(
     between: Between,
     per_kg: FloatArray,
     known: MotionCalibration | None = None,
-    considered: Sequence[str] = CONSIDERED,
+    followed: Sequence[str] = (),
 ) -> Solution:
     """Solve it, with weights, load friction, the payload's size and the spread of recordings from the solution before.
 
@@ -189,7 +190,7 @@ def solve(
         between: By how much they do.
         per_kg: Standard deviations of the payload's parameters, per kg that it weighs, shape (10,).
         known: By which residuals are known; without one, the place's part of Coulomb friction is open by a share of it.
-        considered: Kinds of what recordings differ by that the solution does not follow.
+        followed: Kinds of what recordings differ by that the solution follows, beside friction and offsets.
     """
     matrix = problem.matrix.copy()
     right = problem.torque
@@ -201,12 +202,9 @@ def solve(
     same, own = np.diag(prior.covariance).copy(), slice(arm, None)
     prior = Prior(prior.values, prior.covariance.copy())
     stated = between
-    kinds = [
-        kind
-        for kind in PUBLISHED
-        if kind not in considered and (between.friction.any() or kind not in LEARNT)
-    ]
-    follows = np.where(np.isin(between.kinds, considered), FIXED, 1.0)
+    learnt = (*LEARNT, *followed) if between.friction.any() else followed
+    kinds = [kind for kind in PUBLISHED if kind in learnt and kind not in CLOCK]
+    follows = np.where(np.isin(between.kinds, (*LEARNT, *followed)), 1.0, FIXED)
 
     def differing() -> None:
         """Give every motion's own terms their spread."""
@@ -238,7 +236,7 @@ def solve(
             mine = joint == number
             rms[number] = max(float(np.std(residual[mine])), 1e-9)
             correlation[number] = correlated_windows(residual[mine], problem.stretch[mine])
-            if known is not None and not considered:  # what unknowns take up is not left over
+            if known is not None and followed:  # what unknowns take up is not left over
                 used = (
                     np.einsum("ij,ij->", scaled[mine] @ covariance, scaled[mine])
                     * correlation[number]

@@ -27,6 +27,7 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
+from proprio_ros.identification.regression.clocks import with_clocks
 from proprio_ros.identification.regression.motion_equations import STRETCH_S, once_each
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
 from proprio_ros.identification.regression.motion_fit import (
@@ -124,11 +125,15 @@ def identify_in_motion(
     centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
     calibration = robot.motion_calibration
     if calibration is not None:
+        motions = with_clocks(robot, motions, calibration, loaded=True)
+        baseline = with_clocks(robot, baseline, calibration)
         fit = fit_payload(robot, motions, calibration, empty=baseline, centre=centre)
         of_arm = _drifted(robot, baseline, calibration)
         known = "calibration"
     elif baseline:
+        baseline = with_clocks(robot, baseline)
         calibration = fit_empty(robot, baseline)
+        motions = with_clocks(robot, motions, calibration, loaded=True)
         fit = fit_payload(robot, motions, calibration, centre=centre)
         of_arm = calibration_refusals(robot, baseline, calibration)
         known = "baseline"

@@ -1,0 +1,218 @@
+"""Whether a recording's clock keeps time, by its torques: gravity needs no clock, inertia and friction do.
+
+Where a motion took ``pace`` times as long as its stamps say, accelerations are ``1 / pace^2`` and velocities ``1 / pace`` times what
+positions over stamps make of them. Gravity tells the first moments of an arm's bodies, and with them what their accelerations
+must cost. A torque that is recorded late goes with its own derivative. Pace and lag are unknowns of one recording, linear in the
+equations of `motion_equations`, and are fitted before all else.
+
+A recorder that stamps frames by the rate that was asked for, while its loop runs slower, makes such recordings. A clock that keeps
+time does so to 1e-4, so there is nothing in between: either the stamps are right, or they are off by any factor. A fit of a model
+that is not quite right finds a few per cent, which is why so little is never followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm
+
+from proprio_ros.calibration_files.motions import FRICTION_TERMS, MotionCalibration
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.regression import motion_prior
+from proprio_ros.identification.regression.between import CLOCK, Between
+from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
+from proprio_ros.identification.regression.solve import solve
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import Robot
+
+PACE_SPREAD = 0.5
+"""Of the logarithm of a pace that is off, one standard deviation: loops were seen to run at 0.5 to 1.3 of their rate."""
+LAG_SPREAD_S = 0.1
+"""The same of a lag: filters and buses of up to some tenths of a second."""
+PACE_MISFIT = 0.03
+"""What a fit finds where the clock keeps time: twelve questions to a UR10e read a pace of 0.97 to 0.99."""
+LAG_MISFIT_S = 0.01
+"""And a lag: a cycle of a driver of 100 Hz; the same recordings read 10 to 14 ms."""
+OFF_BEFORE = 0.1
+"""How likely a clock is to be off before anything is known; it only counts where a recording says little."""
+SIGMAS = 4.0
+"""A clock is followed that is off by so many standard deviations, and said to be."""
+ROUNDS = 4
+SETTLED_PACE = 0.01
+SETTLED_S = 1e-3
+LEAST_ACCELERATION = -0.9
+"""Of a step of the fit, relative: no time runs more than three times as slow as was thought."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """One recording's time axis as its torques show it."""
+
+    pace: float  # true time over stamped time
+    pace_std: float  # of its logarithm
+    lag_s: float  # by how much torques are recorded later than positions [s]
+    lag_std_s: float
+
+    @property
+    def runs_off(self) -> bool:
+        """Whether stamps and torques contradict each other about how long things took."""
+        return abs(np.log(self.pace)) > SIGMAS * np.hypot(self.pace_std, PACE_MISFIT)
+
+    @property
+    def is_late(self) -> bool:
+        """Whether torques are recorded clearly later or earlier than positions."""
+        return abs(self.lag_s) > SIGMAS * np.hypot(self.lag_std_s, LAG_MISFIT_S)
+
+
+def with_clocks(
+    robot: Robot,
+    motions: Sequence[Motion],
+    calibration: MotionCalibration | None = None,
+    *,
+    loaded: bool = False,
+) -> list[Motion]:
+    """The motions with their clocks followed where these are off, and with how well the clocks are known.
+
+    Args:
+        robot: As its file states it.
+        motions: Whose clocks are asked for, each by itself.
+        calibration: What is known of the arm; without one, what the robot file says.
+        loaded: Whether the hand holds something that nobody knows.
+
+    Returns: One motion for each, with a note where its stamps were not taken as they are.
+    """
+    return [_followed(robot, motion, calibration, loaded) for motion in motions]
+
+
+def _followed(
+    robot: Robot, motion: Motion, calibration: MotionCalibration | None, loaded: bool
+) -> Motion:
+    try:
+        clock = clock_of(robot, motion, calibration, loaded=loaded)
+    except RecordingError:  # of no use for anything: the weighing says why
+        return motion
+    notes = []
+    pace = lag_s = None
+    pace_std = _open_std(np.log(clock.pace), clock.pace_std, PACE_MISFIT, PACE_SPREAD)
+    lag_std_s = _open_std(clock.lag_s, clock.lag_std_s, LAG_MISFIT_S, LAG_SPREAD_S)
+    if clock.runs_off:
+        pace = clock.pace
+        pace_std = float(np.hypot(clock.pace_std, PACE_MISFIT))
+        rate_hz = 1.0 / float(np.median(np.diff(motion.times_s)))
+        notes.append(
+            f"{motion.name}: by its torques all of it took {pace:.2f} times as long as its stamps say, so the loop ran at "
+            f"{rate_hz / pace:.3g} of {rate_hz:.3g} Hz; that clock was followed, to {100.0 * pace_std:.0f} %"
+        )
+    if clock.is_late:
+        lag_s = clock.lag_s
+        lag_std_s = float(np.hypot(clock.lag_std_s, LAG_MISFIT_S))
+        notes.append(
+            f"{motion.name}: its efforts were recorded {1e3 * abs(lag_s):.0f} ms {'later' if lag_s > 0.0 else 'earlier'} than its "
+            "positions; they were moved back by that"
+        )
+    corrected = _retimed(motion, pace or 1.0, lag_s or 0.0)
+    return replace(corrected, notes=(*motion.notes, *notes), pace_std=pace_std, lag_std_s=lag_std_s)
+
+
+def clock_of(
+    robot: Robot,
+    motion: Motion,
+    calibration: MotionCalibration | None = None,
+    *,
+    loaded: bool = False,
+) -> Clock:
+    """The clock of one recording.
+
+    Args:
+        robot: As its file states it.
+        motion: The recording.
+        calibration: What is known of the arm; without one, what the robot file says.
+        loaded: Whether the hand holds something that nobody knows.
+
+    Raises `RecordingError`: It is too short, or of other joints than the calibration.
+    """
+    clock = Clock(1.0, np.inf, 0.0, np.inf)
+    for _ in range(ROUNDS):
+        retimed = _retimed(motion, clock.pace, clock.lag_s)
+        step = _step(robot, retimed, calibration, loaded)
+        clock = replace(
+            step, pace=clock.pace * step.pace, lag_s=clock.lag_s + clock.pace * step.lag_s
+        )
+        if abs(np.log(step.pace)) < SETTLED_PACE and abs(step.lag_s) < SETTLED_S:
+            break
+        if not (clock.runs_off or clock.is_late):
+            break
+    return clock
+
+
+def _step(
+    robot: Robot, motion: Motion, calibration: MotionCalibration | None, loaded: bool
+) -> Clock:
+    """How far the clock of a motion is off, to first order in the lag."""
+    joints = motion.joints if calibration is None else calibration.joints
+    arm = Arm.of(robot, joints, dict(motion.held))
+    problem = Problem.of([equations(robot, motion, joints)], int(loaded))
+    if calibration is None:
+        prior = motion_prior.prior_of_file(robot, arm, 1)
+        unknown = np.zeros(len(FRICTION_TERMS) * arm.count)
+        between = Between.published(unknown, unknown)
+    else:
+        prior, _ = motion_prior.calibrated_prior(arm, calibration, 1)
+        between = motion_prior.between_of(calibration)
+    spreads = {**between.spreads, "pace": 2.0 * PACE_SPREAD, "lag": LAG_SPREAD_S}
+    between = replace(between, spreads=spreads)
+    per_kg = motion_prior.payload_stds(arm)
+    solution = solve(problem, prior, between, per_kg, calibration, followed=CLOCK)
+    first = problem.own(0).start
+    at = [first + int(np.flatnonzero(between.kinds == kind)[0]) for kind in CLOCK]
+    acceleration, lag_s = solution.values[at]
+    # the larger of what the fit and what its stretches say
+    variance = np.maximum(
+        np.diag(solution.covariance)[at], np.square(solution.deviations[:, at]).sum(axis=0)
+    )
+    acceleration_std, lag_std_s = np.sqrt(variance)
+    acceleration = max(float(acceleration), LEAST_ACCELERATION)
+    return Clock(
+        pace=(1.0 + acceleration) ** -0.5,
+        pace_std=0.5 * float(acceleration_std) / (1.0 + acceleration),
+        lag_s=float(lag_s),
+        lag_std_s=float(lag_std_s),
+    )
+
+
+def _retimed(motion: Motion, pace: float, lag_s: float) -> Motion:
+    """The motion, had it taken ``pace`` times as long, and its torques been recorded ``lag_s`` of stamped time earlier."""
+    if pace == 1.0 and lag_s == 0.0:
+        return motion
+    times_s = motion.times_s
+    within = (times_s + lag_s >= times_s[0]) & (times_s + lag_s <= times_s[-1])
+    current_A = np.column_stack(
+        [np.interp(times_s[within] + lag_s, times_s, column) for column in motion.current_A.T]
+    )
+    return replace(
+        motion,
+        times_s=pace * (times_s[within] - times_s[within][0]),
+        position=motion.position[within],
+        current_A=current_A,
+        beside={joint: position[within] for joint, position in motion.beside.items()},
+    )
+
+
+def _open_std(off: float, std: float, misfit: float, spread: float) -> float:
+    """What an error of a clock that is not followed leaves open: that it runs off after all, as likely as that still is.
+
+    Args:
+        off: What was found, beside nothing.
+        std: How well.
+        misfit: Standard deviation of what is found of a clock that keeps time.
+        spread: The same of one that does not.
+    """
+    keeps = (1.0 - OFF_BEFORE) * norm.pdf(off, scale=np.hypot(std, misfit))
+    runs_off = OFF_BEFORE * norm.pdf(off, scale=np.hypot(std, spread))
+    likely = runs_off / max(keeps + runs_off, 1e-300)
+    # of one that runs off: a Gaussian prior beside what was found
+    known = 1.0 / (1.0 / max(std, 1e-9) ** 2 + 1.0 / spread**2)
+    mean = off * known / max(std, 1e-9) ** 2
+    return float(np.sqrt(likely * (mean**2 + known)))
