@@ -1,6 +1,6 @@
 """Whether a recording's clock keeps time, by its torques: gravity needs no clock, inertia and friction do.
 
-Where a motion took ``pace`` times as long as its stamps say, accelerations are ``1 / pace^2`` and velocities ``1 / pace`` times what
+Where a motion took ``pace`` times as long as its stamps say, accelerations are ``1 / pace^2`` and velocities ``1 / pace`` of what
 positions over stamps make of them. Gravity tells the first moments of an arm's bodies, and with them what their accelerations
 must cost. A torque that is recorded late goes with its own derivative. Pace and lag are unknowns of one recording, linear in the
 equations of `motion_equations`, and are fitted before all else.

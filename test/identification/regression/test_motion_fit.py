@@ -179,7 +179,7 @@ def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) ->
     problem = Problem.of(parts, 1)
     assert problem.matrix.shape == (
         sum(len(part.joint) for part in parts),
-        10 + 17 * 6 + 2 * (5 * 6 + 1),
+        10 + 17 * 6 + 2 * (5 * 6 + 3),
     )
     assert not problem.matrix[~problem.carrying, :10].any()
     early = problem.only(problem.carrying & (problem.stretch < 2))
