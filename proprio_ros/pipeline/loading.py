@@ -122,6 +122,7 @@ def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
 def _motion(recording: Recording, request: Request) -> Motion:
     """The recording as a motion; fingers that were not recorded stand where their range allows nearest to zero, which is noted."""
     robot = request.robot
+    _refuse_unmeasured(recording, request.options.effort_unit)
     locked = standing(request, recording.joints.names)
     known = {*recording.joints.names, *locked}
     slides = [
@@ -141,6 +142,22 @@ def _motion(recording: Recording, request: Request) -> Motion:
         for name, value in taken.items()
     )
     return replace(motion, notes=motion.notes + notes)
+
+
+def _refuse_unmeasured(recording: Recording, unit: str | None) -> None:
+    """Raises: RecordingError: A unit of measured efforts was stated, there are none, and a command would stand in for them.
+
+    What a controller commands by its own model knows nothing of a load.
+    """
+    record = recording.joints
+    inputs = recording.inputs
+    if unit is None or inputs is None or inputs.measured or inputs.computed:
+        return
+    if record.reported_effort is None or not np.isfinite(record.reported_effort).any():
+        raise RecordingError(
+            f"{recording.name}: --effort-unit {unit} says that efforts were measured, and the joint states hold none (no numbers, "
+            f"or NaN only): record them, or leave it out to take what {inputs.source} commanded for what flowed"
+        )
 
 
 def standing(request: Request, recorded: Collection[str]) -> dict[str, float]:

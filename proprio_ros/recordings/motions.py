@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from proprio_ros.errors import RecordingError, TooLittleMotion
-from proprio_ros.records import BoolArray, FloatArray, Recording
+from proprio_ros.recordings.unmeasured import Measured, measured_only
+from proprio_ros.records import FloatArray, Recording
 
 MOVED_RAD = 0.05
 """A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
@@ -17,6 +18,8 @@ SLOWEST_HZ = 20.0  # below this rate a motion of half a second has no shape
 WRAPPED_RAD = 3.0  # no arm turns that far between two samples
 # angles whose steps are smaller than this once they are unwrapped did wrap around
 LARGEST_STEP_RAD = 1.0
+MEASURED = "measured current"
+"""`Motion.source` where the motors reported what flowed."""
 LONGEST_GAP_S = 0.1  # across a longer gap nobody knows how the arm moved [s]
 
 
@@ -28,10 +31,11 @@ class Motion:
     joints: tuple[str, ...]  # that have a motor, one per column
     times_s: FloatArray  # from the first sample on [s], strictly increasing, shape (T,)
     position: FloatArray  # [rad], shape (T, J)
-    current_A: FloatArray  # of the motors, shape (T, J)
+    current_A: FloatArray  # of the motors, shape (T, J); NaN where nobody measured it
     held: Mapping[str, float]  # mean position of every other joint [rad or m]
     source: str  # where the currents come from
     notes: tuple[str, ...] = ()  # what a reader of the result should know, one sentence each
+    left_out: tuple[str, ...] = ()  # of these, what is said of efforts that nobody measured
     begin_ns: int = 0  # stamp of the first sample [ns]; 0: not known
     # position of every other joint that was recorded, at the same times [rad or m], shape (T,) each
     beside: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -41,10 +45,33 @@ class Motion:
 
     @property
     def moved(self) -> tuple[str, ...]:
-        """The joints that did not stand still."""
-        spans = np.ptp(self.position, axis=0)
-        return tuple(
-            name for name, span in zip(self.joints, spans, strict=True) if span > MOVED_RAD
+        """The joints that did not stand still, and whose current was measured."""
+        moved = (np.ptp(self.position, axis=0) > MOVED_RAD) & np.isfinite(self.current_A).any(
+            axis=0
+        )
+        return tuple(name for name, each in zip(self.joints, moved, strict=True) if each)
+
+    def complete(self) -> Motion:
+        """Those samples in which all currents were measured.
+
+        Raises `RecordingError`: There are none.
+        """
+        known = np.isfinite(self.current_A).all(axis=1)
+        if known.all():
+            return self
+        if not known.any():
+            absent = np.asarray(np.isnan(self.current_A).all(axis=0))
+            names = [name for name, each in zip(self.joints, absent, strict=True) if each]
+            raise RecordingError(
+                f"{self.name}: the effort of {', '.join(names) or 'some joint'} was never measured together with that of the "
+                "others: does its driver publish it?"
+            )
+        return replace(
+            self,
+            times_s=self.times_s[known] - self.times_s[known][0],
+            position=self.position[known],
+            current_A=self.current_A[known],
+            beside={joint: values[known] for joint, values in self.beside.items()},
         )
 
 
@@ -72,13 +99,17 @@ def motion_of(
             f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}: is it another arm's?"
         )
     notes = list(recording.notes)
-    current, known, source = _current(recording, joints, notes)
-    times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)[known]
+    times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
     _check_times(times_s, name)
-    recorded = record.position[known]
     position = _unwrapped(
-        recorded[:, [record.column(joint) for joint in joints]], joints, name, notes
+        record.position[:, [record.column(joint) for joint in joints]], joints, name, notes
     )
+    current, source = _current(recording, joints, notes)
+    left_out: tuple[str, ...] = ()
+    if source == MEASURED:
+        measured = _measured(name, joints, times_s, position, current)
+        current = measured.current_A
+        left_out = measured.notes
     others = [joint for joint in record.names if joint not in joints]
     motion = Motion(
         name=name,
@@ -89,9 +120,10 @@ def motion_of(
         held={joint: float(record.position[:, record.column(joint)].mean()) for joint in others}
         | dict(held or {}),
         source=source,
-        notes=(*notes, *_repeats_command(recording, joints, source)),
+        notes=(*notes, *left_out, *_repeats_command(recording, joints, source)),
+        left_out=left_out,
         begin_ns=int(record.times_ns[0]),
-        beside={joint: recorded[:, record.column(joint)] for joint in others},
+        beside={joint: record.position[:, record.column(joint)] for joint in others},
     )
     if not (standing or motion.moved):
         raise TooLittleMotion(
@@ -103,24 +135,15 @@ def motion_of(
 
 def _current(
     recording: Recording, joints: Sequence[str], notes: list[str]
-) -> tuple[FloatArray, BoolArray | slice, str]:
-    """Currents of the motors [A], shape (T, J); at which joint states they are known, T of them; and where they come from."""
+) -> tuple[FloatArray, str]:
+    """Currents of the motors [A], shape (T, J), NaN where they are not known; and where they come from."""
     record = recording.joints
     inputs = recording.inputs
     name = recording.name
-    measured = (
-        None
-        if record.current is None
-        else record.current[:, [record.column(joint) for joint in joints]]
-    )
-    if measured is not None and np.isfinite(measured).any(axis=0).all():
-        complete = np.asarray(np.isfinite(measured).all(axis=1))
-        if not complete.all():
-            notes.append(
-                f"{name}: {int((~complete).sum())} samples without a measured current were left out"
-            )
-        source = inputs.source if inputs is not None and inputs.computed else "measured current"
-        return measured[complete], complete, source
+    columns = [record.column(joint) for joint in joints]
+    if record.current is not None and np.isfinite(record.current[:, columns]).any():
+        source = inputs.source if inputs is not None and inputs.computed else MEASURED
+        return record.current[:, columns], source
     if inputs is None:
         raise RecordingError(
             f"{name}: the recording holds no current; state the unit of its effort with --effort-unit"
@@ -135,11 +158,33 @@ def _current(
         f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
         "and what flows differ by some percent (state --effort-unit if the effort is a measured one)"
     )
-    return (
-        inputs.current_A[row][:, [inputs.column(joint) for joint in joints]],
-        slice(None),
-        inputs.source,
-    )
+    return inputs.current_A[row][:, [inputs.column(joint) for joint in joints]], inputs.source
+
+
+def _measured(
+    name: str,
+    joints: Sequence[str],
+    times_s: FloatArray,
+    position: FloatArray,
+    current_A: FloatArray,
+) -> Measured:
+    """The currents that were measured, shape (T, J), with notes that name the recording.
+
+    Raises `RecordingError`: None was, or too few for a motion.
+    """
+    found = measured_only(joints, times_s, position, current_A)
+    notes = [f"{name}: {note}" for note in found.notes]
+    missing = int(np.isnan(current_A).any(axis=1).sum())
+    if missing:
+        notes.append(f"{name}: {missing} samples without a measured current were left out")
+    known = np.isfinite(found.current_A).any(axis=1)
+    seconds = float(known.mean() * times_s[-1])
+    if seconds < SHORTEST_S and notes:
+        raise RecordingError(
+            f"{notes[0]}; {seconds:.1f} s are left, record at least {SHORTEST_S:g} s: does the driver publish what its motors "
+            "measure, also after controllers were switched?"
+        )
+    return Measured(found.current_A, tuple(notes))
 
 
 def _check_times(times_s: FloatArray, name: str) -> None:
@@ -185,7 +230,7 @@ def _repeats_command(recording: Recording, joints: Sequence[str], source: str) -
     """A note on joints whose measured current is the command, as simulators and some drivers publish it."""
     record = recording.joints
     inputs = recording.inputs
-    if source != "measured current" or inputs is None or inputs.measured or record.current is None:
+    if source != MEASURED or inputs is None or inputs.measured or record.current is None:
         return ()
     row = np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1
     alike = []

@@ -150,6 +150,7 @@ def fit_at_rest(
         RobotError: Torque constants are no longer those of the calibration.
     """
     check_arm(robot, motions, calibration)
+    motions = [motion.complete() for motion in motions]
     arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
     if centre_std_m is None:
         centre_std_m = payload_stds(arm)[1:4]

@@ -204,10 +204,8 @@ def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) 
     velocity = np.gradient(position, period_s, axis=0)
     width = round(WINDOW_S / period_s)
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
-    counts = (
-        np.isin(arm.model.joint_names, motion.moved)[None, :]
-        & ~across_gaps(motion, times_s, windows)[:, None]
-    )
+    names = arm.model.joint_names
+    counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, names, times_s, windows)
     return arm.rows(
         windows,
         times_s,

@@ -128,7 +128,8 @@ def calibration_refusals(
         * calibration.torque_constants
         for motion in motions
     ]
-    driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
+    # 0 for a joint whose torque was never measured
+    driven = np.sqrt(np.mean(np.square(np.nan_to_num(np.vstack(torques))), axis=0))
     share = refusals.deciding(calibration.tells, share_of(calibration.residual, driven))
     yield from refusals.unexplained_torque(calibration.joints, share, "the arm and its friction")
     arm = Arm.of(robot, calibration.joints, dict(motions[0].held))

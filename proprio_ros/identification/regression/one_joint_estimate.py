@@ -78,7 +78,7 @@ def _refusals(
     currents = np.concatenate(
         [motion.current_A[:, motion.joints.index(learnt.joint)] for motion in motions]
     )
-    driven = learnt.torque_constant * float(np.sqrt(np.mean(np.square(currents))))
+    driven = learnt.torque_constant * float(np.sqrt(np.nanmean(np.square(currents))))
     if scale <= 0.0 or learnt.residual * scale > UNEXPLAINED_SHARE * driven:
         yield rejected(
             "misfit",

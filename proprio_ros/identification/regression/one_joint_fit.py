@@ -159,7 +159,7 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     idle = acceleration - others @ alone
     frequency_squared = float(np.hypot(alone[0], alone[1]))
     torques = np.concatenate(
-        [motion.current_A[:, motion.joints.index(joint)] for motion in motions]
+        [motion.complete().current_A[:, motion.joints.index(joint)] for motion in motions]
     )
     return OneJointFit(
         joint, values, covariance, len(stretches), float(stdtrit(len(stretches) - 1, 0.975)), rms(solution.residual),
@@ -234,7 +234,7 @@ def table_of(
         ]
     )
     counts = windows.mean((np.abs(velocity) < slow_rad_s).astype(np.float64)) < 0.5
-    counts &= ~across_gaps(motion, times_s, windows)
+    counts &= ~across_gaps(motion, [joint], times_s, windows)[:, 0]
     if counts.sum() <= columns.shape[1]:
         raise RecordingError(
             f"{motion.name}: {joint} does not move for long enough without a pause or a gap"

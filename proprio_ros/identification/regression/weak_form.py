@@ -149,12 +149,16 @@ def evenly(
     columns = [motion.joints.index(name) for name in joints]
     period_s = float(np.median(np.diff(motion.times_s)))
     times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
-    position, current = (
-        np.column_stack(
-            [np.interp(times_s, motion.times_s, values[:, column]) for column in columns]
-        )
-        for values in (motion.position, motion.current_A)
+    position = np.column_stack(
+        [np.interp(times_s, motion.times_s, motion.position[:, column]) for column in columns]
     )
+    current = np.zeros_like(position)
+    for number, column in enumerate(columns):
+        known = np.isfinite(motion.current_A[:, column])
+        if known.any():
+            current[:, number] = np.interp(
+                times_s, motion.times_s[known], motion.current_A[known, column]
+            )
     b, a = butter(2, min(2.0 * bandwidth_Hz * period_s, 0.9))
     if len(times_s) <= 3 * max(len(a), len(b)):
         raise RecordingError(f"{motion.name}: {len(times_s)} samples are too few for a motion")
@@ -162,11 +166,31 @@ def evenly(
     return times_s, position, filtfilt(b, a, current, axis=0) if currents_too else current
 
 
-def across_gaps(motion: Motion, times_s: FloatArray, windows: Windows) -> NDArray[np.bool_]:
-    """Which windows of evenly spaced samples span a gap in the recording, and know nothing of what happened there, shape (W,)."""
+def across_gaps(
+    motion: Motion, joints: Sequence[str], times_s: FloatArray, windows: Windows
+) -> NDArray[np.bool_]:
+    """Which windows know nothing of what happened in a gap.
+
+    Args:
+        motion: Whose samples or whose measured currents may lie far apart.
+        joints: Some of its joints, n.
+        times_s: Evenly spaced ones [s], shape (T,).
+        windows: Of these, W.
+
+    Returns: For each window and joint, shape (W, n).
+    """
     first = times_s[windows.starts]
     last = times_s[windows.starts + len(windows.weight) - 1]
-    crossed = np.zeros(len(windows.starts), dtype=bool)
-    for gap in np.flatnonzero(np.diff(motion.times_s) > LONGEST_GAP_S):
-        crossed |= (first < motion.times_s[gap + 1]) & (last > motion.times_s[gap])
+    crossed = np.zeros((len(windows.starts), len(joints)), dtype=bool)
+    for number, name in enumerate(joints):
+        known = np.isfinite(motion.current_A[:, motion.joints.index(name)])
+        # what is missing at either end is a gap, too
+        known_s = np.concatenate([[-np.inf], motion.times_s[known], [np.inf]])
+        long = np.diff(known_s) > LONGEST_GAP_S
+        long[[0, -1]] = np.array([motion.times_s[0], -motion.times_s[-1]]) < [
+            known_s[1] - LONGEST_GAP_S,
+            -known_s[-2] - LONGEST_GAP_S,
+        ]
+        for gap in np.flatnonzero(long):
+            crossed[:, number] |= (first < known_s[gap + 1]) & (last > known_s[gap])
     return crossed

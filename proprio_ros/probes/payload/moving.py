@@ -6,7 +6,7 @@ What the empty arm does comes from motions that were recorded with the others, o
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.identification.estimate import Estimate, Fit, JointFit, Value, Verdict
 from proprio_ros.identification.judge import (
     ACCEPTED,
@@ -122,6 +122,51 @@ def identify_in_motion(
 
     Raises `RecordingError`: A motion is of no use.
     """
+    everything = _of_measured_joints((*motions, *baseline))
+    motions = everything[: len(motions)]
+    baseline = everything[len(motions) :]
+    with _naming_what_is_missing(everything):
+        return _identified(robot, motions, baseline, facts, centre_is_stated)
+
+
+def _of_measured_joints(motions: Sequence[Motion]) -> Sequence[Motion]:
+    """The same without efforts of joints that one of them never measured: a joint is explained by all of them, or by none."""
+    absent = {
+        joint
+        for motion in motions
+        for joint, column in zip(motion.joints, motion.current_A.T, strict=True)
+        if np.isnan(column).all()
+    }
+    if not absent:
+        return motions
+    found = []
+    for motion in motions:
+        current = motion.current_A.copy()
+        current[:, np.isin(motion.joints, list(absent))] = np.nan
+        found.append(replace(motion, current_A=current))
+    return found
+
+
+@contextmanager
+def _naming_what_is_missing(motions: Sequence[Motion]) -> Iterator[None]:
+    """Where too little is left of motions, what was left out stands before that."""
+    try:
+        yield
+    except TooLittleMotion as error:
+        left_out = [note for motion in motions for note in motion.left_out]
+        if not left_out:
+            raise
+        raise TooLittleMotion(f"{left_out[0]}; {error}") from None
+
+
+def _identified(
+    robot: Robot,
+    motions: Sequence[Motion],
+    baseline: Sequence[Motion],
+    facts: PayloadFacts,
+    centre_is_stated: bool,
+) -> Estimate:
+    """As `identify_in_motion`, of joints whose efforts were measured."""
     centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
     calibration = robot.motion_calibration
     if calibration is not None:
