@@ -86,4 +86,6 @@ def _right(row: Any) -> str:
         found.append(f"never says `{row.unsaid}`")
     if row.narrow is not None:
         found.append(f"at most {row.narrow:g} half wide")
+    if row.pending:
+        found.append(f"*not yet: {row.pending}*")
     return "; ".join(found)

@@ -46,6 +46,7 @@ class Row:
         command: Instead of the base's command.
         make: Makes further files, or others in the place of the base's; of the folder and the files so far.
         narrow: Largest half width of an accepted interval, in the estimate's unit; None: any.
+        pending: Why this package does not pass it yet; empty: it passes.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Row:
     command: tuple[str, ...] = ()
     make: Callable[[Path, Files], Files] | None = None
     narrow: float | None = None
+    pending: str = ""
 
     @property
     def of(self) -> Base:

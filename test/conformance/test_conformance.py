@@ -24,7 +24,10 @@ def test_is_answered_right(row: Row, made: Path, tmp_path: Path) -> None:
         pytest.skip(f"{row.base} does not ship with the package")
     files = files_of(row, made, tmp_path)
     outcome = asked(row.words, files, row.of.estimate)
-    assert not wrong_with(row, outcome), outcome
+    wrong = wrong_with(row, outcome)
+    if wrong and row.pending:
+        pytest.xfail(row.pending)
+    assert not wrong, outcome
 
 
 def test_rows_name_what_there_is() -> None:

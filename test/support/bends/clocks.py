@@ -48,13 +48,23 @@ def clock_at_another_pace(tape: Tape, rng: Rng, factor: float, velocity: str) ->
     return _velocities(stretched(tape, factor), velocity, factor)
 
 
-@bend("clocks", Right(cause=CLOCK), step_s=either_sign(0.3, 5.0), at=between(0.25, 0.75))
+@bend(
+    "clocks",
+    Right(cause=CLOCK),
+    step_s=either_sign(0.3, 5.0),
+    at=between(0.25, 0.75),
+)
 def clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
     """Headers and recorder step by some seconds in the middle, as when a time service corrects the clock."""
     return _stepped(tape, step_s, at, recorder=True)
 
 
-@bend("clocks", Right(cause=CLOCK), step_s=either_sign(0.3, 5.0), at=between(0.25, 0.75))
+@bend(
+    "clocks",
+    Right(cause=CLOCK),
+    step_s=either_sign(0.3, 5.0),
+    at=between(0.25, 0.75),
+)
 def header_clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
     """Headers alone step by some seconds in the middle."""
     return _stepped(tape, step_s, at, recorder=False)
@@ -69,7 +79,11 @@ def _stepped(tape: Tape, step_s: float, at: float, recorder: bool) -> Tape:
     )
 
 
-@bend("clocks", Right(told=True, cause=CLOCK), count=one_of((20, 100, 200, 500)))
+@bend(
+    "clocks",
+    Right(told=True, cause=CLOCK),
+    count=one_of((20, 100, 200, 500)),
+)
 def stamps_of_zero_first(tape: Tape, rng: Rng, count: int) -> Tape:
     """The first messages are stamped and recorded at 0, as before simulated time is heard."""
 
@@ -90,7 +104,12 @@ def row_number_for_a_time(tape: Tape, rng: Rng) -> Tape:
     return tape.retimed(lambda times_ns: 10**9 * (1 + np.arange(len(times_ns), dtype=np.int64)))
 
 
-@bend("clocks", Right(cause=CLOCK), size=one_of((5, 10, 20, 50)), headers=one_of((True, False)))
+@bend(
+    "clocks",
+    Right(cause=CLOCK),
+    size=one_of((5, 10, 20, 50)),
+    headers=one_of((True, False)),
+)
 def bursts_stamped_at_arrival(tape: Tape, rng: Rng, size: int, headers: bool) -> Tape:
     """Messages come in bursts: the recorder, or also the header, has the time at which a burst arrived."""
 
@@ -102,7 +121,11 @@ def bursts_stamped_at_arrival(tape: Tape, rng: Rng, size: int, headers: bool) ->
     return tape.retimed(arrived, stamps=headers)
 
 
-@bend("clocks", Right(), rate=one_of((2, 3, 5, 10)))
+@bend(
+    "clocks",
+    Right(),
+    rate=one_of((2, 3, 5, 10)),
+)
 def samples_held(tape: Tape, rng: Rng, rate: int) -> Tape:
     """Registers are read less often than they are published: each reading comes several times, with new stamps."""
 
@@ -113,7 +136,12 @@ def samples_held(tape: Tape, rng: Rng, rate: int) -> Tape:
     return tape.with_states(held)
 
 
-@bend("clocks", Right(), ratio=one_of((2, 3, 4)), at=between(0.3, 0.7))
+@bend(
+    "clocks",
+    Right(),
+    ratio=one_of((2, 3, 4)),
+    at=between(0.3, 0.7),
+)
 def rate_changes(tape: Tape, rng: Rng, ratio: int, at: float) -> Tape:
     """From some moment on messages come less often."""
 

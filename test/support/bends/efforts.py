@@ -34,7 +34,11 @@ def with_efforts(tape: Tape, change: Callable[[FloatArray, Stream], FloatArray])
     return tape.with_states(changed)
 
 
-@bend("efforts", Right(told=True), samples=one_of((1, 3, 5, 10, 15)))
+@bend(
+    "efforts",
+    Right(told=True),
+    samples=one_of((1, 3, 5, 10, 15)),
+)
 def effort_late(tape: Tape, rng: Rng, samples: int) -> Tape:
     """The effort alone comes some samples late, as from a filter or another bus."""
 
@@ -61,7 +65,11 @@ def joints_scaled(tape: Tape, rng: Rng, joints: list[str], factor: float) -> Tap
     return with_efforts(tape, scaled)
 
 
-@bend("efforts", Right(cause=GONE), at=between(0.3, 0.8))
+@bend(
+    "efforts",
+    Right(cause=GONE),
+    at=between(0.3, 0.8),
+)
 def effort_frozen(tape: Tape, rng: Rng, at: float) -> Tape:
     """From some moment on the effort stands still, as after a controller was switched."""
 
@@ -105,13 +113,20 @@ def effort_drops_out(tape: Tape, rng: Rng, share: float, value: float) -> Tape:
     return with_efforts(tape, dropped)
 
 
-@bend("efforts", Right(told=True))
+@bend(
+    "efforts",
+    Right(told=True),
+)
 def effort_tared(tape: Tape, rng: Rng) -> Tape:
     """The first sample's effort is subtracted, as of sensors that were tared with the tool on."""
     return with_efforts(tape, lambda effort, _: effort - effort[0])
 
 
-@bend("efforts", Right(cause="friction.*(fell|rose|changed)|warm"), share=either_sign(0.03, 0.15))
+@bend(
+    "efforts",
+    Right(cause="friction.*(fell|rose|changed)|warm"),
+    share=either_sign(0.03, 0.15),
+)
 def friction_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     """Coulomb friction changes along the recording by a share of each joint's effort, as while motors warm up."""
 
@@ -128,7 +143,11 @@ def friction_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     return with_efforts(tape, warmed)
 
 
-@bend("efforts", Right(cause="warm|fell|rose|drift"), share=either_sign(0.03, 0.15))
+@bend(
+    "efforts",
+    Right(cause="warm|fell|rose|drift"),
+    share=either_sign(0.03, 0.15),
+)
 def torque_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     """Effort per torque changes along the recording, as while magnets warm up."""
 
@@ -138,13 +157,21 @@ def torque_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     return with_efforts(tape, fallen)
 
 
-@bend("efforts", Right(cause=EFFORT), factor=between(0.4, 2.5))
+@bend(
+    "efforts",
+    Right(cause=EFFORT),
+    factor=between(0.4, 2.5),
+)
 def effort_scaled(tape: Tape, rng: Rng, factor: float) -> Tape:
     """All efforts are in another unit."""
     return with_efforts(tape, lambda effort, _: factor * effort)
 
 
-@bend("efforts", Right(told=False, cause=EFFORT), joint=a_joint)
+@bend(
+    "efforts",
+    Right(told=False, cause=EFFORT),
+    joint=a_joint,
+)
 def effort_reversed(tape: Tape, rng: Rng, joint: str) -> Tape:
     """One joint's effort is counted the other way round."""
 
@@ -153,3 +180,56 @@ def effort_reversed(tape: Tape, rng: Rng, joint: str) -> Tape:
         return effort
 
     return with_efforts(tape, reversed_)
+
+
+@bend(
+    "efforts",
+    Right(cause="friction.*(fell|rose|changed)|warm"),
+    current=either_sign(0.05, 0.4),
+)
+def friction_falls_by_a_current(tape: Tape, rng: Rng, current: float) -> Tape:
+    """Coulomb friction of all joints falls along the recording by one number in the effort's unit."""
+
+    def warmed(effort: FloatArray, states: Stream) -> FloatArray:
+        times_s = 1e-9 * (states.stamp_ns - states.stamp_ns[0])
+        increasing = np.maximum.accumulate(times_s) + 1e-6 * np.arange(len(times_s))
+        velocity = np.gradient(states.values["position"], increasing, axis=0)
+        along = np.linspace(0.0, 1.0, len(effort))[:, None]
+        return effort - current * along * np.tanh(velocity / 0.02)
+
+    return with_efforts(tape, warmed)
+
+
+@bend(
+    "efforts",
+    Right(cause="picked up|put down|payload|changed|controller|step"),
+    at=between(0.3, 0.7),
+    share=either_sign(0.1, 0.5),
+)
+def effort_steps(tape: Tape, rng: Rng, at: float, share: float) -> Tape:
+    """From some moment on one offset is on each joint's effort, as of another payload set in the controller."""
+
+    def stepped(effort: FloatArray, states: Stream) -> FloatArray:
+        late = np.arange(len(effort))[:, None] >= at * len(effort)
+        return effort + share * np.nanstd(effort, axis=0) * late
+
+    return with_efforts(tape, stepped)
+
+
+@bend(
+    "efforts",
+    Right(told=True),
+    cutoff=one_of((2.0, 5.0, 10.0, 20.0)),
+)
+def effort_filtered(tape: Tape, rng: Rng, cutoff: float) -> Tape:
+    """The driver's low-pass of first order is on the effort alone [Hz]."""
+    from scipy.signal import butter, lfilter
+
+    def filtered(effort: FloatArray, states: Stream) -> FloatArray:
+        period_s = 1e-9 * float(np.median(np.diff(states.stamp_ns)))
+        b, a = butter(1, 2.0 * cutoff * period_s)
+        first = np.nan_to_num(effort[0])
+        result: FloatArray = lfilter(b, a, effort - first, axis=0) + first
+        return result
+
+    return with_efforts(tape, filtered)

@@ -26,13 +26,22 @@ def with_position(tape: Tape, joint: str, change: Callable[[FloatArray], FloatAr
     return tape.with_states(changed)
 
 
-@bend("positions", Right(cause=ZERO), joint=a_joint)
+@bend(
+    "positions",
+    Right(cause=ZERO),
+    joint=a_joint,
+)
 def joint_reversed(tape: Tape, rng: Rng, joint: str) -> Tape:
     """One joint counts the other way round, as between two versions of a driver."""
     return with_position(tape, joint, lambda position: -position)
 
 
-@bend("positions", Right(cause=ZERO), joint=a_joint, zero_rad=either_sign(0.005, 0.5))
+@bend(
+    "positions",
+    Right(cause=ZERO),
+    joint=a_joint,
+    zero_rad=either_sign(0.005, 0.5),
+)
 def joint_zero_off(tape: Tape, rng: Rng, joint: str, zero_rad: float) -> Tape:
     """One joint is read from elsewhere."""
     return with_position(tape, joint, lambda position: position + zero_rad)
@@ -73,7 +82,12 @@ def joint_wraps(tape: Tape, rng: Rng, joint: str, low_rad: float) -> Tape:
     return with_position(tape, joint, wrapped)
 
 
-@bend("positions", Right(cause=ZERO), joint=a_joint, gear_rad=between(0.002, 0.03))
+@bend(
+    "positions",
+    Right(cause=ZERO),
+    joint=a_joint,
+    gear_rad=between(0.002, 0.03),
+)
 def joint_has_play(tape: Tape, rng: Rng, joint: str, gear_rad: float) -> Tape:
     """One joint has backlash: the reading is behind the gear, on one flank or the other."""
 
@@ -84,7 +98,11 @@ def joint_has_play(tape: Tape, rng: Rng, joint: str, gear_rad: float) -> Tape:
     return with_position(tape, joint, played)
 
 
-@bend("positions", Right(cause=ZERO + "|unit|deg"), factor=between(0.9, 1.1))
+@bend(
+    "positions",
+    Right(cause=ZERO + "|unit|deg"),
+    factor=between(0.9, 1.1),
+)
 def positions_scaled(tape: Tape, rng: Rng, factor: float) -> Tape:
     """All positions are in another unit."""
 
@@ -92,3 +110,51 @@ def positions_scaled(tape: Tape, rng: Rng, factor: float) -> Tape:
         return states.with_values(position=factor * states.values["position"])
 
     return tape.with_states(scaled)
+
+
+@bend(
+    "positions",
+    Right(cause=r"sign|count|jump|no angle|register|turn"),
+    joint=a_joint,
+    bits=one_of((11, 15)),
+)
+def sign_bit_not_decoded(tape: Tape, rng: Rng, joint: str, bits: int) -> Tape:
+    """One joint's negative counts have their sign in a bit that nobody decoded."""
+    count_rad = 2.0 * np.pi / 4096.0
+
+    def undecoded(position: FloatArray) -> FloatArray:
+        counts = np.round(position / count_rad)
+        return count_rad * np.where(counts < 0.0, 2.0**bits - counts, counts)
+
+    return with_position(tape, joint, undecoded)
+
+
+@bend(
+    "positions",
+    Right(told=True),
+    value=one_of((440_000.0, -1e7)),
+)
+def another_column_in_another_unit(tape: Tape, rng: Rng, value: float) -> Tape:
+    """A gripper stands beside the arm's joints in micrometres or counts."""
+
+    def beside(states: Stream) -> Stream:
+        column = np.linspace(0.0, value, len(states.bag_ns))[:, None]
+        values = {
+            name: np.hstack([table, column if name == "position" else np.zeros_like(column)])
+            for name, table in states.values.items()
+        }
+        return Stream(**{**vars(states), "names": (*states.names, "a_gripper"), "values": values})
+
+    return tape.with_states(beside)
+
+
+@bend(
+    "positions",
+    Right(cause=ZERO),
+    gear_rad=between(0.002, 0.03),
+)
+def all_joints_have_play(tape: Tape, rng: Rng, gear_rad: float) -> Tape:
+    """All joints have backlash: readings are behind their gears, on one flank or the other."""
+    for joint in tape.moving:
+        tape = joint_has_play(tape, rng, joint, gear_rad)
+    return tape

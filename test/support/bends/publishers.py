@@ -32,7 +32,10 @@ def zeros_with_the_same_stamps(tape: Tape, rng: Rng, lag_us: int, effort: bool) 
 
 
 @bend(
-    "publishers", Right(told=True, cause=PUBLISHERS), rate=one_of((2, 5, 10)), at=between(0.2, 0.8)
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+    rate=one_of((2, 5, 10)),
+    at=between(0.2, 0.8),
 )
 def zeros_at_times_of_its_own(tape: Tape, rng: Rng, rate: int, at: float) -> Tape:
     """A second publisher sends zeros, less often and with stamps between the others'."""
@@ -49,7 +52,11 @@ def zeros_at_times_of_its_own(tape: Tape, rng: Rng, rate: int, at: float) -> Tap
     return tape.and_stream(other)
 
 
-@bend("publishers", Right(told=True, cause=PUBLISHERS), samples=one_of((1, 5, 20)))
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+    samples=one_of((1, 5, 20)),
+)
 def stale_copies(tape: Tape, rng: Rng, samples: int) -> Tape:
     """A second publisher repeats what it heard some samples ago, with stamps of now."""
     states = tape.states
@@ -64,7 +71,43 @@ def stale_copies(tape: Tape, rng: Rng, samples: int) -> Tape:
     return tape.and_stream(other)
 
 
-@bend("publishers", Right(told=True, cause=PUBLISHERS + "|twice"))
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS + "|twice"),
+)
 def every_message_twice(tape: Tape, rng: Rng) -> Tape:
     """Each message comes twice, as from two bridges."""
     return tape.and_stream(_beside(tape.states, 30_000))
+
+
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+)
+def lists_doubled(tape: Tape, rng: Rng) -> Tape:
+    """A relay appends what it heard to its own list: every joint stands twice in each message."""
+
+    def doubled(states: Stream) -> Stream:
+        values = {name: np.hstack([table, table]) for name, table in states.values.items()}
+        return replace(states, names=states.names * 2, values=values)
+
+    return tape.with_states(doubled)
+
+
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+    order=one_of(("reversed", "rotated")),
+)
+def copies_in_another_order(tape: Tape, rng: Rng, order: str) -> Tape:
+    """A second publisher repeats positions alone, its joints in another order."""
+    states = tape.states
+    count = len(states.names)
+    columns = np.arange(count)[::-1] if order == "reversed" else np.roll(np.arange(count), 1)
+    other = replace(
+        states,
+        names=tuple(states.names[column] for column in columns),
+        values={"position": states.values["position"][:, columns]},
+        bag_ns=states.bag_ns + 40_000,
+    )
+    return tape.and_stream(other)
