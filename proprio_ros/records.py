@@ -212,6 +212,8 @@ class Recording:
     signals: DriveSignals | None = None
     # commands of this package's own topics, where measured efforts are the input; to compare the two, else None
     commanded: InputRecord | None = None
+    # from when to when nothing is known, as where a clock steps [ns], on the clock of the joint states
+    cuts_ns: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         _show(self)

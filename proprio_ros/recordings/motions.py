@@ -15,6 +15,7 @@ MOVED_RAD = 0.05
 """A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
 SHORTEST_S = 3.0  # a shorter motion says nothing about how well it is explained [s]
 SLOWEST_HZ = 20.0  # below this rate a motion of half a second has no shape
+RATE_ROUNDING = 0.005  # stamps are rounded, and no quartz is off by more
 WRAPPED_RAD = 3.0  # no arm turns that far between two samples
 # angles whose steps are smaller than this once they are unwrapped did wrap around
 LARGEST_STEP_RAD = 1.0
@@ -102,7 +103,11 @@ def motion_of(
     times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
     _check_times(times_s, name)
     position = _unwrapped(
-        record.position[:, [record.column(joint) for joint in joints]], joints, name, notes
+        times_s,
+        record.position[:, [record.column(joint) for joint in joints]],
+        joints,
+        name,
+        notes,
     )
     current, source = _current(recording, joints, notes)
     left_out: tuple[str, ...] = ()
@@ -196,9 +201,10 @@ def _check_times(times_s: FloatArray, name: str) -> None:
         )
     intervals = np.diff(times_s)
     rate_hz = 1.0 / float(np.median(intervals))
-    if rate_hz < SLOWEST_HZ:
+    # a period that is written in whole ms or ns is not one of 20 Hz to the last digit
+    if rate_hz < SLOWEST_HZ * (1.0 - RATE_ROUNDING):
         raise RecordingError(
-            f"{name}: joint states come at {rate_hz:.2g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
+            f"{name}: joint states come at {rate_hz:.3g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
         )
     lost_s = float(intervals[intervals > LONGEST_GAP_S].sum())
     if lost_s > 0.5 * times_s[-1]:
@@ -208,16 +214,35 @@ def _check_times(times_s: FloatArray, name: str) -> None:
 
 
 def _unwrapped(
-    position: FloatArray, joints: Sequence[str], name: str, notes: list[str]
+    times_s: FloatArray,
+    position: FloatArray,
+    joints: Sequence[str],
+    name: str,
+    notes: list[str],
 ) -> FloatArray:
-    """The same without jumps by full turns [rad], shape (T, J); a joint that jumps otherwise is refused."""
+    """The same without jumps by full turns [rad], shape (T, J); a joint that jumps otherwise is refused.
+
+    How far a joint turned in a gap nobody knows, and nothing is made of it.
+    """
+    gaps = np.diff(times_s) > LONGEST_GAP_S
     turned = np.unwrap(position, axis=0)
-    wrapped = np.abs(turned - position).max(axis=0) > 1.0
-    if wrapped.any() and np.abs(np.diff(turned, axis=0)).max() < LARGEST_STEP_RAD:
+    jumps = np.abs(np.diff(position, axis=0))[~gaps] > np.pi
+    wrapped = np.asarray(jumps.any(axis=0))
+    steps = np.abs(np.diff(turned, axis=0))
+    if wrapped.any() and steps[~gaps].max() < LARGEST_STEP_RAD:
         whole = [joint for joint, column in zip(joints, wrapped, strict=True) if column]
         notes.append(f"{name}: the angle of {', '.join(whole)} wraps around; it was unwrapped")
-        position = turned
-    far = np.abs(np.diff(position, axis=0)).max(axis=0)
+        position = np.where(wrapped, turned, position)
+    if gaps.any() and (steps[gaps] * wrapped).max() > LARGEST_STEP_RAD:
+        row = int(np.flatnonzero(gaps)[(steps[gaps] * wrapped).max(axis=1).argmax()])
+        joint = joints[int((steps[row] * wrapped).argmax())]
+        took_s = float(times_s[row + 1] - times_s[row])
+        since_s = float(times_s[row] - times_s[0])
+        raise RecordingError(
+            f"{name}: no joint states came for {took_s:.2f} s after {since_s:.1f} s, and {joint}, whose angle wraps around, turned "
+            "meanwhile by nobody knows how much: give the part before that gap or behind it, --span FROM:TO"
+        )
+    far = np.abs(np.diff(position, axis=0)[~gaps]).max(axis=0)
     if far.max() > WRAPPED_RAD:
         raise RecordingError(
             f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples: angles that wrap around "

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.recordings.motions import LONGEST_GAP_S, MOVED_RAD
-from proprio_ros.records import FloatArray, Recording
+from proprio_ros.records import FloatArray, JointRecord, Recording
 
 WINDOW_S = 2.0
 """Over which velocities are integrated: longer than most of a swing there and back, shorter than what an offset adds up to."""
@@ -31,6 +31,7 @@ REGISTER_STD = 0.01
 """How far the scale of a velocity register may be off: 1.003 to 1.030 on a real OpenManipulator-X, 0.998 to 1.001 on other arms."""
 ALIKE = 0.05
 """By so much the scales of an arm's joints may differ before it is no common time axis that made them."""
+NOMINAL_NS = 10_000_000  # between samples of which nobody knows when they were taken
 TIME_SCALES = (0.4, 2.5)
 """Loops run at half their rate, or twice. What is further off is a unit: degrees/s are 57 times rad/s, rpm 9.5 times."""
 SAME_DIFFERENCE = 1e-4
@@ -53,7 +54,7 @@ class Pace:
     def sentence(self) -> str:
         """What it means, for people."""
         return (
-            f"positions of all joints change {self.scale:.2f} times as fast as their velocities say: one of its seconds took "
+            f"positions of all joints change {self.scale:.2f} times as fast as their velocities say: a second of the stamps was "
             f"{self.scale:.2f} s, as where a loop runs slower or faster than it stamps"
         )
 
@@ -115,6 +116,26 @@ def velocity_scales(recording: Recording) -> Mapping[str, VelocityScale]:
             found[name] = scale
     # velocities that mostly follow nothing say nothing of time where by chance they do
     return found if 2 * len(found) > asked else {}
+
+
+def rate_by_velocities(position: FloatArray, velocity: FloatArray) -> float | None:
+    """How many samples a second had, by velocities of several joints, whatever stamps say.
+
+    Args:
+        position: Of the joints [rad], shape (T, J).
+        velocity: At the same samples [rad/s], shape (T, J); NaN or infinite where there is none.
+
+    Returns: The rate [1/s]; None where velocities do not say it.
+    """
+    names = tuple(str(number) for number in range(position.shape[1]))
+    nominal_ns = np.arange(len(position), dtype=np.int64) * NOMINAL_NS
+    known = np.where(np.isfinite(velocity), velocity, np.nan)
+    record = JointRecord(nominal_ns, names, position, known)
+    found = velocity_scales(Recording("samples", record, None))
+    scales = np.array([each.scale for each in found.values()])
+    if len(scales) < 2 or np.ptp(scales) > 2.0 * ALIKE * np.median(scales):
+        return None
+    return float(1e9 / (NOMINAL_NS * np.median(scales)))
 
 
 def _made_of_differences(position: FloatArray, velocity: FloatArray) -> bool:

@@ -107,11 +107,36 @@ def cut_runs(
         zip(intervals, before, after, strict=False), start=1
     ):
         name = recording.name if len(intervals) == 1 else f"{recording.name}#{number}"
+        if _is_cut(recording, interval):
+            too_short.append(
+                f"{name}: the clock steps while {interval.joint} is driven: nobody knows for how long it was"
+            )
+            continue
+        end_ns, next_ns = _between_cuts(recording, interval, end_ns, next_ns)
         try:
             runs.append(_run(name, record, inputs, interval, end_ns, next_ns, dict(held or {})))
         except RecordingError as error:
             too_short.append(str(error))
     return _without(too_short, runs)
+
+
+def _is_cut(recording: Recording, interval: _Interval) -> bool:
+    """Whether nothing is known of a part of an interval."""
+    return any(
+        begin_ns < interval.end_ns and end_ns > interval.onset_ns
+        for begin_ns, end_ns in recording.cuts_ns
+    )
+
+
+def _between_cuts(
+    recording: Recording, interval: _Interval, end_ns: int | None, next_ns: int | None
+) -> tuple[int | None, int | None]:
+    """Of the interval before, its end; of the one behind, its onset; where something is cut in between, this."""
+    ends = [end for _, end in recording.cuts_ns if end <= interval.onset_ns]
+    begins = [begin for begin, _ in recording.cuts_ns if begin >= interval.end_ns]
+    latest = [end for end in (end_ns, *ends) if end is not None]
+    soonest = [begin for begin in (next_ns, *begins) if begin is not None]
+    return max(latest, default=None), min(soonest, default=None)
 
 
 def _without(left_out: Sequence[str], runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -164,6 +189,9 @@ def _free_responses(
     for number, (off_ns, on_ns) in enumerate(recording.torque_off_ns, start=1):
         name = recording.name if len(recording.torque_off_ns) == 1 else f"{recording.name}#{number}"
         off_s = 1e-9 * (off_ns - int(record.times_ns[0]))
+        if any(begin < on_ns and end > off_ns for begin, end in recording.cuts_ns):
+            problems.append(f"{name}: the clock steps while torque is off")
+            continue
         said = f"{name}: torque goes off {off_s:.2f} s after the first joint state, but"
         end_ns = on_ns - int(RELEASE_S * 1e9) if on_ns < record.times_ns[-1] else on_ns
         inside = (record.times_ns >= off_ns + int(RELEASE_S * 1e9)) & (record.times_ns < end_ns)

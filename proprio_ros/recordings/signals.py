@@ -16,6 +16,8 @@ import numpy as np
 
 from proprio_ros import records
 from proprio_ros.errors import RecordingError, printable
+from proprio_ros.recordings.arrivals import of_bursts
+from proprio_ros.recordings.clocks import Clock, clock_of, is_counted
 from proprio_ros.recordings.columns import JointColumns, array_columns, joint_state_columns
 from proprio_ros.recordings.contradictions import refuse_pace
 from proprio_ros.recordings.effort import (
@@ -27,6 +29,7 @@ from proprio_ros.recordings.effort import (
     known_or_none,
 )
 from proprio_ros.recordings.messages import stamp_ns
+from proprio_ros.recordings.pace import rate_by_velocities
 from proprio_ros.recordings.reader import Bag, open_bag
 from proprio_ros.recordings.topics import (
     BATTERY,
@@ -48,6 +51,7 @@ IMPLAUSIBLE_SPEED = 10.0
 """rad/s or m/s: no joint of an arm gets that fast there and back between a few samples; a damaged number does."""
 # samples in a row that may be damaged: more that agree with each other are a slipped encoder
 LONGEST_JUMP = 3
+MOST_JUMPS = 0.2  # of the joint states may jump there and back: more are another motion's
 # fewer messages than this with impossible numbers are left out; more have another unit
 GARBAGE_SHARE = 0.05
 FOREIGN_CLOCK_NS = 500_000_000
@@ -57,6 +61,7 @@ FOREIGN_CLOCK_NS = 500_000_000
 SHORTEST_PERIOD_S = 1e-4
 LONGEST_PERIOD_S = 5.0
 
+CLOCK_STEPS = "the clock steps; set clocks before the drivers start, and record again"
 _NO_TIMES: records.TimeArray = np.empty(0, dtype=np.int64)
 
 
@@ -66,6 +71,7 @@ class _Asked(NamedTuple):
     conventions: Conventions
     effort: Effort
     joint_order: Sequence[str]
+    clock: Clock = Clock()
 
 
 def read_recording(
@@ -120,12 +126,16 @@ def read_recording(
         columns = joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
         if not states_only:
             refuse_prefix(path, columns.names, joint_order)
-        notes = [*columns.notes, *refuse_pace(f"{path}: {state.name}", columns)]
+        clock = clock_of(state.name, columns)
+        columns = clock.mended(columns)
+        asked = asked._replace(clock=clock)
+        pace = refuse_pace(f"{path}: {state.name}", columns)
+        notes = [*columns.notes, *clock.notes, *pace]
         if command is not None and command[0] != state:
             inputs = _commands(bag, *command, columns, asked, notes)
         elif not states_only and (own := bag.topics.input(None, state)) is not None:
             beside = _commands(bag, *own, columns, asked, [])
-        torque_off = _torque_off(bag, state, columns, notes)
+        torque_off = _torque_off(bag, state, columns, clock, notes)
         notes = bag.notes + notes
     record = _joint_record(path, state, columns, inputs, asked, notes)
     # zero current needs no unit
@@ -133,8 +143,24 @@ def read_recording(
     if inputs is None and needed and record.reported_effort is not None:
         inputs = _measured(path, state, record, asked)
     return records.Recording(
-        path.resolve().name, record, inputs, tuple(notes), torque_off, commanded=beside
+        path.resolve().name,
+        record,
+        inputs,
+        tuple(notes),
+        torque_off,
+        commanded=beside,
+        cuts_ns=_cuts(clock, columns, inputs, bool(torque_off)),
     )
+
+
+def _cuts(
+    clock: Clock, columns: JointColumns, inputs: records.InputRecord | None, torque_off: bool
+) -> tuple[tuple[int, int], ...]:
+    """Where the recording is cut, on the clock of the joint states [ns]."""
+    commanded = inputs is not None and not inputs.measured
+    ahead_ns = columns.clock_ns()
+    cuts = clock.cuts_ns(unstamped=commanded or torque_off)
+    return tuple((begin_ns + ahead_ns, end_ns + ahead_ns) for begin_ns, end_ns in cuts)
 
 
 def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) -> None:
@@ -166,11 +192,7 @@ def _joint_record(
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
     expected = [*asked.joint_order, *driven]
     times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
-    period_s = 1e-9 * float(np.median(np.diff(times)))
-    if not SHORTEST_PERIOD_S < period_s < LONGEST_PERIOD_S:
-        raise RecordingError(
-            f"{path}: {topic.name} comes every {period_s:.2g} s: its time stamps are not in s and ns"
-        )
+    _refuse_period(path, topic, times, values)
     _check_positions(path, names, values["position"], expected)
     effort = _signed(names, values["effort"], notes)
     return asked.effort.record(
@@ -178,8 +200,32 @@ def _joint_record(
     )
 
 
+def _refuse_period(
+    path: Path,
+    topic: Topic,
+    times: records.TimeArray,
+    values: Mapping[str, records.FloatArray],
+) -> None:
+    """Raise RecordingError: No joint states come so often, or so seldom."""
+    intervals = np.diff(times)
+    period_s = 1e-9 * float(np.median(intervals))
+    if SHORTEST_PERIOD_S < period_s < LONGEST_PERIOD_S and not is_counted(intervals):
+        return
+    if period_s <= SHORTEST_PERIOD_S < 1e-9 * float(np.mean(intervals)):
+        raise RecordingError(
+            f"{path}: {topic.name} comes in bursts, stamped when they arrived, of which there are too few to know when each "
+            "message was sent: let the driver stamp each as it is read"
+        )
+    rate_Hz = rate_by_velocities(values["position"], values["velocity"])
+    likely = f"; by its velocities {rate_Hz:.3g} messages came in a second" if rate_Hz else ""
+    what = f"comes every {period_s:.2g} s: its time stamps are not in s and ns"
+    if is_counted(intervals):
+        what = "has row numbers (0, 1, 2 ..) for time stamps, not seconds"
+    raise RecordingError(f"{path}: {topic.name} {what}{likely}: stamp messages by a clock")
+
+
 def _torque_off(
-    bag: Bag, state: Topic, columns: JointColumns, notes: list[str]
+    bag: Bag, state: Topic, columns: JointColumns, clock: Clock, notes: list[str]
 ) -> tuple[tuple[int, int], ...]:
     """When torque was off, on the clock of the joint states, until the last of these."""
     candidates = bag.topics.called(TORQUE_ENABLED, [BOOL], state.namespace)
@@ -189,7 +235,7 @@ def _torque_off(
                 f"{listed(candidates)} may all say when torque is off; none of them was used."
             )
         return ()
-    messages = bag.messages(candidates[0])
+    messages = _at_times(bag.messages(candidates[0]), clock)
     last_ns = int(_times(columns, state, []).max())
     # the state heard soonest: on a busy computer most of them may come seconds late, and no clock differs for that
     ahead_ns = columns.ahead_ns()
@@ -202,6 +248,17 @@ def _torque_off(
     if changes and changes[-1][0] < last_ns:
         changes.append((last_ns, True))
     return tuple((off_ns, on_ns) for (off_ns, on), (on_ns, _) in pairwise(changes) if not on)
+
+
+def _at_times(messages: Sequence[tuple[int, Any]], clock: Clock) -> list[tuple[int, Any]]:
+    """Messages without a stamp at when they were recorded, as far as that is known."""
+    recorded_ns = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
+    times = clock.times(recorded_ns, np.zeros_like(recorded_ns))
+    return [
+        (int(time_ns), message)
+        for time_ns, known, (_, message) in zip(times.bag_ns, times.known, messages, strict=True)
+        if known
+    ]
 
 
 def _of(mask: records.BoolArray) -> str:
@@ -219,6 +276,28 @@ def _times(columns: JointColumns, topic: Topic, notes: list[str]) -> records.Tim
     missing = columns.stamp_ns == 0
     _note(notes, topic, missing, "messages have no header stamp; their time of recording was used")
     return np.where(missing, columns.bag_ns + columns.clock_ns(), columns.stamp_ns)
+
+
+def _spread(
+    path: Path, topic: Topic, times: records.TimeArray, notes: list[str]
+) -> records.TimeArray:
+    """Times of messages in their order, shape (T,); those that came in bursts when they were sent.
+
+    Raises:
+        RecordingError: When that was nobody knows.
+    """
+    arrivals = of_bursts(times)
+    if arrivals is None:
+        return times
+    many = f"{arrivals.moved} of {len(times)} messages come in bursts, stamped when they arrived"
+    rate = f"{1.0 / arrivals.period_s:.0f} Hz"
+    if not arrivals.steady:
+        raise RecordingError(
+            f"{path}: {topic.name}: {many}, at no steady rate (about {rate}): when each was sent nobody knows; let the driver "
+            "stamp each as it is read"
+        )
+    notes.append(f"{topic.name}: {many}; they were taken to be sent evenly, at {rate}.")
+    return arrivals.times_ns
 
 
 def _sorted(times: records.TimeArray, topic: Topic, notes: list[str]) -> records.TimeArray:
@@ -282,6 +361,7 @@ def _state_rows(
         notes.append(
             f"{topic.name}: {names[column]} is in {_of(known)} messages; between them it was interpolated."
         )
+    times[rows] = _spread(path, topic, times[rows], notes)
     repeated = np.diff(times[rows], prepend=times[rows][:1] - 1) == 0
     _note(notes, topic, repeated, "stamps are repeated; the first message of each was kept")
     rows[rows] = ~repeated
@@ -332,12 +412,18 @@ def _commands(
     """Input from a command topic, on the clock of the joint states."""
     if topic.msgtype == JOINT_STATE:
         columns = joint_state_columns(bag, topic, ["effort"], asked.conventions)
+        columns = asked.clock.mended(columns)
         times = _times(columns, topic, notes)
     else:
         columns = array_columns(
             bag, topic, means, asked.joint_order, states.names, asked.conventions
         )
+        columns = asked.clock.mended(columns)
         times = columns.bag_ns
+    if not len(times):
+        raise RecordingError(
+            f"{bag.path}: of no message of {topic.name} it is known when it was: {CLOCK_STEPS}"
+        )
     effort = columns.values["effort"]
     clock_ns = states.clock_ns()
     if means.unit == "N.m":
@@ -363,7 +449,7 @@ def _commands(
         notes, topic, broken, "messages have NaN or infinite values; the last finite one was held"
     )
     order = _sorted(times, topic, notes)
-    times = times[order]
+    times = _spread(bag.path, topic, times[order], notes)
     current = held(current[order])
     latest = np.diff(times, append=times[-1] + 1) > 0
     _note(notes, topic, ~latest, "stamps are repeated; the last message of each was kept")
@@ -442,12 +528,14 @@ def read_drive_signals(
         battery = found(BATTERY_STATE, BATTERY)
         if goal is None and battery is None:
             return records.DriveSignals(_NO_TIMES, (), np.empty((0, 0)), _NO_TIMES, np.empty(0))
-        ahead_ns = joint_state_columns(bag, state, ["position"], conventions).clock_ns()
+        states = joint_state_columns(bag, state, ["position"], conventions)
+        clock = clock_of(state.name, states)
+        ahead_ns = clock.mended(states).clock_ns()
         goal_ns = _NO_TIMES
         names = tuple[str, ...]()
         goals = np.empty((0, 0))
         if goal is not None:
-            columns = joint_state_columns(bag, goal, ["position"], conventions)
+            columns = clock.mended(joint_state_columns(bag, goal, ["position"], conventions))
             goal_ns = np.where(columns.stamp_ns == 0, columns.bag_ns + ahead_ns, columns.stamp_ns)
             order = np.argsort(goal_ns, kind="stable")
             goals = np.where(
@@ -457,7 +545,9 @@ def read_drive_signals(
             names = columns.names
         volts = [
             (stamp_ns(message) or time_ns + ahead_ns, float(message.voltage))
-            for time_ns, message in ([] if battery is None else bag.messages(battery))
+            for time_ns, message in (
+                [] if battery is None else _at_times(bag.messages(battery), clock)
+            )
             if 0.0 < message.voltage < np.inf
         ]
     volts.sort(key=lambda sample: sample[0])
@@ -494,10 +584,13 @@ def without_jumps(recording: records.Recording, joints: Sequence[str]) -> record
     kept = ~np.any(jumped, axis=1)
     if kept.all():
         return recording
-    note = (
-        f"in {_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s; they were left "
-        "out: is the file damaged?"
-    )
+    jumps = f"in {_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s"
+    if np.mean(~kept) > MOST_JUMPS:
+        raise RecordingError(
+            f"{recording.name}: {jumps}: two motions are mixed, as where a clock was set back while it was recorded, or where two "
+            "publish joint states"
+        )
+    note = f"{jumps}; they were left out: is the file damaged?"
     columns: Any = {
         name: values[kept]
         for name, values in vars(record).items()

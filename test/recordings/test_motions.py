@@ -104,6 +104,40 @@ def test_wrapped_angles_are_unwrapped_and_long_gaps_are_said() -> None:
         motion_of(replace(whole, joints=replace(record, times_ns=times_ns)), joints=["a", "b"])
 
 
+def test_exactly_20_hz_are_20_hz() -> None:
+    for rate_Hz in (20.0, 19.97):
+        motion = motion_of(recording(20.0, rate_Hz), joints=["a", "b"])
+        assert len(motion.times_s) == len(np.arange(0.0, 20.0, 1.0 / rate_Hz))
+    with pytest.raises(RecordingError, match=r"19\.8 Hz; a motion needs 20 Hz"):
+        motion_of(recording(20.0, 19.8), joints=["a", "b"])
+
+
+def test_what_stands_in_the_way_of_a_gap_with_a_wrap_is_the_gap() -> None:
+    whole = recording(20.0)
+    record = whole.joints
+    # a quarter of a turn and more while nobody looked
+    far = np.where(np.arange(len(record.times_ns)) >= 1000, 2.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) >= 1000, 940_000_000, 0)
+    angles = 3.0 * record.position + far
+    gap = replace(record, times_ns=times_ns, position=np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
+    with pytest.raises(
+        RecordingError, match=r"no joint states came for 0\.95 s after 10\.0 s, and a"
+    ):
+        motion_of(replace(whole, joints=gap), joints=["a", "b"])
+    # a joint that does not wrap is known behind a gap as well as before
+    known = replace(record, times_ns=times_ns, position=record.position + 1.6 * far)
+    motion = motion_of(replace(whole, joints=known), joints=["a", "b"])
+    np.testing.assert_array_equal(motion.position, known.position[:, :2])
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="needs the real recordings")
+def test_of_a_real_arm_the_gap_is_named_and_the_part_before_it_is_read() -> None:
+    robot = load_robot("gen3")
+    options = Options(robot="gen3", effort_unit="N.m", driver="kortex")
+    with pytest.raises(RecordingError, match=r"no joint states came for 0\.94 s .* wraps around"):
+        bag_motion(REAL / "gen3_gap_and_wrap", Request(robot, options))
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _equations_once() -> Iterator[None]:
     """Many ask for the same recordings: their equations depend on nothing else."""

@@ -65,7 +65,6 @@ ROWS = (
         said_if=VERDICTS,
         unsaid=_DAMAGED,
         narrow=0.4,
-        pending="stepped clocks come next",
     ),
     Row(
         name="clock_stepped_forward",
@@ -77,7 +76,6 @@ ROWS = (
         cause=r"clock|step|gap",
         said_if=VERDICTS,
         narrow=0.4,
-        pending="stepped clocks come next",
     ),
     Row(
         name="header_clock_stepped",
@@ -90,7 +88,6 @@ ROWS = (
         said_if=VERDICTS,
         unsaid=r"% (too )?(fast|slow)|" + _DAMAGED,
         narrow=0.4,
-        pending="stepped clocks come next",
     ),
     Row(
         name="zeros_before_the_clock",
@@ -103,7 +100,6 @@ ROWS = (
         said_if=VERDICTS,
         unsaid=r"lie in gaps",
         narrow=0.25,
-        pending="stamps of 0 come next",
     ),
     Row(
         name="effort_30_ms_late",
@@ -136,7 +132,6 @@ ROWS = (
         bends=(Bent("row_number_for_a_time"),),
         verdicts=(UNREADABLE,),
         cause=r"row|number|count|index",
-        pending="row numbers come next",
     ),
     Row(
         name="bursts",
@@ -146,7 +141,6 @@ ROWS = (
         bends=(Bent("bursts_stamped_at_arrival", {"size": 20, "headers": True}),),
         cause=r"burst|stamp|arriv|clock",
         unsaid=_DAMAGED,
-        pending="bursts come next",
     ),
     Row(
         name="held_at_a_fifth",

@@ -70,12 +70,19 @@ def header_clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
     return _stepped(tape, step_s, at, recorder=False)
 
 
-def _stepped(tape: Tape, step_s: float, at: float, recorder: bool) -> Tape:
+@bend("clocks", Right(told=True, cause=CLOCK), step_s=either_sign(0.3, 5.0), at=between(0.25, 0.75))
+def recorder_clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
+    """The recorder's clock alone steps by some seconds in the middle, as on a computer beside the robot."""
+    return _stepped(tape, step_s, at, recorder=True, stamps=False)
+
+
+def _stepped(tape: Tape, step_s: float, at: float, recorder: bool, stamps: bool = True) -> Tape:
     from_ns = tape.begin_ns + int(at * (tape.end_ns - tape.begin_ns))
     step_ns = round(1e9 * step_s)
     return tape.retimed(
         lambda times_ns: np.where(times_ns >= from_ns, times_ns + step_ns, times_ns),
         recorder=recorder,
+        stamps=stamps,
     )
 
 
@@ -121,11 +128,34 @@ def bursts_stamped_at_arrival(tape: Tape, rng: Rng, size: int, headers: bool) ->
     return tape.retimed(arrived, stamps=headers)
 
 
-@bend(
-    "clocks",
-    Right(),
-    rate=one_of((2, 3, 5, 10)),
-)
+@bend("clocks", Right(cause=CLOCK), every_ms=between(15.0, 200.0), scatter=between(0.0, 0.3))
+def stamped_when_polled(tape: Tape, rng: Rng, every_ms: float, scatter: float) -> Tape:
+    """Somebody looks every so often, hands on all that has come since, and stamps it then."""
+    lasts_s = 1e-9 * (tape.end_ns - tape.begin_ns) + 2.0
+    between_s = 1e-3 * every_ms * (1.0 + scatter * rng.normal(size=int(3e3 * lasts_s / every_ms)))
+    since_s = np.cumsum(np.maximum(between_s, 1e-4))
+    polls_ns = tape.begin_ns - 10**9 + np.round(1e9 * since_s).astype(np.int64)
+
+    def polled(times_ns: TimeArray) -> TimeArray:
+        return polls_ns[np.minimum(np.searchsorted(polls_ns, times_ns), len(polls_ns) - 1)]
+
+    return tape.retimed(polled)
+
+
+@bend("clocks", Right(), rate=one_of((2, 3, 5)), field=one_of(("position", "effort")))
+def one_register_held(tape: Tape, rng: Rng, rate: int, field: str) -> Tape:
+    """Positions or efforts alone are read less often than they are published."""
+
+    def held(states: Stream) -> Stream:
+        if field not in states.values:
+            return states
+        rows = np.arange(len(states.bag_ns)) // rate * rate
+        return states.with_values(**{field: states.values[field][rows]})
+
+    return tape.with_states(held)
+
+
+@bend("clocks", Right(), rate=one_of((2, 3, 5, 10)))
 def samples_held(tape: Tape, rng: Rng, rate: int) -> Tape:
     """Registers are read less often than they are published: each reading comes several times, with new stamps."""
 
