@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -53,17 +54,16 @@ def joint_state_columns(
                     f"{bag.path}: {topic.name}: {theirs[name]} and {other} would both be {name}; state joint_names of --driver "
                     f"{conventions.driver} otherwise"
                 )
-    index = {name: column for column, name in enumerate(names)}
+    # a joint that a message names twice has a column for each time
+    numbered = [_numbered(own) for own in named]
+    keys = list(dict.fromkeys(key for own in numbered for key in own))
+    index = {key: column for column, key in enumerate(keys)}
     bag_ns = np.concatenate([part.bag_ns for part in rows])
-    values = {quantity: np.full((len(bag_ns), len(names)), np.nan) for quantity in quantities}
+    values = {quantity: np.full((len(bag_ns), len(keys)), np.nan) for quantity in quantities}
     orders = set()
     row = 0
-    for part, own in zip(rows, named, strict=True):
-        columns = [index[name] for name in own]
-        if len(set(columns)) != len(columns):
-            raise RecordingError(
-                f"{bag.path}: {topic.name} names a joint twice in message {row + 1}"
-            )
+    for part, own_keys in zip(rows, numbered, strict=True):
+        columns = [index[key] for key in own_keys]
         orders.add(tuple(columns))
         for quantity in quantities:
             length = (data := part.values[quantity]).shape[1]
@@ -80,11 +80,79 @@ def joint_state_columns(
         notes.append(
             f"{topic.name}: the order of the joints changes between messages; they were matched by name."
         )
+    if len(keys) > len(names):
+        values = _named_once(f"{bag.path}: {topic.name}", keys, names, values, quantities[0])
+        notes.append(
+            f"{topic.name}: messages name joints twice; the numbers that change along the recording were kept."
+        )
     for quantity in {"position", "velocity"} & values.keys():
         values[quantity] *= conventions.radians
     return JointColumns(
         bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes
     )
+
+
+_Key = tuple[str, int]
+"""A joint, and how often the message named it before."""
+
+
+def _numbered(names: Sequence[str]) -> list[_Key]:
+    return [(name, names[:place].count(name)) for place, name in enumerate(names)]
+
+
+def _named_once(
+    where: str,
+    keys: Sequence[_Key],
+    names: Sequence[str],
+    values: dict[str, FloatArray],
+    decides: str,
+) -> dict[str, FloatArray]:
+    """One column a joint, of those that messages name twice.
+
+    Args:
+        where: Bag and topic.
+        keys: Of the columns that there are.
+        names: Of the joints, whose columns are wanted.
+        values: By quantity, shape (M, number of keys).
+        decides: The quantity by which of two columns that differ one is taken: that which changes.
+
+    Raises:
+        RecordingError: Both change, and differ.
+    """
+    changing = [_changes(values[decides][:, column]) for column in range(len(keys))]
+    # the node whose list moves most of its joints has those, too, that stand
+    moving = Counter(key[1] for key, changes in zip(keys, changing, strict=True) if changes)
+    liveliest = max(moving, key=lambda nth: moving[nth]) if moving else 0
+    taken = []
+    for name in names:
+        columns = [column for column, key in enumerate(keys) if key[0] == name]
+        alive = [column for column in columns if changing[column]]
+        standing = [column for column in columns if keys[column][1] == liveliest]
+        chosen = alive or standing or columns
+        first = values[decides][:, chosen[0]]
+        for other in chosen[1:]:
+            both = np.isfinite(first) & np.isfinite(values[decides][:, other])
+            if np.any(first[both] != values[decides][both, other]):
+                raise RecordingError(
+                    f"{where} names {name} twice in a message, with different numbers: two publishers were put into one list, and "
+                    "nobody knows which one is the driver's"
+                )
+        taken.append(_fullest(chosen, values))
+    return {quantity: table[:, taken] for quantity, table in values.items()}
+
+
+def _changes(values: FloatArray) -> bool:
+    known = values[np.isfinite(values)]
+    return bool(len(known)) and float(np.ptp(known)) > 0.0
+
+
+def _fullest(columns: Sequence[int], values: dict[str, FloatArray]) -> int:
+    """The column that has most numbers; the first of several."""
+
+    def numbers(column: int) -> int:
+        return sum(int(np.isfinite(table[:, column]).sum()) for table in values.values())
+
+    return max(columns, key=numbers)
 
 
 def _marked(values: FloatArray) -> FloatArray:

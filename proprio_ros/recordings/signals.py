@@ -30,6 +30,7 @@ from proprio_ros.recordings.effort import (
 )
 from proprio_ros.recordings.messages import stamp_ns
 from proprio_ros.recordings.pace import rate_by_velocities
+from proprio_ros.recordings.publishers import of_one_publisher
 from proprio_ros.recordings.reader import Bag, open_bag
 from proprio_ros.recordings.topics import (
     BATTERY,
@@ -123,7 +124,9 @@ def read_recording(
         state = bag.topics.states(state_topic, command_topic, conventions)
         bag.cut(state, span)
         command = None if states_only else bag.topics.input(command_topic, state, conventions)
-        columns = joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
+        quantities = ["position", "velocity", "effort"]
+        columns = joint_state_columns(bag, state, quantities, conventions)
+        columns = of_one_publisher(f"{path}: {state.name}", columns)
         if not states_only:
             refuse_prefix(path, columns.names, joint_order)
         clock = clock_of(state.name, columns)

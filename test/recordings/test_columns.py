@@ -74,7 +74,6 @@ def test_velocity_may_be_missing_in_some_messages(tmp_path: Path) -> None:
         ({"position": []}, "5 names but 0 values of position"),
         ({"velocity": [0.0] * 3}, "5 names but 3 values of velocity"),
         ({"effort": [0.0] * 6}, "5 names but 6 values of effort"),
-        ({"names": ["joint1"] * 5}, "names a joint twice in message 42"),
     ],
 )
 def test_lengths_that_do_not_fit(tmp_path: Path, changes: dict[str, Any], pattern: str) -> None:

@@ -111,3 +111,85 @@ def copies_in_another_order(tape: Tape, rng: Rng, order: str) -> Tape:
         bag_ns=states.bag_ns + 40_000,
     )
     return tape.and_stream(other)
+
+
+@bend("publishers", Right(told=True, cause=PUBLISHERS), rate=one_of((1, 2, 10)))
+def another_pose(tape: Tape, rng: Rng, rate: int) -> Tape:
+    """A second publisher says one pose all the time, with velocity and effort of 0."""
+    states = tape.states
+    chosen = states.kept(np.arange(len(states.bag_ns)) % rate == 0)
+    shape = chosen.values["position"].shape
+    pose = np.tile(np.round(rng.uniform(-2.0, 2.0, shape[1]), 2), (shape[0], 1))
+    values = {"position": pose, "velocity": np.zeros(shape), "effort": np.zeros(shape)}
+    shift_ns = int(0.2 * np.median(np.diff(states.bag_ns)))
+    other = replace(
+        chosen,
+        bag_ns=chosen.bag_ns + shift_ns,
+        stamp_ns=chosen.stamp_ns + shift_ns,
+        values=values,
+    )
+    return tape.and_stream(other)
+
+
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+    second=one_of(("same", "zeros", "nothing")),
+    first=one_of((True, False)),
+)
+def doubled_list(tape: Tape, rng: Rng, second: str, first: bool) -> Tape:
+    """Each message names all joints twice, the second time the same, with zeros or with NaN, or the other way round."""
+
+    def doubled(states: Stream) -> Stream:
+        values = {}
+        for name, table in states.values.items():
+            other = {"same": table, "zeros": 0.0 * table, "nothing": np.full(table.shape, np.nan)}
+            both = [other[second], table] if first else [table, other[second]]
+            values[name] = np.hstack(both)
+        return replace(states, names=states.names * 2, values=values)
+
+    return tape.with_states(doubled)
+
+
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+    rate=one_of((1, 3, 10)),
+    arm=one_of(("zeros", "late")),
+    samples=one_of((1, 10)),
+)
+def gripper_names_the_arm(tape: Tape, rng: Rng, rate: int, arm: str, samples: int) -> Tape:
+    """The gripper's driver publishes the arm's joints, too: zeros, or what it heard some samples ago."""
+    states = tape.states
+    rows = np.arange(samples, len(states.bag_ns), rate)
+    chosen = states.kept(np.isin(np.arange(len(states.bag_ns)), rows))
+    heard = states.values["position"][rows - samples]
+    finger = 0.02 + 0.01 * np.sin(1e-9 * (chosen.bag_ns - states.bag_ns[0]))
+    position = np.column_stack([heard if arm == "late" else 0.0 * heard, finger])
+    shift_ns = int(0.3 * np.median(np.diff(states.bag_ns)))
+    other = replace(
+        chosen,
+        names=(*states.names, "a_finger"),
+        bag_ns=chosen.bag_ns + shift_ns,
+        stamp_ns=chosen.stamp_ns + shift_ns,
+        values={"position": position, "effort": np.zeros_like(position)},
+    )
+    return tape.and_stream(other)
+
+
+@bend("publishers", Right(told=False, cause="publishers"), rate=one_of((1, 2)))
+def another_arm(tape: Tape, rng: Rng, rate: int) -> Tape:
+    """A second arm's driver, or somebody's sliders, publishes the same joints elsewhere, with efforts of its own."""
+    states = tape.states
+    chosen = states.kept(np.arange(len(states.bag_ns)) % rate == 0)
+    shape = chosen.values["position"].shape
+    times_s = 1e-9 * (chosen.bag_ns - states.bag_ns[0])[:, None]
+    position = 1.0 + 0.5 * np.sin(0.3 * times_s + rng.uniform(0.0, 6.0, shape[1]))
+    shift_ns = int(0.3 * np.median(np.diff(states.bag_ns)))
+    other = replace(
+        chosen,
+        bag_ns=chosen.bag_ns + shift_ns,
+        stamp_ns=chosen.stamp_ns + shift_ns,
+        values={"position": position, "effort": 0.1 * position},
+    )
+    return tape.and_stream(other)
