@@ -83,16 +83,20 @@ ABOUT = {
     "/driver/stop": "all currents to zero, at once, until `~/torque` is called",
     "/driver/torque": "torque on or off",
     "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "
-    "payload also while the probe is under way, and with `running` all the time, with `changed`",
+    "payload also while the probe is under way, and with `running` all the time, with `changed`, stamped by the newest "
+    "joint state that it rests on: `seconds_behind` says how long ago that was sent; from 1 s on its level is WARN and `holding` "
+    "is `unknown`, from 3 s on it is `not determined`, with `verdict` `withdrawn` and the reason",
     "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it; `inertia` of `~/estimate` "
-    "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`",
+    "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`; with "
+    "`running` stamped as `~/estimate`, and NaN when it is withdrawn",
     "/identifier/holding": "whether something is in the hand, told when that changes: at a probability of 0.99, and back at 0.01; "
-    "it keeps what was known last, `holding` of `~/estimate` says `unknown` meanwhile",
+    "it keeps what was known last, `holding` of `~/estimate` says `unknown` meanwhile, as where the estimate is late",
     "/identifier/gravity_effort": "with `gravity_effort_rate`, while it is known what the hand holds: efforts that carry arm and "
     "payload in the pose of this stamp, without friction [N m]",
     "/identifier/gravity_effort_std": "their standard deviations, with the same stamp and joints [N m]",
     "/identifier/capability": "whether the arm can carry what it holds, here or to the goal on `~/carry_to`: `can_carry`, the "
-    "`joint` that decides, its `margin` of the limit, and `most`, the heaviest load [kg]",
+    "`joint` that decides, its `margin` of the limit, `most`, the heaviest load [kg], and `stamp` [s] of the newest joint state "
+    "that what it holds rests on; `can_carry` is `unknown` when that is withdrawn",
     "/identifier/carry_to": "positions of some joints [rad]: can what is held be carried there on the straight way of the joints?",
     "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
     "/identifier/sphere_mass": "kg, to plot",

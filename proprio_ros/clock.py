@@ -59,6 +59,18 @@ class Clock:
         with contextlib.suppress(OSError, AttributeError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
 
+    def come_before_others(self) -> bool:
+        """This thread computes what is of use only at once: it comes right after what measures and hears.
+
+        Whoever calls it takes a small part of the time (`Share`). Returns whether that was granted; see `run_in_real_time`.
+        """
+        try:
+            policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(threading.get_native_id(), policy, os.sched_param(1))
+        except (OSError, AttributeError):
+            return False
+        return True
+
 
 _clock = Clock()
 
@@ -106,6 +118,30 @@ def come_after_others() -> None:
     _clock.come_after_others()
 
 
+def come_before_others() -> bool:
+    """Of a thread that must not be late, see `Clock.come_before_others`."""
+    return _clock.come_before_others()
+
+
+@dataclass
+class Share:
+    """Keeps what a thread computes to a part of one core, by pauses."""
+
+    part: float  # of the time
+    _owed_s: float = 0.0
+
+    def computed(self, took_s: float) -> None:
+        """Pause, where that is due after so much computing."""
+        self._owed_s += took_s * (1.0 / self.part - 1.0)
+        if self._owed_s > LEAST_PAUSE_S:
+            sleep(self._owed_s)
+            self._owed_s = 0.0
+
+    def rested(self) -> None:
+        """There was nothing to compute."""
+        self._owed_s = 0.0
+
+
 @dataclass
 class Pacer:
     """Cycles at a fixed rate, against absolute deadlines, so that lateness does not add up."""
@@ -132,6 +168,7 @@ class Pacer:
         return late
 
 
+LEAST_PAUSE_S = 0.005  # shorter ones cost more than they give
 LONGEST_SPIN_S = 0.5
 """A thread in real time that computes for so long without a pause has gone wrong, and would starve everything else."""
 

@@ -8,7 +8,8 @@ from itertools import zip_longest
 from typing import Any
 
 from proprio_ros.identification.regression.at_rest import StandingEstimator
-from proprio_ros.identification.regression.online import OnlineEstimate
+from proprio_ros.identification.regression.online import OnlineEstimate, Stretch
+from proprio_ros.live.news import WARNED_S
 from proprio_ros.live.stall_current import StallCurrents
 from proprio_ros.probes.base import Carried, Online
 from proprio_ros.quantity import Z95, shown, spec_for
@@ -77,6 +78,7 @@ class OnlineFeed:
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, tuple[float, float]] = {}
         self._running: StandingEstimator | None = None
+        self._unfed = Stretch(math.inf, 0.0)
         here = {
             name: at for name, at in {**robot.held, **self._stated}.items() if name in self.others
         }
@@ -90,6 +92,11 @@ class OnlineFeed:
     def load(self, mass_kg: float) -> Carried:
         """The rigid load of that mass, its place and shape as far as they are stated."""
         return self.probe.load(self._facts, mass_kg)
+
+    @property
+    def needs(self) -> Stretch:
+        """What the estimate needs of the joint states from now on."""
+        return self._unfed if self._running is None else self._running.needs
 
     @property
     def about(self) -> str:
@@ -182,10 +189,16 @@ def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str
     return f"{none}: have the driver publish what it measures"
 
 
-def online_entries(
-    feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float
-) -> Mapping[str, Any]:
-    """Keys and values of a diagnostics message; ``behind_s``: how long ago the newest sample of the estimate came."""
+def online_entries(feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float) -> dict[str, Any]:
+    """Keys and values of a diagnostics message.
+
+    Args:
+        feed: That made the estimate.
+        estimate: What the hand holds.
+        behind_s: How long ago the newest sample was sent that it rests on [s].
+
+    Returns: As `~/estimate` has them.
+    """
     name, unit = feed.probe.answer
     at_rest_s = (
         0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s
@@ -205,6 +218,27 @@ def online_entries(
         f"{name}.std": estimate.std_kg,
         f"{name}.ci95": list(estimate.ci95_kg),
     }
+
+
+def withdrawn_entries(feed: OnlineFeed, why: str) -> dict[str, Any]:
+    """The same where nothing is known of what the hand holds now, and why in a sentence."""
+    name, unit = feed.probe.answer
+    return {
+        "probe": feed.probe.name,
+        "running": True,
+        "final": False,
+        "verdict": "withdrawn",
+        "reason.1": why,
+        name: "not determined",
+        f"{name}.unit": unit,
+    }
+
+
+def late_words(behind_s: float) -> str:
+    """That an estimate is not of now, from where on that matters; empty: it does not."""
+    if behind_s < WARNED_S:
+        return ""
+    return f"{behind_s:.1f} s behind: what the hand holds now is not known"
 
 
 def online_words(estimate: OnlineEstimate) -> str:

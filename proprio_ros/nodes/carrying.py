@@ -28,6 +28,7 @@ class Carrying:
         self._carrier: Carrier | None = None
         self._pose: dict[str, float] = {}
         self._seen, self._count = b"", 0
+        self._standing = False
         self._effort = node.create_publisher(JointState, "~/gravity_effort", COMMANDS)
         self._std = node.create_publisher(JointState, "~/gravity_effort_std", COMMANDS)
         self._capability = node.create_publisher(DiagnosticStatus, "~/capability", LATCHED)
@@ -62,6 +63,7 @@ class Carrying:
     def _publish(self) -> None:
         load = self._results.held
         if load is None or not self._stands() or self._carrier is None:
+            self._withdraw()
             return
         names = list(self._carrier.joints)
         now_ns = messages.first_stamp_ns(self._seen) or 0
@@ -91,11 +93,17 @@ class Carrying:
             reason = f"the goal must name joints of {', '.join(carrier.joints)}, each with a position in rad"
         else:
             return self._say(load, way(self._pose, goal), "to the goal")
-        self._capability.publish(
-            messages.status(
-                "warning", "capability", reason, {"where": "to the goal", "can_carry": "unknown"}
-            )
-        )
+        self._say_unknown(reason, "to the goal")
+
+    def _withdraw(self) -> None:
+        """What was said last stands no longer."""
+        if self._standing:
+            self._say_unknown("what the hand holds now is not known", "here")
+
+    def _say_unknown(self, why: str, where: str) -> None:
+        self._standing = False
+        entries = {"where": where, "can_carry": "unknown"}
+        self._capability.publish(messages.status("warning", "capability", why, entries))
 
     def _say(self, load: Load, poses: list[dict[str, float]], where: str) -> None:
         assert self._carrier is not None
@@ -104,9 +112,10 @@ class Carrying:
         words = (
             f"{'can' if found.can else 'cannot'} carry {1e3 * load.mass_kg:.0f} g {where}: {left}"
         )
-        level = "ok" if found.can else "warning"
-        self._capability.publish(
-            messages.status(
-                level, "capability", words, {"where": where, **capability_entries(found, load)}
-            )
-        )
+        late = self._results.late
+        level = "ok" if found.can and not late else "warning"
+        entries = {"where": where, **capability_entries(found, load)}
+        entries["stamp"] = 1e-9 * self._results.held_ns
+        said = "; ".join(filter(None, (words, late)))
+        self._standing = True
+        self._capability.publish(messages.status(level, "capability", said, entries))

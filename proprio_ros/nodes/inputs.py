@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -16,6 +15,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from proprio_ros import clock
 from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.live.news import Arrival, Backlog, Lag
 from proprio_ros.live.session import LiveEstimate, Session, as_parameters
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
@@ -47,13 +47,12 @@ class Inputs:
         session: Takes all messages of a recording that is under way.
         heard: Takes those that are looked at before one.
         kept: Messages of `WORKING` of the last seconds; None where nobody wants them.
-        arrived: Those that the running estimate has not seen, with their roles; None while there is none.
+        arrived: Those that the running estimate has not seen; None while there is none.
         live: The estimate that goes along with a recording.
         driven: Whether a joint is driven just now; known while there is `live`.
         by_goals: Topic of the goals of servos that know no current; empty where there are none.
         swings: Whether a joint was let go of during the recording.
         conventions: Of the driver that publishes.
-        stamp_ns: Of the newest joint state.
 
     Raises `ConfigurationError`: There is no such driver, or its efforts are of no use.
     """
@@ -63,17 +62,16 @@ class Inputs:
         self.session: Session | None = None
         self.heard: list[RawMessage] | None = None
         self.kept: deque[RawMessage] | None = None
-        self.arrived: deque[tuple[str, RawMessage]] | None = None
+        self.arrived: Backlog | None = None
         self.live: LiveEstimate | None = None
         self.driven = self.swings = False
         self.by_goals, self.newest_state = "", b""
         self._joints: list[bytes] = []
         self._motors = self._temperatures = b""
         self._state_at_s = self._effort_at_s = -1e9
-        self.stamp_ns = 0
-        # from a joint state's stamp, of whatever clock, to here
-        self._lag_ns = self._least_lag_ns = sys.maxsize
-        self._noted_ns = (0, 0)  # when that was, by the node's clock and by one that nobody sets
+        self._lag = Lag()  # from a joint state's stamp, of whatever clock, to here
+        # from when a message was sent, by the clock of the computer that sent it, by the length of messages
+        self._on_the_way: dict[int, Lag] = {}
         try:
             driver = usable_driver(node.values["driver"] or None)
         except ConfigurationError as error:
@@ -115,7 +113,14 @@ class Inputs:
             skip = partial(self.may_skip, role)
             together = partial(self._takes_all, role)
             node.listen(
-                kind, topic, listener, STREAM, raw=True, only_newest=skip, together=together
+                kind,
+                topic,
+                listener,
+                STREAM,
+                raw=True,
+                dated=True,
+                only_newest=skip,
+                together=together,
             )
         driven_by = [drive.driven_by for drive in drives.values() if drive.driven_by is not None]
         if driven_by:
@@ -177,18 +182,19 @@ class Inputs:
             if _type_of(kind) in dict(node.get_topic_names_and_types()).get(name, []):
                 node.listen(kind, str(name), self.listener(str(name), role, kind), STREAM, raw=True)
 
-    def listener(self, full_name: str, role: str, kind: type) -> Callable[[bytes], None]:
+    def listener(self, full_name: str, role: str, kind: type) -> Callable[..., None]:
         """What takes the messages of a topic."""
         msgtype = _type_of(kind)
 
-        def listen(data: bytes) -> None:
+        def listen(data: bytes, sent_ns: int = 0) -> None:
             now_ns = self._node.get_clock().now().nanoseconds
             if role == "joint_states":
                 self._state_at_s = clock.now()
                 self.newest_state = data
                 # others on the topic may have another clock
                 if any(name in data for name in self._joints):
-                    self._note_lag(now_ns, messages.first_stamp_ns(data) or now_ns)
+                    stamp_ns = messages.first_stamp_ns(data) or now_ns
+                    self._lag.note(now_ns, stamp_ns, clock.now_ns())
             elif role == "applied_effort":
                 self._effort_at_s = clock.now()
             session = self.session
@@ -201,7 +207,7 @@ class Inputs:
                 while now_ns - kept[0].time_ns > 1e9 * self._node.values["weigh_seconds"]:
                     kept.popleft()
             if arrived is not None and role in WORKING:
-                arrived.append((role, raw))
+                arrived.put(self._arrival(role, raw, sent_ns))
             if heard is not None:
                 heard.append(raw)
             if session is None:
@@ -212,6 +218,18 @@ class Inputs:
                 self._add_live(live, role, now_ns, deserialize_message(data, kind))
 
         return listen
+
+    def _arrival(self, role: str, raw: RawMessage, sent_ns: int) -> Arrival:
+        """A message with when it was sent; ``sent_ns`` is that on the sender's clock, 0: not known."""
+        late_s = 0.0
+        # a simulation's time is heard as late as what happens in it
+        simulated = self._node.get_clock().ros_time_is_active
+        if sent_ns and role == "joint_states" and not simulated:
+            lag = self._on_the_way.setdefault(len(raw.data), Lag())
+            lag.note(raw.time_ns, sent_ns, clock.now_ns())
+            late_s = 1e-9 * lag.late_ns
+        stamp_ns = messages.first_stamp_ns(raw.data) or raw.time_ns
+        return Arrival(role, raw, stamp_ns, clock.now() - late_s)
 
     def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
         if role == "joint_states":
@@ -327,25 +345,22 @@ class Inputs:
             "give the parameter driver, command_topic or effort_unit"
         )
 
-    def _note_lag(self, now_ns: int, stamp_ns: int) -> None:
-        """How far behind the present joint states are; what is the least of it counts anew when a clock was set."""
-        noted_ns, self._noted_ns = self._noted_ns, (now_ns, clock.now_ns())
-        was_set = abs((now_ns - noted_ns[0]) - (self._noted_ns[1] - noted_ns[1])) > 1e9 * BEHIND_S
-        was_set = was_set or stamp_ns < self.stamp_ns - 1e9 * BEHIND_S
-        self.stamp_ns, self._lag_ns = stamp_ns, now_ns - stamp_ns
-        self._least_lag_ns = self._lag_ns if was_set else min(self._lag_ns, self._least_lag_ns)
+    @property
+    def stamp_ns(self) -> int:
+        """Of the newest joint state."""
+        return self._lag.stamp_ns
 
     def catch_up(self) -> None:
         """Until joint states are heard as soon as ever, so that none from before becomes part of a recording."""
         deadline = clock.now() + LATEST_S
-        while self._lag_ns - self._least_lag_ns > 1e9 * BEHIND_S:
+        while self._lag.late_ns > 1e9 * BEHIND_S:
             if clock.now() > deadline:  # a clock was set
-                self._least_lag_ns = self._lag_ns
+                self._lag.accept()
             clock.sleep(0.02)
 
     def await_tail(self) -> None:
         """Until everything has been heard that was measured up to now, and a little more."""
-        now_ns = self._node.get_clock().now().nanoseconds - self._least_lag_ns
+        now_ns = self._node.get_clock().now().nanoseconds - self._lag.least_ns
         clock.sleep(TAIL_S)
         deadline = clock.now() + LATEST_S
         while self.stamp_ns < now_ns and clock.now() < min(deadline, self._state_at_s + SILENT_S):

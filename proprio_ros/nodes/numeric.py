@@ -74,8 +74,15 @@ class StampedEstimates:
         self._publishers = {"kg": (mass, MassEstimate), "Pa": (elasticity, ElasticityEstimate)}
         self._held = node.create_publisher(HoldingMessage, "~/holding_estimate", LATCHED)
 
-    def publish(self, link: str, entries: Mapping[str, Any]) -> Callable[[], None] | None:
+    def publish(
+        self, link: str, entries: Mapping[str, Any], stamp_ns: int
+    ) -> Callable[[], None] | None:
         """An estimate of what a link holds, and nothing where the entries of ``~/estimate`` hold none, as those of the robot.
+
+        Args:
+            link: That holds it.
+            entries: Of ``~/estimate``.
+            stamp_ns: Of the newest sample that the estimate rests on.
 
         Returns: What withdraws it; None where no number of it stands.
         """
@@ -84,25 +91,32 @@ class StampedEstimates:
             return None
         publisher, kind = self._publishers[probe.answer[1]]
 
-        def send(what: Mapping[str, Any]) -> None:
+        def send(what: Mapping[str, Any], when_ns: int) -> None:
             message = fill(kind(probe=probe.name, final=bool(what.get("final"))), probe, what)
-            publisher.publish(self._headed(message, link))
+            publisher.publish(self._headed(message, link, when_ns))
 
-        send(entries)
+        send(entries, stamp_ns)
         if math.isnan(_number(entries.get(probe.answer[0]))):
             return None
-        return lambda: send({"verdict": "withdrawn", "final": True})
+        now = self._node.get_clock().now
+        return lambda: send({"verdict": "withdrawn", "final": True}, now().nanoseconds)
 
-    def holding(self, link: str, holding: Holding) -> None:
-        """Whether a link holds something, as far as that is known."""
+    def holding(self, link: str, holding: Holding, stamp_ns: int) -> None:
+        """Publish whether a link holds something, as far as that is known.
+
+        Args:
+            link: That may hold it.
+            holding: What is known.
+            stamp_ns: Of the newest sample that this rests on.
+        """
         if self._publishers:
             known = {"known": holding.state is not None, "holding": bool(holding.state)}
             since = messages.time_message(holding.since_ns)
             message = HoldingMessage(probability=holding.probability, since=since, **known)
-            self._held.publish(self._headed(message, link))
+            self._held.publish(self._headed(message, link, stamp_ns))
 
-    def _headed(self, message: Any, link: str) -> Any:
-        message.header.stamp = self._node.get_clock().now().to_msg()
+    def _headed(self, message: Any, link: str, stamp_ns: int) -> Any:
+        message.header.stamp = messages.time_message(stamp_ns)
         message.header.frame_id = self._node.values["frame_prefix"] + link if link else ""
         return message
 

@@ -15,12 +15,18 @@ from visualization_msgs.msg import MarkerArray
 from proprio_ros.experiment_design.choosing import Decision, words_of
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.regression.online import OnlineEstimate
 from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
 from proprio_ros.live.carrying import Load
 from proprio_ros.live.holding import Holding
 from proprio_ros.live.job import WEIGH, Job
-from proprio_ros.live.online_estimator import OnlineFeed, online_entries, online_words
+from proprio_ros.live.news import News
+from proprio_ros.live.online_estimator import (
+    OnlineFeed,
+    late_words,
+    online_entries,
+    online_words,
+    withdrawn_entries,
+)
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.numeric import StampedEstimates
@@ -50,6 +56,8 @@ class Results:
         hear: Called with each sentence, and its keys and values.
         load: What stands of the hand.
         held: The same as a mass with its standard deviation, also by the running estimate.
+        held_ns: Stamp of the newest sample that this rests on.
+        late: That the running estimate is late, in words; empty: it is not.
     """
 
     def __init__(self, node: ManagedNode, workspace: Workspace) -> None:
@@ -63,6 +71,7 @@ class Results:
         self._held = node.create_publisher(Bool, "~/holding", LATCHED)
         self.load: StandingLoad | None = None
         self.held: Load | None = None
+        self.held_ns, self.late = 0, ""
         # what was published of the hand, and what withdraws it
         self._standing: dict[str, Callable[[], None]] = {}
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
@@ -115,14 +124,28 @@ class Results:
         self._standing["choice"] = partial(self._planned.publish, messages.no_markers())
 
     def publish_estimate(
-        self, level: str, name: str, message: str, entries: Mapping[str, Any]
+        self,
+        level: str,
+        name: str,
+        message: str,
+        entries: Mapping[str, Any],
+        stamp_ns: int | None = None,
     ) -> None:
-        """Keys and values as they are, and the calibration used."""
+        """Publish keys and values as they are, and the calibration used.
+
+        Args:
+            level: ``ok``, ``warning`` or ``error``.
+            name: Of the probe.
+            message: The same in words.
+            entries: Keys and values.
+            stamp_ns: Of the newest sample that they rest on; None: now.
+        """
         values = {**entries, "calibration": entries.get("calibration", self._calibration)}
+        when_ns = self._now_ns() if stamp_ns is None else stamp_ns
         self._estimate.publish(
-            messages.diagnostics(self._now_ns(), [messages.status(level, name, message, values)])
+            messages.diagnostics(when_ns, [messages.status(level, name, message, values)])
         )
-        if withdraw := self._stamped.publish(self.link, values):
+        if withdraw := self._stamped.publish(self.link, values, when_ns):
             self._standing["stamped"] = withdraw
         self.hear(message, values)
 
@@ -201,6 +224,7 @@ class Results:
             self._publish_load(now_ns, frame, carried)
             self.load = StandingLoad(robot, carried, interval_of(estimate))
             self.held = Load(carried.mass_kg, value.std, carried.com_m)
+            self.held_ns, self.late = now_ns, ""
         shapes = probe.shapes(robot, facts, estimate) if isinstance(probe, Shown) else None
         if shapes is not None:
             self._markers.publish(
@@ -210,34 +234,72 @@ class Results:
             )
             self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
 
-    def running(
-        self, feed: OnlineFeed, estimate: OnlineEstimate, link: str, behind_s: float
-    ) -> None:
-        """What the hand holds now in its link, and how long ago the newest sample came [s]."""
+    def running(self, feed: OnlineFeed, news: News, behind_s: float, link: str) -> None:
+        """Publish what the hand holds now, as far as the estimate is not too old for it.
+
+        Args:
+            feed: That made the estimate.
+            news: The estimate.
+            behind_s: How old it is [s].
+            link: That holds what is weighed.
+        """
         probe = feed.probe
-        words = "; ".join(filter(None, (online_words(estimate), feed.warning)))
-        level = "warning" if feed.warning else "ok"
-        self.link, held = link, max(estimate.mass_kg, 0.0)
+        estimate = news.estimate
+        self.link = link
+        self.late = late_words(behind_s)
+        words = "; ".join(filter(None, (online_words(estimate), self.late, feed.warning)))
+        level = "warning" if self.late or feed.warning else "ok"
+        held = max(estimate.mass_kg, 0.0)
         load = feed.load(held) if estimate.known else None
-        about = self._hear(estimate.mass_kg, estimate.std_kg)
+        if self.late:
+            self._forget_holding(news.stamp_ns)
+            about = self._holding.entries(0)
+        else:
+            about = self._hear(estimate.mass_kg, estimate.std_kg, news.stamp_ns, behind_s)
         entries = {**online_entries(feed, estimate, behind_s), **_about_load(load), **about}
-        self.publish_estimate(level, probe.name, words, entries)
+        self.publish_estimate(level, probe.name, words, entries, news.stamp_ns)
         if load is None:
-            return self._withdraw_load()
+            self._withdraw_load()
+            return
         self.load = None  # the hand may hold something else since
         self.held = Load(held, estimate.std_kg, load.com_m)
+        self.held_ns = news.stamp_ns
         self._publish_numbers(probe, {probe.answer[0]: held})
-        return self._publish_load(self._now_ns(), self._node.values["frame_prefix"] + link, load)
+        frame = self._node.values["frame_prefix"] + link
+        self._publish_load(news.stamp_ns, frame, load)
 
-    def _hear(self, mass_kg: float, std_kg: float) -> dict[str, Any]:
-        """An estimate of all that is in the hand; what it says of whether there is something."""
-        now_ns = self._now_ns()
+    def no_news(self, feed: OnlineFeed, why: str) -> None:
+        """What the running estimate said stands no longer; ``why`` in a sentence."""
+        self.withdraw()
+        self.late = ""
+        entries = withdrawn_entries(feed, why) | self._holding.entries(0)
+        self.publish_estimate("warning", feed.probe.name, why, entries)
+
+    def _hear(
+        self, mass_kg: float, std_kg: float, stamp_ns: int | None = None, behind_s: float = 0.0
+    ) -> dict[str, Any]:
+        """Take an estimate of all that is in the hand; what it says of whether there is something.
+
+        Args:
+            mass_kg: What is held.
+            std_kg: Its standard deviation.
+            stamp_ns: Of the newest sample that it rests on; None: now.
+            behind_s: How long ago that was [s].
+        """
+        # since when is by the node's clock, whatever clock the samples have
+        now_ns = self._now_ns() - round(1e9 * behind_s)
         self._holding.hear(now_ns, mass_kg, std_kg)
-        self._stamped.holding(self.link, self._holding)
+        self._stamped.holding(self.link, self._holding, now_ns if stamp_ns is None else stamp_ns)
         if self._holding.state not in (None, self._told):
             self._told = self._holding.state
             self._held.publish(Bool(data=self._told))
         return self._holding.entries(now_ns)
+
+    def _forget_holding(self, stamp_ns: int) -> None:
+        """It is not known any more whether something is held."""
+        if self._holding.state is not None:
+            self._holding.forget()
+            self._stamped.holding(self.link, self._holding, stamp_ns)
 
     def _publish_numbers(self, probe: Probe[Any], values: Mapping[str, float]) -> None:
         for topic, name in probe.numbers.items():
@@ -255,9 +317,7 @@ class Results:
 
     def withdraw(self) -> None:
         """What was published of the hand says nothing about what is in it now; `~/estimate`, which has a stamp, stands."""
-        if self._holding.state is not None:
-            self._holding.forget()
-            self._stamped.holding(self.link, self._holding)
+        self._forget_holding(self._now_ns())
         self._withdraw_load()
 
     def _withdraw_load(self) -> None:

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -63,14 +63,17 @@ HEARD_OF_S, LOOK_S = 1.5, 0.02
 """For so long, and so often, a service is looked for before it is said not to be there: who asks waits for five seconds."""
 
 
-def waiting(subscription: Any, data: Any) -> Iterator[Any]:
-    """All that came on a subscription, beside what its callback was given, without a wake-up for each message."""
-    yield data
+def waiting(subscription: Any, data: Any, info: Mapping[str, Any]) -> Iterator[tuple[Any, int]]:
+    """All that came on a subscription, beside what its callback was given, without a wake-up for each message.
+
+    Returns: Each message with when it was sent, by the clock of whoever sent it [ns]; 0: not known.
+    """
+    yield data, info.get("source_timestamp", 0)
     with subscription.handle:
         while (
             more := subscription.handle.take_message(subscription.msg_type, subscription.raw)
         ) is not None:
-            yield more[0]
+            yield more[0], more[1].get("source_timestamp", 0)
 
 
 class ManagedNode(LifecycleNode):
@@ -87,6 +90,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.called_s = 0.0  # when a service was called last
+        self.more_waits = False  # whether the last turn left messages behind
         self.begun_s = self._turned_s = clock.now()
         self._deaf_s = self._turned_s, self._turned_s  # from when to when no message was taken
         super().__init__(name, **kwargs)
@@ -134,6 +138,11 @@ class ManagedNode(LifecycleNode):
         self._turned_s = now_s
         return now_s - self._deaf_s[0] if now_s - self._deaf_s[1] < TAKEN_S else 0.0
 
+    @property
+    def turned_s(self) -> float:
+        """When it last began to look for messages."""
+        return self._turned_s
+
     def now_s(self) -> float:
         """Time that never runs back; with `use_sim_time` the simulation's, whose pauses and pace count [s]."""
         ros = self.get_clock()
@@ -178,10 +187,11 @@ class ManagedNode(LifecycleNode):
         self,
         kind: type,
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[..., None],
         quality: QoSProfile,
         *,
         raw: bool = False,
+        dated: bool = False,
         only_newest: Callable[[], bool] = lambda: False,
         together: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -189,19 +199,27 @@ class ManagedNode(LifecycleNode):
 
         A reliable publisher repeats what was lost, so it is asked to until one is found that does not. At present, may all that
         waits but the newest be left out (``only_newest``)? Is all that waits handed on at one wake-up (``together``), so that a
-        node that pauses between them keeps up?
+        node that pauses between them keeps up? With ``dated`` the callback is also given when a message was sent, by the clock of
+        whoever sent it [ns]; 0: not known.
         """
 
-        def hear(message: Any) -> None:
+        def hear(message: Any, info: Mapping[str, Any]) -> None:
             if only_newest():
-                *_, last = waiting(subscriptions[-1], message)
-                callback(last)
+                *_, last = waiting(subscriptions[-1], message, info)
+                take(*last)
             elif together():
                 end_s = clock.now() + LONGEST_TURN_S
-                for each in waiting(subscriptions[-1], message):
-                    callback(each)
+                for each in waiting(subscriptions[-1], message, info):
+                    take(*each)
                     if clock.now() > end_s:
+                        self.more_waits = True
                         break
+            else:
+                take(message, info.get("source_timestamp", 0))
+
+        def take(message: Any, sent_ns: int) -> None:
+            if dated:
+                callback(message, sent_ns)
             else:
                 callback(message)
 
@@ -209,7 +227,7 @@ class ManagedNode(LifecycleNode):
             if len(subscriptions) > 1:
                 return  # every further publisher of the kind says so again
             # muted, not destroyed: the executor may have it in hand just now
-            subscriptions[0].callback = lambda _message: None
+            subscriptions[0].callback = lambda *_: None
             self.say(
                 "warning",
                 f"{subscriptions[0].topic_name} is published best effort: messages may be lost",
@@ -462,7 +480,7 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
             ended.set()
         while not ended.is_set():
             _turn(node, spinner)
-            if node.pause_s > 0.0:
+            if node.pause_s > 0.0 and not node.more_waits:
                 called = clock.now() - node.called_s < CALLED_S
                 clock.sleep(min(node.pause_s, CALLED_PAUSE_S) if called else node.pause_s)
     except (ProprioError, ParameterException) as error:
@@ -480,6 +498,7 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
 def _turn(node: ManagedNode, spinner: SingleThreadedExecutor) -> None:
     """One callback. A defect in it costs its answer, not the node: whoever holds the arm goes on holding it."""
     node.waited_s()
+    node.more_waits = False
     try:
         spinner.spin_once(timeout_sec=0.1)
     except (ExternalShutdownException, ShutdownException):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,10 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import BatteryState, JointState
-from threadpoolctl import threadpool_limits
+from sensor_msgs.msg import JointState
 
-from proprio_ros import clock
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.settings import parse_settings
@@ -22,21 +19,17 @@ from proprio_ros.live.job import WEIGH, Job, JobError
 from proprio_ros.live.online_estimator import NO_MOTIONS, OnlineFeed, any_moved
 from proprio_ros.live.session import Session
 from proprio_ros.live.workspace import Workspace
-from proprio_ros.nodes import messages
 from proprio_ros.nodes.carrying import Carrying
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
+from proprio_ros.nodes.running import Running
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import probe_at_work
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.robot import Robot
-
-RUNNING_PERIOD_S = 0.1
-UNFED_S, STALLED_S = 2.0, 0.5
-"""Joint states that say nothing for so long, in the beginning and later, are worth a word: no mass stands meanwhile."""
 
 Identify = Callable[[Job, Path, Options, Callable[[Estimate], None]], Estimate]
 """From a bag to its estimate; see `Jobs.identify`."""
@@ -65,13 +58,14 @@ class Weighing:
         )
         self._results, self._silent = results, silent
         self._make_feed: Callable[[], OnlineFeed] | None = None
+        self._running: Running | None = None
 
     def prepare(self) -> Robot:
         """The robot; keep what weighing needs, have the running estimate ready where it is asked for, and what joints carry.
 
         Raises `ConfigurationError`, `RobotError`: What is stated does not fit, or the calibration is of another arm.
         """
-        self._inputs.kept = self._make_feed = None
+        self._inputs.kept = self._make_feed = self._running = None
         asked = bool(self._node.values["running"])
         stated = parse_settings(value_of(self._node, "settings"))
         self._robot: Robot = self._workspace.configured(stated)
@@ -88,7 +82,8 @@ class Weighing:
                 OnlineFeed, probe, request.robot, request.facts, request.locked
             )
             self._make_feed()  # so that a calibration of another arm is refused now
-            self._link = request.robot.payload_frame
+            link = request.robot.payload_frame
+            self._running = Running(self._node, self._inputs, self._results, self._silent, link)
         return self._robot
 
     def weigh(self, job: Job, identify: Identify) -> tuple[bool, str]:
@@ -145,80 +140,12 @@ class Weighing:
         """Begin the running estimate, in a thread of its own; returns what to say of it, empty where there is none."""
         if self._make_feed is None:
             return ""
+        assert self._running is not None
         feed = self._make_feed()
-        self._inputs.arrived = deque(maxlen=5000)
-        clock.thread(target=self._run, args=(feed,), name="running estimate").start()
+        self._running.begin(feed)
         return feed.about
 
     def end(self) -> None:
         """End it."""
-        self._inputs.arrived = None
-
-    def _run(self, feed: OnlineFeed) -> None:
-        clock.come_after_others()
-        try:
-            self._weigh_on(feed)
-        except (
-            Exception
-        ) as error:  # a defect must be reported, and must not take the services along
-            self._inputs.arrived = None
-            words = f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
-            self._node.say("error", words)
-
-    def _weigh_on(self, feed: OnlineFeed) -> None:
-        """Take what arrived, and publish what it says."""
-        arrived = self._inputs.arrived
-        renamed = self._inputs.conventions.renamed
-        published_s = -math.inf
-        fed_s = clock.now()
-        samples = 0
-        said = ""
-        changed = False
-        with threadpool_limits(1, user_api="blas"):
-            while arrived is not None and arrived is self._inputs.arrived:
-                said = self._say_whether_fed(feed, fed_s, said)
-                if not arrived:
-                    clock.sleep(0.02)
-                    continue
-                role, raw = arrived.popleft()
-                now_ns = raw.time_ns
-                if role == "battery_state":
-                    feed.stall.hear_voltage(deserialize_message(raw.data, BatteryState).voltage)
-                    continue
-                message = deserialize_message(raw.data, JointState)
-                time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
-                if role == "joint_command":
-                    feed.stall.hear_goals(time_s, renamed(message.name), message.position)
-                    continue
-                unit = self._inputs.measured_unit()
-                estimate = feed.add(
-                    time_s, renamed(message.name), message.position, message.effort, unit
-                )
-                if feed.samples > samples:
-                    samples = feed.samples
-                    fed_s = clock.now()
-                if estimate is None or self._silent():
-                    continue
-                if (
-                    clock.now() - published_s >= 0.8 * RUNNING_PERIOD_S
-                    or estimate.changed is not changed
-                ):
-                    published_s = clock.now()
-                    changed = estimate.changed
-                    behind_s = 1e-9 * (self._node.get_clock().now().nanoseconds - now_ns)
-                    self._results.running(feed, estimate, self._link, behind_s)
-
-    def _say_whether_fed(self, feed: OnlineFeed, fed_s: float, said: str) -> str:
-        """Say once that nothing came for some time to estimate from, and once that it does again; returns what stands."""
-        if self._silent():
-            return said
-        why = ""
-        if clock.now() - fed_s > (STALLED_S if feed.samples else UNFED_S):
-            why = f"the running estimate waits: {feed.waits_for or 'no joint states of the arm are coming'}"
-        if why == said:
-            return said
-        if why:
-            self._node.say("warning", why)
-            self._results.withdraw()
-        self._results.tell("idle", why or f"ready; {feed.about}", level="warning" if why else "ok")
-        return why
+        if self._running is not None:
+            self._running.end()

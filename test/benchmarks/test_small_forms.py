@@ -102,6 +102,7 @@ ELSEWHERE = {
     "live",
     # what real processes take while nothing is done: in real time, where the computer is not shared
     "idle",
+    "old_news",  # beside a load, for minutes: test/world/test_old_news.py asks the same in simulated time
     "first_time",  # asks an index of packages, for minutes
     "case", "figures", "filled_arm", "results",  # no benchmarks
 }  # fmt: skip

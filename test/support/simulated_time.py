@@ -110,6 +110,9 @@ class SimulatedClock:
     def come_after_others(self) -> None:
         """Here nobody is kept from a processor."""
 
+    def come_before_others(self) -> bool:
+        return False
+
     def end(self) -> None:
         """All other actors end where they wait."""
         self._ended = True

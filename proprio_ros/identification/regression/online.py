@@ -44,6 +44,14 @@ WINDOW_S = 0.1
 WINDOW_SAMPLES = 10
 SMOOTHED_S, SMOOTHED_SAMPLES = 0.02, 3
 """Positions are those of a parabola through so much before and after, and so many samples at least."""
+SPARSE_REACH = 2  # The same of windows that have fewer samples than they should.
+LEAST_DENSITY = 0.6
+"""A window with fewer samples than this, as a share of what should be in it, has another grid, or says nothing."""
+LATE, LATE_S, LATE_SAMPLES = 0.25, 1e-3, 4
+"""Joint states come at a steady pace, and some may be lost. One that so many come after, sooner than they should by more than this
+share of a period, and than so long, was stamped later than it was measured: a busy computer did not run its publisher between the
+two. By so many a pace of which the period is known to 6 % never looks late."""
+CROWDED_S = 1.0  # Where each shows that another was late for so long, the period is another by now.
 COUNTS = 2.5  # An encoder that flickers by a count or two is at rest.
 THINNED_S = 0.005  # Samples that are closer say nothing more, once they are smoothed.
 LEARNT_S = 0.3  # In so long the period of the joint states shows.
@@ -68,6 +76,8 @@ NOISE_WINDOWS = 100
 FEWEST_WINDOWS = 20
 # Innovations that are larger than they should be widen the interval for about so long.
 MISFIT_S = 1.0
+_Row = tuple[float, tuple[float, ...], tuple[float, ...]]
+"""A sample: its instant, positions [rad] and currents [A] of all joints."""
 LONG_PAUSE_S = 2.0  # After so long without a sample windows begin where samples come again.
 FROZEN, FROZEN_S, FROZEN_RAD_S = 4, 0.05, 0.1
 """Joint states that say the same so often, of an arm that was so fast for so long before, come from a publisher that stalls."""
@@ -99,6 +109,52 @@ class OnlineEstimate:
         return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * max(
             WIDEST_KG, WIDEST_SHARE * abs(self.mass_kg)
         )
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What an estimate needs of the samples, so that it can say anything."""
+
+    length_s: float  # so much without a gap
+    spacing_s: float  # a sample that follows another sooner may be left out; 0: none may
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Equally spaced instants of a window, to which samples are brought.
+
+    Attributes:
+        period_s: Between two of them.
+        width: How many are in a window.
+        reach: How many before and after each one smooth it.
+        thin: Every so many of the smoothed ones count.
+        smoothing: What makes position and slope of neighbours' positions, shape (3, 2 reach + 1).
+        windows: Test functions over those that count.
+    """
+
+    period_s: float
+    width: int
+    reach: int
+    thin: int
+    smoothing: FloatArray
+    windows: Windows
+
+    @classmethod
+    def of(cls, period_s: float, width: int, reach: int) -> _Grid:
+        thin = max(int(THINNED_S / period_s), 1)
+        inside = len(range(0, width, thin))
+        # a parabola through the neighbours, and its slope (Savitzky & Golay 1964)
+        smoothing = np.linalg.pinv(np.vander(np.arange(-reach, reach + 1), 3, increasing=True))
+        return cls(period_s, width, reach, thin, smoothing, Windows.over(inside, inside, inside))
+
+    @property
+    def reach_s(self) -> float:
+        return self.reach * self.period_s
+
+    def sparser(self, width: int) -> _Grid:
+        """One of as long a window with fewer samples, which needs nothing from further away."""
+        period_s = self.width * self.period_s / width
+        return _Grid.of(period_s, width, max(int(self.reach_s / period_s + 0.01), SPARSE_REACH))
 
 
 class OnlineEstimator:
@@ -150,8 +206,14 @@ class OnlineEstimator:
 
     def _forget(self) -> None:
         """As if nothing had come."""
-        self._samples: deque[tuple[float, tuple[float, ...], tuple[float, ...]]] = deque()
-        self._period_s = self._window_s = self._hop_s = 0.0
+        self._samples: deque[_Row] = deque()
+        self._window_s = self._hop_s = 0.0
+        self._grid: _Grid | None = None
+        self._sparser: dict[int, _Grid] = {}
+        self._recent: deque[_Row] = deque(maxlen=LATE_SAMPLES)
+        self._paced_s = float(
+            "nan"
+        )  # when a sample last came that showed none before it to be late
         self._next_s = float("nan")
         self._filter: _Filter | None = None
         self._after: _Filter | None = None  # the same since a change that is fresh
@@ -190,21 +252,55 @@ class OnlineEstimator:
             self._first_s = time_s
         if not self._samples or time_s - self._samples[-1][0] > LONG_PAUSE_S:
             self._samples.clear()
+            self._recent.clear()
+            self._paced_s = time_s
             self._next_s = time_s + SMOOTHED_S + 0.02
+        self._leave_out_late(time_s)
         self._samples.append(row)
-        if not self._period_s and not self._learns_period():
+        self._recent.append(row)
+        grid = self._grid or self._learnt_grid()
+        if grid is None:
             return False
         new = False
-        smoothed_s = self._smoothed * self._period_s
-        while time_s >= self._next_s + self._window_s + smoothed_s:
-            self._make(self._next_s)
+        while time_s >= self._next_s + self._window_s + grid.reach_s:
+            new |= self._make(grid, self._next_s)
             self._next_s += self._hop_s
-            new = True
-        while self._samples and self._samples[0][0] < self._next_s - smoothed_s - 0.2:
+        while self._samples and self._samples[0][0] < self._next_s - grid.reach_s - 0.2:
             self._samples.popleft()
+        if time_s - self._paced_s > CROWDED_S:
+            self._forget()
         return new
 
-    def _repeats(self, row: tuple[float, tuple[float, ...], tuple[float, ...]]) -> bool:
+    def _leave_out_late(self, time_s: float) -> None:
+        """Samples that were stamped too late, as one shows that comes now."""
+        grid = self._grid
+        if grid is None:
+            return
+        period_s = grid.period_s
+        tolerance_s = min(max(LATE * period_s, LATE_S), 0.5 * period_s)
+        late = [
+            row
+            for after, row in enumerate(reversed(self._recent), start=1)
+            if time_s - row[0] < after * period_s - tolerance_s
+        ]
+        if not late:
+            self._paced_s = time_s
+            return
+        times_s = {row[0] for row in late}
+        kept = [row for row in self._samples if row[0] not in times_s]
+        self._samples = deque(kept)
+
+    @property
+    def needs(self) -> Stretch:
+        """What it needs of the samples from now on."""
+        grid = self._grid
+        if grid is None:
+            return Stretch(2.0 * LEARNT_S, 0.0)
+        every = max(grid.width // WINDOW_SAMPLES, 1)
+        length_s = self._window_s + self._hop_s + 2.0 * grid.reach_s + 2.0 * self._longest_s(grid)
+        return Stretch(length_s, (every - 0.5) * grid.period_s)
+
+    def _repeats(self, row: _Row) -> bool:
         """Whether a sample says nothing new of an arm that moves."""
         if len(self._samples) < 2 or row[1:] != self._samples[-1][1:]:
             self._same = 0
@@ -221,39 +317,52 @@ class OnlineEstimator:
         self._same += 1
         return True
 
-    def _learns_period(self) -> bool:
+    def _learnt_grid(self) -> _Grid | None:
+        """That of windows from now on; None: the period of the samples does not show yet."""
         times_s = [row[0] for row in self._samples]
         if times_s[-1] - times_s[0] < LEARNT_S or len(times_s) < WINDOW_SAMPLES:
-            return False
+            return None
         period_s = float(np.median(np.diff(times_s)))
-        self._width = max(round(WINDOW_S / period_s), WINDOW_SAMPLES)
-        self._period_s, self._window_s = period_s, self._width * period_s
+        width = max(round(WINDOW_S / period_s), WINDOW_SAMPLES)
+        reach = max(round(SMOOTHED_S / period_s), SMOOTHED_SAMPLES)
+        self._grid = _Grid.of(period_s, width, reach)
+        self._window_s = width * period_s
         self._hop_s = 0.5 * self._window_s
-        self._smoothed = max(round(SMOOTHED_S / period_s), SMOOTHED_SAMPLES)
-        self._thin = max(int(THINNED_S / period_s), 1)
-        inside = len(range(0, self._width, self._thin))
-        self._windows = Windows.over(inside, inside, inside)
-        self._next_s = times_s[0] + (self._smoothed + 1) * period_s
+        self._next_s = times_s[0] + (reach + 1) * period_s
+        self._paced_s = times_s[-1]
         self._filter = _Filter(self._knows, self._window_s)
+        return self._grid
+
+    def _make(self, grid: _Grid, start_s: float) -> bool:
+        """The window that begins there; whether samples say something of it."""
+        window = self._window(grid, start_s)
+        if window is None:
+            return False
+        self._looked_s = start_s + self._window_s
+        if len(window.rows.joint):
+            self._moved_s = self._looked_s
+            self._hear(window)
         return True
 
-    def _make(self, start_s: float) -> None:
-        """The window that begins there."""
-        self._looked_s = start_s + self._window_s
-        window = self._window(start_s)
-        if window is None or not len(window.rows.joint):
-            return
-        self._moved_s = start_s + self._window_s
-        self._hear(window)
+    def _longest_s(self, grid: _Grid) -> float:
+        """A gap that is longer has no window across it."""
+        return min(max(3.5 * grid.period_s, 0.25 * self._window_s), LONGEST_GAP_S)
 
-    def _window(self, start_s: float) -> _Window | None:
-        period_s = self._period_s
-        reach = self._smoothed
-        width = self._width
-        thin = self._thin
-        lowest = start_s - reach * period_s
-        highest = start_s + (width + reach) * period_s
-        longest_s = min(max(3.5 * period_s, 0.25 * self._window_s), LONGEST_GAP_S)
+    def _fitting(self, grid: _Grid, density: float) -> _Grid | None:
+        """The grid for a window with so much of the samples that should be in it; None: it says nothing."""
+        if density > LEAST_DENSITY:
+            return grid
+        width = round(density * grid.width)
+        if width < WINDOW_SAMPLES:
+            return None
+        if width not in self._sparser:
+            self._sparser[width] = grid.sparser(width)
+        return self._sparser[width]
+
+    def _window(self, grid: _Grid, start_s: float) -> _Window | None:
+        lowest = start_s - grid.reach_s
+        highest = start_s + self._window_s + grid.reach_s
+        longest_s = self._longest_s(grid)
         rows = [row for row in self._samples if lowest - longest_s <= row[0] <= highest + longest_s]
         times_s = np.array([row[0] for row in rows])
         if (
@@ -263,14 +372,23 @@ class OnlineEstimator:
             or times_s[-1] < highest
         ):
             return None
-        # what came in a burst was not stamped when it was measured
-        if not 0.6 < len(rows) * period_s / (times_s[-1] - times_s[0] + period_s) < 1.4:
+        spans_s = times_s[-1] - times_s[0] + grid.period_s
+        fitting = self._fitting(grid, len(rows) * grid.period_s / spans_s)
+        if fitting is None:
             return None
+        return self._window_on(fitting, start_s, rows)
+
+    def _window_on(self, grid: _Grid, start_s: float, rows: Sequence[_Row]) -> _Window:
+        """The same of samples, on a grid."""
+        period_s = grid.period_s
+        reach = grid.reach
+        width = grid.width
+        thin = grid.thin
+        times_s = np.array([row[0] for row in rows])
         grid_s = start_s + period_s * np.arange(-reach, width + reach)
         position = _interpolated(grid_s, times_s, np.array([row[1] for row in rows]))
         current = _interpolated(grid_s, times_s, np.array([row[2] for row in rows]))
-        # a parabola through the neighbours, and its slope (Savitzky & Golay 1964)
-        design = np.linalg.pinv(np.vander(np.arange(-reach, reach + 1), 3, increasing=True))
+        design = grid.smoothing
         view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[
             :width:thin
         ]
@@ -289,19 +407,21 @@ class OnlineEstimator:
         constants = self._calibration.torque_constants
         moves = np.ptp(position, axis=0) > self._least_rad
         made = self._arm.rows(
-            self._windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves
+            grid.windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves
         )
-        return _Window(made, self._of_acceleration(design[1], smooth[len(smooth) // 2]))
+        return _Window(made, self._of_acceleration(grid, smooth[len(smooth) // 2]))
 
-    def _of_acceleration(self, slope: FloatArray, position: FloatArray) -> FloatArray:
+    def _of_acceleration(self, grid: _Grid, position: FloatArray) -> FloatArray:
         """What noise of positions and stamps makes of the torque that accelerates the arm, covariance, shape (n, n).
 
         Late or early stamps move all joints at once, so their errors go together.
         """
-        weights = np.zeros((len(self._windows.slope) - 1) * self._thin + len(slope))
-        for number, share in enumerate(self._windows.slope):
-            weights[number * self._thin : number * self._thin + len(slope)] += share * slope
-        per_position = float(weights @ weights) / (self._thin * self._period_s**2) ** 2
+        slope = grid.smoothing[1]
+        thin = grid.thin
+        weights = np.zeros((len(grid.windows.slope) - 1) * thin + len(slope))
+        for number, share in enumerate(grid.windows.slope):
+            weights[number * thin : number * thin + len(slope)] += share * slope
+        per_position = float(weights @ weights) / (thin * grid.period_s**2) ** 2
         inertia = inertia_matrix(
             self._arm.model, position, self._calibration.values[: 11 * self._arm.count]
         )

@@ -142,3 +142,79 @@ def test_the_inertia_matrix_is_that_of_mujoco(case: Case, tmp_path: Path) -> Non
         assert np.allclose(
             inertia_matrix(arm.model, pose, terms), full + np.diag(0.01 * np.arange(7)), atol=1e-6
         )
+
+
+def kept(motion: Motion, which: np.ndarray) -> Motion:
+    return replace(
+        motion,
+        times_s=motion.times_s[which],
+        position=motion.position[which],
+        current_A=motion.current_A[which],
+    )
+
+
+def test_every_second_sample_may_be_left_out_under_way(case: Case) -> None:
+    """As where a busy computer has no time for all: the mass stays, and a change is seen as soon."""
+    count = len(case.day.times_s)
+    row = np.arange(count)
+    rests = kept(case.day, (row < 300) | (row % 2 == 0))
+    day = list(told(case, rests))
+    noticed = changes(day)
+    assert len(noticed) == 2 and all(
+        0.0 < at - since < 0.25 for at, since in zip(noticed, (TAKEN_S, LEFT_S), strict=True)
+    ), noticed
+    whole = [each for at, each in told(case, case.day) if at < LEFT_S][-1]
+    thinned = [each for at, each in day if at < LEFT_S][-1]
+    assert abs(whole.mass_kg - thinned.mass_kg) < whole.std_kg
+    assert whole.std_kg < 1.1 * thinned.std_kg and thinned.std_kg < 1.3 * whole.std_kg
+
+
+def test_nothing_is_news_while_no_window_is_complete(case: Case) -> None:
+    """Joint states come, with gaps of a twentieth of a second: what they say is nothing new."""
+    row = np.arange(len(case.day.times_s))
+    gaps = (row > 400) & (row < 800) & (row % 20 >= 10)
+    at_s = [at for at, _ in told(case, kept(case.day, ~gaps))]
+    first_s = float(case.day.times_s[400])
+    last_s = float(case.day.times_s[800])
+    assert not [at for at in at_s if first_s + 0.15 < at < last_s]
+    assert [at for at in at_s if last_s < at < last_s + 0.3]
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_publisher_that_becomes_faster_is_heard(case: Case, every: int) -> None:
+    count = len(case.day.times_s)
+    row = np.arange(count)
+    faster = kept(case.day, (row > 600) | (row % every == 0))
+    last_s, last = list(told(case, faster))[-1]
+    assert last_s > float(case.day.times_s[-1]) - 0.2
+    assert last.time_s > last_s - 0.2 and last.ci95_kg[0] < 0.0 < last.ci95_kg[1]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [611, 612, 613])
+def test_samples_that_are_stamped_too_late_make_no_mass(seed: int) -> None:
+    """A busy computer does not run the driver between measuring and stamping: positions seem to lag, and speeds to change."""
+    from support.virtual_pick_and_place import Worker
+
+    robot = load_robot("open_manipulator_x")
+    arm = Worker(robot, seed)
+    known = fit_empty(robot, [arm.work(30.0) for _ in range(2)])
+    motion = arm.work(20.0)
+    rng = np.random.default_rng(seed)
+    count = len(motion.times_s)
+    late_s = np.where(rng.random(count) < 0.1, rng.exponential(0.01, count), 0.0)
+    stamped_s = np.maximum.accumulate(motion.times_s + late_s) + 1e-6 * np.arange(count)
+    worst = []
+    for times_s in (motion.times_s, stamped_s):
+        weight = OnlineEstimator(robot, known, held={"gripper_left_joint": 0.0})
+        off = [0.0]
+        for time_s, position, current in zip(
+            times_s.tolist(), motion.position, motion.current_A, strict=True
+        ):
+            new = weight.add(time_s, position, current)
+            estimate = weight.estimate() if new else None
+            if estimate is not None and estimate.motion_s > 0.5:
+                off.append(abs(estimate.mass_kg) / estimate.std_kg)
+        assert len(off) > 150
+        worst.append(max(off))
+    assert worst[1] < max(worst[0] + 0.7, 2.0), worst
