@@ -70,6 +70,7 @@ def of_one_publisher(where: str, columns: JointColumns) -> JointColumns:
 
     leave_out(_without_effort(values), "they carry no effort, where the others do")
     leave_out(_at_one_place(position), "positions jump to one and the same place and back")
+    leave_out(_twice(columns, position), "they repeat another one, stamp and all")
     leave_out(_repeated(position), "they are copies of what was published before")
     _refuse_contradiction(where, columns.names, position)
     if len(notes) == len(columns.notes):
@@ -126,6 +127,21 @@ def _at_one_place(position: FloatArray) -> BoolArray:
     # joints that hardly move say nothing; their messages do
     rows = np.asarray(foreign.any(axis=1))
     return foreign | (rows[:, None] & (position == usual))
+
+
+def _twice(columns: JointColumns, position: FloatArray) -> BoolArray:
+    """Messages that have stamp and positions of an earlier one, shape (M, J)."""
+    stamped = columns.stamp_ns != 0
+    rows = np.column_stack([columns.stamp_ns.astype(np.float64), position])
+    # NaN differs from itself
+    _, first = np.unique(np.nan_to_num(rows, nan=np.inf), axis=0, return_index=True)
+    again = np.ones(len(rows), dtype=bool)
+    again[first] = False
+    again &= stamped
+    if again.sum() < FEWEST:
+        again[:] = False
+    found: BoolArray = again[:, None] & np.isfinite(position)
+    return found
 
 
 def _repeated(position: FloatArray) -> BoolArray:

@@ -62,7 +62,7 @@ CASES: list[tuple[Any, dict[str, Any], str]] = [
         (publishers.copies_in_another_order, {"order": order}, "carry no effort")
         for order in ("reversed", "rotated")
     ),
-    (publishers.every_message_twice, {}, "stamps are repeated"),
+    (publishers.every_message_twice, {}, "repeat another one, stamp and all"),
 ]
 
 
@@ -72,7 +72,7 @@ def test_the_driver_is_kept(
 ) -> None:
     true = tape.states
     recording = read(bend(tape, np.random.default_rng(SEED), **parameters), tmp_path)
-    assert any(said in note for note in recording.notes)
+    assert any(said in note for note in recording.notes), recording.notes
     found = recording.joints
     columns = [found.column(name) for name in true.names]
     row = np.searchsorted(true.stamp_ns, found.times_ns)
