@@ -63,7 +63,11 @@ _UR10E = ("--robot", "ur10e", "--driver", "ur_current")
 
 def found(**bags: str) -> Callable[[Path], Files]:
     """Real recordings by their names."""
-    return lambda folder: {name: REAL / bag for name, bag in bags.items()}
+    return partial(_found, bags=bags)
+
+
+def _found(folder: Path, bags: Mapping[str, str]) -> Files:
+    return {name: REAL / bag for name, bag in bags.items()}
 
 
 def ur10e(name: str, loaded: str, empty: str, truth: float) -> Base:

@@ -27,12 +27,14 @@ class Ready:
         load_kg: Lightest and heaviest that it is given.
         middle: Positions that its motion goes about [rad]; None: all zero.
         friction_N_m, rotor_kg_m2: About which the joints' are drawn.
+        torque_noise_N_m: Of the sensors, standard deviation.
     """
 
     load_kg: tuple[float, float]
     middle: Sequence[float] | None
     friction_N_m: float
     rotor_kg_m2: float
+    torque_noise_N_m: float = 0.02
 
 
 READY: Mapping[str, Ready] = {
@@ -40,6 +42,7 @@ READY: Mapping[str, Ready] = {
     "panda": Ready((0.2, 2.0), (0.0, -0.4, 0.0, -1.8, 0.0, 1.6, 0.7), 0.3, 0.05),
     "gen3": Ready((0.2, 2.0), (0.0, 0.4, 0.0, 1.4, 0.0, 0.8, 0.0), 0.3, 0.02),
     "openarm": Ready((0.2, 1.0), None, 0.1, 0.01),
+    "open_manipulator_x": Ready((0.03, 0.25), None, 0.06, 0.012, 0.005),
 }
 
 
@@ -91,6 +94,7 @@ def ready(folder: Path, arm: str, seed: int) -> Files:
                 middle=of.middle,
                 friction_N_m=of.friction_N_m,
                 rotor_kg_m2=of.rotor_kg_m2,
+                torque_noise=of.torque_noise_N_m,
             )
     return files
 
