@@ -45,6 +45,7 @@ CODES = {
     "within_friction": "the motor's torque lies within friction and says little about the load",
     "changed_midway": "the two halves of a recording say different values",
     "kind_open": "the recording does not tell what is in the container",
+    "clock_off": "by its torques a recording took another time than its stamps say, or its efforts are late",
     "other": "a reason without a code of its own",
 }
 """Every code and what it means. A code keeps its meaning; the words of a sentence may change."""
@@ -91,6 +92,7 @@ REMEDIES = {
     "within_friction": "move faster and further, so that the motor has to accelerate the load",
     "changed_midway": "record the motions with and without the object apart, or take a part with --span FROM:TO",
     "kind_open": "shake the container harder, about as fast as a liquid in it would slosh, and calibrate the robot",
+    "clock_off": "let the recorder stamp each sample by a clock when it is read, not by counting frames, and record again",
     "other": "read the sentence: it says what to do",
 }
 """What to do about each code, for whoever has never met it; the sentence of a reason says it for that recording."""

@@ -20,6 +20,7 @@ from scipy.stats import norm
 
 from proprio_ros.calibration_files.motions import FRICTION_TERMS, MotionCalibration
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.between import CLOCK, Between
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
@@ -94,26 +95,44 @@ def _followed(
     except RecordingError:  # of no use for anything: the weighing says why
         return motion
     notes = []
-    pace = lag_s = None
+    pace = 1.0
+    lag_s = 0.0
     pace_std = _open_std(np.log(clock.pace), clock.pace_std, PACE_MISFIT, PACE_SPREAD)
     lag_std_s = _open_std(clock.lag_s, clock.lag_std_s, LAG_MISFIT_S, LAG_SPREAD_S)
     if clock.runs_off:
         pace = clock.pace
         pace_std = float(np.hypot(clock.pace_std, PACE_MISFIT))
-        rate_hz = 1.0 / float(np.median(np.diff(motion.times_s)))
-        notes.append(
-            f"{motion.name}: by its torques all of it took {pace:.2f} times as long as its stamps say, so the loop ran at "
-            f"{rate_hz / pace:.3g} of {rate_hz:.3g} Hz; that clock was followed, to {100.0 * pace_std:.0f} %"
-        )
+        notes.append(_pace_followed(motion, pace, pace_std))
     if clock.is_late:
         lag_s = clock.lag_s
         lag_std_s = float(np.hypot(clock.lag_std_s, LAG_MISFIT_S))
-        notes.append(
-            f"{motion.name}: its efforts were recorded {1e3 * abs(lag_s):.0f} ms {'later' if lag_s > 0.0 else 'earlier'} than its "
-            "positions; they were moved back by that"
-        )
-    corrected = _retimed(motion, pace or 1.0, lag_s or 0.0)
-    return replace(corrected, notes=(*motion.notes, *notes), pace_std=pace_std, lag_std_s=lag_std_s)
+        notes.append(_lag_followed(motion, lag_s))
+    return replace(
+        _retimed(motion, pace, lag_s),
+        notes=(*motion.notes, *notes),
+        pace_std=pace_std,
+        lag_std_s=lag_std_s,
+    )
+
+
+def _pace_followed(motion: Motion, pace: float, std: float) -> Reason:
+    """What is said of stamps that run at another pace."""
+    rate_hz = 1.0 / float(np.median(np.diff(motion.times_s)))
+    return Reason(
+        "clock_off",
+        f"{motion.name}: by its torques all of it took {pace:.2f} times as long as its stamps say, so the loop ran at "
+        f"{rate_hz / pace:.3g} of {rate_hz:.3g} Hz; that clock was followed, to {100.0 * std:.0f} %",
+    )
+
+
+def _lag_followed(motion: Motion, lag_s: float) -> Reason:
+    """What is said of efforts that are recorded later than positions, or earlier."""
+    when = "later" if lag_s > 0.0 else "earlier"
+    return Reason(
+        "clock_off",
+        f"{motion.name}: its efforts were recorded {1e3 * abs(lag_s):.0f} ms {when} than its positions; they were moved back by "
+        "that",
+    )
 
 
 def clock_of(
