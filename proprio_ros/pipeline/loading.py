@@ -18,6 +18,7 @@ from proprio_ros.recordings.contradictions import refuse_other_current
 from proprio_ros.recordings.datasets import episode_of, read_episode
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort
 from proprio_ros.recordings.motions import Motion, motion_of
+from proprio_ros.recordings.pace import refuse_pace_of_joint, refuse_pace_of_runs
 from proprio_ros.recordings.plausibility import EffortUnit, effort_per_torque, effort_units
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
 from proprio_ros.recordings.signals import (
@@ -115,6 +116,7 @@ def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
     held = standing(request, recording.joints.names)
     runs = cut_runs(recording, held=held, joints=list(request.robot.drive_trains))
     usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
+    refuse_pace_of_runs(recording, runs)
     refuse_other_current(recording, Effort(request.unit, request.effort_per_current), usable)
     return runs
 
@@ -134,9 +136,10 @@ def _motion(recording: Recording, request: Request) -> Motion:
         if each.kind == "prismatic"
     }
     still = robot.motion_calibration is not None
-    motion = motion_of(
-        recording, joints=turning_joints(robot), held={**taken, **locked}, standing=still
-    )
+    turning = turning_joints(robot)
+    motion = motion_of(recording, joints=turning, held={**taken, **locked}, standing=still)
+    if len(turning) == 1:  # of several the regression asks the clock
+        refuse_pace_of_joint(recording, turning[0])
     notes = tuple(
         f"{recording.name}: {name} was not recorded and is taken to stand at {value:g} m; --set held.{name}=VALUE states it"
         for name, value in taken.items()

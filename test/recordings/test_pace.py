@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +10,17 @@ import numpy as np
 import pytest
 from support.machines import REAL
 
-from proprio_ros.recordings.pace import pace_by_velocities
+from proprio_ros.errors import RecordingError
+from proprio_ros.recordings.pace import (
+    pace_by_velocities,
+    pace_of_runs,
+    refuse_pace_of_joint,
+    refuse_pace_of_runs,
+)
 from proprio_ros.recordings.plausibility import findings
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.records import FloatArray, JointRecord, Recording
+from proprio_ros.records import FloatArray, InputRecord, JointRecord, Recording, Run
 
 TIMES_S = np.arange(0.0, 20.0, 0.01)
 # amplitude [rad] and angular frequency [rad/s] of the waves of each joint
@@ -113,6 +121,9 @@ def test_angles_that_wrap_and_gaps_do_not_matter() -> None:
     assert pace.scale == pytest.approx(1.0 / 0.73, rel=0.01)
 
 
+OURS = ("joint1", "joint2", "joint3", "joint4", "gripper_left_joint")
+
+
 def read(bag: Path) -> Recording:
     return read_recording(bag, nominal_torque_constants={}, joint_order=[], states_only=True)
 
@@ -132,3 +143,70 @@ def test_real_registers(bag: str, stretched: float) -> None:
     assert pace.scale * stretched == pytest.approx(1.0, abs=0.03)
     assert abs(pace.scale - 1.0 / stretched) < 2.0 * pace.std
     assert pace.is_off == (stretched != 1.0)
+
+
+def pushed(stretched: float, noise: float = 0.02, lag_s: float = 0.01) -> tuple[Recording, Run]:
+    """One joint from rest, 0.6 s at 40 Hz, that a constant torque, its weight and damping move: solved by steps of 0.1 ms."""
+    step_s = 1e-4
+    angle = [0.6]
+    speed = [0.0]
+    for number in range(8500):
+        driven = number >= 2500
+        torque = -6.0 - 4.0 * np.cos(angle[-1]) - 1.5 * speed[-1] if driven else 0.0
+        speed.append(speed[-1] + step_s * torque)
+        angle.append(angle[-1] + step_s * speed[-1])
+    rows = np.arange(0, 8501, 250)
+    late = np.maximum(rows - round(lag_s / step_s), 0)
+    rng = np.random.default_rng(8)
+    position = np.round(np.array(angle)[rows] / 0.0015) * 0.0015
+    velocity = np.array(speed)[late] + rng.normal(0.0, noise, len(rows))
+    times_ns = np.rint(1e9 * stretched * step_s * rows).astype(np.int64)
+    record = JointRecord(times_ns, ("a",), position[:, None], velocity[:, None])
+    drive = InputRecord(
+        np.array([times_ns[0], times_ns[10]]), ("a",), np.array([[0.0], [-0.3]]), "/current_command"
+    )
+    recording = Recording("bag", record, drive)
+    (run,) = cut_runs(recording, joints=["a"])
+    return recording, run
+
+
+@pytest.mark.parametrize("stretched", [0.5, 0.73, 0.85, 0.9, 1.15, 1.4, 2.0])
+def test_a_push_on_a_stretched_axis_is_refused(stretched: float) -> None:
+    recording, run = pushed(stretched)
+    pace = pace_of_runs(recording, [run])
+    assert pace is not None
+    assert abs(pace.scale * stretched - 1.0) < 0.03
+    with pytest.raises(RecordingError, match=f"change {pace.scale:.2f} times as fast .* time axis"):
+        refuse_pace_of_runs(recording, [run])
+
+
+@pytest.mark.parametrize("unit", [1.0, 57.3, 1.0 / 57.3, -1.0, 0.0])
+def test_a_push_with_velocities_of_another_unit_or_of_none_is_read(unit: float) -> None:
+    recording, run = pushed(1.0)
+    record = recording.joints
+    assert record.velocity is not None
+    refuse_pace_of_runs(
+        replace(recording, joints=replace(record, velocity=unit * record.velocity)), [run]
+    )
+    refuse_pace_of_runs(replace(recording, joints=replace(record, velocity=None)), [run])
+
+
+def test_pushes_that_ship_keep_their_pace() -> None:
+    constants = dict.fromkeys(OURS, 1.783)
+    for bag in sorted((Path(__file__).resolve().parents[2] / "bags").glob("realistic*/bag_mcap")):
+        recording = read_recording(bag, nominal_torque_constants=constants, joint_order=OURS)
+        runs: tuple[Run, ...] = ()
+        with suppress(RecordingError):  # what they reported alone is no excitation of these joints
+            runs = cut_runs(recording, joints=recording.joints.names)
+        refuse_pace_of_runs(recording, runs)
+
+
+@real
+def test_a_servo_alone_is_asked_too() -> None:
+    for bag in ("sts3215_release_0.535kg", "xl330_kp100_up_and_down", "dfki_sac"):
+        recording = read(REAL / bag)
+        refuse_pace_of_joint(recording, "pendulum")
+        times_ns = recording.joints.times_ns
+        slow = replace(recording.joints, times_ns=times_ns[0] + (times_ns - times_ns[0]) * 2)
+        with pytest.raises(RecordingError, match="time axis"):
+            refuse_pace_of_joint(replace(recording, joints=slow), "pendulum")

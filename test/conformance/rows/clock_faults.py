@@ -7,6 +7,25 @@ from conformance.table import ACCEPTED, REFUSED, VERDICTS, Bent, Row
 _SECTION = "A. The time axis"
 
 ROWS = (
+    *(
+        Row(
+            name=f"{base}_stretched_{factor}",
+            section=_SECTION,
+            trouble=f"a loop runs {factor} times as fast as it stamps; velocities are the driver's own",
+            base=base,
+            bends=(
+                Bent("clock_at_another_pace", {"factor": factor, "velocity": "true"}, ("loaded",)),
+            ),
+            verdicts=REFUSED,
+            cause="time axis is stretched",
+        )
+        for base in (
+            "push_light_ball_20g_joint3_calibrated",
+            "push_heavy_ball_50g_joint3_calibrated",
+            "driven_up_and_down_0.535",
+        )
+        for factor in (0.73, 0.85, 1.2)
+    ),
     Row(
         name="motion_headers_step_forward",
         section=_SECTION,
