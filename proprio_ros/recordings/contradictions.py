@@ -6,16 +6,29 @@ two cannot both be right nothing is identified, since a mass goes with the curre
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.columns import JointColumns
-from proprio_ros.recordings.effort import EFFORT_UNITS, Effort, ampere
+from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere
 from proprio_ros.recordings.topics import OUR_DRIVER
-from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
+from proprio_ros.records import (
+    ZERO_CURRENT_A,
+    BoolArray,
+    FloatArray,
+    InputRecord,
+    JointRecord,
+    Recording,
+    TimeArray,
+)
+
+IndexArray = NDArray[Any]
 
 # of the pace of header stamps, against that of the recorder's clock: quartz keeps 0.0001
 RATE_OFF = 0.004
@@ -28,15 +41,22 @@ OTHER_CLOCK_S = 0.5
 """A clock further off than this is not the recorder's (simulated time), and may run at a pace of its own."""
 
 # of the measured current, against the commanded: real XM430 deliver 0.98 to 0.99 of it
-CURRENT_OFF = 0.05
+CURRENT_OFF = 0.03
 TORQUE_OFF = 0.3
 """The same where others command: an arm may measure torque behind its gears, which lacks what friction and rotor take."""
-# what the two must differ by, on average, whatever is commanded; two counts of an XM430
-LEAST_CURRENT_A = 0.005
+SURE_STDS = 3.0
+"""Beside that, so many standard deviations of the ratio itself: readings are whole counts, have noise and come late."""
+LEAST_CURRENT_A = (
+    0.005  # a reading so close to its command is not far from it; two counts of an XM430
+)
 SAME_UNIT = {"N.m": 4.0, "A": 4.0, "mA": 1.5, "raw": 1.5}
 """Effort in no unit that is known is compared with no command: the nearest one must fit to this factor. Per mille of a motor's
 rating lie near mA and raw counts."""
 SETTLED_S = 0.1  # a motor follows a command within this time, delay of bus and driver included
+LATE_S = 0.05
+"""A reading may be so much older than its stamp: what the mean of the command would be by then counts as uncertainty."""
+SIGN_READINGS = 5  # of so many readings the median says which way a joint is driven
+FEWEST_OF_STRETCH = 3  # readings without which a stretch says nothing
 FEWEST_READINGS = 8
 # of the readings that are far from the command, above which they follow another one
 ELSEWHERE_SHARE = 0.3
@@ -94,13 +114,57 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     return (f"{where}: header stamps {much}; they are of another clock, and are taken as they are",)
 
 
+@dataclass(frozen=True)
+class Stretch:
+    """Means over the readings of a joint while it is driven one way."""
+
+    commanded_A: float
+    commanded_std_A: float  # by what readings may be late
+    reading: float  # in the unit of the effort
+    reading_std: float  # by noise, and by rounding to whole counts
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Effort per commanded current, over all stretches of a joint."""
+
+    value: float  # in the unit of the effort, per A; negative where the two count in opposite directions
+    std: float
+
+    @classmethod
+    def of(cls, stretches: Sequence[Stretch]) -> Gain:
+        """By weighted least squares through the origin; where stretches differ by more than they say, that counts."""
+        commanded = np.array([each.commanded_A for each in stretches])
+        reading = np.array([each.reading for each in stretches])
+        rough = float(reading @ commanded / (commanded @ commanded))
+        variance = np.array(
+            [
+                each.reading_std**2 + (rough * each.commanded_std_A) ** 2 + 1e-24
+                for each in stretches
+            ]
+        )
+        information = float(np.sum(commanded**2 / variance))
+        value = float(np.sum(reading * commanded / variance)) / information
+        chi2 = float(np.sum((reading - value * commanded) ** 2 / variance))
+        apart = max(chi2 / (len(stretches) - 1), 1.0) if len(stretches) > 1 else 1.0
+        return cls(value, float(np.sqrt(apart / information)))
+
+
 def refuse_other_current(
     recording: Recording, effort: Effort, usable_velocity: Mapping[str, float]
 ) -> None:
-    """Look at commanded currents beside measured efforts, joint by joint, where the joint is slow and the command does not change.
+    """Look at commanded currents beside measured efforts, joint by joint, by their means over each push.
 
-    Where the command is the input the unit of the effort does not matter: that which fits best is taken. Up to its usable velocity
-    [rad/s] the supply drives what a joint is commanded. Raises `RecordingError`: What flowed is not that.
+    A mean needs no command that stands still: noise of it averages out, and what is left of it is stated. Where the command is the
+    input the unit of the effort does not matter: that which fits best is taken.
+
+    Args:
+        recording: With commands and efforts; without one of them nothing is compared.
+        effort: What the effort means.
+        usable_velocity: Up to which the supply drives what a joint is commanded, by joint [rad/s].
+
+    Raises:
+        RecordingError: What flowed is not what was commanded.
     """
     record = recording.joints
     inputs = recording.commanded or recording.inputs
@@ -111,94 +175,165 @@ def refuse_other_current(
     for name, usable in usable_velocity.items():
         if name not in record.names or name not in inputs.names:
             continue
-        seen = _readings(
-            record, name, inputs.times_ns, inputs.current_A[:, inputs.column(name)], usable
+        readings = Readings.of(record, inputs, name, usable, effort.per_count_A)
+        stretches = readings.stretches()
+        if not stretches:
+            continue
+        gain = Gain.of(stretches)
+        per_A = _effort_per_ampere(name, gain, effort)
+        if per_A is None:
+            continue
+        own = inputs.source.rpartition("/")[2] in {each.topic for each in OUR_DRIVER.inputs}
+        where = f"{recording.name}: by its effort"
+        _refuse_gain(where, inputs.source, name, gain, per_A, effort, own)
+        if own:
+            _refuse_elsewhere(recording.name, inputs.source, readings, per_A.value)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Efforts of a joint, and the command that held at each."""
+
+    joint: str
+    times_s: FloatArray  # since the first reading [s], shape (T,)
+    reading: FloatArray  # in the unit of the effort, NaN where there is none, shape (T,)
+    given_A: FloatArray  # shape (T,)
+    earlier_A: FloatArray  # the command that held `LATE_S` before, shape (T,)
+    slow: BoolArray  # where the supply drives what is commanded, shape (T,)
+    settled: BoolArray  # where the command has not changed for `SETTLED_S`, shape (T,)
+    count_A: float  # to which currents are rounded at most [A]
+
+    @classmethod
+    def of(
+        cls,
+        record: JointRecord,
+        inputs: InputRecord,
+        name: str,
+        usable: float,
+        count_A: float = CURRENT_PER_COUNT_A,
+    ) -> Readings:
+        """Of one joint.
+
+        Args:
+            record: Joint states with efforts.
+            inputs: What was commanded.
+            name: The joint.
+            usable: Velocity up to which the supply drives what is commanded [rad/s].
+            count_A: To which currents are rounded at most [A].
+        """
+        column = record.column(name)
+        assert record.reported_effort is not None
+        command = inputs.current_A[:, inputs.column(name)]
+
+        def held_at(times_ns: TimeArray) -> FloatArray:
+            at = np.searchsorted(inputs.times_ns, times_ns, side="right") - 1
+            held: FloatArray = np.where(at >= 0, command[at.clip(0)], 0.0)
+            return held
+
+        changed_ns = inputs.times_ns[np.flatnonzero(np.diff(command, prepend=0.0) != 0.0)]
+        last = np.searchsorted(changed_ns, record.times_ns, side="right") - 1
+        since_s = np.full(len(record.times_ns), np.inf)
+        if len(changed_ns):
+            since_s[last >= 0] = 1e-9 * (record.times_ns - changed_ns[last.clip(0)])[last >= 0]
+        times_s = 1e-9 * (record.times_ns - record.times_ns[0])
+        speed = np.abs(np.gradient(record.position[:, column], times_s))
+        return cls(
+            name,
+            times_s,
+            record.reported_effort[:, column],
+            held_at(record.times_ns),
+            held_at(record.times_ns - int(LATE_S * 1e9)),
+            speed < usable,
+            since_s >= SETTLED_S,
+            count_A,
         )
-        if seen is None:
-            continue
-        commanded, reading = seen
-        unit, measured = _as_current(name, reading, commanded, effort)
-        if unit is None:
-            continue
-        _compare(recording.name, inputs.source, name, unit, commanded, measured, effort)
+
+    def stretches(self) -> list[Stretch]:
+        """Where the joint is driven one way for long enough; none where it reads nothing but zero."""
+        driven = np.abs(self.given_A) > ZERO_CURRENT_A
+        way = np.sign(median_filter(self.given_A, SIGN_READINGS, mode="nearest")) * driven
+        ends = np.flatnonzero(np.diff(way)) + 1
+        found = []
+        for rows in np.split(np.arange(len(way)), ends):
+            # the first readings of a push may be older than it
+            since_s = self.times_s[rows] - self.times_s[rows[0]]
+            used = rows[(since_s >= SETTLED_S) & self.slow[rows] & np.isfinite(self.reading[rows])]
+            if way[rows[0]] != 0.0 and len(used) >= FEWEST_OF_STRETCH:
+                found.append(self._stretch(used))
+        return found if any(each.reading for each in found) else []
+
+    def _stretch(self, used: IndexArray) -> Stretch:
+        commanded = float(self.given_A[used].mean())
+        reading = self.reading[used]
+        mean = float(reading.mean())
+        # a motor follows a command that is not constant, or it does not: the smaller scatter is its own
+        along = mean / commanded * self.given_A[used]
+        scatter = min(float(reading.std()), float((reading - along).std()))
+        late = commanded - float(self.earlier_A[used].mean())
+        # readings that are all alike are whole counts, however many their unit has
+        count = self.count_A * abs(mean / commanded)
+        steps = np.diff(np.unique(reading))
+        rounded = min([count, *steps.tolist()]) / np.sqrt(12.0)
+        return Stretch(
+            commanded, late, mean, float(np.hypot(scatter / np.sqrt(len(used)), rounded))
+        )
 
 
-def _readings(
-    record: JointRecord, name: str, times_ns: np.ndarray, command: FloatArray, usable: float
-) -> tuple[FloatArray, FloatArray] | None:
-    """Commanded currents that had settled, and the efforts beside them; None where there are few."""
-    column = record.column(name)
-    assert record.reported_effort is not None
-    reading = record.reported_effort[:, column]
-    position = record.position[:, column]
-    at = np.searchsorted(times_ns, record.times_ns, side="right") - 1
-    given = np.where(at >= 0, command[at.clip(0)], 0.0)
-    changed_ns = times_ns[np.flatnonzero(np.diff(command, prepend=0.0) != 0.0)]
-    last = np.searchsorted(changed_ns, record.times_ns, side="right") - 1
-    since_s = (
-        1e-9 * (record.times_ns - changed_ns[last.clip(0)])
-        if len(changed_ns)
-        else np.zeros(len(given))
-    )
-    speed = np.abs(np.gradient(position, 1e-9 * (record.times_ns - record.times_ns[0])))
-    used = (
-        (np.abs(given) > ZERO_CURRENT_A)
-        & (since_s >= SETTLED_S)
-        & (speed < 0.5 * usable)
-        & np.isfinite(reading)
-    )
-    if int(used.sum()) < FEWEST_READINGS or not np.any(reading[used]):
-        return None
-    return given[used], reading[used]
+@dataclass(frozen=True)
+class PerAmpere:
+    """What effort a current of 1 A is."""
+
+    unit: str
+    value: float  # in that unit; negative where effort counts in the other direction
 
 
-def _as_current(
-    name: str, reading: FloatArray, commanded: FloatArray, effort: Effort
-) -> tuple[str | None, FloatArray]:
-    """Efforts as currents [A], in the unit that is stated or else fits best; no unit where none does."""
+def _effort_per_ampere(name: str, gain: Gain, effort: Effort) -> PerAmpere | None:
+    """In the unit that is stated or else fits best; None where none does."""
     per_A = {unit: 1.0 / ampere(unit, effort.per_count_A) for unit in EFFORT_UNITS if unit != "N.m"}
     if effort.nominal.get(name, 0.0) > 0.0:
         per_A["N.m"] = effort.nominal[name]
     if effort.unit is not None:
         per_A = {unit: value for unit, value in per_A.items() if unit == effort.unit}
-    ratio = abs(float(np.median(reading / commanded)))
-    if not per_A or ratio == 0.0:
-        return None, reading
-    unit = min(per_A, key=lambda each: abs(np.log(ratio / per_A[each])))
-    if effort.unit is None and abs(np.log(ratio / per_A[unit])) > np.log(SAME_UNIT[unit]):
-        return None, reading
-    return unit, reading / per_A[unit] * np.sign(np.median(reading / commanded))
+    if not per_A or gain.value == 0.0:
+        return None
+
+    def away(unit: str) -> float:
+        return abs(float(np.log(abs(gain.value) / per_A[unit])))
+
+    unit = min(per_A, key=away)
+    if effort.unit is None and away(unit) > np.log(SAME_UNIT[unit]):
+        return None
+    return PerAmpere(unit, float(np.copysign(per_A[unit], gain.value)))
 
 
-def _compare(
-    where: str,
-    source: str,
-    name: str,
-    unit: str,
-    commanded: FloatArray,
-    measured: FloatArray,
-    effort: Effort,
+def _refuse_gain(
+    where: str, source: str, name: str, gain: Gain, per_A: PerAmpere, effort: Effort, own: bool
 ) -> None:
-    """Raises RecordingError: the two contradict each other."""
-    off = measured - commanded
-    scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))
-    least = max(LEAST_CURRENT_A, 4.0 * scatter / np.sqrt(len(off)))
-    ratio = float(np.median(measured / commanded))
-    far = np.abs(off) > np.maximum(
-        0.25 * np.abs(commanded), LEAST_CURRENT_A + 4.0 * min(scatter, LEAST_CURRENT_A)
+    """Raises RecordingError: effort and command differ by more than they may, and by more than chance."""
+    ratio = gain.value / per_A.value
+    unsure = gain.std / abs(per_A.value)
+    if abs(ratio - 1.0) <= (CURRENT_OFF if own else TORQUE_OFF) + SURE_STDS * unsure:
+        return
+    made = f" (at {effort.nominal[name]:.3g} N m/A)" if per_A.unit == "N.m" else ""
+    raise RecordingError(
+        f"{where}{made}, {name} had {ratio:.2f} times the current of {source}, +- {unsure:.2f}: that is another recording's or in "
+        "another unit, or the effort is: see --command-topic, --effort-unit and its nominal_torque_constant_N_m_per_A"
     )
-    own = source.rpartition("/")[2] in {each.topic for each in OUR_DRIVER.inputs}
-    if (
-        abs(ratio - 1.0) > (CURRENT_OFF if own else TORQUE_OFF)
-        and abs(float(np.median(off))) > least
-    ):
-        made = f" (at {effort.nominal[name]:.3g} N m/A)" if unit == "N.m" else ""
+
+
+def _refuse_elsewhere(where: str, source: str, readings: Readings, per_A: float) -> None:
+    """Raises RecordingError: what is measured beside a command that stands still is mostly something else."""
+    driven = np.abs(readings.given_A) > ZERO_CURRENT_A
+    used = driven & readings.settled & readings.slow & np.isfinite(readings.reading)
+    if int(used.sum()) < FEWEST_READINGS:
+        return
+    commanded = readings.given_A[used]
+    off = readings.reading[used] / per_A - commanded
+    scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    spread = LEAST_CURRENT_A + 4.0 * min(scatter, LEAST_CURRENT_A)
+    far = float(np.mean(np.abs(off) > np.maximum(0.25 * np.abs(commanded), spread)))
+    if far > ELSEWHERE_SHARE:
         raise RecordingError(
-            f"{where}: by its effort{made}, {name} had {ratio:.2f} times the current of {source}: that is another recording's or "
-            "in another unit, or the effort is: see --command-topic, --effort-unit and its nominal_torque_constant_N_m_per_A"
-        )
-    if own and float(np.mean(far)) > ELSEWHERE_SHARE:
-        raise RecordingError(
-            f"{where}: the effort of {name} does not follow {source}: {100.0 * float(np.mean(far)):.0f} % of its readings are off "
-            "by more than a quarter; is it the command of this recording, on the same clock?"
+            f"{where}: the effort of {readings.joint} does not follow {source}: {100.0 * far:.0f} % of its readings are off by "
+            "more than a quarter; is it the command of this recording, on the same clock?"
         )
