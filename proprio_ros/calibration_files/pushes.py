@@ -19,6 +19,7 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
       correlation: |                     # lower triangle, a line per unknown in the order above
         1
+      digest: 3f0c..                     # of all of the above, as it was written; without this line nothing is compared
 """
 
 from __future__ import annotations
@@ -214,6 +215,12 @@ class Calibration:
         covariance = self.covariance.copy()
         covariance[np.ix_(others, others)] -= across @ follows
         return replace(self, covariance=covariance).without(keys)
+
+    def with_other_zeros(self, std_rad: float) -> Calibration:
+        """What it says of another recording, in which each joint's zero is off by as much, independently [rad]."""
+        of_zeros = np.array([key[0] == "zero" for key in self.keys])
+        grown = self.covariance + np.diag(std_rad**2 * of_zeros)
+        return replace(self, covariance=grown)
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers for the file; the correlations as text, which reads a hundred times faster than as YAML numbers."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -10,6 +12,8 @@ import numpy as np
 from proprio_ros.inputs.forms import Form, FormError, Number, Text, shortly, under
 from proprio_ros.records import FloatArray
 
+DIGEST, DIGEST_LENGTH = "digest", 16
+"""Key under which a section says what its other keys said when it was written, and its number of hexadecimal digits."""
 RUN: dict[str, Form] = {
     "name": Text(longest=9000),
     "duration_s": Number(unit="s", lowest=0.0, highest=1e7),
@@ -76,6 +80,35 @@ def check_section(section: Any) -> None:
         raise FormError(
             f"expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
         )
+
+
+def check_digest(section: Mapping[str, Any]) -> None:
+    """Raises: FormError: A calibration is not as it was written; files of before there were digests are not asked."""
+    if DIGEST in section and section[DIGEST] != digest_of(section):
+        raise FormError(
+            "was changed after it was written, or merged from several files: its numbers belong together, so calibrate again; "
+            f"whoever changed them on purpose deletes the line `{DIGEST}`"
+        )
+
+
+def digest_of(section: Mapping[str, Any]) -> str:
+    """Of all that a section says, whatever the order of its keys and the layout of its numbers."""
+    rest = {key: value for key, value in section.items() if key != DIGEST}
+    text = json.dumps(_plain(rest), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGEST_LENGTH]
+
+
+def _plain(value: Any) -> Any:
+    """What a YAML file gives back of it: numbers as text of twelve digits, so that no reader's rounding counts."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    if isinstance(value, str):
+        return " ".join(value.split())
+    if isinstance(value, (bool, type(None))):
+        return value
+    return f"{float(value):.12g}"
 
 
 def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any, ...]:

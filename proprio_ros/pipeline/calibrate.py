@@ -20,6 +20,7 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.motors import MotorIdentity, other_arm
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, JointCalibration
 from proprio_ros.calibration_files.pushes import Calibration
+from proprio_ros.calibration_files.section import DIGEST, digest_of
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.planning import SECONDS, plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
@@ -402,9 +403,9 @@ def write_calibration(
     Dotted settings that were in force come back with the file, and its comment says what can be weighed with it. It takes the place
     of a calibration that it is ``like``: all else stands as it does there. Raises `ConfigurationError`: The file cannot be written.
     """
-    section = CommentedMap(
-        {key: _laid_out(key, value) for key, value in calibration.as_settings().items()}
-    )
+    learnt = calibration.as_settings()
+    section = CommentedMap({key: _laid_out(key, value) for key, value in learnt.items()})
+    section[DIGEST] = digest_of(learnt)
     settings = nested_settings(robot.model.independent_joints, overrides or {})
     if like is None:
         content = CommentedMap(settings)
