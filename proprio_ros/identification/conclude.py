@@ -96,6 +96,10 @@ class Conclusion:
         """Whether to ask if a run contradicts the others, which may take more fits."""
         return not self.fit.explains
 
+    def unlike_others(self) -> int | None:
+        """The run that contradicts the others; None: they agree."""
+        return contradicting(Posterior(self.opened.problem, self.opened.values))
+
     def contradiction(self, outlier: int) -> Contradiction:
         """What a run says that the others predict badly."""
         return Contradiction(f"{self.runs[outlier].run.name} contradicts the other runs")
@@ -170,7 +174,7 @@ class Conclusion:
         """Look for a run that says another value than the others; nearly the same one widens the interval by half of that."""
         if len(self.runs) < 2 or not np.isfinite(self.fit.chi2) or not self.comparable():
             return
-        self.outlier = contradicting(Posterior(self.opened.problem, self.opened.values))
+        self.outlier = self.unlike_others()
         if self.outlier is not None:
             self.apart = self.contradiction(self.outlier)
             if self.apart.half is not None:

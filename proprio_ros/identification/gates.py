@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtri, ndtr
 
+from proprio_ros.identification.position_steps import held_jump, jumped
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.problem import Problem
@@ -30,6 +31,8 @@ MISFIT_LIMIT = 9.0
 """Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
 CONTRADICTION = 2.5
 """Reduced chi-square with which the other runs may predict a run: beyond it, and beyond chance, the run contradicts them."""
+OWN_VALUE_STDS = 3.5
+"""Standard deviations that a value of its own may lie from that of all runs together; chance exceeds it once in 2000."""
 # part of the runs that may contradict the others before all of them are refused
 LEFT_OUT_AT_MOST = 0.25
 
@@ -85,6 +88,8 @@ def unusable(run: PreparedRun) -> str:
     if run.used < MIN_USED:
         why = run.cut_reason or "the probe was too short"
         return Reason("few_samples", f"only {run.used} usable samples, because {why}")
+    if jump := "" if run.run.free else held_jump(run):
+        return jumped(jump)
     if abs(run.travel) < STUCK_TRAVEL:
         so = "so friction and not the weight decides where it is"
         cure = f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
@@ -218,6 +223,28 @@ def contradicting(posterior: Posterior) -> int | None:
     ]
     worst = int(np.argmax(ratios))
     return worst if ratios[worst] > 1.0 else None
+
+
+def of_another_value(posterior: Posterior, name: str) -> int | None:
+    """The run that would have an unknown called ``name`` furthest from what all say, if that is beyond chance; else None.
+
+    A score test of each run for a value of its own: how badly others predict its samples may say nothing where torque that differs
+    from run to run takes the difference up, and yet it is that of two objects. Runs whose load is known are not asked.
+    """
+    problem = posterior.problem
+    column = problem.free.tolist().index(problem.index[name])
+    unknown = [row for row, run in enumerate(problem.runs) if run.load is None]
+    if len(unknown) < 2:
+        return None
+    pulls = []
+    for row in unknown:
+        slope = np.where(posterior.run == row, posterior.sensitivity[:, column], 0.0)
+        across = posterior.sensitivity.T @ slope
+        information = float(slope @ slope - across @ posterior.covariance @ across)
+        towards = float(slope @ posterior.residual - across @ posterior.step)
+        pulls.append(abs(towards) / float(np.sqrt(max(information, 1e-300))))
+    worst = int(np.argmax(pulls))
+    return unknown[worst] if pulls[worst] > OWN_VALUE_STDS else None
 
 
 def surprising(samples: int, chi2: float) -> float:

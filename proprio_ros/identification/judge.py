@@ -6,6 +6,7 @@ one counts. Calibrations and motions are judged by the same function.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,7 +21,7 @@ from proprio_ros.identification.fit import (
     source_label,
     unknown_rows,
 )
-from proprio_ros.identification.gates import MOVING_START, chi2_limit
+from proprio_ros.identification.gates import MISFIT_SIGMAS, MOVING_START, chi2_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.reasons import Reason
@@ -30,6 +31,9 @@ from proprio_ros.quantity import Z95, shown, spec_for
 FAR = 5.0
 """Standard deviations of its prior beyond which an unknown says that the model is wrong, whatever the residuals say (DESIGN)."""
 NAMED_AT_MOST = 3
+LEAST_LEARNT = 0.01  # of a zero's variance: a recording that tells less of it tells nothing
+ALIKE_PULL = 0.9
+"""Joints whose axes are parallel turn the hand alike: those that are off by nearly as many standard deviations are named, too."""
 PAUSE_S, PAUSE_STEPS = 0.03, 4.0
 """A gap between two samples that is longer than both is a pause; the second in usual steps of its recording."""
 UNEVEN_S, UNEVEN_SHARE = 1e-3, 0.15
@@ -147,6 +151,25 @@ class Assessment:
         """Of the unknown that the probe is for, in its unit."""
         return float(self.fit.values[self.row])
 
+    @functools.cached_property
+    def leans(self) -> dict[str, float]:
+        """By how much the value is wrong if a joint's zero is elsewhere than its prior has it, per rad, by joint.
+
+        The posterior's mean moves by C P with the prior's: C the covariance, P the precision of the prior.
+        """
+        if not self.known or self.runs[0].run.free:
+            return {}
+        problem = self.opened.problem
+        column = self.opened.column(self.name)
+        moved = problem.coordinates.prior_precision @ self.posterior.covariance[:, column]  # (F,)
+        zeros = [(f, problem.unknowns[row]) for f, row in enumerate(problem.free)]
+        return {str(u.scope): float(moved[f]) for f, u in zeros if u.kind == "zero"}
+
+    @property
+    def zeros_std(self) -> float:
+        """What zeros that differ from one recording to the next put on the value, as a standard deviation."""
+        return self.robot.zero_repeat * float(np.linalg.norm(list(self.leans.values())))
+
     @property
     def std(self) -> float:
         """Its standard deviation."""
@@ -181,6 +204,36 @@ class Assessment:
             )
         sentences = [sentence for _, sentence in sorted(far.values(), reverse=True)[:NAMED_AT_MOST]]
         return sentences or self._far_together()
+
+    def other_zeros(self) -> list[Reason]:
+        """The joints whose zero the recording itself shows elsewhere than the calibration has it, as far as they can be told apart.
+
+        What is learnt of a zero is less than its prior lets it move, so it is measured by what the recording adds: with a right
+        model, value less prior has the prior's variance less the posterior's.
+        """
+        if not self.known:
+            return []
+        problem = self.opened.problem
+        found = []
+        for column, row in enumerate(problem.free):
+            unknown = problem.unknowns[row]
+            learnt = unknown.std**2 - float(self.posterior.covariance[column, column])
+            if unknown.kind != "zero" or learnt < LEAST_LEARNT * unknown.std**2:
+                continue
+            off = float(self.opened.values[row]) - unknown.value
+            # where it would be without a prior
+            free = off * unknown.std**2 / learnt
+            found.append((abs(off) / float(np.sqrt(learnt)), free, str(unknown.scope)))
+        found.sort(reverse=True)
+        if not found or found[0][0] <= MISFIT_SIGMAS:
+            return []
+        names = " or ".join(
+            name for pull, _, name in found[:NAMED_AT_MOST] if pull > ALIKE_PULL * found[0][0]
+        )
+        said = f"{names} is read as if its zero were {1e3 * found[0][1]:+.0f} mrad off what the calibration knows"
+        said += f" ({found[0][0]:.1f} standard deviations)"
+        question = "was it put together anew or read wrong, or does the base stand otherwise? If so, calibrate again"
+        return [Reason("other_zero", f"{said}: {question}")]
 
     def _far_together(self) -> list[str]:
         problem = self.opened.problem
@@ -233,6 +286,10 @@ def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Re
                 f"the simulation only follows the recording where {'; '.join(far)}: the model is wrong, or the file is",
                 *other_suspects(assessed.robot),
             )
+    if zeros := assessed.other_zeros():
+        others = refusal.reasons if refusal.verdict is Verdict.REJECTED else ()
+        withheld = refusal.withheld if others else "a joint is read from elsewhere than it is"
+        refusal = Refusal(Verdict.REJECTED, withheld, (*others, *zeros))
     if off := stamps_off(assessed.fit):
         others = () if refusal.verdict is Verdict.TOO_WIDE else refusal.reasons
         refusal = Refusal(
@@ -246,7 +303,9 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     unit = assessed.unit
     value = assessed.value
     std = assessed.std
-    if not useful.exceeded_by(value, std):
+    # zeros are asked for by a sentence of their own, which says what tells them
+    std_but_zeros = float(np.sqrt(max(std**2 - assessed.zeros_std**2, 0.0)))
+    if not useful.exceeded_by(value, std_but_zeros):
         return
     interval = shown(unit, *not_negative(value, std), spec=spec_for(unit, std))
     limit = f"+-{100.0 * useful.share:.0f} % of the value"

@@ -35,6 +35,8 @@ SLOPE_S = 0.08  # over which the velocity is taken with which a free swing begin
 FIRST_SWING_ERROR = 0.02
 # below this speed the direction of a swing is not read off its samples for certain [rad/s]
 SLOW = 0.1
+FOLLOWED_SHARE = 0.5
+"""A motor whose effort scatters by more than this part of what its command does follows the command."""
 MIN_SLOW = 3  # slow samples needed to relate reported effort to the command
 
 
@@ -71,6 +73,8 @@ class PreparedRun:
     # weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
+    # standard deviation of the motor's torque by noise of its command that it did not follow [N m]
+    current_torque_std: float = 0.0
     # payload that would load the gears as the arm does [kg]; only known of free swings
     arm_as_payload: float = 0.0
 
@@ -207,6 +211,7 @@ def prepare_run(
         yielding_times_s=yielding_times_s,
         yielding_load=yielding_load,
         arm_as_payload=arm_as_payload,
+        current_torque_std=drive.torque_constant.value * _unfollowed_std(run, used),
     )
 
 
@@ -279,6 +284,32 @@ def _weight_on_gears(
     side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
     moment = np.abs(cos * np.cos(run.position) + sin * np.sin(run.position) + constant)
     return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
+
+
+def _unfollowed_std(run: Run, used: int) -> float:
+    """Of a constant current that moves the joint as far, by noise of a command that the effort does not show [A].
+
+    It is 0 without an effort, or where the effort follows. Rows count by how long they act until the last of the samples that are
+    ``used``: the end of a way is the sum of all currents, each times the time that is left.
+
+    A command that scatters while the motor reports a steady current was recorded with an error of its own in every row.
+    """
+    if run.free or run.reported_effort is None or len(run.input_current_A) < MIN_SLOW:
+        return 0.0
+    at = np.searchsorted(run.input_times_s, run.times_s, side="right") - 1
+    command = run.input_current_A[at.clip(0)]
+    seen = np.isfinite(run.reported_effort) & (run.times_s > run.times_s[0])
+    mean = float(command[seen].mean()) if seen.any() else 0.0
+    reported = float(run.reported_effort[seen].mean()) if seen.any() else 0.0
+    if mean == 0.0 or reported == 0.0:
+        return 0.0
+    scatter = float(command[seen].std())
+    followed = float(run.reported_effort[seen].std()) * abs(mean / reported)
+    if followed > FOLLOWED_SHARE * scatter:
+        return 0.0
+    acting = run.input_times_s[run.input_times_s < run.times_s[max(used - 1, 0)]]
+    left_s = run.times_s[max(used - 1, 0)] - acting
+    return scatter * float(np.linalg.norm(left_s) / left_s.sum()) if len(acting) else 0.0
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:

@@ -26,6 +26,7 @@ from proprio_ros.identification.robot_unknowns import (
     RIPPLE_TERMS,
     RISE,
     of_one_kind,
+    prior_of,
 )
 from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
 from proprio_ros.kinds import KINDS, Key
@@ -64,7 +65,7 @@ class Problem:
         self.unknowns = tuple(unknowns)
         self.index: dict[Key, int] = {u.key: row for row, u in enumerate(unknowns)}
         self.free = np.array([row for row, u in enumerate(unknowns) if u.role is Role.FREE])
-        calibration = robot.calibration
+        calibration = prior_of(robot, runs)
         if calibration is not None and calibration.swing_error > 0.0:
             calibration = calibration.given(
                 {(kind, run.run.joint) for run in runs if run.run.free for kind in RISE}

@@ -5,6 +5,7 @@ from __future__ import annotations
 CODES = {
     "few_samples": "a run has too few usable samples",
     "stuck": "the joint hardly moved, so friction and not the load decides where it is",
+    "position_jumps": "a joint's reading jumps and stays off, as no body moves",
     "left_out_samples": "samples at the end of a run were left out",
     "stood_still": "a joint stood still where the answer says that it should have moved",
     "short_travel": "the joint moved, but less than a trustworthy result needs",
@@ -28,6 +29,7 @@ CODES = {
     "arm_unlike_urdf": "by its torques the arm weighs far more or less than its URDF says",
     "other_torque": "a joint's torque is larger or smaller than the empty arm's, as in another unit",
     "other_zero": "a joint's positions are read from elsewhere than the empty arm's, as after its horn was put on anew",
+    "leans_on_zero": "one pose does not tell a joint's zero from weight; the interval counts how far zeros differ",
     "lighter_than_empty": "the hand seems lighter than it was empty",
     "says_too_little": "the motion determines the value too coarsely to state it",
     "one_sided": "the recording bounds the value on one side at most",
@@ -52,6 +54,7 @@ CODES = {
 REMEDIES = {
     "few_samples": "record the joint for longer, away from its stops; the sentence says what ended the run",
     "stuck": "push with more current, or from a pose in which gravity helps, so that it moves by 0.3 rad or more",
+    "position_jumps": "see that its encoder is firm and nobody sets its zero meanwhile, and record again",
     "left_out_samples": "nothing, if enough is left; else push shorter, or start further from the joint's limit",
     "stood_still": "free the joint: see whether it leans on something or its motor sticks, and record again",
     "short_travel": "push so that the joint moves by 0.3 rad or more; `proprio plan` proposes such pushes",
@@ -75,6 +78,7 @@ REMEDIES = {
     "arm_unlike_urdf": "check the effort's unit and sign, the torque constants, the URDF's masses and zeros, and payload.com",
     "other_torque": "record both with the same driver, unit and torque constants, on the same arm",
     "other_zero": "put the joint together as it was, or calibrate again; where its URDF's zero is off, correct it there",
+    "leans_on_zero": "push from another pose, too, or add an empty-hand run of today with --baseline",
     "lighter_than_empty": "see that bags are not swapped, and that the baseline's hand was empty",
     "says_too_little": "move faster, further and longer, through more attitudes of the hand; for a reference take a heavier one",
     "one_sided": "squeeze harder, or with several currents; calibrate the gripper",

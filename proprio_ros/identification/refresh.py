@@ -67,6 +67,8 @@ def refresh(
     if not usable:
         return robot_calibration.nothing_usable(robot, "a calibrated", len(runs), found)
     progress(f"fitting {len(usable)} runs")
+    # where the zeros are now is what the new runs are to say
+    robot = replace(robot, zero_repeat=0.0)
     problem = Problem(robot, usable, PayloadFacts(), robot_unknowns(robot, usable, Role.FREE))
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     solution = solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.identification.coefficients import link_stds
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.unknowns import Role, Unknown
@@ -101,7 +102,8 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
     stds = link_stds(robot)
     links = dict.fromkeys(key for run in runs for key in run.coefficients.links)
     shared += [_from_quantity(kind, link, Quantity(0.0, stds[kind])) for kind, link in links]
-    known = {} if robot.calibration is None else robot.calibration.quantities
+    learnt = prior_of(robot, runs)
+    known = {} if learnt is None else learnt.quantities
     shared = [
         _from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u
         for u in shared
@@ -125,11 +127,15 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
             of_run = [Unknown(kind, 0.0, std, -0.9, scope=row) for kind, std in stds.items()]
         of_run.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row))
         # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
-        of_run.append(
-            Unknown("disturbance", 0.0, 0.0 if free else robot.torque_disturbance, scope=row)
-        )
+        disturbance = 0.0 if free else math.hypot(robot.torque_disturbance, run.current_torque_std)
+        of_run.append(Unknown("disturbance", 0.0, disturbance, scope=row))
         unknowns += [unknown.at_role(drive_role) for unknown in of_run]
     return unknowns
+
+
+def prior_of(robot: Robot, runs: Sequence[PreparedRun]) -> Calibration | None:
+    """What a calibration says of other runs; a free swing has an unknown of its own for where its zero is."""
+    return robot.calibration if any(run.run.free for run in runs) else robot.known
 
 
 def onset_std(robot: Robot, run: PreparedRun) -> float:

@@ -180,6 +180,10 @@ ROBOT: dict[str, Field] = {
     "torque_disturbance_N_m": Field(NOISE["torque_disturbance_N_m"], Wide("weakest", 0.002)),
     "start_velocity_rad_s": Field(NOISE["start_velocity_rad_s"], 0.01),
     "friction_spread": Field(NOISE["friction_spread"], 0.15),
+    "zero_repeat_rad": Field(
+        Number("a joint's zero from one recording of an arm to the next, std", "rad", 0.0, 0.5),
+        0.005,
+    ),
     "link_mass_std": Field(
         Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.05
     ),

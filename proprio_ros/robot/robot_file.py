@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,7 @@ from proprio_ros.calibration_files.drift import Drift
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import TERMS, Calibration, check_complete
+from proprio_ros.calibration_files.section import check_digest
 from proprio_ros.errors import RobotError, one_line
 from proprio_ros.inputs.forms import (
     REQUIRED,
@@ -83,6 +85,8 @@ class Robot:
     start_velocity: float = 0.01
     # standard deviation of friction from one free response to the next, relative
     friction_spread: float = 0.15
+    # standard deviation of a joint's zero from one recording of the arm to the next [rad]
+    zero_repeat: float = 0.0
     # what neighbouring samples of a free response share of the error of its simulation: standard deviation that one
     # sample must have so that independent ones weigh as much [rad]. Calibrations and free responses themselves show it
     swing_error: float = 0.0
@@ -110,6 +114,13 @@ class Robot:
         if joints is None:
             return self.calibration is not None or bool(self.settings.get("calibrated"))
         return self.calibration is not None and set(joints) <= set(self.calibration.joints)
+
+    @functools.cached_property
+    def known(self) -> Calibration | None:
+        """What its calibration says of a recording that it was not made of: zeros may be others, the rest is the same."""
+        if self.calibration is None:
+            return None
+        return self.calibration.with_other_zeros(self.zero_repeat)
 
     @property
     def friction_rises(self) -> bool:
@@ -345,6 +356,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         drive_trains, motors = _drive_trains(settings.get("joints", {}), model)
         robot = _assembled(given, model, drive_trains, motors, source, settings)
         if given["calibration"] is None:
+            _check_digests(settings)
             return robot
         calibrated = robot.with_calibration(given["calibration"])
         stds = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
@@ -356,9 +368,19 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
             check_complete(
                 given["calibration"], [link.name for link in model.links], drive_trains, priors
             )
+        # last: what is wrong with a number is said by its name
+        _check_digests(settings)
     except FormError as error:
         raise RobotError(f"{source.name}: {error}") from None
     return calibrated
+
+
+def _check_digests(settings: Mapping[str, Any]) -> None:
+    """Raises: FormError: A calibration was changed after it was written."""
+    for key in CALIBRATIONS:
+        if isinstance(settings.get(key), Mapping):
+            with under(key):
+                check_digest(settings[key])
 
 
 def _check_model(given: Mapping[str, Any], model: RobotModel, urdf: Any) -> None:
@@ -406,6 +428,7 @@ _RENAMED = {
     "torque_disturbance_N_m": "torque_disturbance",
     "start_velocity_rad_s": "start_velocity",
     "link_com_std_m": "link_com_std",
+    "zero_repeat_rad": "zero_repeat",
     "friction_velocity_rad_s": "friction_velocity",
 }
 """Attributes of a `Robot` by their keys; others are called as their key."""

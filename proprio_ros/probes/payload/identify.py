@@ -43,6 +43,7 @@ from proprio_ros.identification.judge import (
     rejected,
 )
 from proprio_ros.identification.mistakes import Mistake, of_joint
+from proprio_ros.identification.position_steps import driven_jump, jumped
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
@@ -72,6 +73,9 @@ AS_WELL, MEASURED = 4.0, 0.02
 """A fit whose chi-square is larger by less explains a recording as well as another; a torque constant that is known better than so,
 relative, has been measured."""
 
+LEAN_RAD = 0.01  # by what it is said how far an answer leans on a zero
+LEANS = 0.5
+"""Of the standard deviation of an answer, from which what a zero puts on it is worth a sentence."""
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
 # So many times better, and an open zero is believed; less, and the mass may be either.
@@ -328,6 +332,12 @@ class Weighed(Conclusion):
     def comparable(self) -> bool:
         return True
 
+    def unlike_others(self) -> int | None:
+        found = super().unlike_others()
+        if found is not None or self.swings:
+            return found
+        return gates.of_another_value(self.assessed.posterior, self.name)
+
     def contradiction(self, outlier: int) -> gates.Contradiction:
         mass = self.assessed.value
         name = self.runs[outlier].run.name
@@ -376,6 +386,9 @@ class Weighed(Conclusion):
                 bound,
                 f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?",
             )
+        if not fit.explains and not self.swings:
+            if jump := driven_jump(Posterior(fit.problem, fit.values), fit.chi2):
+                yield self.misfit_of(jumped(jump))
         if moving := [] if fit.explains or self.swings else self._moving_starts():
             yield self.misfit_of(*moving)
         yield from self.misfit()
@@ -489,6 +502,17 @@ class Weighed(Conclusion):
 
     def useful(self) -> Useful:
         return Useful(self.options.wide_share, self.options.wide_floor_kg)
+
+    def remarks(self) -> Iterator[str]:
+        """How far an answer leans on zeros that one pose does not tell."""
+        if self.assessed.zeros_std < LEANS * self.assessed.std or not self.assessed.leans:
+            return
+        joint, per_rad = max(self.assessed.leans.items(), key=lambda entry: abs(entry[1]))
+        more = f"{1e3 * per_rad * LEAN_RAD:+.1f} g"
+        said = f"this pose does not tell the zero of {joint} from weight: {1e3 * LEAN_RAD:.0f} mrad more are {more}"
+        counted = f"the interval counts {1e3 * self.robot.zero_repeat:g} mrad of each joint (zero_repeat_rad)"
+        remedy = "a push from another pose, or an empty-hand run beside it (--baseline), tells them apart"
+        yield Reason("leans_on_zero", f"{said}; {counted}; {remedy}")
 
     def cautions(self, solver: SolverSummary) -> Iterator[str]:
         yield from super().cautions(solver)

@@ -1,0 +1,93 @@
+"""A reading that jumps and stays off: an encoder that slipped, a wrap, a zero that was set while the arm was pushed.
+
+What a held joint reads is taken for what it did, and a jump of a driven one bends friction and mass. A body does neither: a held
+joint gives way smoothly once its load is there, and a driven one would need a torque that no motor has.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.prepared_runs import PreparedRun
+from proprio_ros.identification.reasons import Reason
+
+NEAR = 3
+"""So many readings to each side say how a joint goes on without a jump."""
+YIELDS_S = 0.05  # a held joint gives way that fast when the current comes on
+JUMP_STDS = 8.0
+"""Standard deviations of a reading that a held joint may move from one reading to the next: simulated servos that give way, with
+friction that sticks and backlash among them, moved by at most 4.6."""
+EXPLAINED_SHARE = 0.5
+"""A jump is named where it alone takes this part of a chi-square that chance does not explain."""
+FEWEST = 2  # readings to each side of a jump of the driven joint
+
+
+def held_jump(run: PreparedRun) -> str:
+    """A sentence about the largest jump of a joint that is held and matters; empty where there is none."""
+    times_s = np.concatenate([run.run.before_times_s, run.run.times_s])
+    least = JUMP_STDS * run.drive.reading_std
+    worst = least
+    said = ""
+    for name in run.coefficients.pose:
+        readings = run.run.held_position.get(name)
+        if readings is None or len(readings) < 2 * NEAR + 2:
+            continue
+        jumps = _jumps(readings)
+        jumps[times_s[1:] < YIELDS_S] = 0.0
+        row = int(np.argmax(np.abs(jumps)))
+        if abs(jumps[row]) > worst:
+            worst = float(abs(jumps[row]))
+            by = f"jumps by {1e3 * jumps[row]:+.0f} mrad within {1e3 * (times_s[row + 1] - times_s[row]):.0f} ms"
+            said = f"the reading of {name}, which is held, {by}, {times_s[row + 1]:.2f} s after the start"
+    return said
+
+
+def _jumps(readings: np.ndarray) -> np.ndarray:
+    """By what each reading is off the one before for good, beyond how fast the joint goes there, shape (T - 1,); 0 at the ends."""
+    steps = np.diff(readings)
+    jumps = np.zeros(len(steps))
+    for row in range(NEAR, len(steps) - NEAR + 1):
+        beside = np.concatenate([steps[row - NEAR : row], steps[row + 1 : row + NEAR]])
+        at_once = steps[row] - float(np.median(beside))
+        after = readings[row + 1 : row + 1 + NEAR].mean()
+        stays = float(after - readings[row + 1 - NEAR : row + 1].mean())
+        if at_once * stays > 0.0:
+            jumps[row] = np.sign(stays) * min(abs(at_once), abs(stays))
+    return jumps
+
+
+def driven_jump(posterior: Posterior, chi2: float) -> str:
+    """A sentence about a jump of a driven joint without which a fit that chance does not explain would be far better; else empty.
+
+    A score test: what the residuals have of a step at each reading, over the information that no unknown of the fit takes.
+
+    Args:
+        posterior: Of the fit, without inflation.
+        chi2: Of the fit.
+    """
+    best = (EXPLAINED_SHARE * chi2, "")
+    for number, run in enumerate(posterior.problem.runs):
+        own = np.flatnonzero(posterior.run == number)
+        for count in range(FEWEST, run.used - FEWEST + 1):
+            seen = np.zeros(len(posterior.residual))
+            seen[own[count:]] = 1.0 / run.sigma[count:]
+            across = posterior.sensitivity.T @ seen
+            information = float(seen @ seen - across @ posterior.covariance @ across)
+            if information <= 0.0:
+                continue
+            size = float(seen @ posterior.residual - across @ posterior.step) / information
+            gain = size**2 * information
+            if gain > best[0]:
+                where = f"{1e3 * run.times_s[count]:.0f} ms after its start"
+                best = (
+                    gain,
+                    f"{run.run.name}: the reading of {run.run.joint} jumps by about {1e3 * size:+.0f} mrad {where}",
+                )
+    return best[1]
+
+
+def jumped(sentence: str) -> Reason:
+    """The same as a reason."""
+    question = "did its encoder slip, or was its zero set meanwhile? Record again"
+    return Reason("position_jumps", f"{sentence}: {question}")

@@ -1,0 +1,255 @@
+"""What is read beside a push: zeros, jumps, commands and other objects are asked before a mass is believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import simulated
+from support.bends import pushes as bends
+
+from proprio_ros.errors import RecordingError, RobotError
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.fit import fit_opened, solve_load
+from proprio_ros.identification.judge import Assessment
+from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.pipeline.calibrate import write_calibration
+from proprio_ros.pipeline.loading import bag_recording, runs_or_motion
+from proprio_ros.pipeline.request import Request
+from proprio_ros.probes.payload.identify import WeighingOptions, weigh
+from proprio_ros.records import Recording, Run
+from proprio_ros.robot import Robot, load_robot
+
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+FILE = load_robot("open_manipulator_x")
+BALL = BAGS / "realistic_s00_fixed_light_ball_20g_joint3"
+HEAVY_BALL = BAGS / "realistic_s00_fixed_heavy_ball_50g_joint3"
+CUBE = BAGS / "realistic_s00_fixed_heavy_cube_23g_joint3_x0"
+LIGHT_CUBE = BAGS / "realistic_s00_fixed_light_cube_10g_joint3"
+LOWERED = BAGS / "realistic_s00_fixed_reference_100g_joint3_x1"
+
+
+@pytest.fixture(scope="module")
+def arm() -> Robot:
+    """The arm of the recordings, calibrated with an empty hand and a reference."""
+    folders = sorted(BAGS.glob("realistic_s00_empty_*"))
+    known = [LoadedRun(run) for folder in folders for run in simulated.runs_of(folder, FILE)]
+    for name in simulated.REFERENCES:
+        folder = BAGS / f"realistic_s00_{name}"
+        load = KnownLoad(0.1, simulated.facts_of(folder))
+        known += [LoadedRun(run, load) for run in simulated.runs_of(folder, FILE)]
+    calibration = calibrate(FILE, known).calibration
+    assert calibration is not None
+    return FILE.with_calibration(calibration)
+
+
+def recorded(folder: Path) -> Recording:
+    return bag_recording(simulated.bag_in(folder), Request(FILE))
+
+
+def runs_in(recording: Recording) -> tuple[Run, ...]:
+    found = runs_or_motion(recording, Request(FILE))
+    assert isinstance(found, tuple)
+    return found
+
+
+def asked(arm: Robot, recording: Recording, folder: Path = BALL) -> Estimate:
+    return weigh(arm, runs_in(recording), simulated.facts_of(folder))
+
+
+def codes(estimate: Estimate) -> list[str]:
+    return [getattr(reason, "code", "other") for reason in estimate.reasons]
+
+
+# --- zeros --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", ["joint2", "joint3", "joint4"])
+@pytest.mark.parametrize("zero_rad", [0.02, -0.02])
+def test_a_zero_that_one_pose_does_not_tell_is_counted(
+    arm: Robot, joint: str, zero_rad: float
+) -> None:
+    estimate = asked(arm, bends.zero_off(recorded(BALL), joint, zero_rad))
+    mass = estimate.values[0]
+    assert estimate.verdict is Verdict.ACCEPTED
+    assert abs(mass.value - 0.02) < 3.0 * mass.std
+    (said,) = (reason for reason in estimate.reasons if reason.code == "leans_on_zero")
+    assert "10 mrad more are -" in said and "--baseline" in said
+
+
+@pytest.mark.parametrize("zero_rad", [0.15, -0.15])
+def test_a_zero_that_the_push_itself_shows_is_refused(arm: Robot, zero_rad: float) -> None:
+    estimate = asked(arm, bends.zero_off(recorded(LOWERED), "joint3", zero_rad), LOWERED)
+    assert estimate.verdict is Verdict.REJECTED and "other_zero" in codes(estimate)
+    assert any("joint3" in reason for reason in estimate.reasons if reason.code == "other_zero")
+
+
+def test_an_empty_hand_beside_it_tells_the_zero(arm: Robot) -> None:
+    """The zero is the same in both, so that what it puts on the mass is seen in the empty hand."""
+    run = runs_in(bends.zero_off(recorded(BALL), "joint3", 0.015))
+    facts = simulated.facts_of(BALL)
+    names = [f"realistic_s00_empty_0{number}_joint3" for number in range(6)]
+    empty = [
+        each
+        for name in names
+        for each in runs_in(bends.zero_off(recorded(BAGS / name), "joint3", 0.015))
+    ]
+    alone = weigh(arm, run, facts).values[0]
+    beside = weigh(arm, run, facts, baseline=empty).values[0]
+    assert beside.std < 0.6 * alone.std
+    assert abs(beside.value - 0.02) < min(3.0 * beside.std, abs(alone.value - 0.02))
+
+
+def test_zeros_that_are_known_to_repeat_cost_nothing(arm: Robot) -> None:
+    known = replace(arm, zero_repeat=0.0)
+    narrow = asked(known, recorded(BALL))
+    assert "leans_on_zero" not in codes(narrow)
+    assert narrow.values[0].std < 0.5 * asked(arm, recorded(BALL)).values[0].std
+
+
+def test_an_answer_leans_as_far_as_moving_the_prior_moves_it(arm: Robot) -> None:
+    """Against differences, at three recordings and two sizes."""
+    for folder in (BALL, CUBE, LOWERED):
+        facts = simulated.facts_of(folder)
+        (run,) = runs_in(recorded(folder))
+
+        def mass_of(robot: Robot, run: Run = run, facts: object = facts) -> Assessment:
+            prepared = [prepare_run(robot, run, None, facts)]  # type: ignore[arg-type]
+
+            def solve(role: Role, start: object = None) -> object:
+                return solve_load(robot, prepared, facts, WeighingOptions(), role, start)  # type: ignore[arg-type]
+
+            return Assessment(fit_opened(solve), "payload_mass")  # type: ignore[arg-type]
+
+        at = mass_of(arm)
+        calibration = arm.calibration
+        assert calibration is not None
+        row = calibration.keys.index(("zero", "joint3"))
+        for size in (1e-3, 3e-3):
+            masses = []
+            for sign in (1.0, -1.0):
+                values = calibration.values.copy()
+                values[row] += sign * size
+                moved = arm.with_calibration(replace(calibration, values=values))
+                masses.append(mass_of(moved).value)
+            slope = (masses[0] - masses[1]) / (2.0 * size)
+            assert at.leans["joint3"] == pytest.approx(slope, rel=0.1)
+
+
+# --- readings that jump -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", ["joint2", "joint4"])
+@pytest.mark.parametrize("step_rad", [0.01, -0.03])
+def test_a_held_joint_that_jumps_is_refused_by_name(
+    arm: Robot, joint: str, step_rad: float
+) -> None:
+    estimate = asked(arm, bends.step(recorded(BALL), joint, step_rad, 0.3))
+    assert estimate.values[0].value is None and "position_jumps" in codes(estimate)
+    assert any(f"the reading of {joint}, which is held, jumps" in each for each in estimate.reasons)
+
+
+@pytest.mark.parametrize("at_s", [0.2, 0.4])
+@pytest.mark.parametrize("step_rad", [0.01, -0.01])
+def test_a_driven_joint_that_jumps_is_refused(arm: Robot, step_rad: float, at_s: float) -> None:
+    estimate = asked(arm, bends.step(recorded(CUBE), "joint3", step_rad, at_s), CUBE)
+    assert estimate.verdict is Verdict.REJECTED
+    assert {"position_jumps", "other_zero", "misfit"} & set(codes(estimate))
+
+
+@pytest.mark.parametrize("folder", [BALL, HEAVY_BALL, CUBE, LOWERED])
+def test_joints_that_give_way_do_not_jump(arm: Robot, folder: Path) -> None:
+    assert "position_jumps" not in codes(asked(arm, recorded(folder), folder))
+
+
+# --- commands -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+@pytest.mark.parametrize(("folder", "noise_A"), [(LOWERED, 0.0), (LOWERED, 0.003), (CUBE, 0.02)])
+def test_a_command_that_is_not_what_flowed_is_refused_though_it_never_settles(
+    factor: float, folder: Path, noise_A: float
+) -> None:
+    random = np.random.default_rng(5)
+    bent = bends.scaled_command(recorded(folder), factor)
+    with pytest.raises(RecordingError, match=r"had [01]\.\d\d times the current"):
+        runs_in(bends.noisy_command(bent, noise_A, random))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_that_only_the_command_has_counts(arm: Robot, seed: int) -> None:
+    recording = recorded(CUBE)
+    noisy = bends.noisy_command(recording, 0.015, np.random.default_rng(seed))
+    (run,) = runs_in(noisy)
+    facts = simulated.facts_of(CUBE)
+    assert prepare_run(arm, runs_in(recording)[0], None, facts).current_torque_std == 0.0
+    # 24 rows, each by how long it acts: 15 mA / sqrt(0.75 x 24) at 1.78 N m/A
+    expected = 0.015 * 1.78 / np.sqrt(18.0)
+    assert prepare_run(arm, run, None, facts).current_torque_std == pytest.approx(expected, rel=0.4)
+    estimate = weigh(arm, [run], facts)
+    mass = estimate.values[0]
+    assert mass.value is None or abs(mass.value - 0.023) < 3.0 * mass.std
+
+
+# --- other objects and calibrations -------------------------------------------------------------------------------------
+
+
+def test_two_objects_in_one_bag_are_refused_with_both_masses(arm: Robot) -> None:
+    runs = [
+        replace(run, name=f"bag#{number}")
+        for number, folder in enumerate((BALL, LIGHT_CUBE), start=1)
+        for run in runs_in(recorded(folder))
+    ]
+    estimate = weigh(arm, runs, simulated.facts_of(BALL))
+    assert estimate.verdict is Verdict.REJECTED and "runs_contradict" in codes(estimate)
+    said = next(reason for reason in estimate.reasons if reason.code == "runs_contradict")
+    assert said.count(" g") == 2
+
+
+def test_one_object_in_one_bag_is_told(arm: Robot) -> None:
+    folders = (CUBE, BAGS / "realistic_s00_fixed_heavy_cube_23g_joint3")
+    runs = [
+        replace(run, name=f"bag#{number}")
+        for number, folder in enumerate(folders, start=1)
+        for run in runs_in(recorded(folder))
+    ]
+    estimate = weigh(arm, runs, simulated.facts_of(CUBE))
+    low, high = estimate.values[0].ci95
+    assert estimate.verdict is Verdict.ACCEPTED and low < 0.023 < high
+
+
+def test_a_calibration_that_was_edited_says_so(arm: Robot, tmp_path: Path) -> None:
+    file = tmp_path / "arm.yaml"
+    assert arm.calibration is not None
+    write_calibration(file, FILE, arm.calibration)
+    assert load_robot(file).calibration is not None
+    whole = file.read_text()
+    value = arm.calibration.quantities["coulomb", "joint3"].value
+    edited = whole.replace(f"value: {value:.6f}"[:14], f"value: {0.9 * value:.6f}"[:14], 1)
+    assert edited != whole
+    file.write_text(edited)
+    with pytest.raises(
+        RobotError, match=r"changed after it was written.*deletes the line `digest`"
+    ):
+        load_robot(file)
+    file.write_text("\n".join(line for line in edited.splitlines() if "digest:" not in line))
+    assert load_robot(file).calibration is not None
+
+
+def test_a_calibration_that_another_program_laid_out_anew_is_the_same(
+    arm: Robot, tmp_path: Path
+) -> None:
+    from ruamel.yaml import YAML
+
+    file = tmp_path / "arm.yaml"
+    assert arm.calibration is not None
+    write_calibration(file, FILE, arm.calibration)
+    plain = YAML(typ="safe")
+    content = plain.load(file.read_text())
+    with file.open("w") as stream:
+        plain.dump(content, stream)
+    assert load_robot(file).calibration is not None
