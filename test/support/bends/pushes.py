@@ -1,20 +1,16 @@
-"""What can be wrong beside a push: bends of a recording in memory, before its runs are cut out, and of bags.
+"""What can be wrong beside a push: bends of a recording in memory, before its runs are cut out; those of bags are `beside_pushes`.
 
-The first take a `Recording` and give another one; instants count from the first current that is not zero.
+Each takes a `Recording` and gives another one. Instants count from the first current that is not zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from proprio_ros.calibration_files.pushes import Calibration
-from proprio_ros.records import FloatArray, InputRecord, JointRecord, Recording
-from support.bends.bend import Right, Rng, bend, between, either_sign, one_of
-from support.bends.positions import with_position
-from support.bends.tape import Stream, Tape
+from proprio_ros.records import InputRecord, JointRecord, Recording
 
 
 def zero_off(recording: Recording, joint: str, by_rad: float) -> Recording:
@@ -121,66 +117,3 @@ def onset_ns(recording: Recording) -> int:
 def _input(recording: Recording) -> InputRecord:
     assert recording.inputs is not None
     return recording.inputs
-
-
-# --- the same of bags ---------------------------------------------------------------------------------------------------
-
-COMMAND = "/current_command"
-TURNING = ("joint2", "joint3", "joint4")
-"""Joints of the arm whose pushes ship that turn the hand against gravity."""
-
-
-def _commands(tape: Tape, change: Callable[[FloatArray], FloatArray]) -> Tape:
-    """Other commands, shape (T, J)."""
-
-    def changed(stream: Stream) -> Stream:
-        return stream.with_values(data=change(stream.values["data"]))
-
-    return tape.with_topic(COMMAND, changed)
-
-
-@bend(
-    "pushes",
-    Right(cause="zero|jumps|explain|lighter|anything from"),
-    needs="push",
-    joint=one_of(TURNING),
-    zero_rad=either_sign(0.005, 0.1),
-)
-def push_zero_off(tape: Tape, rng: Rng, joint: str, zero_rad: float) -> Tape:
-    """A joint beside a push is read from elsewhere than it is."""
-    return with_position(tape, joint, lambda position: position + zero_rad)
-
-
-@bend(
-    "pushes",
-    Right(cause="jumps|explain|zero"),
-    needs="push",
-    joint=one_of(TURNING),
-    step_rad=either_sign(0.01, 0.05),
-    at=between(0.35, 0.8),
-)
-def push_slips(tape: Tape, rng: Rng, joint: str, step_rad: float, at: float) -> Tape:
-    """A joint's reading jumps in mid-push."""
-
-    def jumped(position: FloatArray) -> FloatArray:
-        return position + step_rad * (np.arange(len(position)) >= at * len(position))
-
-    return with_position(tape, joint, jumped)
-
-
-@bend(
-    "pushes", Right(told=False, cause="times the current"), needs="push", factor=between(1.15, 2.0)
-)
-def push_command_scaled(tape: Tape, rng: Rng, factor: float) -> Tape:
-    """The command that was recorded is a multiple of that which flowed."""
-    return _commands(tape, lambda data: factor * data)
-
-
-@bend("pushes", Right(cause="current|explain"), needs="push", std_A=between(0.002, 0.02))
-def push_command_noisy(tape: Tape, rng: Rng, std_A: float) -> Tape:
-    """Every command was recorded with an error of its own."""
-
-    def noisy(data: FloatArray) -> FloatArray:
-        return data + std_A * rng.standard_normal(data.shape) * (data != 0.0)
-
-    return _commands(tape, noisy)

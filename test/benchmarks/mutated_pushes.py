@@ -1,0 +1,435 @@
+"""Pushes of one joint in which something beside the push is wrong: is what is accepted still right?
+
+    python test/benchmarks/mutated_pushes.py                       # 600 mutated pushes, about 6 minutes
+    python test/benchmarks/mutated_pushes.py --count 60 --first 9000 --only "zero of the driven joint"
+
+Arms and loads are drawn at random and simulated in MuJoCo (`random_arm.py`); where ``../shared/recordings`` is there, its three
+realistic robots are among the arms. Each arm is calibrated with an empty hand, half of them with a reference, too. Every push is
+asked as it is, and again with one thing changed. ``--first`` is the first seed; a seed draws arm, load, push and change.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from coverage import REFERENCE_KG, facts_of
+from random_arm import (
+    EFFECTS,
+    EMPTY_PROBES,
+    GRIPPER,
+    LOADED_PROBES,
+    HiddenRobot,
+    Load,
+    Probe,
+    ball,
+    draw_robot,
+    record,
+)
+from results import REPOSITORY, Results, parser_of
+from support import simulated
+from support.bends import pushes as bends
+
+from proprio_ros.errors import ProprioError
+from proprio_ros.identification.estimate import Estimate
+from proprio_ros.identification.prepared_runs import KnownLoad
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.pipeline.loading import bag_recording, runs_or_motion
+from proprio_ros.pipeline.request import Request
+from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.quantity import Z95
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.records import Recording, Run
+from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.payload import PayloadFacts
+
+RECORDINGS = REPOSITORY.parent / "shared" / "recordings"
+LEVELS = ("realistic_s00", "realistic_s01", "hard_s00")
+MASSES_KG = (0.01, 0.02, 0.05, 0.1)
+DIAMETER_M = 0.03
+PUSHES_PER_ARM = 12
+TURNING = ("joint2", "joint3", "joint4")
+FAR_SD = 3.0
+
+
+@dataclass(frozen=True)
+class Push:
+    """A recording of one push, with the truth."""
+
+    recording: Recording
+    facts: PayloadFacts
+    truth_kg: float
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A calibrated arm, and how its pushes are drawn."""
+
+    robot: Robot
+    pushes: Callable[[np.random.Generator], Push]
+    """Draws a push."""
+    pair: Callable[[np.random.Generator], tuple[Push, Push]]
+    """Draws two of two objects that are stated alike, by one probe."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a mutated push is asked: by which robot, of which runs."""
+
+    robot: Robot
+    runs: tuple[Run, ...]
+
+
+# --- arms ---------------------------------------------------------------------------------------------------------------
+
+
+@functools.lru_cache(maxsize=4)
+def drawn_arm(seed: int) -> Arm | None:
+    """An arm in MuJoCo; None where its calibration was refused."""
+    random = np.random.default_rng((seed, 1))
+    hidden = draw_robot(random, EFFECTS)
+    file = load_robot("open_manipulator_x")
+    known = [LoadedRun(_run(file, _recorded(hidden, each, None, random))) for each in EMPTY_PROBES]
+    if seed % 2:
+        weight = ball(REFERENCE_KG, 0.04)
+        load = KnownLoad(REFERENCE_KG, facts_of(weight))
+        for each in (LOADED_PROBES[1], LOADED_PROBES[2], LOADED_PROBES[5]):
+            known.append(LoadedRun(_run(file, _recorded(hidden, each, weight, random)), load))
+    learnt = calibrate(file, known)
+    if learnt.calibration is None or learnt.verdict.value != "accepted":
+        return None
+
+    def pushed(probe: Probe, kg: float, random: np.random.Generator) -> Push:
+        load = ball(kg, DIAMETER_M)
+        return Push(_recorded(hidden, probe, load, random), facts_of(load), kg)
+
+    def push(random: np.random.Generator) -> Push:
+        probe = LOADED_PROBES[int(random.integers(len(LOADED_PROBES)))]
+        return pushed(probe, float(random.choice(MASSES_KG)), random)
+
+    def pair(random: np.random.Generator) -> tuple[Push, Push]:
+        probe = LOADED_PROBES[int(random.integers(len(LOADED_PROBES)))]
+        kg = signed(random, 0.005, 0.05)
+        factor = random.uniform(1.3, 3.0)
+        return pushed(probe, abs(kg), random), pushed(probe, factor * abs(kg), random)
+
+    return Arm(file.with_calibration(learnt.calibration), push, pair)
+
+
+@functools.lru_cache(maxsize=8)
+def recorded_arm(level: str, reference: bool) -> Arm:
+    """One of the robots whose recordings lie beside the clone."""
+    file = load_robot("open_manipulator_x")
+    known = simulated.empty_runs(RECORDINGS / level, file)
+    if reference:
+        known += simulated.reference_runs(RECORDINGS / level, file)
+    calibration = calibrate(file, known).calibration
+    assert calibration is not None
+    robot = file.with_calibration(calibration)
+
+    @functools.cache
+    def push_in(folder: Path) -> Push:
+        recording = bag_recording(simulated.bag_in(folder), Request(robot))
+        truth = simulated.truth_of(folder)
+        return Push(recording, simulated.facts_of(folder), truth["payload"]["mass"])
+
+    def push(random: np.random.Generator) -> Push:
+        folders = [
+            folder
+            for folder in simulated.fixed(RECORDINGS, level)
+            if not (reference and folder.name in simulated.REFERENCES)
+        ]
+        return push_in(folders[int(random.integers(len(folders)))])
+
+    def pair(random: np.random.Generator) -> tuple[Push, Push]:
+        ways = ("joint3", "joint2_x3", "joint3_x1", "joint3_x0")
+        way = ways[int(random.integers(len(ways)))]
+        names = [f"fixed_{what}_ball_{kg}g_{way}" for what, kg in (("heavy", 50), ("light", 20))]
+        if not all((RECORDINGS / level / name).is_dir() for name in names):
+            names = [f"fixed_heavy_cube_23g_{way}", f"fixed_random_a_{way}"]
+        one, other = (push_in(RECORDINGS / level / name) for name in names)
+        return one, replace(other, facts=one.facts)
+
+    return Arm(robot, push, pair)
+
+
+def _recorded(
+    hidden: HiddenRobot, probe: Probe, load: Load | None, random: np.random.Generator
+) -> Recording:
+    return record(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, random)
+
+
+def _run(robot: Robot, recording: Recording) -> Run:
+    return runs_of(robot, recording)[0]
+
+
+def runs_of(robot: Robot, recording: Recording) -> tuple[Run, ...]:
+    """As `replay` cuts them out; raises `ProprioError` as it does."""
+    found = runs_or_motion(recording, Request(robot))
+    if isinstance(found, Motion):
+        raise ProprioError("a motion, and no push")
+    return found
+
+
+# --- what is wrong ------------------------------------------------------------------------------------------------------
+
+
+def signed(random: np.random.Generator, low: float, high: float) -> float:
+    """A size between two, even in its logarithm, of either sign."""
+    return float(np.exp(random.uniform(np.log(low), np.log(high))) * random.choice((-1.0, 1.0)))
+
+
+def driven_of(push: Push) -> str:
+    inputs = push.recording.inputs
+    assert inputs is not None
+    return inputs.names[int(np.abs(inputs.current_A).max(axis=0).argmax())]
+
+
+def held_of(push: Push, random: np.random.Generator) -> str:
+    """A joint that is held and turns the hand against gravity."""
+    others = [name for name in TURNING if name != driven_of(push)]
+    return others[int(random.integers(len(others)))]
+
+
+def of_recording(
+    bend: Callable[[Push, np.random.Generator], Recording],
+) -> Callable[[Arm, np.random.Generator], tuple[Asked, Push]]:
+    def asked(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+        push = arm.pushes(random)
+        return Asked(arm.robot, runs_of(arm.robot, bend(push, random))), push
+
+    return asked
+
+
+def zero_of_driven(push: Push, random: np.random.Generator) -> Recording:
+    return bends.zero_off(push.recording, driven_of(push), signed(random, 0.005, 0.1))
+
+
+def zero_of_held(push: Push, random: np.random.Generator) -> Recording:
+    return bends.zero_off(push.recording, held_of(push, random), signed(random, 0.005, 0.1))
+
+
+def held_elsewhere(push: Push, random: np.random.Generator) -> Recording:
+    return bends.zero_off(push.recording, held_of(push, random), signed(random, 0.2, 1.5))
+
+
+def step_of_driven(push: Push, random: np.random.Generator) -> Recording:
+    at_s = random.uniform(0.05, 0.55)
+    return bends.step(push.recording, driven_of(push), signed(random, 0.005, 0.05), at_s)
+
+
+def step_of_held(push: Push, random: np.random.Generator) -> Recording:
+    at_s = random.uniform(0.05, 0.55)
+    return bends.step(push.recording, held_of(push, random), signed(random, 0.005, 0.05), at_s)
+
+
+def scaled(push: Push, random: np.random.Generator) -> Recording:
+    factor = np.exp(signed(random, np.log(1.05), np.log(2.0)))
+    return bends.scaled_command(push.recording, factor)
+
+
+def noisy(push: Push, random: np.random.Generator) -> Recording:
+    std_A = random.uniform(0.002, 0.02)
+    return bends.noisy_command(push.recording, std_A, random)
+
+
+def scaled_and_noisy(push: Push, random: np.random.Generator) -> Recording:
+    return bends.noisy_command(
+        replace(push, recording=scaled(push, random)).recording,
+        random.uniform(0.002, 0.02),
+        random,
+    )
+
+
+def swapped(push: Push, random: np.random.Generator) -> Recording:
+    return bends.swapped(push.recording, driven_of(push), held_of(push, random))
+
+
+def other_command(push: Push, random: np.random.Generator) -> Recording:
+    return bends.command_of(push.recording, held_of(push, random))
+
+
+def no_finger(push: Push, random: np.random.Generator) -> Recording:
+    return bends.without_joint(push.recording, GRIPPER)
+
+
+def merged(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+    """All that the calibration knows of one joint, or of two, is another arm's."""
+    other = None
+    while other is None:
+        other = drawn_arm(int(random.integers(10**6)))
+    assert arm.robot.calibration is not None and other.robot.calibration is not None
+    calibration = arm.robot.calibration
+    for joint in random.choice(TURNING, int(random.integers(1, 3)), replace=False).tolist():
+        calibration = bends.merged(calibration, other.robot.calibration, joint)
+    file = load_robot("open_manipulator_x")
+    push = arm.pushes(random)
+    robot = file.with_calibration(calibration)
+    return Asked(robot, runs_of(robot, push.recording)), push
+
+
+def two_objects(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+    """Two runs of one bag, each of another object: no answer is right of both, and the nearer counts."""
+    one, other = arm.pair(random)
+    runs = tuple(
+        replace(run, name=f"bag#{number}")
+        for number, push in enumerate((one, other), start=1)
+        for run in runs_of(arm.robot, push.recording)
+    )
+    return Asked(arm.robot, runs), one
+
+
+KINDS: dict[str, Callable[[Arm, np.random.Generator], tuple[Asked, Push]]] = {
+    "zero of the driven joint": of_recording(zero_of_driven),
+    "zero of a held joint": of_recording(zero_of_held),
+    "step of the driven joint": of_recording(step_of_driven),
+    "step of a held joint": of_recording(step_of_held),
+    "command scaled": of_recording(scaled),
+    "command noisy": of_recording(noisy),
+    "command scaled and noisy": of_recording(scaled_and_noisy),
+    "merged calibrations": merged,
+    "two objects": two_objects,
+    "held joint elsewhere": of_recording(held_elsewhere),
+    "columns of two joints swapped": of_recording(swapped),
+    "command of another joint": of_recording(other_command),
+    "finger missing": of_recording(no_finger),
+}
+
+
+# --- what is answered ---------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Tally:
+    """Answers of one kind."""
+
+    asked: int = 0
+    accepted: int = 0
+    hold: int = 0
+    far: int = 0
+    farthest: float = 0.0
+    codes: dict[str, int] | None = None
+
+    def add(self, estimate: Estimate | str, truth_kg: float) -> float | None:
+        """By how many standard deviations an accepted answer is off; None where there is none."""
+        self.asked += 1
+        self.codes = self.codes or {}
+        if isinstance(estimate, str) or estimate.verdict.value != "accepted":
+            code = estimate if isinstance(estimate, str) else estimate.reasons[0].code
+            self.codes[code] = self.codes.get(code, 0) + 1
+            return None
+        mass = estimate.values[0]
+        low, high = mass.ci95
+        off = abs(mass.value - truth_kg) / (max(high - mass.value, mass.value - low) / Z95)
+        self.accepted += 1
+        self.hold += low <= truth_kg <= high
+        self.far += off > FAR_SD
+        self.farthest = max(self.farthest, off)
+        return float(off)
+
+    def row(self, kind: str) -> dict[str, object]:
+        codes = sorted((self.codes or {}).items(), key=lambda entry: -entry[1])
+        refused = ", ".join(f"{code} {count}" for code, count in codes)
+        return {
+            "kind": kind, "asked": self.asked, "accepted": self.accepted, "hold": self.hold,
+            "far": self.far, "farthest": self.farthest, "codes": refused,
+        }  # fmt: skip
+
+
+def answer(asked: Asked, facts: PayloadFacts) -> Estimate | str:
+    """The answer, or why there is none."""
+    try:
+        return weigh(asked.robot, asked.runs, facts)
+    except ProprioError as error:
+        return type(error).__name__
+
+
+def arm_of(seed: int, with_recordings: bool) -> Arm | None:
+    """The arm of a seed; every fifth is a recorded one where these are there."""
+    if with_recordings and seed % 5 == 0:
+        return recorded_arm(LEVELS[seed // 5 % 3], bool(seed % 2))
+    return drawn_arm(seed)
+
+
+def cases(
+    first: int, count: int, kinds: Sequence[str], with_recordings: bool
+) -> Iterator[tuple[str, Arm, np.random.Generator]]:
+    """Kind, arm and what draws the rest."""
+    made = 0
+    group = 0
+    while made < count:
+        arm = arm_of(first + group, with_recordings)
+        for number in range(PUSHES_PER_ARM if arm is not None else 0):
+            random = np.random.default_rng((first + group, 2, number))
+            yield kinds[made % len(kinds)], arm, random
+            made += 1
+        group += 1
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """One row for each kind, and one for the pushes as they were."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--count", type=int, default=600, help="of mutated pushes")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--only", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--show", action="store_true", help="print every answer that is far off")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    tallies = {kind: Tally() for kind in options.only}
+    unmutated = Tally()
+    halves: list[float] = []
+    for kind, arm, random in cases(options.first, options.count, options.only, RECORDINGS.is_dir()):
+        push = None
+        state = random.bit_generator.state
+        try:
+            asked, push = KINDS[kind](arm, random)
+            found = answer(asked, push.facts)
+        except ProprioError as error:
+            found = getattr(error, "code", type(error).__name__)
+        random.bit_generator.state = state
+        if kind != "two objects":
+            push = arm.pushes(random) if kind != "merged calibrations" else push
+            plain = answer(Asked(arm.robot, runs_of(arm.robot, push.recording)), push.facts)
+            if unmutated.add(plain, push.truth_kg) is not None:
+                low, high = plain.values[0].ci95
+                halves.append(0.5e3 * (high - low))
+        off = tallies[kind].add(found, push.truth_kg if push is not None else 0.0)
+        if options.show and off is not None and off > FAR_SD:
+            value = found.values[0]
+            print(
+                f"{kind}: {1e3 * value.value:.1f} +- {1e3 * value.std:.1f} g of {1e3 * push.truth_kg:.1f} g, "
+                f"{off:.1f} sd, {push.recording.name}, {[r.code for r in found.reasons]}"
+            )
+    results.table(
+        "mutated pushes",
+        {
+            "what is wrong": "{kind}",
+            "accepted": "{accepted} of {asked}",
+            "interval holds": "{hold}",
+            "beyond 3 sd": "{far}",
+            "farthest, sd": "{farthest:.1f}",
+            "refused because": "{codes}",
+        },
+    )
+    whole = Tally()
+    for kind, tally in tallies.items():
+        results.row("mutated pushes", **tally.row(kind))
+        for name in ("asked", "accepted", "hold", "far"):
+            setattr(whole, name, getattr(whole, name) + getattr(tally, name))
+        whole.farthest = max(whole.farthest, tally.farthest)
+    results.row("mutated pushes", **whole.row("all"))
+    plain_row = unmutated.row("nothing")
+    results.row("mutated pushes", **plain_row, half_g=float(np.median(halves or [np.nan])))
+    print(f"median half interval of the pushes as they were: {np.median(halves or [np.nan]):.2f} g")
+    results.keep()
+
+
+if __name__ == "__main__":
+    main()
