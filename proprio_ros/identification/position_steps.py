@@ -18,8 +18,8 @@ YIELDS_S = 0.05  # a held joint gives way that fast when the current comes on
 JUMP_STDS = 8.0
 """Standard deviations of a reading that a held joint may move from one reading to the next: simulated servos that give way, with
 friction that sticks and backlash among them, moved by at most 4.6."""
-EXPLAINED_SHARE = 0.5
-"""A jump is named where it alone takes this part of a chi-square that chance does not explain."""
+OFF_S = 0.008
+"""What a stamp that is off by so much would do at that speed is no jump."""
 FEWEST = 2  # readings to each side of a jump of the driven joint
 
 
@@ -57,16 +57,17 @@ def _jumps(readings: np.ndarray) -> np.ndarray:
     return jumps
 
 
-def driven_jump(posterior: Posterior, chi2: float) -> str:
-    """A sentence about a jump of a driven joint without which a fit that chance does not explain would be far better; else empty.
+def driven_jump(posterior: Posterior, chi2: float, explained: float) -> str:
+    """A sentence about a jump of a driven joint without which chance explains a fit that it does not with it; else empty.
 
     A score test: what the residuals have of a step at each reading, over the information that no unknown of the fit takes.
 
     Args:
         posterior: Of the fit, without inflation.
         chi2: Of the fit.
+        explained: Chi-square up to which chance explains it.
     """
-    best = (EXPLAINED_SHARE * chi2, "")
+    best = (chi2 - explained, "")
     for number, run in enumerate(posterior.problem.runs):
         own = np.flatnonzero(posterior.run == number)
         for count in range(FEWEST, run.used - FEWEST + 1):
@@ -78,7 +79,10 @@ def driven_jump(posterior: Posterior, chi2: float) -> str:
                 continue
             size = float(seen @ posterior.residual - across @ posterior.step) / information
             gain = size**2 * information
-            if gain > best[0]:
+            speed = abs(run.position[count] - run.position[count - 1]) / (
+                run.times_s[count] - run.times_s[count - 1]
+            )
+            if gain > best[0] and abs(size) > speed * OFF_S:
                 where = f"{1e3 * run.times_s[count]:.0f} ms after its start"
                 best = (
                     gain,

@@ -387,7 +387,9 @@ class Weighed(Conclusion):
                 f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?",
             )
         if not fit.explains and not self.swings:
-            if jump := driven_jump(Posterior(fit.problem, fit.values), fit.chi2):
+            if jump := driven_jump(
+                Posterior(fit.problem, fit.values), fit.chi2, gates.chi2_limit(fit.dof)
+            ):
                 yield self.misfit_of(jumped(jump))
         if moving := [] if fit.explains or self.swings else self._moving_starts():
             yield self.misfit_of(*moving)

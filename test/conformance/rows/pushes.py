@@ -9,7 +9,6 @@ _20_G = "push_light_ball_20g_joint3_calibrated"
 _23_G = "push_heavy_cube_23g_joint3_x0_calibrated"
 _100_G = "push_reference_100g_joint3_x1_calibrated"
 _LOADED = ("loaded",)
-_PENDING = "zeros, steps and commands beside a push come next"
 
 ROWS = (
     Row(
@@ -25,7 +24,7 @@ ROWS = (
         trouble="nothing is wrong; calibrated",
         base=_20_G,
         verdicts=(ACCEPTED,),
-        narrow=0.003,
+        narrow=0.0035,
     ),
     *(
         Row(
@@ -35,7 +34,6 @@ ROWS = (
             base=base,
             bends=(Bent("push_zero_off", {"joint": joint, "zero_rad": zero}, _LOADED),),
             cause=r"zero|rad",
-            pending=_PENDING,
         )
         for joint, zero, base in (
             ("joint2", 0.02, _20_G),
@@ -53,7 +51,6 @@ ROWS = (
             Bent("push_joint_steps", {"joint": "joint2", "step_rad": 0.01, "at": 0.5}, _LOADED),
         ),
         cause=r"step|jump|slip|moved",
-        pending=_PENDING,
     ),
     *(
         Row(
@@ -63,7 +60,6 @@ ROWS = (
             base=base,
             bends=(Bent("push_command_scaled", {"factor": factor}, _LOADED),),
             cause=r"command",
-            pending=_PENDING,
         )
         for factor, base in ((0.8, _20_G), (1.25, _100_G))
     ),
@@ -74,6 +70,5 @@ ROWS = (
         base=_20_G,
         bends=(Bent("push_command_scaled_and_noisy", {"factor": 0.8, "std_A": 0.01}, _LOADED),),
         cause=r"command",
-        pending=_PENDING,
     ),
 )
