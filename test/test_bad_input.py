@@ -469,7 +469,7 @@ def test_more_than_is_read_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_compressed_bag_that_stands_for_gigabytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from proprio_ros.recordings.reader import zstd
+    from proprio_ros.recordings.storage import zstd
 
     folder = tmp_path / "bag"
     shutil.copytree(BAG, folder)
@@ -486,7 +486,7 @@ def test_a_compressed_bag_that_stands_for_gigabytes(
     )
     (folder / "metadata.yaml").write_text(metadata)
     assert len(read(folder).joints.times_ns) == len(read(BAG).joints.times_ns)
-    monkeypatch.setattr("proprio_ros.recordings.reader.MOST_UNPACKED", len(whole) - 1)
+    monkeypatch.setattr("proprio_ros.recordings.storage.MOST_UNPACKED", len(whole) - 1)
     with pytest.raises(RecordingError, match="unpacks to over"):
         read(folder)
 

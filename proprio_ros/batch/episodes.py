@@ -11,9 +11,8 @@ from pathlib import Path
 from proprio_ros.errors import ConfigurationError, RecordingError, one_line
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.recordings.datasets import is_data_set, open_data_set
+from proprio_ros.recordings.storage import COMPRESSED, STORAGE
 from proprio_ros.recordings.text import is_text_recording
-
-STORAGE = (".mcap", ".db3")
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def _below(place: Path) -> Iterator[Episode]:
             inner.remove(name)
         inner.sort()
         for name in sorted(files):
-            if name.endswith(STORAGE):
+            if name.endswith((*STORAGE, *COMPRESSED)):
                 path = Path(folder, name)
                 yield Episode(str(place), path.relative_to(place).as_posix(), str(path))
 

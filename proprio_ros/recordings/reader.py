@@ -5,38 +5,34 @@ Only the topics that are needed are deserialised, so a bag may hold messages of 
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
+from contextlib import ExitStack, contextmanager
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from lz4.frame import LZ4FrameDecompressor
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from rosbags.rosbag2 import Reader, metadata, storage_mcap
-from rosbags.rosbag2 import reader as rosbag2_reader
-from ruamel.yaml import YAML
+from rosbags.rosbag2 import Reader
 
 from proprio_ros.errors import RecordingError, one_line, some
 from proprio_ros.inputs.reading import path_problem, text_of, yaml_of
 from proprio_ros.recordings.messages import deserialised, stamp_ns
+from proprio_ros.recordings.storage import (
+    COMPRESSED,
+    MOST_BYTES_OF_ONE,
+    STORAGE,
+    notes_of,
+    refuse_large,
+    unpacked,
+)
 from proprio_ros.recordings.topics import Topic, Topics
 from proprio_ros.records import FloatArray, Span, TimeArray
 
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
-
 MOST_MESSAGES = 1_000_000  # messages of one topic of a bag: nearly three hours at 100 Hz
 MOST_BYTES = 500_000_000  # bytes of the messages of one topic, together
-MOST_BYTES_OF_ONE = 200_000  # bytes of one message: that of a thousand joints
-# bytes of a compressed bag's files, or of one chunk of it, once they are unpacked
-MOST_UNPACKED = 2_000_000_000
 _TOGETHER = 8192  # messages that are decoded at once
 
 
@@ -48,11 +44,16 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
     """
     path = Path(path)
     files = _files(path)
-    _check_unpacked(path)
     try:
         with ExitStack() as stack:
+            if any(file.name.endswith(COMPRESSED) for file in files):
+                folder = Path(stack.enter_context(TemporaryDirectory(prefix="proprio-")))
+                files = [
+                    unpacked(file, folder) if file.name.endswith(COMPRESSED) else file
+                    for file in files
+                ]
             yield Bag(path, files, [stack.enter_context(Reader(file)) for file in files])
-    except RecordingError:
+    except (RecordingError, MemoryError):
         raise
     # rosbags lets sqlite, zstd, struct, YAML, KeyError and AssertionError through, depending on which byte is wrong
     except Exception as error:
@@ -81,10 +82,17 @@ class Bag:
         self._readers = readers
         # recorder's times that are read [ns]
         self._between: tuple[int | None, int | None] = None, None
-        if len(files) > 1:
+        with_metadata = (path / "metadata.yaml").exists()
+        if with_metadata and files != [path]:
+            self.notes.append(
+                "metadata.yaml is damaged, or lists thousands of topics; the storage files were read without it."
+            )
+        elif len(files) > 1:
             self.notes.append(
                 f"There is no metadata.yaml; {len(files)} storage files were read as one bag."
             )
+        for reader in readers:
+            self.notes += notes_of(reader)
         for log in (
             sorted(path.glob("*.db3-wal"))
             if path.is_dir()
@@ -352,78 +360,68 @@ def _layout(raw: bytes, message: Any, numbers: Mapping[str, Any]) -> _Layout | N
 
 
 def _files(path: Path) -> list[Path]:
-    """What to hand to rosbags: the folder when it has metadata, else its storage files."""
+    """What to read: the folder when it has metadata, else its storage files; all of them are files and can be unpacked."""
     problem = path_problem(path)
     if problem:
         raise RecordingError(f"{one_line(str(path), 100)}: {problem}")
     if not path.exists():
         raise RecordingError(f"{path}: no such bag; give a bag folder, or a .mcap or .db3 file")
-    if path.is_file():
+    if path.is_dir():
+        found = _files_in(path)
+    else:
+        _refuse_no_file(path)
+        found = [path]
         if path.suffix == ".bag":
             raise RecordingError(
                 f"{path}: a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag"
             )
-        if path.suffix not in (".mcap", ".db3"):
+        if not path.name.endswith((*STORAGE, *COMPRESSED)):
             raise RecordingError(f"{path}: not a bag; give a bag folder, or a .mcap or .db3 file")
-        return [path]
-    if (path / "metadata.yaml").exists():
-        return [path]
-    for suffix in (".mcap", ".db3"):
-        files = sorted(path.glob(f"*{suffix}"))
-        if files:
-            return files
-    inner = sorted(metadata.parent.name for metadata in path.glob("*/metadata.yaml"))
+    for file in found:
+        for inner in file.iterdir() if file.is_dir() else [file]:
+            if inner.name.endswith((*STORAGE, *COMPRESSED)):
+                _refuse_no_file(inner)
+            if inner.name.endswith(COMPRESSED):
+                refuse_large(inner)
+    return found
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """The same of a folder."""
+    metadata = folder / "metadata.yaml"
+    if metadata.exists() and _is_parsed(metadata):
+        return [folder]
+    for suffix in STORAGE:
+        # a recorder compresses each file once it is full: the last one need not be, and one may be there as both
+        found = {file.stem: file for file in folder.glob(f"*{suffix}.zst*")}
+        found |= {file.name: file for file in folder.glob(f"*{suffix}")}
+        if found:
+            return [found[name] for name in sorted(found)]
+    if metadata.exists():
+        return [folder]
+    inner = sorted(metadata.parent.name for metadata in folder.glob("*/metadata.yaml"))
     hint = (
         f"; did you mean one of the bags in it: {some(inner, 8)}?"
         if inner
         else "; give a bag folder or file"
     )
-    if (path / "meta" / "info.json").is_file():
-        hint = f"; a LeRobot data set? Name an episode, '{one_line(path.name, 60)}#0', or ask all with `proprio batch`"
+    if (folder / "meta" / "info.json").is_file():
+        hint = f"; a LeRobot data set? Name an episode, '{one_line(folder.name, 60)}#0', or ask all with `proprio batch`"
     raise RecordingError(
-        f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}"
+        f"{folder}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}"
     )
 
 
-def _check_unpacked(path: Path) -> None:
-    """Refuse what would fill the disk or the memory before rosbags unpacks it."""
-    if not path.is_dir():
-        return
-    if (path / "metadata.yaml").exists():
-        text_of(path / "metadata.yaml", RecordingError)
-    for file in path.glob("*.zstd"):
-        size = 0
-        with suppress(OSError, zstd.ZstdError, EOFError), zstd.open(file, "rb") as stream:
-            while size <= MOST_UNPACKED and (data := stream.read(1 << 20)):
-                size += len(data)
-        if size > MOST_UNPACKED:
-            raise RecordingError(
-                f"{file}: unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read"
-            )
+def _is_parsed(metadata: Path) -> bool:
+    """Whether it is read as YAML within our limits; the storage files know what it says of thousands of topics, too."""
+    try:
+        yaml_of(text_of(metadata, RecordingError))
+    except (RecordingError, ValueError):
+        return False
+    return True
 
 
-def _unpacked(kind: Any, data: bytes, size: int = MOST_BYTES_OF_ONE) -> bytes:
-    """By a kind of decompressor, at most the given number of bytes, and one more."""
-    return bytes(kind().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
-
-
-class _Zstd:
-    """What rosbags uses of zstd for whole files and single messages, with a limit on the latter."""
-
-    open = staticmethod(zstd.open)
-    decompress = partial(_unpacked, zstd.ZstdDecompressor)
-    ZstdError = zstd.ZstdError
-
-
-class _Yaml(YAML):
-    """What rosbags reads metadata with: a text that comes again (of each topic, at each opening) is not parsed again."""
-
-    def load(self, stream: str) -> Any:
-        return yaml_of(stream)
-
-
-# a kilobyte of zstd or YAML can stand for gigabytes, and rosbags has no option that limits what it unpacks
-storage_mcap.DECOMPRESSORS.update(
-    zstd=partial(_unpacked, zstd.ZstdDecompressor), lz4=partial(_unpacked, LZ4FrameDecompressor)
-)
-rosbag2_reader.zstd, rosbag2_reader.YAML, metadata.YAML = _Zstd, _Yaml, _Yaml
+def _refuse_no_file(path: Path) -> None:
+    """Raises `RecordingError`: Whoever opened it would wait for what never comes."""
+    if path.exists() and not path.is_file():
+        raise RecordingError(f"{path}: a pipe, a socket or a device, and no file; copy it into one")

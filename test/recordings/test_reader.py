@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +19,7 @@ from support.small_bags import (
     ONSET_NS,
     STORAGES,
     TYPES,
+    Message,
     commands,
     notes,
     positions,
@@ -25,9 +30,85 @@ from support.small_bags import (
     write_bag,
 )
 
+from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.errors import RecordingError
+from proprio_ros.recordings.storage import zstd
 
 BAGS = Path(__file__).parents[2] / "bags"
+COMPRESSIONS: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    "zstd": zstd.compress,
+    "lz4": lz4.frame.compress,
+}
+
+
+def record(operation: int, content: bytes) -> bytes:
+    """Of an MCAP file (mcap.dev/spec)."""
+    return struct.pack("<BQ", operation, len(content)) + content
+
+
+def text(words: str) -> bytes:
+    return struct.pack("<I", len(words)) + words.encode()
+
+
+def mcap_of(
+    messages: Sequence[Message], compression: str, lacks: str = "", chunk: int = 30
+) -> bytes:
+    """A file as the specification has it, with so many messages a chunk and without message indexes, statistics or summary.
+
+    Written by hand: no writer leaves such things out.
+    """
+    topics = list(dict.fromkeys((message.topic, message.msgtype) for message in messages))
+    kinds = b"".join(
+        record(0x03, struct.pack("<H", n + 1) + text(kind) + text("ros2msg") + text(""))
+        + record(0x04, struct.pack("<HH", n, n + 1) + text(topic) + text("cdr") + text(""))
+        for n, (topic, kind) in enumerate(topics)
+    )
+    content = b"\x89MCAP0\r\n" + record(0x01, text("ros2") + text("by hand"))
+    indexes = b""
+    counts = dict.fromkeys(range(len(topics)), 0)
+    for begin in range(0, len(messages), chunk):
+        mine = messages[begin : begin + chunk]
+        inner = b"" if begin else kinds
+        places: dict[int, list[tuple[int, int]]] = {}
+        for number, message in enumerate(mine):
+            channel = topics.index((message.topic, message.msgtype))
+            places.setdefault(channel, []).append((message.time_ns, len(inner)))
+            counts[channel] += 1
+            raw = bytes(TYPES.serialize_cdr(message.content, message.msgtype))
+            head = struct.pack("<HIQQ", channel, number, message.time_ns, message.time_ns)
+            inner += record(0x05, head + raw)
+        times_ns = [message.time_ns for message in mine]
+        packed = COMPRESSIONS[compression](inner)
+        head = struct.pack("<QQQI", min(times_ns), max(times_ns), len(inner), 0)
+        head += text(compression) + struct.pack("<Q", len(packed))
+        at = len(content)
+        content += record(0x06, head + packed)
+        length = len(content) - at
+        offsets = b""
+        of_index = len(content)
+        if lacks != "message indexes":
+            for channel, entries in places.items():
+                offsets += struct.pack("<HQ", channel, len(content))
+                rows = b"".join(struct.pack("<QQ", *entry) for entry in entries)
+                content += record(0x07, struct.pack("<HI", channel, len(rows)) + rows)
+        index = struct.pack("<QQQQ", min(times_ns), max(times_ns), at, length)
+        index += struct.pack("<I", len(offsets)) + offsets
+        index += struct.pack("<Q", len(content) - of_index)
+        index += text(compression) + struct.pack("<QQ", len(packed), len(inner))
+        indexes += record(0x08, index)
+    content += record(0x0F, bytes(4))
+    start = len(content)
+    if lacks != "summary":
+        content += kinds + indexes
+        if lacks == "":
+            times_ns = [message.time_ns for message in messages]
+            of_each = b"".join(struct.pack("<HQ", *count) for count in counts.items())
+            numbers = (len(messages), len(topics), len(topics), 0, 0, len(indexes))
+            said = struct.pack("<QHIIIIQQ", *numbers, min(times_ns), max(times_ns))
+            content += record(0x0B, said + struct.pack("<I", len(of_each)) + of_each)
+    start = 0 if lacks == "summary" else start
+    return content + record(0x02, struct.pack("<QQI", start, 0, 0)) + b"\x89MCAP0\r\n"
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -97,18 +178,147 @@ def test_paths_that_are_no_bag(tmp_path: Path) -> None:
         read(tmp_path / "meta")
 
 
-@pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("bare", [False, True], ids=["folder", "file"])
-def test_a_truncated_file_is_one_line_wherever_it_is_cut(
-    tmp_path: Path, storage: str, bare: bool
-) -> None:
-    folder = write_bag(tmp_path / "bag", states() + commands(), storage)
-    (file,) = (path for path in folder.iterdir() if path.suffix in (".mcap", ".db3"))
+def test_a_truncated_database_is_one_line_wherever_it_is_cut(tmp_path: Path, bare: bool) -> None:
+    folder = write_bag(tmp_path / "bag", states() + commands(), "sqlite3")
+    file = folder / "bag.db3"
     whole = file.read_bytes()
     for part in np.linspace(0.0, 0.99, 12):
         file.write_bytes(whole[: int(part * len(whole))])
         with refused("not readable as a ROS 2 bag|holds no messages"):
             read(file if bare else folder)
+
+
+@pytest.mark.parametrize("bare", [False, True], ids=["folder", "file"])
+@pytest.mark.parametrize("compression", list(COMPRESSIONS))
+def test_of_a_truncated_file_what_is_whole_is_read_and_it_is_said(
+    tmp_path: Path, bare: bool, compression: str
+) -> None:
+    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    folder = write_bag(tmp_path / "bag", messages)
+    file = folder / "bag.mcap"
+    whole = mcap_of(messages, compression)
+    file.write_bytes(whole)
+    everything = read(folder).joints.position
+    counts = []
+    for part in np.linspace(0.0, 0.999, 15):
+        file.write_bytes(whole[: int(part * len(whole))])
+        try:
+            recording = read(file if bare else folder)
+        except RecordingError as error:
+            assert "\n" not in str(error)
+            counts.append(0)
+            continue
+        found = recording.joints.position
+        assert np.array_equal(found, everything[: len(found)])
+        assert "bag.mcap breaks off, as of a recorder that was killed" in notes(recording)
+        counts.append(len(found))
+    assert counts == sorted(counts) and counts[0] == 0
+    assert counts[-1] == len(everything)  # only the index is lost
+    # of a chunk that breaks off the beginning is read, but for compressed ones as small as here
+    assert len(set(counts)) > (4 if compression else 8) - 1
+
+
+@pytest.mark.parametrize("compression", list(COMPRESSIONS))
+@pytest.mark.parametrize("lacks", ["message indexes", "summary", "statistics"])
+def test_chunks_without_an_index_are_read(tmp_path: Path, compression: str, lacks: str) -> None:
+    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    (tmp_path / "bag.mcap").write_bytes(mcap_of(messages, compression, lacks))
+    recording = read(tmp_path / "bag.mcap")
+    assert recording.joints.position.tolist() == [positions(time_ns) for time_ns in times()]
+    assert recording.inputs is not None and recording.notes == ()
+
+
+def test_messages_without_an_index_need_not_be_in_order(tmp_path: Path) -> None:
+    messages = states() + commands()
+    (tmp_path / "bag.mcap").write_bytes(mcap_of(messages[::-1], "", "summary"))
+    recording = read(tmp_path / "bag.mcap")
+    assert recording.joints.position.tolist() == [positions(time_ns) for time_ns in times()]
+
+
+@pytest.mark.parametrize("size", [2**31, 2**40, 2**60, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("lacks", ["", "summary"])
+def test_a_chunk_that_claims_to_be_huge_is_one_sentence(
+    tmp_path: Path, size: int, lacks: str
+) -> None:
+    content = bytearray(mcap_of(states(), "", lacks))
+    chunk = content.index(b"\x06", 9 + int.from_bytes(content[9:17], "little"))
+    for field in (chunk + 1, chunk + 9 + 16):  # the record's length, and what it unpacks to
+        changed = content.copy()
+        changed[field : field + 8] = size.to_bytes(8, "little")
+        (tmp_path / "bag.mcap").write_bytes(changed)
+        try:
+            read(tmp_path / "bag.mcap")
+        except RecordingError as error:
+            assert "MemoryError" not in str(error) and "not readable as a ROS 2 bag" in str(error)
+        else:
+            assert not lacks  # the index says how long it is
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("ending", [".zstd", ".zst"])
+def test_compressed_files_without_metadata_are_read(
+    tmp_path: Path, storage: str, ending: str
+) -> None:
+    folder = write_bag(tmp_path / "bag", states() + commands(), storage)
+    whole = read(folder)
+    (file,) = (path for path in folder.iterdir() if path.suffix in (".mcap", ".db3"))
+    packed = file.with_name(file.name + ending)
+    packed.write_bytes(zstd.compress(file.read_bytes()))
+    file.unlink()
+    (folder / "metadata.yaml").unlink()
+    for path in (folder, packed):
+        assert np.array_equal(read(path).joints.position, whole.joints.position)
+    assert [each.path for each in episodes_of([tmp_path])] == [str(packed)]
+
+
+def test_a_compressed_file_that_is_cut_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    packed = tmp_path / "bag.mcap.zstd"
+    content = mcap_of(messages, "", chunk=20)
+    frames = b"".join(zstd.compress(content[at : at + 2000]) for at in range(0, len(content), 2000))
+    packed.write_bytes(frames[: int(0.7 * len(frames))])
+    recording = read(packed)
+    found = recording.joints.position.tolist()
+    assert 10 < len(found) < len(times())
+    assert found == [positions(time_ns) for time_ns in times()[: len(found)]]
+    assert "bag.mcap breaks off" in notes(recording)
+    packed.write_bytes(b"nothing of the kind")
+    with refused("not readable as a ROS 2 bag"):
+        read(packed)
+
+
+def test_a_recorder_that_was_killed_leaves_its_last_file_uncompressed(tmp_path: Path) -> None:
+    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    parts = [mcap_of(messages[:40], ""), mcap_of(messages[40:], "", "summary")]
+    (tmp_path / "bag_0.mcap.zstd").write_bytes(zstd.compress(parts[0]))
+    (tmp_path / "bag_1.mcap").write_bytes(parts[1])
+    (tmp_path / "bag_1.mcap.zstd").write_bytes(zstd.compress(parts[1])[:100])
+    assert read(tmp_path).joints.times_ns.tolist() == times()
+
+
+def test_metadata_of_thousands_of_topics_is_not_needed(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "bag", states())
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(metadata.read_text() + "".join(f"topic_{n}: 1\n" for n in range(25_000)))
+    recording = read(folder)
+    assert len(recording.joints.times_ns) == len(times())
+    assert "lists thousands of topics" in notes(recording)
+    metadata.write_text("x: [1")
+    assert len(read(folder).joints.times_ns) == len(times())
+
+
+@pytest.mark.parametrize("name", ["bag.mcap", "bag.db3", "bag.mcap.zstd", "bag.txt"])
+def test_a_pipe_is_no_bag_and_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with refused("a pipe, a socket or a device, and no file"):
+        read(tmp_path / name)
+    if name != "bag.txt":
+        with refused("a pipe, a socket or a device, and no file"):
+            read(tmp_path)
+        (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+        with refused("a pipe, a socket or a device, and no file"):
+            read(tmp_path)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
