@@ -134,7 +134,8 @@ def command_line() -> str:
         "# Command line",
         "Results go to stdout, everything else to stderr. Exit codes: 0 accepted, 2 bad input, "
         "3 rejected, not identifiable or too wide, "
-        "130 interrupted. `proprio --version` prints the version; every command explains itself with `--help`.",
+        "130 interrupted, 143 ended by SIGTERM. "
+        "`proprio --version` prints the version; every command explains itself with `--help`.",
         _table(
             ("command", "does"),
             [
@@ -494,7 +495,7 @@ def settings() -> str:
     from proprio_ros.probes.contents.facts import FORMS as OF_CONTENTS
     from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
     from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
-    from proprio_ros.recordings import reader, text
+    from proprio_ros.recordings import reader, storage, text
     from proprio_ros.recordings.drivers import COLUMNS, FORMS, INPUT
     from proprio_ros.robot import fields as robot_fields
     from proprio_ros.robot import urdf
@@ -613,7 +614,7 @@ def settings() -> str:
                     f"{reader.MOST_MESSAGES}, {reader.MOST_BYTES / 1e6:g} MB together",
                 ),
                 ("one message", f"{reader.MOST_BYTES_OF_ONE / 1e3:g} kB"),
-                ("files of a compressed bag, unpacked", f"{reader.MOST_UNPACKED / 1e9:g} GB each"),
+                ("files of a compressed bag, unpacked", f"{storage.MOST_UNPACKED / 1e9:g} GB each"),
             ],
         ),
     ]

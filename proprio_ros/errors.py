@@ -7,6 +7,7 @@ quotes.
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterable
 
 # Characters of a message; with the command's name before it, it stays below 300.
@@ -59,6 +60,10 @@ class ConfigurationError(ProprioError, ValueError):
     """An option, a setting or a probe file is wrong: an unknown key, a wrong unit, a wrong shape."""
 
 
+class ComputerError(ConfigurationError):
+    """The computer lacks what the work needs, whatever is asked: a folder that can be written, space."""
+
+
 class SimulationError(ProprioError, RuntimeError):
     """A rollout cannot be trusted: it diverged, or the number of steps overflows."""
 
@@ -73,6 +78,26 @@ class PortLostError(BusError):
 
 class ExcitationError(ProprioError, RuntimeError):
     """An excitation that cannot start from here, or must not: busy, out of limits, no free way."""
+
+
+_MACHINES = {
+    errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EMFILE, errno.ENFILE,
+    errno.ENOMEM, errno.EAGAIN, errno.ESTALE, errno.ETIMEDOUT,
+}  # fmt: skip
+
+
+def of_the_machine(error: BaseException | None) -> bool:
+    """Whether the computer is what is wrong, and not what it was given: memory, space, a folder that cannot be written.
+
+    The same again may go well tomorrow. It is looked for in all that led to the error.
+    """
+    while error is not None:
+        if isinstance(error, (MemoryError, ComputerError)) or (
+            isinstance(error, OSError) and error.errno in _MACHINES
+        ):
+            return True
+        error = error.__cause__
+    return False
 
 
 def some(names: Iterable[str], most: int = 6) -> str:

@@ -23,6 +23,7 @@ BASE = {
     "schema",
     "threads",
     "clock",
+    "whole_files",
 }
 # each room below stands on those above it; its row says on which
 ROOMS: dict[str, set[str]] = {

@@ -5,10 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,7 @@ from proprio_ros.recordings.drivers import load_driver
 from proprio_ros.recordings.motions import SHORTEST_S
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.report import bars_figure, small_table
-from proprio_ros.threads import end_with_parent
+from proprio_ros.threads import pool_of
 
 # rows whose pages are written unless told otherwise; more are written by several processes
 MOST_REPORTS = 12
@@ -49,6 +47,8 @@ class Outcome:
     folder: Path
     first: Sequence[Row] = ()
     drift: Drift = field(default_factory=lambda: Drift(()))
+    # that this computer could not do: without memory, space or a folder that can be written; they are asked again next time
+    undone: int = 0
 
     def plot(self) -> Any:
         """How many rows have which verdict, as a matplotlib ``Figure``."""
@@ -129,6 +129,8 @@ def run_batch(
             run_ray(missing, job, store, address, tell, chunk, quiet=not bars)
         elif missing:
             run_local(missing, job, store, processes or processors(), tell, chunk)
+        done = store.done()
+        undone = sum((each.source, each.name) not in done for each in episodes)
         rows = store.read(COLUMNS)
         stamps = {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
         drift = drift_of(empties, stamps, plain, tell) if empties else Drift(())
@@ -146,7 +148,8 @@ def run_batch(
             )
         )
         verdicts = dict(sorted(Counter(row["verdict"] for row in rows).items()))
-        return Outcome(len(episodes), before, verdicts, store.folder, rows[:MOST_SHOWN], drift)
+        first = rows[:MOST_SHOWN]
+        return Outcome(len(episodes), before, verdicts, store.folder, first, drift, undone)
 
 
 def _check_options(
@@ -272,7 +275,7 @@ def _reports(
     each = [(named(row), path_of(row), replace(job.options, span=span_of(row))) for row in missing]
     work = [(*one, folder / places[one[0]]) for one in each]
     if len(work) > MOST_REPORTS:
-        with ProcessPoolExecutor(processes, get_context("spawn"), end_with_parent) as pool:
+        with pool_of(processes) as pool:
             written = list(pool.map(_write_page, *zip(*work, strict=True)))
     else:
         written = [_write_page(*one) for one in work]

@@ -11,17 +11,16 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import Job, failed_row, rows_of_all, source_name
+from proprio_ros.batch.rows import FAILED, Job, failed_row, lasting, rows_of_all, source_name
 from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, write_rows
-from proprio_ros.threads import end_with_parent
+from proprio_ros.threads import pool_of
 
 CHUNK = 64  # episodes per file, at most
 TELL_S = 5.0
@@ -44,11 +43,26 @@ def chunk_size(episodes: int, workers: int, most: int = CHUNK) -> int:
     return max(1, min(most, episodes // (16 * workers)))
 
 
-def compute(episodes: Sequence[Episode], job: Job, folder: str) -> int:
-    """Rows of a chunk, written; returns how many episodes failed."""
+@dataclass(frozen=True)
+class Done:
+    """Of a chunk: how many episodes failed, and what was wrong with the computer, which leaves its episodes undone."""
+
+    failed: int
+    machine: frozenset[str] = frozenset()
+
+
+def compute(episodes: Sequence[Episode], job: Job, folder: str) -> Done:
+    """Rows of a chunk, written, but for those of episodes that the computer could not do."""
     rows = rows_of_all(episodes, job)
-    write_rows(Path(folder) / f"part-{chunk_id(episodes)}.parquet", rows)
-    return sum(row["kind"] == "failed" for row in rows)
+    kept = lasting(rows)
+    undone = [row for row in rows if row not in kept]
+    reasons = {str(row["reasons"][0]) for row in undone}
+    try:
+        if kept:
+            write_rows(Path(folder) / f"part-{chunk_id(episodes)}.parquet", kept)
+    except OSError as error:
+        reasons.add(f"rows cannot be written: {error.strerror}")
+    return Done(sum(row["kind"] == FAILED for row in kept), frozenset(reasons))
 
 
 def run_local(
@@ -67,26 +81,30 @@ def run_local(
     finished = 0
     failed = 0
     told = time.monotonic()
+    machine = set[str]()
     while waiting:
-        # a fresh interpreter: Warp's and BLAS's threads do not survive a fork
-        pool = ProcessPoolExecutor(processes, get_context("spawn"), end_with_parent)
-        running: dict[Future[int], _Chunk] = {}
+        running: dict[Future[Done], _Chunk] = {}
         try:
-            while waiting or running:
-                while waiting and len(running) < 2 * processes:
-                    chunk = waiting.popleft()
-                    folder = store.rows / f"{PARTITION}={source_name(chunk.episodes[0].source)}"
-                    folder.mkdir(exist_ok=True)
-                    running[pool.submit(compute, chunk.episodes, job, str(folder))] = chunk
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    failed += future.result()
-                    finished += len(running.pop(future).episodes)
-                if time.monotonic() - told > TELL_S:
-                    told = time.monotonic()
-                    left = (told - began) / max(finished, 1) * (len(episodes) - finished)
-                    took = f"{told - began:.0f} s, about {left:.0f} s left"
-                    tell(f"{finished} of {len(episodes)} episodes, {failed} failed ({took})")
-            pool.shutdown()  # its processes end, and their locks with them
+            with pool_of(processes) as pool:
+                while waiting or running:
+                    while waiting and len(running) < 2 * processes:
+                        chunk = waiting[0]
+                        folder = store.rows / f"{PARTITION}={source_name(chunk.episodes[0].source)}"
+                        folder.mkdir(exist_ok=True)
+                        running[pool.submit(compute, chunk.episodes, job, str(folder))] = chunk
+                        waiting.popleft()  # not before: a pool that has died takes none
+                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                        done = future.result()
+                        failed += done.failed
+                        finished += len(running.pop(future).episodes)
+                        for reason in sorted(done.machine - machine):
+                            tell(f"not answered, and asked again next time: {reason}")
+                        machine |= done.machine
+                    if time.monotonic() - told > TELL_S:
+                        told = time.monotonic()
+                        left = (told - began) / max(finished, 1) * (len(episodes) - finished)
+                        took = f"{told - began:.0f} s, about {left:.0f} s left"
+                        tell(f"{finished} of {len(episodes)} episodes, {failed} failed ({took})")
         except BrokenProcessPool:
             tell("a process died; its episodes are done again")
             for chunk in _again(list(running.values())):
@@ -102,8 +120,6 @@ def run_local(
                 )
                 finished = finished + 1
                 failed = failed + 1
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _again(chunks: Sequence[_Chunk]) -> list[_Chunk]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.local import CHUNK, chunk_size
-from proprio_ros.batch.rows import Job, rows_of_all
+from proprio_ros.batch.rows import Job, lasting, rows_of_all
 from proprio_ros.batch.store import PARTITION, Store, schema, table_of
 from proprio_ros.errors import ConfigurationError
 
@@ -61,7 +61,7 @@ def run_ray(
     listed = [asdict(episode) for episode in episodes]
 
     def answered(batch: Any) -> Any:
-        return table_of(rows_of_all([Episode(**each) for each in batch.to_pylist()], job))
+        return table_of(lasting(rows_of_all([Episode(**each) for each in batch.to_pylist()], job)))
 
     # the same needs for both, so that one task answers and writes; Ray tries a task again whose worker or machine dies
     blocks = ray.data.from_items(listed, override_num_blocks=-(-len(listed) // size))

@@ -12,7 +12,7 @@ from typing import Any
 
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.grasps import Grasp, Grasps
-from proprio_ros.errors import ProprioError, RecordingError, one_line
+from proprio_ros.errors import ProprioError, RecordingError, of_the_machine, one_line
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.pipeline.replay import identify, read_for
 from proprio_ros.pipeline.request import Options, Request, request_of
@@ -30,6 +30,8 @@ Row = dict[str, Any]
 EPISODE, PART, GRASP, FAILED = "episode", "part", "grasp", "failed"
 """Kinds of rows: a whole episode; a part of one that is too long to be answered at once; a stretch in which one thing was held;
 what could not be read or identified."""
+MACHINE = "machine"
+"""Code of a reason that is the computer's; such a row is not kept."""
 COLUMNS = {
     "source_name": "text", "source": "text", "episode": "text", "episode_index": "integer", "segment": "integer",
     "segments": "integer", "kind": "text", "recorded_ns": "integer", "start_s": "number", "end_s": "number", "samples": "integer",
@@ -78,16 +80,22 @@ def rows_of(episode: Episode, job: Job) -> list[Row]:
         rows = _answered(episode, job, request, spans_of(episode, job, request))
         # a cut may go through a push: only motions are answered in parts
         rows = rows or _answered(episode, job, request, [_later(None, job)])
-    except ProprioError as error:
-        rows = [failed_row(episode, job, str(error), "unreadable")]
     except Exception as error:  # whatever an episode holds, the job goes on
-        reason = one_line(f"unexpected: {type(error).__name__}: {error}")
-        rows = [failed_row(episode, job, reason, "unexpected")]
+        known = isinstance(error, ProprioError)
+        code = MACHINE if of_the_machine(error) else "unreadable" if known else "unexpected"
+        kind = "" if known else f"{code}: {type(error).__name__}: "
+        rows = [failed_row(episode, job, one_line(f"{kind}{error}"), code)]
     elapsed = time.perf_counter() - started
     return [
         {**row, "segment": number, "segments": len(rows), "elapsed_s": elapsed}
         for number, row in enumerate(rows)
     ]
+
+
+def lasting(rows: Sequence[Row]) -> list[Row]:
+    """Those of episodes of which no row says that the computer was at fault: the others are asked again next time."""
+    undone = {(row["source"], row["episode"]) for row in rows if row["reason_codes"] == [MACHINE]}
+    return [row for row in rows if (row["source"], row["episode"]) not in undone]
 
 
 @one_blas_thread
@@ -147,7 +155,7 @@ def _answered(
                 return []
             rows.append(_whole(episode, here, read, identify(here, robot, read, [episode.path])))
         except ProprioError as error:
-            if span is None:
+            if span is None or of_the_machine(error):
                 raise
             rows.append(failed_row(episode, job, str(error), "unreadable"))
         if span is not None:

@@ -10,7 +10,6 @@ import fcntl
 import hashlib
 import itertools
 import json
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +20,7 @@ from proprio_ros.batch.rows import COLUMNS, Job, Row
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.recordings.datasets import arrow
+from proprio_ros.whole_files import in_one_step
 
 PARTITION = "source_name"
 
@@ -138,13 +138,9 @@ class Store:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """One file, whole or not there; the partition's column is in its folder's name."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     table = table_of(rows).drop_columns([PARTITION])
-    with open(temporary, "wb") as stream:
+    with in_one_step(path) as stream:
         arrow().parquet.write_table(table, stream)
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(temporary, path)
 
 
 def _foreign(file: Path) -> ConfigurationError:

@@ -18,7 +18,14 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from proprio_ros import schema
 from proprio_ros.cli import terminal
-from proprio_ros.cli.terminal import EXIT_INTERRUPTED, EXIT_NO_ANSWER, EXIT_OK, say, say_progress
+from proprio_ros.cli.terminal import (
+    EXIT_BAD_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_NO_ANSWER,
+    EXIT_OK,
+    say,
+    say_progress,
+)
 from proprio_ros.errors import ConfigurationError, one_line, printable
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.resources import check_page
@@ -82,10 +89,13 @@ def replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     from proprio_ros.pipeline.replay import replay, write_report
 
     estimate = replay(options.bags, asked)
-    terminal.show(options.json, estimate.as_json(), terminal.estimate_as_text(estimate))
-    if options.report:
+    if (
+        options.report
+    ):  # before anything is printed: where it cannot be written, that is what is said
         how = {"command": _command(given), "sources": options.bags, "force": options.force}
         write_report(estimate, Path(options.report), **how)
+    terminal.show(options.json, estimate.as_json(), terminal.estimate_as_text(estimate))
+    if options.report:
         say(f"report written to {printable(options.report)}")
     return EXIT_OK if estimate.verdict.value == "accepted" else EXIT_NO_ANSWER
 
@@ -112,7 +122,6 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         estimate = calibrate_from_bags(options.bags, references, *how)
     accepted = estimate.verdict.value == "accepted"
     written = {**estimate.as_json(), "output": str(options.output) if accepted else None}
-    terminal.show(options.json, written, terminal.calibration_as_text(estimate))
     if options.report:
         from proprio_ros.report import write_calibration_report
 
@@ -122,6 +131,8 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
             "force": options.force,
         }
         write_calibration_report(estimate, Path(options.report), **about)
+    terminal.show(options.json, written, terminal.calibration_as_text(estimate))
+    if options.report:
         say(f"report written to {printable(options.report)}")
     if accepted:
         say(f"calibration written to {printable(options.output)}")
@@ -308,6 +319,7 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     done = {
         "episodes": outcome.episodes,
         "done_before": outcome.before,
+        "undone": outcome.undone,
         "verdicts": outcome.verdicts,
     }
     text = f"{outcome.episodes} episodes: " + ", ".join(
@@ -315,8 +327,13 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     )
     text += f"\nrows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}"
     whole = {**schema.header("batch"), "folder": str(outcome.folder), **done}
+    if outcome.undone:
+        text += (
+            f"\n{outcome.undone} episodes were not answered, since this computer could not: mend what is said above, and give the "
+            "same command again"
+        )
     terminal.show(options.json, whole, text, terminal.table_of_episodes(outcome.first))
-    return EXIT_OK
+    return EXIT_BAD_INPUT if outcome.undone else EXIT_OK
 
 
 def completion(options: argparse.Namespace, given: Sequence[str]) -> int:

@@ -33,6 +33,7 @@ EXIT_OK = 0
 EXIT_BAD_INPUT = 2
 EXIT_NO_ANSWER = 3
 EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
 
 
 def json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:

@@ -12,12 +12,11 @@ import functools
 import os
 import stat
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.whole_files import in_one_step
 
 KINDS: dict[str, tuple[str, str]] = {
     "robots": ("config/robots", ".yaml"),
@@ -105,30 +104,20 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
 
     Raises `ConfigurationError`: The file cannot be written.
     """
-    temporary = None
+    encoded = text.encode("utf-8", errors="backslashreplace")
     try:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         if path.exists() and not path.is_file():
             # a pipe that nobody reads is refused, not waited for
             handle = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
-            with open(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
+            with open(handle, "wb") as stream:
                 os.set_blocking(handle, True)
-                stream.write(text)
+                stream.write(encoded)
             return
-        path = Path(os.path.realpath(path))
-        # it has no other name until it is whole; who else may read it is set before anything is in it
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.")
-        temporary = Path(name)
-        with open(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
-            os.fchmod(
-                handle, stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask()
-            )
-            stream.write(text)
-        os.replace(temporary, path)
+        with in_one_step(Path(os.path.realpath(path))) as stream:
+            stream.write(encoded)
     except (OSError, ValueError) as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
         reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigurationError(
             f"{option} {path}: cannot be written ({reason}); name a file in a folder that exists and is writable"
@@ -173,16 +162,6 @@ def check_page(path: Path, option: str, force: bool = False) -> None:
         raise ConfigurationError(
             f"{option} {path}: the file exists and is no page of proprio: name another{or_force}"
         )
-
-
-def _umask() -> int:
-    """The user's umask, without setting it: other threads may be making files."""
-    with (
-        suppress(OSError, ValueError, IndexError),
-        open("/proc/self/status", encoding="ascii") as status,
-    ):
-        return int(next(line for line in status if line.startswith("Umask:")).split()[1], 8)
-    return 0o022
 
 
 def private_folder(path: Path) -> Path:

@@ -11,9 +11,8 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.inputs.resources import share_directory, write_in_one_step
 from proprio_ros.paper.cases import Rows
 from proprio_ros.paper.experiments import EXPERIMENTS, experiment
-from proprio_ros.threads import end_with_parent, one_blas_thread
+from proprio_ros.threads import one_blas_thread, pool_of
 
 Task = tuple[str, int]  # experiment and seed
 
@@ -136,19 +135,12 @@ def run(
     if min(processes, len(together)) <= 1:
         together = []
     if together:
-        # a fresh interpreter: Warp's and BLAS's threads do not survive a fork
-        with ProcessPoolExecutor(
-            min(processes, len(together)), get_context("spawn"), end_with_parent
-        ) as pool:
+        with pool_of(min(processes, len(together))) as pool:
             waiting: list[Future[tuple[Task, Rows]]] = [
                 pool.submit(compute, task) for task in together
             ]
-            try:
-                for finished in as_completed(waiting):
-                    keep(*finished.result())
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+            for finished in as_completed(waiting):
+                keep(*finished.result())
     for task in missing:
         if task not in together:
             keep(*compute(task))

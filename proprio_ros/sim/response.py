@@ -16,7 +16,6 @@ code that made it, and built anew when either has changed.
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property
@@ -31,6 +30,7 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.sim.energies import check_law, lame, lame_by_poissons_ratio, lame_of_small_strain
 from proprio_ros.sim.mesh import TetMesh, box
 from proprio_ros.sim.quasistatic import CONTACTS, QuasiStatic
+from proprio_ros.whole_files import in_one_step
 
 CELLS = 6
 """Of the octant, along a mean edge: 12 for the block. Its error of E with bonded faces at 30 % squeeze, against second-order
@@ -248,13 +248,9 @@ def _digest(table: Response) -> str:
 
 def _store(path: Path, table: Response) -> None:
     """Whole or not at all; where the cache cannot be written, the table is built anew next time."""
-    temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as stream:
-            temporary = Path(stream.name)
+        with in_one_step(path) as stream:
             np.savez(stream, digest=_digest(table), **asdict(table))
-        os.replace(temporary, path)
     except OSError:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        return

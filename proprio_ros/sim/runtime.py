@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from proprio_ros import progress
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ComputerError
 
 FLOAT = wp.float64
 """All rollouts run in double precision: on a CPU float32 is no faster, and its gradients are off by up to 0.1 %."""
@@ -41,9 +41,9 @@ def start() -> None:
 
 
 def check() -> None:
-    """Raises: ConfigurationError: Warp could not make its folder of compiled kernels."""
+    """Raises: ComputerError: Warp could not make its folder of compiled kernels."""
     if _refusal:
-        raise ConfigurationError(_refusal)
+        raise ComputerError(_refusal)
 
 
 def _unwritable(error: OSError) -> str:
@@ -56,7 +56,7 @@ def _unwritable(error: OSError) -> str:
 def load(kernels: Sequence[Any], device: Any) -> None:
     """Compile and load kernels, each in a module of its own, and say how far that is for those not kept from before.
 
-    Raises `ConfigurationError`: A compiled kernel cannot be kept.
+    Raises `ComputerError`: A compiled kernel cannot be kept.
     """
     check()
     missing = [kernel.module for kernel in kernels if not _is_kept(kernel.module, device)]
@@ -72,7 +72,7 @@ def load(kernels: Sequence[Any], device: Any) -> None:
 def launch(kernel: Any, *, device: Any, **given: Any) -> Any:
     """``wp.launch``, which first says so where the kernel has to be compiled.
 
-    Raises `ConfigurationError`: A compiled kernel cannot be kept.
+    Raises `ComputerError`: A compiled kernel cannot be kept.
     """
     global _alone
     if not _is_kept(kernel.module, device):
@@ -86,7 +86,7 @@ def _load(module: Any, device: Any) -> None:
     try:
         wp.load_module(module, device=device)
     except OSError as error:
-        raise ConfigurationError(_unwritable(error)) from error
+        raise ComputerError(_unwritable(error)) from error
 
 
 def _is_kept(module: Any, device: Any) -> bool:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import csv
+import errno
 import importlib.util
 import json
 import os
+import signal
+import subprocess
 import sys
 import tracemalloc
 from dataclasses import replace
 from html import unescape
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -31,10 +34,10 @@ from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.grasps import Grasps
 from proprio_ros.batch.job import run_batch, self_calibrated
 from proprio_ros.batch.listing import named, span_of
-from proprio_ros.batch.rows import Job, rows_of
+from proprio_ros.batch.rows import Job, lasting, rows_of
 from proprio_ros.batch.store import Store, chunks_of
 from proprio_ros.cli import main
-from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.errors import ComputerError, ConfigurationError, RecordingError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
@@ -311,6 +314,82 @@ def test_an_episode_that_kills_its_process_is_a_row(
     assert outcome.verdicts == {"accepted": 2, "failed": 2}
     (row,) = [row for row in table(tmp_path) if row["reason_codes"] == ["process_died"]]
     assert row["episode"] == "1" and "died 2 times" in row["reasons"][0]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        MemoryError(),
+        OSError(errno.ENOSPC, "No space left on device"),
+        ComputerError("compiled kernels cannot be kept"),
+    ],
+)
+def test_what_the_computer_could_not_do_is_no_row_and_is_asked_again(
+    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    def full(*_: object) -> NoReturn:
+        try:
+            raise fault
+        except Exception as error:
+            raise RecordingError("cannot be read") from error
+
+    job = Job(asked(fleet))
+    first, second = episodes_of([fleet / "data" / "bags"])[:2]
+    with monkeypatch.context() as patch:
+        patch.setattr(rows_module, "read_for", full)
+        (row,) = rows_of(first, job)
+        assert row["reason_codes"] == ["machine"] and lasting([row]) == []
+        done = local.compute([first, second], job, str(tmp_path))
+    assert done.failed == 0 and len(done.machine) == 1 and not list(tmp_path.iterdir())
+    assert local.compute([first, second], job, str(tmp_path)) == local.Done(0)
+    assert len(list(tmp_path.iterdir())) == 1
+    with monkeypatch.context() as patch:
+        patch.setattr(rows_module, "read_for", lambda *_: 1 / 0)
+        (row,) = rows_of(first, job)  # and what an episode holds is
+        assert row["reason_codes"] == ["unexpected"] and lasting([row]) == [row]
+
+
+def test_rows_that_cannot_be_written_are_asked_again(fleet: Path, tmp_path: Path) -> None:
+    first = episodes_of([fleet / "data" / "bags"])[0]
+    done = local.compute([first], Job(asked(fleet)), str(tmp_path / "not there"))
+    assert done.machine == {"rows cannot be written: No such file or directory"}
+
+
+def batch_of(fleet: Path, out: Path) -> list[str]:
+    """The command that asks for four bags."""
+    words = ["batch", str(fleet / "data" / "bags"), "--out", str(out), "--jobs", "2"]
+    words += ["--calibration", str(fleet / "arm.yaml"), "--effort-unit", "N.m", "--reports", "0"]
+    return words + ["--probe", "payload"] + [f"--set={key}={at}" for key, at in SETTINGS.items()]
+
+
+def test_a_batch_says_what_is_undone_and_does_it_the_next_time(
+    fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = [*batch_of(fleet, tmp_path), "--json"]
+    monkeypatch.setattr("proprio_ros.batch.job.run_local", lambda *_: None)
+    assert main(words) == 2
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["undone"] == answer["episodes"] == 4 and answer["verdicts"] == {}
+
+
+def test_ctrl_c_is_said_once_and_leaves_nothing(fleet: Path, tmp_path: Path) -> None:
+    words = batch_of(fleet, tmp_path)
+    with subprocess.Popen(
+        [sys.executable, "-m", "proprio_ros.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as command:
+        assert command.stderr is not None
+        assert "4 episodes, 0 of them done before" in command.stderr.readline()
+        os.killpg(command.pid, signal.SIGINT)  # as a terminal does
+        # the pipe is closed once the last of the processes has ended
+        out, error = command.communicate()
+    assert command.returncode == 130 and out == ""
+    assert error == "proprio: interrupted\n"
+    assert not list(tmp_path.rglob("*.tmp"))
 
 
 @pytest.mark.long

@@ -46,6 +46,7 @@ def test_resources_of_an_installation(tmp_path: Path, installed: str) -> None:
         "__init__.py",
         "version.py",
         "errors.py",
+        "whole_files.py",
         "inputs/__init__.py",
         "inputs/resources.py",
     ):
