@@ -513,6 +513,10 @@ def test_metadata_that_stands_for_gigabytes(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     shutil.copytree(BAG, folder)
     (folder / "metadata.yaml").write_text(BOMB)
+    with at_most():
+        recording = read(folder)  # which its storage file is enough for
+    assert any(note.startswith("metadata.yaml is damaged") for note in recording.notes)
+    (folder / "bag_mcap.mcap").unlink()
     with at_most(), pytest.raises(RecordingError, match="aliases stand for more than"):
         read(folder)
 

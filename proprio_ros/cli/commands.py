@@ -26,7 +26,7 @@ from proprio_ros.cli.terminal import (
     say,
     say_progress,
 )
-from proprio_ros.errors import ConfigurationError, one_line, printable
+from proprio_ros.errors import ConfigurationError, one_line, printable, some
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.resources import check_page
 from proprio_ros.inputs.settings import parse_settings
@@ -199,9 +199,13 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
         f"  {state}\n"
         f"  check: payload_frame, {new.payload_frame} is a guess"
     )
-    terminal.show(
-        options.json, {**schema.header("robot"), **about, "to_state": list(new.to_state)}, text
-    )
+    if new.unlimited:
+        text += (
+            f"\n  before planning or pushing, state current_limit_A of: {some(new.unlimited)} (its URDF states no limit of effort; "
+            "weighing needs none)"
+        )
+    open_yet = {"to_state": list(new.to_state), "no_effort_limit": list(new.unlimited)}
+    terminal.show(options.json, {**schema.header("robot"), **about, **open_yet}, text)
     return EXIT_OK
 
 

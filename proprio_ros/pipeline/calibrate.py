@@ -22,6 +22,7 @@ from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, JointCalibratio
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.calibration_files.section import DIGEST, digest_of
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
+from proprio_ros.excitation.plans import largest_current_A
 from proprio_ros.experiment_design.planning import SECONDS, plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Verdict
@@ -364,6 +365,12 @@ def plan_excitations(
         raise ConfigurationError(
             f"--set held.{name}: a plan says where every joint is; leave it out"
         )
+    for name in request.robot.drive_trains:
+        if not np.isfinite(largest_current_A(request.robot, name)):
+            raise ConfigurationError(
+                f"{request.robot.source.name}: nothing says how much {name} may be driven with, neither its URDF's limit "
+                f"of effort nor the file: state joints.{name}.motor.current_limit_A"
+            )
     return request.robot, plan(request.robot, masses_kg, request.facts, count, progress, seconds)
 
 

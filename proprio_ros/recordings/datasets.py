@@ -28,6 +28,7 @@ VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
 POSITION_UNITS = ("rad", "deg")
 # columns that say when a frame was; the first that is there counts
+LONGEST_S = 4e9  # no clock shows more, one that counts since 1970 among them
 CLOCK = ("timestamp", "frame_index")
 FRAMES, BUFFER = 8192, 1 << 20
 """Frames, and bytes of a column, that are held at once where a part of an episode is read."""
@@ -253,7 +254,7 @@ def _columns_within(
         read, rows = _of_episode(table, index, columns)
         if not rows:
             continue
-        first = first or {column: read[column][:1].copy() for column in CLOCK if column in read}
+        first = first or _first(read)
         times_ns = _times(data, read, first.get("timestamp"), count)
         within = (times_ns >= span[0]) & (times_ns < (np.inf if span[1] is None else span[1]))
         for column in columns:
@@ -360,7 +361,8 @@ def read_episode(
             f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
         )
     table = np.column_stack(list(joints.values()))
-    whole, notes = _usable(times_ns, table, columns, called)
+    known = _has_time(read["timestamp"]) if "timestamp" in read else True
+    whole, notes = _usable(times_ns, known, table, columns, called)
     nothing = np.full(len(table), np.nan)
     effort = np.column_stack([measured.get(name, nothing) for name in position])
     times_ns = times_ns[whole]
@@ -375,12 +377,15 @@ def read_episode(
 
 
 def _usable(
-    times_ns: records.TimeArray, position: records.FloatArray, columns: Columns, called: str
+    times_ns: records.TimeArray,
+    known: records.BoolArray | bool,
+    position: records.FloatArray,
+    columns: Columns,
+    called: str,
 ) -> tuple[records.BoolArray, tuple[str, ...]]:
-    """Which frames have a position and a time of their own, shape (T,), and a note where some have not; refuses too few."""
-    whole: records.BoolArray = np.isfinite(position).all(axis=1) & (
-        np.diff(times_ns, prepend=times_ns[:1] - 1) > 0
-    )
+    """Which frames have a position and a time of their own that is ``known``, shape (T,); a note where some have not."""
+    is_new = np.diff(times_ns, prepend=times_ns[:1] - 1) > 0
+    whole: records.BoolArray = np.isfinite(position).all(axis=1) & is_new & known
     count = int(whole.sum())
     left_out = int((~whole).sum())
     if count < records.MIN_SAMPLES:
@@ -442,11 +447,32 @@ def _times(
 ) -> records.TimeArray:
     """Of frames, since the first [ns]; where that is not among them, by its timestamp or how many frames are before them."""
     if "timestamp" in read:
-        first_s = read["timestamp"][:1] if first_s is None else first_s
-        return np.asarray(np.rint(1e9 * (read["timestamp"] - first_s)), dtype=np.int64)
+        stamps_s = read["timestamp"]
+        known = _has_time(stamps_s)
+        if not known.any():
+            raise RecordingError(f"{data.folder}: no frame has a finite timestamp")
+        first = stamps_s[known][0] if first_s is None else first_s[0]
+        # a frame without a time has that of the one before it, and so none of its own
+        last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+        since_s = np.where(last >= 0, stamps_s[last] - first, -1e-9)
+        return np.asarray(np.rint(1e9 * since_s), dtype=np.int64)
     count = len(next(iter(read.values())))
     frames = read.get("frame_index", before + np.arange(count, dtype=np.float64))
     return np.asarray(np.rint(1e9 * frames / data.rate_hz), dtype=np.int64)
+
+
+def _first(read: Mapping[str, records.FloatArray]) -> dict[str, records.FloatArray]:
+    """The clock of the first frame that has a time; nothing where none has."""
+    known = _has_time(read["timestamp"]) if "timestamp" in read else np.ones(1, dtype=bool)
+    at = int(np.argmax(known))
+    return {
+        column: read[column][at : at + 1].copy() for column in CLOCK if column in read and known[at]
+    }
+
+
+def _has_time(stamps_s: records.FloatArray) -> records.BoolArray:
+    """Which frames have a time, shape (T,)."""
+    return np.asarray(np.abs(stamps_s) < LONGEST_S)
 
 
 def marked(data: DataSet, index: int, column: str) -> bool:

@@ -86,10 +86,17 @@ def refuse_large(file: Path) -> None:
 
 
 def unpacked(file: Path, folder: Path) -> Path:
-    """A storage file as it was before it was compressed, in a folder."""
+    """A storage file as it was before it was compressed, in a folder; what a cut file still holds.
+
+    Raises `RecordingError`: That is nothing.
+    """
     place = folder / file.stem
     with file.open("rb") as packed, place.open("wb") as stream:
         shutil.copyfileobj(Unpacking(packed), stream)
+    if not place.stat().st_size:
+        raise RecordingError(
+            f"{file}: compressed with zstd, and its end is missing, without which nothing of it can be unpacked"
+        )
     return place
 
 

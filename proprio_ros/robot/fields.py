@@ -159,11 +159,28 @@ JOINT: dict[str, Field] = {
         Part("what gauge blocks said of one finger: at_rad and open_m", by=_finger_travel), None
     ),
 }
+LEAST_GRAVITY, MOST_GRAVITY = 1.5, 26.0  # of the moon and of Jupiter, rounded [m/s^2]
+
+
+class _Gravity(Numbers):
+    """A direction as long as gravity is somewhere."""
+
+    def read(self, value: Any) -> tuple[float, ...]:
+        pull = super().read(value)
+        length = math.hypot(*pull)
+        if not LEAST_GRAVITY <= length <= MOST_GRAVITY:
+            raise FormError(
+                f"{shortly(list(pull))} m/s^2 is {length:g} long, and nothing is weighed by that: state which way is down in the "
+                "frame of the root link, such as [0, 0, -9.81] where z is up"
+            )
+        return pull
+
+
 ROBOT: dict[str, Field] = {
     "name": Field(Text("of the robot")),
     "payload_frame": Field(Text("link in which objects are held")),
     "gravity": Field(
-        Numbers(
+        _Gravity(
             "in the frame of the root link",
             Number(unit="m/s^2", lowest=-100.0, highest=100.0),
             3,

@@ -35,6 +35,8 @@ class NewFile:
     joints: tuple[str, ...]
     payload_frame: str  # a guess at the link in which objects are held, to be checked
     to_state: tuple[str, ...]  # dotted keys that must be stated before the file can be loaded
+    # joints of which the URDF states no limit of effort: plans and pushes want their current_limit_A
+    unlimited: tuple[str, ...]
 
 
 def new_robot_file(
@@ -79,7 +81,8 @@ def new_robot_file(
         to_state.append(f"joints.{name}.motor.{NOMINAL}")
         if model.joint(name).kind == "prismatic":
             to_state.append(f"joints.{name}.transmission_m_per_rad")
-    return NewFile(model.name, "\n".join(lines) + "\n", joints, frame, tuple(to_state))
+    unlimited = tuple(name for name in joints if math.isinf(model.joint(name).effort_limit))
+    return NewFile(model.name, "\n".join(lines) + "\n", joints, frame, tuple(to_state), unlimited)
 
 
 def _head(name: str, torque_recorded: bool) -> list[str]:
@@ -105,8 +108,10 @@ def _joint(model: RobotModel, name: str, explained: bool, torque_recorded: bool)
         return _line(indent, key, _default(entry, model, name) if value is ... else value, words)
 
     limits = f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
+    if math.isinf(joint.effort_limit):
+        limits = ", its URDF states no limit of effort"
     lines = [
-        f"  {_yaml(name)}:  # {joint.kind}{limits if math.isfinite(joint.effort_limit) else ''}",
+        f"  {_yaml(name)}:  # {joint.kind}{limits}",
         "    motor:",
     ]
     for key, entry in MOTOR.items():

@@ -290,7 +290,8 @@ class UrdfReader:
                 self._fail(
                     f"{where}: limits of velocity and effort must not be negative, got {velocity} and {effort}"
                 )
-        return lower, upper, velocity, effort
+        # no motor moves nothing at all: many exporters write 0 where nobody has stated a limit
+        return lower, upper, velocity or math.inf, effort or math.inf
 
     def _mimic(
         self, element: ElementTree.Element, kind: str, where: str

@@ -193,3 +193,34 @@ def test_a_data_set_that_is_not_whole_is_refused_in_a_line(tmp_path: Path) -> No
     with pytest.raises(RecordingError, match="not readable"):
         open_data_set(tmp_path)
     assert episode_of("a/b#12") == (Path("a/b"), 12) and episode_of("a/b") is None
+
+
+def stamped(rows: list[int], time_s: float) -> Motion:
+    """A motion some of whose frames have another time."""
+    times_s = motion().times_s.copy()
+    times_s[rows] = time_s
+    return replace(motion(), times_s=times_s)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e30])
+@pytest.mark.parametrize("rows", [[0], [3, 4, 5], [199], list(range(0, 200, 2))])
+def test_frames_without_a_time_are_left_out_and_it_is_said(
+    tmp_path: Path, wrong: float, rows: list[int]
+) -> None:
+    whole = read(write(tmp_path / "whole"))
+    folder = write(tmp_path / "bent", stamped(rows, wrong))
+    recording = read(folder)
+    kept = np.setdiff1d(np.arange(200), rows)
+    assert np.array_equal(recording.joints.position, whole.joints.position[kept])
+    times_ns = whole.joints.times_ns[kept]
+    assert np.abs(recording.joints.times_ns - (times_ns - times_ns[0])).max() <= 2
+    part = read(folder, span=(0, 2_000_000_000))
+    assert 0 < len(part.joints.times_ns) <= 101
+    assert f"{len(rows)} of 200 frames" in " ".join(recording.notes)
+
+
+def test_a_data_set_without_a_time_is_one_sentence(tmp_path: Path) -> None:
+    folder = write(tmp_path, stamped(list(range(200)), np.nan))
+    with pytest.raises(RecordingError, match="no frame has a finite timestamp") as caught:
+        read(folder)
+    assert "\n" not in str(caught.value)

@@ -313,3 +313,20 @@ def test_a_real_arms_urdf(tmp_path: Path) -> None:
         "std": 33,
     }
     assert not set(JOINT) & {"transmission_m_per_rad"} & set(content["joints"]["elbow_joint"])
+
+
+def test_limits_of_nothing_are_said_and_no_limit_of_a_motor(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = THREE.replace('effort="', 'effort="0" was="')
+    assert urdf != THREE
+    (tmp_path / "arm.urdf").write_text(urdf)
+    output = tmp_path / "new.yaml"
+    words = ["robot", "new", str(tmp_path / "arm.urdf"), "--effort-unit", "N.m"]
+    assert main([*words, "--output", str(output)]) == 0
+    assert "state current_limit_A of: a, b" in capsys.readouterr().out
+    load_robot(output)  # whoever weighs needs none
+    assert main([*words, "--output", str(output), "--force", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["no_effort_limit"] == ["a", "b"]
+    assert main(["plan", "--robot", str(output), "--mass", "0.05"]) == 2
+    assert "state joints.a.motor.current_limit_A" in capsys.readouterr().err

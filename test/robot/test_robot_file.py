@@ -160,6 +160,16 @@ BAD_FILES = {
         "name: arm\ngravity: [0, 9.81]",
         "gravity: expected three numbers [x, y, z], got [0, 9.81]",
     ),
+    "gravity of nothing": (
+        "name: arm",
+        "name: arm\ngravity: [0, 0, 0]",
+        "gravity: [0.0, 0.0, 0.0] m/s^2 is 0 long, and nothing is weighed by that: state which way is down",
+    ),
+    "gravity as a direction": (
+        "name: arm",
+        "name: arm\ngravity: [0, 0, -1]",
+        "gravity: [0.0, 0.0, -1.0] m/s^2 is 1 long, and nothing is weighed by that: state which way is down",
+    ),
     "calibrated": (
         "name: arm",
         "name: arm\ncalibrated: 1",

@@ -173,6 +173,15 @@ def test_defaults_of_the_format() -> None:
     assert model.lock(["a"], {}).kinds == ("revolute",)
 
 
+@pytest.mark.parametrize("effort", ["0", "0.0", "-0.0"])
+def test_a_limit_of_nothing_is_none_that_was_stated(effort: str) -> None:
+    """As many exporters write it; a motor that may do nothing moves nothing."""
+    limit = f'<limit lower="-1" upper="1" effort="{effort}" velocity="{effort}"/>'
+    (read,) = RobotModel.from_urdf_string(chain(joint("a", limit=limit))).joints
+    assert (read.velocity_limit, read.effort_limit) == (math.inf, math.inf)
+    assert (read.lower, read.upper) == (-1.0, 1.0)
+
+
 def test_axis_is_made_a_unit_vector() -> None:
     np.testing.assert_allclose(
         RobotModel.from_urdf_string(chain(joint("a", axis="0 3 4"))).joint("a").axis, [0, 0.6, 0.8]

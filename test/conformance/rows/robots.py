@@ -85,7 +85,6 @@ ROWS = (
         verdicts=(ACCEPTED,),
         cause=r"limit|effort|velocity",
         said_if=(ACCEPTED,),
-        pending="limits of 0 come next",
     ),
     Row(
         name="antenna_of_a_milligram",
