@@ -13,6 +13,11 @@ from typing import IO
 _unfinished = set[Path]()
 
 
+def real_path(path: str | Path) -> Path:
+    """Without links, as ``Path.resolve`` has it; of links that lead in a circle the path itself, and no error."""
+    return Path(os.path.realpath(path))
+
+
 @contextmanager
 def in_one_step(path: Path) -> Iterator[IO[bytes]]:
     """A stream into what becomes the file once it is closed; however that ends, an interrupt among it, nothing else is left.

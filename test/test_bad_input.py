@@ -521,6 +521,37 @@ def test_metadata_that_stands_for_gigabytes(tmp_path: Path) -> None:
         read(folder)
 
 
+@pytest.mark.parametrize("command", ["check", "replay", "calibrate", "batch"])
+def test_links_that_lead_in_a_circle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    (tmp_path / "bag").symlink_to("bag")
+    (tmp_path / "robot.yaml").symlink_to("robot.yaml")
+    more = {
+        "check": [],
+        "replay": ["--probe", "payload"],
+        "calibrate": ["--output", str(tmp_path / "arm.yaml")],
+        "batch": ["--out", str(tmp_path / "out"), "--probe", "payload"],
+    }[command]
+    refused(capsys, command, str(tmp_path / "bag"), *more)
+    refused(capsys, command, str(BAG), *more, "--robot", str(tmp_path / "robot.yaml"))
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "1e300", "-1", "0"])
+def test_a_beginning_that_no_recording_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: str
+) -> None:
+    words = ["batch", str(BAG), "--out", str(tmp_path / "out"), "--probe", "payload"]
+    assert "--empty-first" in refused(capsys, *words, "--empty-first", seconds)
+
+
+def test_a_robot_of_which_nothing_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "box.urdf").write_text('<robot name="box"><link name="base"/></robot>')
+    output = str(tmp_path / "new.yaml")
+    line = refused(capsys, "robot", "new", str(tmp_path / "box.urdf"), "--output", output)
+    assert "no joint of it moves" in line
+
+
 # --- hundreds of mistakes --------------------------------------------------------------------------------------------
 
 GROSS: list[Any] = [None, True, "", "text", "1e5", [], {}, [1], 10**400, -(10**400), 1e300, -1e300]

@@ -13,6 +13,7 @@ from proprio_ros.inputs.reading import path_problem
 from proprio_ros.recordings.datasets import is_data_set, open_data_set
 from proprio_ros.recordings.storage import COMPRESSED, STORAGE
 from proprio_ros.recordings.text import is_text_recording
+from proprio_ros.whole_files import real_path
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,11 @@ def _places(source: str) -> list[Path]:
     if problem := path_problem(source):
         raise ConfigurationError(f"{one_line(source, 100)}: {problem}")
     if os.path.exists(source):
-        return [Path(source).resolve()]
+        return [real_path(source)]
     matches = sorted(glob.glob(source, recursive=True))
     if not matches:
         raise ConfigurationError(f"{source}: no such file or folder, and no glob that fits any")
-    return [Path(match).resolve() for match in matches]
+    return [real_path(match) for match in matches]
 
 
 def _is_bag(path: Path) -> bool:

@@ -29,12 +29,15 @@ from proprio_ros.recordings.motions import SHORTEST_S
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.report import bars_figure, small_table
 from proprio_ros.threads import pool_of
+from proprio_ros.whole_files import real_path
 
 # rows whose pages are written unless told otherwise; more are written by several processes
 MOST_REPORTS = 12
 MOST_SHOWN = 20  # rows that a terminal shows
 MOST_EMPTY = 20  # episodes that calibrate an arm
-LEAST_FIRST_S = SHORTEST_S  # of each episode, where its first seconds are those of an empty hand
+# of each episode, where its first seconds are those of an empty hand
+LEAST_FIRST_S = SHORTEST_S
+LONGEST_FIRST_S = 86_400.0  # a day
 
 
 @dataclass(frozen=True)
@@ -167,9 +170,10 @@ def _check_options(
         raise ConfigurationError(
             "--empty and --empty-first both say when the hand is empty: give one of them"
         )
-    if empty_first_s is not None and empty_first_s < LEAST_FIRST_S:
+    if empty_first_s is not None and not LEAST_FIRST_S <= empty_first_s <= LONGEST_FIRST_S:
         raise ConfigurationError(
             f"--empty-first {empty_first_s:g}: {LEAST_FIRST_S:g} s of motion with an empty hand are the least that say anything"
+            f", and {LONGEST_FIRST_S:g} s the most"
         )
     if engine == "ray":
         ray_or_refuse()
@@ -197,7 +201,7 @@ def self_calibrated(
 
     Raises `ConfigurationError`: They do not calibrate the arm.
     """
-    path = out.resolve() / "calibration.yaml"
+    path = real_path(out) / "calibration.yaml"
     if path.exists() and not path.with_name("job.json").exists():
         raise ConfigurationError(
             f"{option}: {path} is no calibration of a job here: move it away, or give it with --calibration"
@@ -305,13 +309,7 @@ def _located(options: Options) -> Options:
     """The same with absolute paths: another process may run elsewhere."""
 
     def absolute(name: str | Path | None) -> str | None:
-        return (
-            None
-            if name is None
-            else str(Path(name).resolve())
-            if Path(name).is_file()
-            else str(name)
-        )
+        return None if name is None else str(real_path(name)) if Path(name).is_file() else str(name)
 
     robot, calibration, driver = map(absolute, (options.robot, options.calibration, options.driver))
     return replace(options, robot=robot, calibration=calibration, driver=driver)

@@ -20,7 +20,7 @@ from proprio_ros.batch.rows import COLUMNS, Job, Row
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.recordings.datasets import arrow
-from proprio_ros.whole_files import in_one_step
+from proprio_ros.whole_files import in_one_step, real_path
 
 PARTITION = "source_name"
 
@@ -62,7 +62,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, job: Job) -> None:
-        self.folder, self.rows = folder.resolve(), folder.resolve() / "rows"
+        self.folder, self.rows = real_path(folder), real_path(folder) / "rows"
         arrow()
         try:
             self.rows.mkdir(parents=True, exist_ok=True)

@@ -33,6 +33,7 @@ from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.probes import all_probes, probe_named, probe_that
 from proprio_ros.probes.base import HasTable
 from proprio_ros.quantity import shown
+from proprio_ros.whole_files import real_path
 
 if TYPE_CHECKING:
     from proprio_ros.pipeline.request import Options
@@ -50,12 +51,12 @@ def _refuse_unwritable(report: str | None, force: bool, output: str = "") -> Non
     """Before the work, and before anything is printed; ``output`` is what is written beside the report."""
     if problem := path_problem(report or "."):
         raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
-    folder = Path(report or ".").resolve().parent
+    folder = real_path(report or ".").parent
     if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
         raise ConfigurationError(
             f"--report {report}: name a file in a folder that exists and is writable"
         )
-    if report and output and Path(report).resolve() == Path(output).resolve():
+    if report and output and real_path(report) == real_path(output):
         raise ConfigurationError(f"--report {report}: is --output, too: name another file")
     if report:
         check_page(Path(report), "--report", force)

@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.excitation.plans import largest_current_A
 from proprio_ros.experiment_design.candidates import (
     CLEARANCE_M,
     LIMIT_MARGIN,
@@ -102,6 +103,12 @@ def plan(
             f"the masses to plan for must be positive, not {list(masses_kg)} kg"
         )
     masses = np.array(sorted(masses_kg))
+    for name in candidate_joints(robot):
+        if not np.isfinite(largest_current_A(robot, name)):
+            raise ConfigurationError(
+                f"{robot.source.name}: nothing says how much {name} may be driven with, neither its URDF's limit of effort nor the "
+                f"file: state joints.{name}.motor.current_limit_A"
+            )
 
     def tries(joint: str, pose: Mapping[str, float]) -> Iterator[tuple[float, ExcitationPlan]]:
         if (

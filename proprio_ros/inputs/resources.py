@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.whole_files import in_one_step
+from proprio_ros.whole_files import in_one_step, real_path
 
 KINDS: dict[str, tuple[str, str]] = {
     "robots": ("config/robots", ".yaml"),
@@ -115,7 +115,7 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
                 os.set_blocking(handle, True)
                 stream.write(encoded)
             return
-        with in_one_step(Path(os.path.realpath(path))) as stream:
+        with in_one_step(real_path(path)) as stream:
             stream.write(encoded)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
@@ -133,7 +133,7 @@ def check_new(path: Path, suffixes: Sequence[str], force: bool) -> None:
     """Refuse an output that has no such suffix, cannot be written, or is there and may not be replaced, before the work is done."""
     if path.suffix not in suffixes:
         raise ConfigurationError(f"--output {path}: name a {suffixes[0]} file")
-    if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
+    if not real_path(path).parent.is_dir() or not os.access(real_path(path).parent, os.W_OK):
         raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
     if path.exists() and not force:
         raise ConfigurationError(

@@ -22,7 +22,6 @@ from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, JointCalibratio
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.calibration_files.section import DIGEST, digest_of
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
-from proprio_ros.excitation.plans import largest_current_A
 from proprio_ros.experiment_design.planning import SECONDS, plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Verdict
@@ -70,6 +69,7 @@ from proprio_ros.schema import calibration_used
 from proprio_ros.sim.payload import PayloadFacts
 from proprio_ros.threads import one_blas_thread
 from proprio_ros.version import __version__
+from proprio_ros.whole_files import real_path
 
 HEAVIEST_REFERENCE_KG = 5.0
 BEYOND_PRIOR = 2.0
@@ -108,7 +108,7 @@ def calibrate_from_bags(
                 f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1"
             )
     request = read_request(replace(options or Options(), calibration=None), _reference)
-    if output is not None and Path(output).resolve() == request.robot.source.resolve():
+    if output is not None and real_path(output) == real_path(request.robot.source):
         raise ConfigurationError(
             f"--output {output}: is the robot file, and the calibration extends it: name another"
         )
@@ -365,12 +365,6 @@ def plan_excitations(
         raise ConfigurationError(
             f"--set held.{name}: a plan says where every joint is; leave it out"
         )
-    for name in request.robot.drive_trains:
-        if not np.isfinite(largest_current_A(request.robot, name)):
-            raise ConfigurationError(
-                f"{request.robot.source.name}: nothing says how much {name} may be driven with, neither its URDF's limit "
-                f"of effort nor the file: state joints.{name}.motor.current_limit_A"
-            )
     return request.robot, plan(request.robot, masses_kg, request.facts, count, progress, seconds)
 
 

@@ -30,6 +30,7 @@ from proprio_ros.recordings.signals import (
 from proprio_ros.recordings.voltage import refuse_unit, voltage_driven, with_stall_currents
 from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.robot import Robot, is_description
+from proprio_ros.whole_files import real_path
 
 _Found = TypeVar("_Found", Motion, Sequence[Run])
 
@@ -45,7 +46,7 @@ class Recordings:
         for path in paths:
             if problem := path_problem(path):
                 raise ConfigurationError(f"{path}: {problem}")
-            place = Path(path).resolve()
+            place = real_path(path)
             if place in places:
                 raise ConfigurationError(_twice(places[place], path))
             places[place] = path

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from proprio_ros.errors import RobotError
 from proprio_ros.inputs.forms import Field, Text, Truth
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, NOMINAL, ROBOT, Uncertain
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
+from proprio_ros.whole_files import real_path
 
 STATE = "STATE THIS"
 CHECK = "CHECK THIS"
@@ -54,6 +56,10 @@ def new_robot_file(
         RobotError, RecordingError: The description cannot be read, or links that move have no mass; these are named.
     """
     model = read_model(source, of_bag)
+    if not model.independent_joints:
+        raise RobotError(
+            f"{source}: no joint of it moves: give the URDF of an arm, with revolute, continuous or prismatic joints"
+        )
     check_masses(model, source if source.startswith(PACKAGE) else Path(source).name)
     frame = hand_link(model)
     values = {"name": model.name, "payload_frame": frame}
@@ -189,8 +195,8 @@ def _way(source: str, output: Path) -> str:
     """How the file names its description: by the way from one to the other where that is short."""
     if source.startswith(PACKAGE):
         return source
-    folder = output.resolve().parent
-    path = Path(source).resolve()
+    folder = real_path(output).parent
+    path = real_path(source)
     return os.path.relpath(path, folder) if path.is_relative_to(folder) else str(path)
 
 

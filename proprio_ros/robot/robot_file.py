@@ -57,6 +57,7 @@ from proprio_ros.robot.fields import (
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.tree import RobotModel
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
+from proprio_ros.whole_files import real_path
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +226,7 @@ def _urdf_source(text: str, source: Path) -> str:
     beside = source.parent / text
     if problem := path_problem(beside):
         raise RobotError(f"{source.name}: urdf: {one_line(text, 60)} {problem}")
-    beside = beside.resolve()
+    beside = real_path(beside)
     if beside.is_file() or (beside.is_dir() and is_bag(beside)):
         return str(beside)
     if text.removesuffix(".urdf") in resource_names("urdf"):
@@ -254,7 +255,7 @@ def _located(name_or_path: str, folder: Path) -> Path:
             raise RobotError(
                 f"there is no {'URDF' if is_description(name_or_path) else 'robot file'} {path}; {_choices()}"
             )
-        return path.resolve()
+        return real_path(path)
     if name_or_path not in resource_names("robots"):
         raise RobotError(f"unknown robot {name_or_path!r}; {_choices()}")
     return resource("robots", name_or_path)
