@@ -550,6 +550,9 @@ def test_a_robot_of_which_nothing_moves(tmp_path: Path, capsys: pytest.CaptureFi
     output = str(tmp_path / "new.yaml")
     line = refused(capsys, "robot", "new", str(tmp_path / "box.urdf"), "--output", output)
     assert "no joint of it moves" in line
+    os.mkfifo(tmp_path / "arm.urdf")
+    line = refused(capsys, "robot", "new", str(tmp_path / "arm.urdf"), "--output", output)
+    assert "is no file" in line
 
 
 # --- hundreds of mistakes --------------------------------------------------------------------------------------------

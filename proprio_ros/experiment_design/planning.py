@@ -103,7 +103,7 @@ def plan(
             f"the masses to plan for must be positive, not {list(masses_kg)} kg"
         )
     masses = np.array(sorted(masses_kg))
-    for name in candidate_joints(robot):
+    for name in robot.drive_trains:
         if not np.isfinite(largest_current_A(robot, name)):
             raise ConfigurationError(
                 f"{robot.source.name}: nothing says how much {name} may be driven with, neither its URDF's limit of effort nor the "
@@ -125,7 +125,13 @@ def plan(
                     _as_plan(candidates, r, stds, f"widest 95 % interval {interval}"),
                 )
 
-    search = Search(robot, candidate_joints(robot), tries)
+    joints = candidate_joints(robot)
+    if not joints:
+        raise ConfigurationError(
+            f"{robot.source.name}: no joint carries the hand against gravity in a pose {100.0 * CLEARANCE_M:.0f} cm above the "
+            "base's plane: is payload_frame the link that holds, and does gravity point down in the frame of the root link?"
+        )
+    search = Search(robot, joints, tries)
     try:
         search.run(seconds, progress)
     except KeyboardInterrupt:

@@ -59,6 +59,8 @@ class RobotModel:
         """
         path = Path(path)
         try:
+            if path.exists() and not (path.is_file() or path.is_dir()):
+                raise RobotError(f"{path}: is no file; give the path of a URDF file")
             with path.open("rb") as stream:
                 text = stream.read(LONGEST_TEXT + 1)
         except OSError as error:
