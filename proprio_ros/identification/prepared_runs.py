@@ -37,6 +37,8 @@ FIRST_SWING_ERROR = 0.02
 SLOW = 0.1
 FOLLOWED_SHARE = 0.5
 """A motor whose effort scatters by more than this part of what its command does follows the command."""
+FEWEST_NOISY, ALIKE_ROWS = 5, 0.5
+"""Rows of a command without which nothing is said of its noise, and the correlation of neighbours from which on it is no noise."""
 MIN_SLOW = 3  # slow samples needed to relate reported effort to the command
 
 
@@ -177,7 +179,7 @@ def prepare_run(
         raise RecordingError(f"{run.name}: {still}: probe a joint between the base and it")
     drive = robot.drive_trains[run.joint]
     joint = robot.model.joint(run.joint)
-    run = at_the_shaft(robot, run)
+    run, command_std_A = _steadied(at_the_shaft(robot, run))
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)
     lower = joint.lower / drive.transmission
@@ -211,7 +213,7 @@ def prepare_run(
         yielding_times_s=yielding_times_s,
         yielding_load=yielding_load,
         arm_as_payload=arm_as_payload,
-        current_torque_std=drive.torque_constant.value * _unfollowed_std(run, used),
+        current_torque_std=drive.torque_constant.value * command_std_A,
     )
 
 
@@ -286,30 +288,41 @@ def _weight_on_gears(
     return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
 
 
-def _unfollowed_std(run: Run, used: int) -> float:
-    """Of a constant current that moves the joint as far, by noise of a command that the effort does not show [A].
+def _steadied(run: Run) -> tuple[Run, float]:
+    """The run with the mean of a command whose noise the motor did not follow, and that mean's standard deviation [A].
 
-    It is 0 without an effort, or where the effort follows. Rows count by how long they act until the last of the samples that are
-    ``used``: the end of a way is the sum of all currents, each times the time that is left.
-
-    A command that scatters while the motor reports a steady current was recorded with an error of its own in every row.
+    A command that scatters from row to row while the motor reports a steady current was recorded with an error of its own in every
+    row. A run without efforts, or whose effort follows, comes back as it is, with 0.
     """
-    if run.free or run.reported_effort is None or len(run.input_current_A) < MIN_SLOW:
-        return 0.0
+    if run.free or run.reported_effort is None or len(run.input_current_A) < FEWEST_NOISY:
+        return run, 0.0
     at = np.searchsorted(run.input_times_s, run.times_s, side="right") - 1
     command = run.input_current_A[at.clip(0)]
     seen = np.isfinite(run.reported_effort) & (run.times_s > run.times_s[0])
     mean = float(command[seen].mean()) if seen.any() else 0.0
     reported = float(run.reported_effort[seen].mean()) if seen.any() else 0.0
     if mean == 0.0 or reported == 0.0:
-        return 0.0
+        return run, 0.0
     scatter = float(command[seen].std())
     followed = float(run.reported_effort[seen].std()) * abs(mean / reported)
-    if followed > FOLLOWED_SHARE * scatter:
-        return 0.0
-    acting = run.input_times_s[run.input_times_s < run.times_s[max(used - 1, 0)]]
-    left_s = run.times_s[max(used - 1, 0)] - acting
-    return scatter * float(np.linalg.norm(left_s) / left_s.sum()) if len(acting) else 0.0
+    off = run.input_current_A - run.input_current_A.mean()
+    alike = float(off[1:] @ off[:-1]) / float(off @ off)
+    # an excitation that alternates goes on for some rows each way
+    if followed > FOLLOWED_SHARE * scatter or alike > ALIKE_ROWS:
+        return run, 0.0
+    lasts_s = np.diff(np.append(run.input_times_s, run.duration_s))
+    level = float(run.input_current_A @ lasts_s) / float(lasts_s.sum())
+    milliampere = f"{1e3 * scatter:.0f} mA"
+    note = (
+        f"its command scatters by {milliampere}, which the effort does not show: its mean is taken"
+    )
+    steady = replace(
+        run,
+        input_times_s=np.zeros(1),
+        input_current_A=np.array([level]),
+        notes=(*run.notes, note),
+    )
+    return steady, scatter / float(np.sqrt(len(off)))
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:

@@ -187,9 +187,11 @@ def test_noise_that_only_the_command_has_counts(arm: Robot, seed: int) -> None:
     (run,) = runs_in(noisy)
     facts = simulated.facts_of(CUBE)
     assert prepare_run(arm, runs_in(recording)[0], None, facts).current_torque_std == 0.0
-    # 24 rows, each by how long it acts: 15 mA / sqrt(0.75 x 24) at 1.78 N m/A
-    expected = 0.015 * 1.78 / np.sqrt(18.0)
-    assert prepare_run(arm, run, None, facts).current_torque_std == pytest.approx(expected, rel=0.4)
+    prepared = prepare_run(arm, run, None, facts)
+    # the mean of 24 rows: 15 mA / sqrt(24) at 1.78 N m/A
+    expected = 0.015 * 1.78 / np.sqrt(24.0)
+    assert prepared.current_torque_std == pytest.approx(expected, rel=0.4)
+    assert prepared.run.input_current_A == pytest.approx([run.input_current_A.mean()], rel=1e-6)
     estimate = weigh(arm, [run], facts)
     mass = estimate.values[0]
     assert mass.value is None or abs(mass.value - 0.023) < 3.0 * mass.std
