@@ -256,6 +256,37 @@ Found = Sequence[tuple[Fault, str]]
 """Faults with a note on each."""
 
 
+def in_order(
+    where: str, times_ns: TimeArray, position: FloatArray
+) -> tuple[TimeArray, tuple[str, ...]]:
+    """Times of samples whose order is known, with a short time in the place of each step of their clock.
+
+    Args:
+        where: Recording, for the notes.
+        times_ns: As they were written [ns], shape (T,).
+        position: Of the joints, shape (T, J).
+
+    Returns: The times [ns], shape (T,), and a note on each step.
+    """
+    steps = np.diff(times_ns)
+    back = np.flatnonzero(steps < -LEAST_STEP_NS)
+    if len(back) > MOST_CUTS or len(times_ns) < FEWEST:
+        return times_ns, ()
+    notes = []
+    mended = times_ns.copy()
+    for row in back:
+        since_s = 1e-9 * (mended[row] - mended[0])
+        notes.append(
+            f"{where}: the clock steps by {1e-9 * steps[row]:+.3g} s after {since_s:.1f} s: the recording was cut there"
+        )
+        mended[row + 1 :] += CUT_NS - steps[row]
+    for leap, note in _leaps(mended, mended, position):
+        times = Times(mended, np.zeros_like(mended), np.ones(len(mended), dtype=bool))
+        mended = leap.mended(times).bag_ns
+        notes.append(f"{where}: {note}")
+    return mended, tuple(notes)
+
+
 def _unset(columns: JointColumns) -> Found:
     """Messages that were recorded before the recorder's clock was set."""
     times = columns.bag_ns

@@ -22,6 +22,8 @@ import numpy as np
 from proprio_ros import records
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
+from proprio_ros.recordings.arrivals import of_bursts
+from proprio_ros.recordings.clocks import in_order, is_counted
 from proprio_ros.recordings.effort import Effort
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
@@ -32,6 +34,8 @@ LONGEST_S = 4e9  # no clock shows more, one that counts since 1970 among them
 CLOCK = ("timestamp", "frame_index")
 FRAMES, BUFFER = 8192, 1 << 20
 """Frames, and bytes of a column, that are held at once where a part of an episode is read."""
+OTHER_UNIT = 5.0
+"""Frames that take so many times as long as their data set says, or so few, are not stamped in seconds; no loop is as slow."""
 _EPISODE = re.compile(r"(?s)(?P<folder>.+)#(?P<index>\d{1,9})$")
 _SUFFIX = re.compile(r"\.(pos|vel|torque|effort|current|load)$")
 _LONGEST_META = 64_000_000
@@ -362,7 +366,11 @@ def read_episode(
         )
     table = np.column_stack(list(joints.values()))
     known = _has_time(read["timestamp"]) if "timestamp" in read else True
-    whole, notes = _usable(times_ns, known, table, columns, called)
+    steps: tuple[str, ...] = ()
+    if np.all(known):
+        times_ns, steps = _by_the_clock(data, times_ns, table, called)
+    whole, left_out = _usable(times_ns, known, table, columns, called)
+    notes = (*steps, *left_out)
     nothing = np.full(len(table), np.nan)
     effort = np.column_stack([measured.get(name, nothing) for name in position])
     times_ns = times_ns[whole]
@@ -374,6 +382,36 @@ def read_episode(
             times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0)
         )
     return records.Recording(called, record, means.measured(record), notes, (), signals)
+
+
+def _by_the_clock(
+    data: DataSet, times_ns: records.TimeArray, position: records.FloatArray, called: str
+) -> tuple[records.TimeArray, tuple[str, ...]]:
+    """Times of frames that go on evenly [ns], shape (T,), and a note on what was done about them.
+
+    Raises:
+        RecordingError: They are no times, or when frames were taken nobody knows.
+    """
+    if len(times_ns) < records.MIN_SAMPLES:
+        return times_ns, ()
+    times_ns, notes = in_order(called, times_ns, position)
+    arrivals = of_bursts(times_ns) if np.all(np.diff(times_ns) >= 0) else None
+    if arrivals is not None:
+        bursts = f"{called}: {arrivals.moved} of {len(times_ns)} frames come in bursts, stamped when they arrived"
+        if not arrivals.steady:
+            raise RecordingError(f"{bursts}, at no steady rate: when each was taken nobody knows")
+        times_ns = arrivals.times_ns
+        rate = f"{1.0 / arrivals.period_s:.0f} Hz"
+        notes = (*notes, f"{bursts}; they are read as evenly spaced, at {rate}.")
+    period_s = 1e-9 * float(np.median(np.diff(times_ns)))
+    frames = period_s * data.rate_hz
+    if frames > OTHER_UNIT or 0.0 < frames < 1.0 / OTHER_UNIT:
+        counted = is_counted(np.diff(times_ns))
+        what = "holds row numbers" if counted else f"goes by {period_s:.3g} s a frame"
+        raise RecordingError(
+            f"{called}: timestamp {what}, and meta/info.json has {data.rate_hz:g} frames a second: it is not in seconds"
+        )
+    return times_ns, notes
 
 
 def _usable(

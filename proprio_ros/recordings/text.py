@@ -16,6 +16,8 @@ from proprio_ros.records import IMPLAUSIBLE_POSITION, MIN_SAMPLES, FloatArray, P
 
 MOST_ROWS = 200_000  # rows of a CSV file: nearly two hours at 30 Hz
 
+LONGEST_PERIOD_S = 0.25  # of a joint that is pushed: half a second of it would be two rows
+
 
 @dataclass(frozen=True)
 class TextRecording:
@@ -67,6 +69,11 @@ def read_text_recording(path: str | Path) -> TextRecording:
         raise RecordingError(f"{file}: needs at least {MIN_SAMPLES} rows of two finite numbers")
     if not bool(np.all(np.diff(table[:, 0]) > 0)):
         raise RecordingError(f"{file}: time_s must increase from row to row")
+    period_s = float(np.median(np.diff(table[:, 0])))
+    if period_s > LONGEST_PERIOD_S:
+        numbers = bool(np.all(np.diff(table[:, 0]) == 1.0))
+        what = "holds row numbers" if numbers else f"goes by {period_s:.3g} a row: is it in ms?"
+        raise RecordingError(f"{file}: time_s {what}; it must be in seconds, of a clock")
     table.setflags(write=False)
     return TextRecording(path.resolve().name, joint, table[:, 0], table[:, 1], setting)
 

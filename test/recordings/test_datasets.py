@@ -224,3 +224,46 @@ def test_a_data_set_without_a_time_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no frame has a finite timestamp") as caught:
         read(folder)
     assert "\n" not in str(caught.value)
+
+
+def timed(folder: Path, times_s: np.ndarray) -> Path:
+    """A data set of one episode, stamped otherwise."""
+    return write(folder, replace(motion(8.0), times_s=times_s))
+
+
+TRUE_S = motion(8.0).times_s
+
+
+@pytest.mark.parametrize("by_s", [-3.2, -100.0, 3.2, 500.0])
+def test_a_clock_that_steps_is_cut_where_it_does(tmp_path: Path, by_s: float) -> None:
+    later = np.arange(len(TRUE_S)) >= 170
+    recording = read(timed(tmp_path, TRUE_S + np.where(later, by_s, 0.0)))
+    assert "the recording was cut there" in recording.notes[0]
+    found_s = 1e-9 * recording.joints.times_ns
+    assert len(found_s) == len(TRUE_S)
+    assert np.allclose(found_s[~later], TRUE_S[~later], atol=1e-4)
+    assert np.allclose(np.diff(found_s[later]), 0.02, atol=1e-4)
+    assert found_s[170] - found_s[169] == pytest.approx(0.2, abs=1e-4)
+
+
+def test_frames_that_come_in_bursts_are_spread(tmp_path: Path) -> None:
+    frames = np.arange(len(TRUE_S))
+    arrived = TRUE_S[np.minimum(frames // 5 * 5 + 4, len(frames) - 1)] + 1e-5 * (frames % 5)
+    recording = read(timed(tmp_path, arrived - arrived[0]))
+    assert "400 of 400 frames come in bursts" in recording.notes[0]
+    assert np.allclose(np.diff(1e-9 * recording.joints.times_ns), 0.02, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "words"),
+    [
+        (50.0 * TRUE_S, "holds row numbers, and meta/info.json has 50 frames a second"),
+        (1e3 * TRUE_S, "goes by 20 s a frame"),
+        (1e-3 * TRUE_S, "goes by 2e-05 s a frame"),
+    ],
+)
+def test_row_numbers_and_other_units_are_no_times(
+    tmp_path: Path, times_s: np.ndarray, words: str
+) -> None:
+    with pytest.raises(RecordingError, match=words):
+        read(timed(tmp_path, np.round(times_s, 6)))

@@ -41,6 +41,16 @@ def write_text_recording(path: Path, setting: Any = SETTING, table: str = TABLE)
     return path
 
 
+@pytest.mark.parametrize(
+    ("each_s", "words"), [(1.0, "holds row numbers"), (16.7, "goes by 16.7 a row: is it in ms?")]
+)
+def test_times_that_are_none_are_refused(tmp_path: Path, each_s: float, words: str) -> None:
+    header = "time_s,joint3_relative_rad\n"
+    rows = "".join(f"{row * each_s},{-row / 50}\n" for row in range(30))
+    with refused(words):
+        read_text_recording(write_text_recording(tmp_path / "text", table=header + rows))
+
+
 def test_a_text_recording(tmp_path: Path) -> None:
     recording = read_text_recording(write_text_recording(tmp_path / "text"))
     assert recording.times_s.tolist() == [row / 60 for row in range(6)]
