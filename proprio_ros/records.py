@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -136,6 +136,15 @@ class JointRecord:
             if getattr(self, quantity) is not None:
                 _keep(self, quantity, f"joint states: {quantity}", (len(times), len(self.names)))
         _finite(self.position, "joint states: position")
+
+    def kept(self, rows: BoolArray) -> JointRecord:
+        """The samples of some rows, shape (T,)."""
+        tables: Any = {
+            name: values[rows]
+            for name, values in vars(self).items()
+            if isinstance(values, np.ndarray)
+        }
+        return replace(self, **tables)
 
     def column(self, name: str) -> int:
         """Column of a joint; RecordingError: it was not recorded."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from proprio_ros.errors import RecordingError, TooLittleMotion
+from proprio_ros.recordings.repeats import repeated
 from proprio_ros.recordings.unmeasured import Measured, measured_only
 from proprio_ros.records import FloatArray, Recording
 
@@ -100,6 +101,8 @@ def motion_of(
             f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}: is it another arm's?"
         )
     notes = list(recording.notes)
+    recording = _without_repeats(recording, joints, notes)
+    record = recording.joints
     times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
     _check_times(times_s, name)
     position = _unwrapped(
@@ -136,6 +139,22 @@ def motion_of(
             "weighed roughly, with the --calibration of an arm that was calibrated by motions (docs: payload, at rest)"
         )
     return motion
+
+
+def _without_repeats(recording: Recording, joints: Sequence[str], notes: list[str]) -> Recording:
+    """The same without joint states that only repeat the one before."""
+    record = recording.joints
+    everywhere = np.ones(len(record.times_ns), dtype=bool)
+    repeats = repeated(record, everywhere, [record.column(joint) for joint in joints])
+    if not repeats.any():
+        return recording
+    kept = record.kept(~repeats)
+    rate_Hz = 1e9 / float(np.median(np.diff(kept.times_ns)))
+    notes.append(
+        f"{recording.name}: {int(repeats.sum())} of {len(repeats)} joint states repeat the one before although joints move: they "
+        f"are published faster than they are measured, at {rate_Hz:.3g} Hz; the repeats were left out"
+    )
+    return replace(recording, joints=kept)
 
 
 def _current(

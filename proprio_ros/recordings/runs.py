@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.recordings.repeats import repeated as repeated_rows
 from proprio_ros.records import (
     INSTANT_S,
     LOST_AFTER_PERIODS,
@@ -35,8 +36,6 @@ AFTER_S = 0.3
 """Of what the joint does after its run, so much is carried along: it shows when the current truly ended [s]."""
 # a joint that a position controller holds gives way by less than this [rad or m]
 MOVING_SPAN = 0.02
-REPEATED_SHARE = 0.2
-"""Of the joint states in a run may repeat the one before while the joint moves, before it is taken for a publisher's doing."""
 STEADY_SHARE, STEADY_WITHIN = 0.8, 0.25
 """The current of an excitation is constant: so much of it lies so close to its median, once single samples are smoothed. Of 194
 simulated ones 0.82 to 1 of it does even unsmoothed; under the controllers of real servos mostly 0 to 0.75."""
@@ -221,7 +220,7 @@ def _free_response(
     """One free response, until the joint hangs still: then friction alone decides where."""
     column = record.column(joint)
     notes = []
-    repeated = _repeated(record, inside, column)
+    repeated = repeated_rows(record, inside, [column])
     if repeated.any():
         inside = inside & ~repeated
         notes.append(
@@ -470,7 +469,7 @@ def _run(
             f" driven; at least {MIN_SAMPLES} are needed: probe longer or publish faster"
         )
     notes = list(interval.notes)
-    repeated = _repeated(record, inside, record.column(interval.joint))
+    repeated = repeated_rows(record, inside, [record.column(interval.joint)])
     if repeated.any():
         notes.append(
             f"{int(repeated.sum())} of {int(inside.sum())} joint states repeat the one before although {interval.joint} moves:"
@@ -513,33 +512,6 @@ def _run(
         after_position=record.position[after, column],
         **_others(record, before | inside, interval.joint, held),
     )
-
-
-def _repeated(record: JointRecord, inside: BoolArray, column: int) -> BoolArray:
-    """Rows of a run that only repeat the row before, as a broadcaster does that is faster than the hardware, shape (T,).
-
-    A joint that moves slowly repeats its position, too, from one count of its encoder to the next. So a run's repeats count only
-    where the joint goes in larger steps than that, and where there are many: else none is marked.
-    """
-    columns = [
-        record.position,
-        *(c for c in (record.velocity, record.reported_effort) if c is not None),
-    ]
-    rows = np.concatenate(columns, axis=1)
-    alike = np.zeros(len(rows), dtype=bool)
-    alike[1:] = np.all((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1])), axis=1)
-    alike &= inside
-    fresh = np.flatnonzero(inside & ~alike)
-    steps = np.abs(np.diff(record.position[:, column]))
-    none = np.zeros(len(rows), dtype=bool)
-    if len(fresh) < MIN_SAMPLES or not steps.any():
-        return none
-    count = float(steps[steps > 0.0].min())
-    large = np.abs(np.diff(record.position[fresh, column])) > 2.0 * count
-    # between two fresh rows that are a large step apart nothing should be alike
-    between = np.diff(fresh) - 1
-    passed = int(between[large].sum())
-    return alike if passed > REPEATED_SHARE * (passed + int(large.sum())) else none
 
 
 def _piecewise(inputs: InputRecord, interval: _Interval) -> tuple[FloatArray, FloatArray]:

@@ -594,9 +594,4 @@ def without_jumps(recording: records.Recording, joints: Sequence[str]) -> record
             "publish joint states"
         )
     note = f"{jumps}; they were left out: is the file damaged?"
-    columns: Any = {
-        name: values[kept]
-        for name, values in vars(record).items()
-        if isinstance(values, np.ndarray)
-    }
-    return replace(recording, joints=replace(record, **columns), notes=(*recording.notes, note))
+    return replace(recording, joints=record.kept(kept), notes=(*recording.notes, note))
