@@ -214,6 +214,10 @@ class Clock:
             bag_ns=times.bag_ns[rows], stamp_ns=times.stamp_ns[rows], values=values
         )
 
+    def then(self, other: Clock) -> Clock:
+        """What is wrong by both, the other's in times that this one has mended."""
+        return Clock((*self.faults, *other.faults), (*self.notes, *other.notes))
+
     def times(self, bag_ns: TimeArray, stamp_ns: TimeArray) -> Times:
         """Times of messages by this clock, shape (M,) each [ns]."""
         times = Times(bag_ns, stamp_ns, np.ones(len(bag_ns), dtype=bool))
@@ -433,9 +437,21 @@ def _steps_of_both(columns: JointColumns) -> Found:
     order = rows[np.argsort(columns.bag_ns[rows], kind="stable")]
     times = columns.bag_ns[order]
     position = columns.values["position"][np.ix_(order, usual)]
+    if _at_one_place(position):
+        return ()
     stamps = columns.stamp_ns[order]
     beside = stamps if stamps.all() else times
     return _overlaps(times, position) or _leaps(times, beside, position)
+
+
+def _at_one_place(position: FloatArray) -> bool:
+    """Whether positions come back to one and the same again and again, as where a second publisher says nothing else."""
+    _, which, counts = np.unique(position, axis=0, return_inverse=True, return_counts=True)
+    there = which.ravel() == counts.argmax()
+    visits = int(np.sum(np.diff(there.astype(int)) > 0))
+    moved = float(np.ptp(position, axis=0).max())
+    away = np.abs(np.diff(position, axis=0)).max(axis=1) > 0.1 * moved
+    return visits >= FEWEST and int(np.sum(away & (np.diff(there.astype(int)) != 0))) >= FEWEST
 
 
 def _overlaps(times: TimeArray, position: FloatArray) -> Found:

@@ -150,10 +150,14 @@ def _without_repeats(recording: Recording, joints: Sequence[str], notes: list[st
         return recording
     kept = record.kept(~repeats)
     rate_Hz = 1e9 / float(np.median(np.diff(kept.times_ns)))
-    notes.append(
+    many = (
         f"{recording.name}: {int(repeats.sum())} of {len(repeats)} joint states repeat the one before although joints move: they "
-        f"are published faster than they are measured, at {rate_Hz:.3g} Hz; the repeats were left out"
+        f"are published faster than they are measured, at {rate_Hz:.3g} Hz"
     )
+    if rate_Hz < SLOWEST_HZ:
+        notes.append(f"{many}; what lies between readings is not known so well")
+        return recording
+    notes.append(f"{many}; the repeats were left out")
     return replace(recording, joints=kept)
 
 

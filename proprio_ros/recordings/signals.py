@@ -126,11 +126,14 @@ def read_recording(
         command = None if states_only else bag.topics.input(command_topic, state, conventions)
         quantities = ["position", "velocity", "effort"]
         columns = joint_state_columns(bag, state, quantities, conventions)
-        columns = of_one_publisher(f"{path}: {state.name}", columns)
+        # parts whose times come twice look like two publishers, and two publishers may hide a step
+        before = clock_of(state.name, columns)
+        columns = of_one_publisher(f"{path}: {state.name}", before.mended(columns))
         if not states_only:
             refuse_prefix(path, columns.names, joint_order)
-        clock = clock_of(state.name, columns)
-        columns = clock.mended(columns)
+        behind = clock_of(state.name, columns)
+        columns = behind.mended(columns)
+        clock = before.then(behind)
         asked = asked._replace(clock=clock)
         pace = refuse_pace(f"{path}: {state.name}", columns)
         notes = [*columns.notes, *clock.notes, *pace]

@@ -190,6 +190,16 @@ def test_noise_of_encoders_is_no_second_motion() -> None:
     assert clock_of("/states", case).faults == ()
 
 
+def test_a_second_publisher_in_a_part_of_the_recording_is_no_step() -> None:
+    whole = columns(TRUE_NS, TRUE_NS)
+    second = np.arange(1000, 1600)
+    bag_ns = np.concatenate([TRUE_NS, TRUE_NS[second] + 3_000_000])
+    values = np.concatenate([whole.values["position"], np.zeros((len(second), 3))])
+    order = np.argsort(bag_ns, kind="stable")
+    mixed = JointColumns(bag_ns[order], bag_ns[order], whole.names, {"position": values[order]}, [])
+    assert clock_of("/states", mixed).faults == ()
+
+
 PUSH = BAGS / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
 
 

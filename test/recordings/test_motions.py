@@ -104,6 +104,26 @@ def test_wrapped_angles_are_unwrapped_and_long_gaps_are_said() -> None:
         motion_of(replace(whole, joints=replace(record, times_ns=times_ns)), joints=["a", "b"])
 
 
+@pytest.mark.parametrize("times", [2, 3, 10])
+def test_joint_states_that_repeat_the_one_before_are_left_out(times: int) -> None:
+    whole = recording(20.0)
+    record = whole.joints
+    rows = np.arange(len(record.times_ns)) // times * times
+    current = record.current
+    held = replace(record, position=record.position[rows], current=current)
+    motion = motion_of(replace(whole, joints=held), joints=["a", "b"])
+    measured_Hz = 100.0 / times
+    (note,) = [each for each in motion.notes if "repeat the one before" in each]
+    assert f"at {measured_Hz:.3g} Hz" in note
+    left = len(np.unique(rows)) if measured_Hz >= 20.0 else len(rows)
+    assert len(motion.times_s) == left
+    # a joint that creeps repeats counts of its encoder, and a motion without repeats is left as it is
+    creeps = replace(record, position=np.round(0.1 * record.position, 3))
+    for other in (record, creeps):
+        motion = motion_of(replace(whole, joints=other), joints=["a", "b"])
+        assert len(motion.times_s) == len(record.times_ns)
+
+
 def test_exactly_20_hz_are_20_hz() -> None:
     for rate_Hz in (20.0, 19.97):
         motion = motion_of(recording(20.0, rate_Hz), joints=["a", "b"])
