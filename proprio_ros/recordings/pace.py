@@ -20,6 +20,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.motions import LONGEST_GAP_S, MOVED_RAD
+from proprio_ros.recordings.repeats import repeated
 from proprio_ros.records import FloatArray, JointRecord, Recording, Run
 
 WINDOW_S = 2.0
@@ -129,6 +130,7 @@ def _scale_of_run(recording: Recording, run: Run) -> VelocityScale | None:
     since_s = 1e-9 * (record.times_ns - run.onset_ns).astype(np.float64)
     inside = (since_s >= -REST_S) & (since_s <= run.duration_s)
     inside &= np.isfinite(record.velocity[:, column])
+    inside &= ~repeated(record, inside, [column])
     velocity = record.velocity[inside, column]
     position = np.unwrap(record.position[inside, column])
     if len(velocity) < FEWEST_SAMPLES or np.ptp(position) < MOVED_RAD or not velocity.any():
@@ -195,6 +197,9 @@ def velocity_scales(recording: Recording) -> Mapping[str, VelocityScale]:
     record = recording.joints
     if record.velocity is None:
         return {}
+    everywhere = np.ones(len(record.times_ns), dtype=bool)
+    record = record.kept(~repeated(record, everywhere, range(len(record.names))))
+    assert record.velocity is not None
     times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
     found = {}
     asked = 0

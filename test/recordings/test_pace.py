@@ -191,6 +191,30 @@ def test_a_push_with_velocities_of_another_unit_or_of_none_is_read(unit: float) 
     refuse_pace_of_runs(replace(recording, joints=replace(record, velocity=None)), [run])
 
 
+@pytest.mark.parametrize("times", [2, 3, 5])
+def test_readings_that_are_published_several_times_are_no_pace(times: int) -> None:
+    quick, _ = pushed(1.0)
+    rows = np.arange(len(quick.joints.times_ns)) // times * times
+    record = quick.joints
+    assert record.velocity is not None
+    held = replace(record, position=record.position[rows], velocity=record.velocity[rows])
+    slow = replace(quick, joints=held)
+    refuse_pace_of_runs(slow, cut_runs(slow, joints=["a"]))
+    pace = pace_by_velocities(recording_held(times))
+    assert pace is not None
+    assert pace.scale == pytest.approx(1.0, abs=0.02)
+
+
+def recording_held(times: int) -> Recording:
+    """Three joints whose readings come several times."""
+    whole = recording(of_all())
+    record = whole.joints
+    rows = np.arange(len(record.times_ns)) // times * times
+    assert record.velocity is not None
+    held = replace(record, position=record.position[rows], velocity=record.velocity[rows])
+    return replace(whole, joints=held)
+
+
 def test_pushes_that_ship_keep_their_pace() -> None:
     constants = dict.fromkeys(OURS, 1.783)
     for bag in sorted((Path(__file__).resolve().parents[2] / "bags").glob("realistic*/bag_mcap")):
