@@ -38,6 +38,7 @@ from proprio_ros.pipeline.calibrate import write_calibration
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import load_robot
 
+MADE = "motion.npz"
 JOINTS = 7
 EMPTY_S = 30.0
 STAYS_S = 8.0
@@ -96,14 +97,26 @@ def make(folder: Path, seed: int, rate_Hz: float, minutes: float) -> Work:
         held = loads[number // 2 % len(loads)] if number % 2 == 0 else None
         schedule.append((at_s, held))
     motion = arm.work(seconds, schedule)
+    changes_s = [at_s for at_s, _ in schedule]
     np.savez(
-        folder / "motion.npz",
+        folder / MADE,
         names=motion.joints,
         times_s=motion.times_s,
         position=motion.position,
         effort=motion.current_A,
+        changes_s=changes_s,
     )
-    return Work(motion, [at_s for at_s, _ in schedule])
+    return Work(motion, changes_s)
+
+
+def made(folder: Path) -> Work:
+    """What `make` has kept."""
+    data = np.load(folder / MADE)
+    names = tuple(str(name) for name in data["names"])
+    motion = Motion(
+        "work", names, data["times_s"], data["position"], data["effort"], {}, "measured torque"
+    )
+    return Work(motion, data["changes_s"].tolist())
 
 
 def play(file: Path) -> None:
@@ -269,7 +282,7 @@ def soak(folder: Path, work: Work, load: int, ordinary: bool) -> dict[str, float
             listener.spin(0.1)
         assert listener.ready, "the identifier does not come up"
         ends.enter_context(busy(load))
-        play_it = [sys.executable, __file__, "--play", str(folder / "motion.npz")]
+        play_it = [sys.executable, __file__, "--play", str(folder / MADE)]
         arm = ends.enter_context(process(play_it))
         # not before: a program that starts computes for longer than the kernel lets those in real time
         run_in_real_time()
@@ -292,6 +305,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=401, help="of the arm")
     parser.add_argument("--ordinary", action="store_true", help="nobody grants real time")
+    parser.add_argument("--folder", type=Path, help="where the arm is kept, or was")
+    parser.add_argument("--make", action="store_true", help="make it, and no more")
     parser.add_argument("--play", type=Path, help="be the arm, of this file")
     options = parser.parse_args(arguments)
     if options.play:
@@ -314,8 +329,14 @@ def main(arguments: list[str] | None = None) -> None:
         },
     )
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        work = make(folder, options.seed, options.rate, options.minutes)
+        folder = options.folder or Path(name)
+        if (folder / MADE).exists():
+            work = made(folder)
+        else:
+            folder.mkdir(parents=True, exist_ok=True)
+            work = make(folder, options.seed, options.rate, options.minutes)
+        if options.make:
+            return
         found = soak(folder, work, options.load, options.ordinary)
     how = ", without real time" * options.ordinary
     results.row(
