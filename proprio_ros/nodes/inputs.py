@@ -34,6 +34,7 @@ STALE_S = 0.5
 SILENT_S = 3.0  # whoever says something ten times a second and has not for so long is gone
 TAIL_S = 0.3  # joint states after the last run that belong to the recording
 BEHIND_S = 0.2
+NO_INFO: Mapping[str, Any] = {}
 # roles of what says what an arm at work holds
 WORKING = ("joint_states", "joint_command", "battery_state")
 LATEST_S = 30.0
@@ -186,7 +187,7 @@ class Inputs:
         """What takes the messages of a topic."""
         msgtype = _type_of(kind)
 
-        def listen(data: bytes, sent_ns: int = 0) -> None:
+        def listen(data: bytes, info: Mapping[str, Any] = NO_INFO) -> None:
             now_ns = self._node.get_clock().now().nanoseconds
             if role == "joint_states":
                 self._state_at_s = clock.now()
@@ -207,7 +208,7 @@ class Inputs:
                 while now_ns - kept[0].time_ns > 1e9 * self._node.values["weigh_seconds"]:
                     kept.popleft()
             if arrived is not None and role in WORKING:
-                arrived.put(self._arrival(role, raw, sent_ns))
+                arrived.put(self._arrival(role, raw, info))
             if heard is not None:
                 heard.append(raw)
             if session is None:
@@ -219,17 +220,35 @@ class Inputs:
 
         return listen
 
-    def _arrival(self, role: str, raw: RawMessage, sent_ns: int) -> Arrival:
-        """A message with when it was sent; ``sent_ns`` is that on the sender's clock, 0: not known."""
-        late_s = 0.0
+    def _arrival(self, role: str, raw: RawMessage, info: Mapping[str, Any]) -> Arrival:
+        """A message with when it was sent, as far as the middleware says it."""
+        late_ns = 0
         # a simulation's time is heard as late as what happens in it
         simulated = self._node.get_clock().ros_time_is_active
-        if sent_ns and role == "joint_states" and not simulated:
-            lag = self._on_the_way.setdefault(len(raw.data), Lag())
-            lag.note(raw.time_ns, sent_ns, clock.now_ns())
-            late_s = 1e-9 * lag.late_ns
+        if role == "joint_states" and not simulated:
+            late_ns = self._late_ns(len(raw.data), raw.time_ns, info)
         stamp_ns = messages.first_stamp_ns(raw.data) or raw.time_ns
-        return Arrival(role, raw, stamp_ns, clock.now() - late_s)
+        return Arrival(role, raw, stamp_ns, clock.now() - 1e-9 * late_ns)
+
+    def _late_ns(self, size: int, now_ns: int, info: Mapping[str, Any]) -> int:
+        """How long a message waited here until it is heard, and how much later than ever it came here.
+
+        Args:
+            size: Of the message [bytes]: those of one publisher have one.
+            now_ns: When it is heard, on this computer's clock.
+            info: When it came, on the same clock, and when it was sent, on that of whoever sent it.
+        """
+        came_ns = info.get("received_timestamp", 0)
+        waited_ns = now_ns - came_ns
+        if not 0 <= waited_ns < 1e9 * LATEST_S:  # not known, or a clock was set meanwhile
+            came_ns = now_ns
+            waited_ns = 0
+        sent_ns = info.get("source_timestamp", 0)
+        if not sent_ns:
+            return waited_ns
+        lag = self._on_the_way.setdefault(size, Lag())
+        lag.note(came_ns, sent_ns, clock.now_ns() - waited_ns)
+        return waited_ns + lag.late_ns
 
     def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
         if role == "joint_states":

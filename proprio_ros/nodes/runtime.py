@@ -63,17 +63,19 @@ HEARD_OF_S, LOOK_S = 1.5, 0.02
 """For so long, and so often, a service is looked for before it is said not to be there: who asks waits for five seconds."""
 
 
-def waiting(subscription: Any, data: Any, info: Mapping[str, Any]) -> Iterator[tuple[Any, int]]:
+def waiting(
+    subscription: Any, data: Any, info: Mapping[str, Any]
+) -> Iterator[tuple[Any, Mapping[str, Any]]]:
     """All that came on a subscription, beside what its callback was given, without a wake-up for each message.
 
-    Returns: Each message with when it was sent, by the clock of whoever sent it [ns]; 0: not known.
+    Returns: Each message with what the middleware knows of it.
     """
-    yield data, info.get("source_timestamp", 0)
+    yield data, info
     with subscription.handle:
         while (
             more := subscription.handle.take_message(subscription.msg_type, subscription.raw)
         ) is not None:
-            yield more[0], more[1].get("source_timestamp", 0)
+            yield more
 
 
 class ManagedNode(LifecycleNode):
@@ -199,8 +201,8 @@ class ManagedNode(LifecycleNode):
 
         A reliable publisher repeats what was lost, so it is asked to until one is found that does not. At present, may all that
         waits but the newest be left out (``only_newest``)? Is all that waits handed on at one wake-up (``together``), so that a
-        node that pauses between them keeps up? With ``dated`` the callback is also given when a message was sent, by the clock of
-        whoever sent it [ns]; 0: not known.
+        node that pauses between them keeps up? With ``dated`` the callback is also given when a message was sent and when
+        it came, as the middleware says it.
         """
 
         def hear(message: Any, info: Mapping[str, Any]) -> None:
@@ -215,11 +217,11 @@ class ManagedNode(LifecycleNode):
                         self.more_waits = True
                         break
             else:
-                take(message, info.get("source_timestamp", 0))
+                take(message, info)
 
-        def take(message: Any, sent_ns: int) -> None:
+        def take(message: Any, info: Mapping[str, Any]) -> None:
             if dated:
-                callback(message, sent_ns)
+                callback(message, info)
             else:
                 callback(message)
 

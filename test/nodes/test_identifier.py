@@ -547,3 +547,22 @@ def test_joints_that_a_driver_calls_otherwise_are_known(nodes: Nodes, tmp_path: 
     )
     assert node._inputs._joints[:3] == [b"left_joint1", b"left_joint2", b"left_elbow"]
     assert node._inputs.conventions.renamed(["left_elbow", "joint1"])[0] == "joint3"
+
+
+@pytest.mark.parametrize("ahead_s", [0, 3600, -3600])
+def test_a_joint_state_is_as_late_as_it_waited_here(
+    nodes: Nodes, tmp_path: Path, ahead_s: int
+) -> None:
+    """The first that is heard as well; by how much the sender's clock is ahead does not matter."""
+    late_ns = nodes.identifier(data_directory=tmp_path, calibration="none")._inputs._late_ns
+    second = 10**9
+    now_ns = 1_700_000_000 * second
+
+    def sent(came_ns: int) -> dict[str, int]:
+        return {"received_timestamp": came_ns, "source_timestamp": came_ns + ahead_s * second}
+
+    assert late_ns(100, now_ns, sent(now_ns - 8 * second)) == 8 * second
+    assert late_ns(100, now_ns, sent(now_ns)) == 0
+    # a computer's clock that was set while it waited; and a middleware that says nothing
+    assert late_ns(60, now_ns, sent(now_ns - 3600 * second)) == 0
+    assert late_ns(60, now_ns, {}) == 0
