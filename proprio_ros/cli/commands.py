@@ -200,13 +200,16 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
         f"  {state}\n"
         f"  check: payload_frame, {new.payload_frame} is a guess"
     )
+    notes = []
     if new.unlimited:
-        text += (
-            f"\n  before planning or pushing, state current_limit_A of: {some(new.unlimited)} (its URDF states no limit of effort; "
+        notes.append(
+            f"before planning or pushing, state current_limit_A of: {some(new.unlimited)} (its URDF states no limit of effort; "
             "weighing needs none)"
         )
+    text += "".join(f"\n  note: {note}" for note in notes)
     open_yet = {"to_state": list(new.to_state), "no_effort_limit": list(new.unlimited)}
-    terminal.show(options.json, {**schema.header("robot"), **about, **open_yet}, text)
+    whole = {**schema.header("robot"), **about, **open_yet, "notes": notes}
+    terminal.show(options.json, whole, text)
     return EXIT_OK
 
 

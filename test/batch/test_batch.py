@@ -190,7 +190,7 @@ def test_rows_are_those_of_replay_bit_for_bit_whatever_the_engine(
     assert "<td" in outcome._repr_html_() and "batch.html" in outcome._repr_html_()
     assert outcome.episodes == len(rows) == 10 and outcome.verdicts == {"accepted": 9, "failed": 1}
     (failed,) = [row for row in rows if row["kind"] == "failed"]
-    assert failed["episode"] == "bags/cut" and "not readable" in failed["reasons"][0]
+    assert failed["episode"] == "bags/cut" and "the motion lasts 0.3 s" in failed["reasons"][0]
     assert failed["value"] is None and failed["reason_codes"] == ["unreadable"]
     for row in rows:
         if row is failed:
