@@ -48,6 +48,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     ),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
+    "time_axis": ("--step", "1.5", "--sets", "0", "--only", "Panda"),
     "running": (
         "--arms",
         "1",

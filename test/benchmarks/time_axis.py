@@ -134,6 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=31, help="first seed")
     parser.add_argument("--sets", type=int, default=10, help="of SO-101")
     parser.add_argument("--step", type=float, default=0.05, help="from factor to factor")
+    parser.add_argument("--only", nargs="+", help="machines, or how their names begin")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--made", type=Path, help="where simulated recordings are kept")
     options = parser.parse_args(arguments)
@@ -141,7 +142,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     factors = np.round(np.arange(0.5, 2.0 + 1e-9, options.step), 3)
     with tempfile.TemporaryDirectory() as folder:
         made = options.made or Path(folder)
-        known = list(bases(options.first, options.sets))
+        chosen = tuple(options.only or ("",))
+        known = [
+            (machine, base)
+            for machine, base in bases(options.first, options.sets)
+            if machine.startswith(chosen)
+        ]
         for _, base in known:
             base.files(made)
         questions = [
