@@ -108,14 +108,13 @@ class _Model:
 def with_cause(refusal: Refusal, robot: Robot, motions: Sequence[Motion]) -> Refusal:
     """The refusal of a fit of some motions, with the mistake that explains it, where one is found; its mass is withheld then.
 
-    A clock that was followed is named first: it explains more than anything that is found beside it.
+    Args:
+        refusal: Of the fit.
+        robot: As its file states it.
+        motions: By their stamps, whatever clock was followed: a reversed joint bends a clock, too.
     """
     if refusal.verdict is Verdict.ACCEPTED:
         return refusal
-    # of a motion's notes those that say what is wrong with it, not what was made of it
-    clocks = [note for motion in motions for note in motion.notes if isinstance(note, Reason)]
-    if clocks:
-        return replace(refusal, reasons=(*clocks, *refusal.reasons))
     for motion in motions:
         if cause := torque_cause(robot, motion):
             code = (

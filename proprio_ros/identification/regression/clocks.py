@@ -20,6 +20,8 @@ from scipy.stats import norm
 
 from proprio_ros.calibration_files.motions import FRICTION_TERMS, MotionCalibration
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.between import CLOCK, Between
@@ -133,6 +135,15 @@ def _lag_followed(motion: Motion, lag_s: float) -> Reason:
         f"{motion.name}: its efforts were recorded {1e3 * abs(lag_s):.0f} ms {when} than its positions; they were moved back by "
         "that",
     )
+
+
+def with_clocks_named(refusal: Refusal, motions: Sequence[Motion]) -> Refusal:
+    """A refusal for which nothing else was found, with the clocks that were followed before its other reasons."""
+    if refusal.verdict is Verdict.ACCEPTED:
+        return refusal
+    # of a motion's notes those that say what is wrong with it, not what was made of it
+    clocks = [note for motion in motions for note in motion.notes if isinstance(note, Reason)]
+    return replace(refusal, reasons=(*clocks, *refusal.reasons)) if clocks else refusal
 
 
 def clock_of(

@@ -26,7 +26,7 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.clocks import with_clocks
+from proprio_ros.identification.regression.clocks import with_clocks, with_clocks_named
 from proprio_ros.identification.regression.motion_equations import Arm, once_each
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
@@ -72,9 +72,13 @@ def calibrate_motions(
     """
     robot = replace(robot, motion_calibration=None)
     progress(f"fitting {len(motions)} motions")
+    as_stamped = motions
     motions = with_clocks(robot, motions)
     calibration, fits = learn_arm(robot, motions)
-    refusal = with_cause(judge(calibration_refusals(robot, motions, calibration)), robot, motions)
+    refused = judge(calibration_refusals(robot, motions, calibration))
+    refusal = with_cause(refused, robot, as_stamped)
+    if refusal is refused:
+        refusal = with_clocks_named(refusal, motions)
     if not refusal.withheld and references:
         progress("weighing the references")
         loaded = [motion for motion, _ in references]

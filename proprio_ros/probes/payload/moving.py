@@ -27,7 +27,7 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.clocks import with_clocks
+from proprio_ros.identification.regression.clocks import with_clocks, with_clocks_named
 from proprio_ros.identification.regression.motion_equations import STRETCH_S, once_each
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
 from proprio_ros.identification.regression.motion_fit import (
@@ -169,6 +169,7 @@ def _identified(
     """As `identify_in_motion`, of joints whose efforts were measured."""
     centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
     calibration = robot.motion_calibration
+    as_stamped = (motions, baseline)
     if calibration is not None:
         motions = with_clocks(robot, motions, calibration, loaded=True)
         baseline = with_clocks(robot, baseline, calibration)
@@ -206,7 +207,12 @@ def _identified(
                 known,
             )
     if named is refusal:
-        named = with_cause(refusal, robot, (*motions, *baseline))
+        named = with_cause(refusal, robot, list(chain(*as_stamped)))
+        if named is refusal:
+            refusal = named = with_clocks_named(refusal, (*motions, *baseline))
+        else:
+            # what explains the torques by their stamps bent the clock, too
+            motions, baseline = as_stamped
     if centre is not None and named is refusal:
         free = fit_payload(robot, motions, calibration, empty=beside)
         named = _elsewhere(refusal, motions, centre, fit, free, known)
