@@ -155,7 +155,8 @@ def answer(question: Drawn, first: int, made: Path) -> Answered:
             files[name] = bent_bag(files[name], Path(folder) / name, made_of, seed)
         outcome = asked(base.command, files, base.estimate)
     right = bend.right if "empty" in question.of else bend.right_alone
-    named = bool(right.cause) and re.search(right.cause, outcome.said) is not None
+    in_words = bool(right.cause) and re.search(right.cause, outcome.said) is not None
+    named = in_words or bool(set(right.codes) & set(outcome.codes))
     given = outcome.value is not None
     return Answered(
         question, bend.kind, base.truth, outcome, named, right.told is True and not given

@@ -28,8 +28,8 @@ class Right:
     Attributes:
         told: True: nothing stands in the way of an answer, and a refusal is wrong; False: no answer can be right by more than luck;
             None: both are right.
-        cause: Regular expression of the words that name the cause, one of which has to be in what is said of a refusal.
-        codes: Of which a refusal has one; empty: any, or none, as where a recording is refused as it is read.
+        cause: Regular expression of the words that name the cause in what is said of a refusal.
+        codes: Of reasons that name it whatever their words.
     """
 
     told: bool | None = None

@@ -145,7 +145,7 @@ def friction_falls(tape: Tape, rng: Rng, share: float) -> Tape:
 
 @bend(
     "efforts",
-    Right(cause="warm|fell|rose|drift"),
+    Right(cause="warm|fell|rose|drift", codes=("other_torque",)),
     share=either_sign(0.03, 0.15),
 )
 def torque_falls(tape: Tape, rng: Rng, share: float) -> Tape:

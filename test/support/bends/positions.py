@@ -38,7 +38,7 @@ def joint_reversed(tape: Tape, rng: Rng, joint: str) -> Tape:
 
 @bend(
     "positions",
-    Right(cause=ZERO),
+    Right(cause=ZERO, codes=("other_zero",)),
     joint=a_joint,
     zero_rad=either_sign(0.005, 0.5),
 )
