@@ -33,7 +33,6 @@ ROWS = (
             bends=(_pace(factor, velocity),),
             cause=_CLOCK,
             said_if=VERDICTS,
-            pending="the time axis is asked of motions next",
         )
         for factor in (0.5, 0.7, 0.73, 0.83, 1.3)
         for velocity, words in (
@@ -50,7 +49,6 @@ ROWS = (
             bends=(_pace(factor, "none", _LOADED),),
             cause=_CLOCK,
             said_if=VERDICTS,
-            pending="the time axis is asked of motions next",
         )
         for factor in (0.73, 1.4)
     ),
@@ -110,8 +108,7 @@ ROWS = (
         verdicts=(ACCEPTED,),
         cause=r"late|behind|lag",
         said_if=VERDICTS,
-        narrow=0.3,
-        pending="the lag of an effort comes next",
+        narrow=0.36,
     ),
     Row(
         name="effort_100_ms_late",
@@ -122,7 +119,6 @@ ROWS = (
         cause=r"late|behind|lag",
         said_if=VERDICTS,
         unsaid=r"held firmly",
-        pending="the lag of an effort comes next",
     ),
     Row(
         name="row_number_for_a_time",

@@ -23,7 +23,6 @@ ROWS = (
         verdicts=_REFUSED,
         codes=("arm_unlike_urdf", "other_torque"),
         cause=r"\b(4(\.\d)?|3\.[5-9]\d?) times|by 4\b|x 4\b|0?\.25",
-        pending="the factor that would explain it comes next",
     ),
     Row(
         name="three_joints_times_4_loaded_alone",
@@ -34,7 +33,6 @@ ROWS = (
         verdicts=_REFUSED,
         codes=("arm_unlike_urdf", "other_torque"),
         cause=r"\b(4(\.\d)?|3\.[5-9]\d?) times|by 4\b|x 4\b|0?\.25",
-        pending="the factor that would explain it comes next",
     ),
     *(
         Row(
@@ -47,7 +45,6 @@ ROWS = (
             cause=_STOOD,
             said_if=VERDICTS,
             unsaid=_PICKED,
-            pending="the part before is weighed next",
         )
         for how, words, bent in (
             ("frozen", "stands still", ("effort_frozen", {"at": 0.6})),
@@ -91,7 +88,6 @@ ROWS = (
         bends=(Bent("friction_falls_by_a_current", {"current": 0.24}),),
         cause=r"friction.*(fell|changed|along)|warm",
         unsaid=r"held firmly|picked up",
-        pending="friction that falls comes next",
     ),
     Row(
         name="torque_falls",

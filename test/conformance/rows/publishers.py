@@ -20,7 +20,6 @@ ROWS = (
             said_if=VERDICTS,
             unsaid=r"no input current|is the file damaged",
             narrow=0.25,
-            pending="a second publisher comes next",
         )
         for when, lag, effort in (("before", -50, False), ("after", 50, True))
     ),
@@ -35,7 +34,6 @@ ROWS = (
         said_if=VERDICTS,
         unsaid=r"is the file damaged",
         narrow=0.25,
-        pending="a second publisher comes next",
     ),
     Row(
         name="stale_copies",
@@ -47,7 +45,6 @@ ROWS = (
         cause=_SAID,
         said_if=VERDICTS,
         narrow=0.3,
-        pending="a second publisher comes next",
     ),
     Row(
         name="every_message_twice",
@@ -70,7 +67,6 @@ ROWS = (
         cause=r"named twice|" + _SAID,
         said_if=VERDICTS,
         narrow=0.25,
-        pending="a second publisher comes next",
     ),
     Row(
         name="copies_in_another_order",
@@ -82,7 +78,6 @@ ROWS = (
         cause=r"stamps are repeated|lack some|" + _SAID,
         said_if=VERDICTS,
         narrow=0.25,
-        pending="a second publisher comes next",
     ),
     Row(
         name="mounted_on_a_wall",
