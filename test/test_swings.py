@@ -265,6 +265,46 @@ def test_a_swing_far_lighter_than_those_of_its_calibration_is_asked_whose_it_is(
     )
 
 
+def another_machine(**changes: float) -> list[Run]:
+    """Two swings of another pendulum than that of the fixture, in one thing or more."""
+    rng = np.random.default_rng(3)
+    machine = {**machine_of(rng), "coulomb": 0.1, "rise": 0.2}
+    machine = {name: value * changes.get(name, 1.0) for name, value in machine.items()}
+    swung = released(rng, np.array([0.7, 0.9]), machine, False)
+    return [as_run(f"other {number}", *swing) for number, swing in enumerate(swung)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "changes", [{"coulomb": 3.0}, {"armature": 0.2}, {"armature": 0.2, "coulomb": 0.3}], ids=str
+)
+def test_another_joint_than_the_one_that_was_calibrated_is_named(
+    robot: Robot, runs: list[Run], changes: dict[str, float]
+) -> None:
+    learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
+    assert learnt.calibration is not None and len(learnt.calibration.own_terms) == 2
+    calibrated = robot.with_calibration(learnt.calibration)
+    same = weigh(calibrated, another_machine(), facts())
+    assert same.verdict is Verdict.ACCEPTED, same.reasons
+    for run in another_machine(**changes):
+        estimate = weigh(calibrated, [run], facts())
+        assert estimate.values[0].value is None
+        codes = [getattr(reason, "code", "") for reason in estimate.reasons]
+        assert codes[0] in ("another_joint", "not_covered")
+
+
+@pytest.mark.long
+def test_an_older_calibration_does_not_say_whose_it_is(robot: Robot, runs: list[Run]) -> None:
+    learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
+    assert learnt.calibration is not None
+    older = replace(learnt.calibration, own_terms=())
+    now, then = (
+        weigh(robot.with_calibration(each), runs[2:], facts()).values[0].value
+        for each in (learnt.calibration, older)
+    )
+    assert now == then is not None
+
+
 @pytest.mark.long
 def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(
     robot: Robot, runs: list[Run]
@@ -381,6 +421,38 @@ def test_a_real_servo_that_lets_go_weighs(
         assert isinstance(value.value, float) and isinstance(value.std, float)
         assert value.value == pytest.approx(REAL_KG[number], rel=0.05)
         assert abs(value.value - REAL_KG[number]) < 1.96 * value.std < 0.08 * REAL_KG[number]
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "asked"),
+    [("sts3215_release", "sts3250_release"), ("sts3250_release", "sts3215_release")],
+)
+def test_a_real_servo_by_another_one_s_calibration_is_named(
+    shared: Path, tmp_path: Path, calibrated: str, asked: str
+) -> None:
+    folder = shared / "recordings_real"
+    if not folder.exists():
+        pytest.skip("needs the real recordings")
+    length_m = 0.15 if "3250" in calibrated else 0.1
+    (tmp_path / "swing.urdf").write_text(
+        URDF.replace('value="0.03"', 'value="0.001"')
+        .replace("1e-5", "1e-7")
+        .replace('"pivot"', '"pendulum"')
+        .replace('xyz="0 0 -0.1"', f'xyz="0 0 -{length_m}"')
+    )
+    file = tmp_path / "swing.yaml"
+    file.write_text(ROBOT.replace("pivot:", "pendulum:") + "gravity: [0.0, 0.0, -9.80496]\n")
+    output = tmp_path / "calibrated.yaml"
+    references = {folder / f"{calibrated}_{kg:.3f}kg": kg for kg in (REAL_KG[0], REAL_KG[2])}
+    learnt = calibrate_from_bags(
+        [], references, Options(robot=str(file), settings=dict(REAL)), output
+    )
+    assert learnt.verdict is Verdict.ACCEPTED
+    for kg in REAL_KG:
+        bag = folder / f"{asked}_{kg:.3f}kg"
+        estimate = replay(bag, Options(calibration=output, settings=dict(REAL)))
+        assert estimate.values[0].value is None
+        assert getattr(estimate.reasons[0], "code", "") == "another_joint"
 
 
 def test_the_same_swing_is_not_given_twice(shared: Path, tmp_path: Path) -> None:

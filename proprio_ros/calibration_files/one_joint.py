@@ -11,16 +11,27 @@ It is the section ``joint_calibration`` of a robot file that ``extends`` the rob
       runs: [{name: .., duration_s: 6.0, load_kg: 0.5, read_kg: 0.52, std_kg: 0.03}, ..]    # each weighed by the others
       without: |                                   # the terms, a line for each run left out
         0.4 ..
+      own_terms: |                                 # rotor, viscous and Coulomb friction by each run itself, see `own_terms`
+        0.02 ..
+      driven_by: {kind: position_servo, gain_per_rad: 2.656, ..}   # what made currents of goals, where something did
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from proprio_ros.calibration_files.own_terms import (
+    ARMATURE,
+    COULOMB,
+    VISCOUS,
+    OwnTerms,
+    own_terms_of,
+    own_terms_text,
+)
 from proprio_ros.calibration_files.section import (
     RUN,
     check_section,
@@ -31,7 +42,7 @@ from proprio_ros.calibration_files.section import (
     runs_of,
     short,
 )
-from proprio_ros.inputs.forms import Form, FormError, Number
+from proprio_ros.inputs.forms import Form, FormError, Number, Text, under
 from proprio_ros.records import FloatArray
 
 TERMS: Mapping[str, str] = {
@@ -44,6 +55,8 @@ TERMS: Mapping[str, str] = {
 }
 """All in torques as the robot file's torque constant makes them of currents: ``scale`` is such a torque over the true one, the two
 shares of load friction are of the true torque and of its square."""
+OWN_TERMS = (ARMATURE, VISCOUS, COULOMB)
+"""What each recording shows by itself, in torques as the scale has them."""
 FEWEST_RUNS = 3  # of fewer, none says by how much they differ
 _LARGEST = 1e6
 _RUN: dict[str, Form] = RUN | {
@@ -73,6 +86,10 @@ class JointCalibration:
     residual: float  # RMS of the windows' mean torque that is left over [N m]
     # one mapping per recording: name, duration_s, load_kg; read_kg, std_kg: what the others make of it
     runs: tuple[Mapping[str, Any], ...]
+    # `OWN_TERMS` of each recording; none in older files
+    own_terms: tuple[OwnTerms, ...] = ()
+    # the law that made currents of goals and duty cycles, as the robot file had it; nothing where there was none, or in older files
+    driven_by: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def loads_kg(self) -> FloatArray:
@@ -95,6 +112,8 @@ class JointCalibration:
             "residual_N_m": short(self.residual),
             "runs": [dict(run) for run in self.runs],
             "without": lines_of(self.without, 15),
+            **own_terms_text(self.own_terms),
+            **({"driven_by": dict(self.driven_by)} if self.driven_by else {}),
         }
 
     @classmethod
@@ -116,4 +135,18 @@ class JointCalibration:
             raise FormError(
                 f"without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; calibrate again"
             )
-        return cls(joint, constant, np.array(terms), np.array(rows), spread, residual, runs)
+        own_terms = own_terms_of(section, len(runs), len(OWN_TERMS))
+        driven_by = _law_of(section)
+        return cls(
+            joint, constant, np.array(terms), np.array(rows), spread, residual, runs, own_terms, driven_by
+        )  # fmt: skip
+
+
+def _law_of(section: Mapping[str, Any]) -> dict[str, Any]:
+    """What drove the joint, by key; nothing where the section says nothing of it; raises `FormError`."""
+    if "driven_by" not in section:
+        return {}
+    given = part_of(section, "driven_by", Mapping)
+    number = Number(lowest=-_LARGEST, highest=_LARGEST)
+    with under("driven_by"):
+        return {str(key): (Text() if key == "kind" else number).read(value) for key, value in given.items()}  # fmt: skip

@@ -15,6 +15,8 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
         joint3: {model: 1020, id: 13, firmware: 46, homing_offset: 0, drive_mode: 0, moving_threshold: 10}
       made: {time_s: 1760000009.8, temperature_C: {joint3: 34.0}}   # when, by the clock of the recordings; see `drift`
       start_velocity_rad_s: 0.003        # how still the joint is when its excitation begins; all numbers have ranges, see `RANGES`
+      own_terms: |                       # of free responses, a line for each run, see `own_terms`
+        0.14 0.015 ..
       unknowns:
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
       correlation: |                     # lower triangle, a line per unknown in the order above
@@ -33,6 +35,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
+from proprio_ros.calibration_files.own_terms import OwnTerms, own_terms_of, own_terms_text
 from proprio_ros.calibration_files.section import (
     check_section,
     correlation_of,
@@ -100,6 +103,7 @@ TERMS = (
     "torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity",
 )  # fmt: skip
 """Kinds of unknowns that a drive train has."""
+TERMS_OF_A_SWING = 2  # dry and viscous friction, see `own_terms`
 _LEAST_STD = 1e-10  # of any unknown, in its unit: below it, a covariance loses its digits
 _FARTHEST = 5.0  # times the nominal torque constant, or that part of it
 _MOST_STDS = 10.0
@@ -162,6 +166,8 @@ class Calibration:
     onset_jitter_s: float = 0.0
     # when it was made, or since when it counts (see `drift`); None where the recordings do not say it
     made: Moment | None = None
+    # of each free response, dry and viscous friction by itself; none in older files, and of pushes
+    own_terms: tuple[OwnTerms, ...] = ()
 
     @functools.cached_property
     def names(self) -> tuple[str, ...]:
@@ -238,6 +244,7 @@ class Calibration:
             **({"made": self.made.as_settings()} if self.made is not None else {}),
             **({"motors": {joint: motor.as_settings() for joint, motor in self.motors.items()}} if self.motors else {}),
             **(swung if self.swing_error > 0.0 else {}),
+            **own_terms_text(self.own_terms),
             "unknowns": {
                 name_of(key): {"value": short(known.value, 15), "std": short(known.std, 15), "unit": _unit(key)}
                 for key, known in self.quantities.items()
@@ -293,9 +300,10 @@ class Calibration:
         if "made" in section:
             with under("made"):
                 made = Moment.from_settings(section["made"])
+        own_terms = own_terms_of(section, len(runs), TERMS_OF_A_SWING)
         return cls(
-            tuple(keys), np.array(values), covariance, runs=runs, motors=motors, made=made, **noise
-        )
+            tuple(keys), np.array(values), covariance, runs=runs, motors=motors, made=made, own_terms=own_terms, **noise
+        )  # fmt: skip
 
 
 def check_complete(

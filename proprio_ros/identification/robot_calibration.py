@@ -35,6 +35,7 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joi
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, robot_unknowns
+from proprio_ros.identification.swing_friction import friction_of_swings
 from proprio_ros.identification.swings import (
     CHANGING,
     MISSED_SHARE,
@@ -47,6 +48,7 @@ from proprio_ros.kinds import label_of
 from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
 
 STRANGE = 4.0
 """Torque or onset of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
@@ -121,6 +123,8 @@ def calibrate(
     calibration = whole
     if not refusals:
         verdict, reasons, calibration = _separated(whole, problem.runs, one_way)
+    if swings and verdict is Verdict.ACCEPTED:
+        calibration = _with_own_friction(robot, problem.runs, calibration)
     if left_out:
         reasons.append(
             gates.said_left_out(
@@ -508,6 +512,16 @@ def _as_calibration(fitted: Fitted) -> Calibration:
         runs=tuple(map(entry_of, problem.runs)),
         **asdict(noise),
     )
+
+
+def _with_own_friction(
+    robot: Robot, runs: Sequence[PreparedRun], calibration: Calibration
+) -> Calibration:
+    """What each swing shows of friction by itself beside it: by that another joint is told from this one."""
+    facts = [run.load.facts if run.load is not None else PayloadFacts() for run in runs]
+    swung = [(run.run, its) for run, its in zip(runs, facts, strict=True)]
+    own_terms = friction_of_swings(robot.with_calibration(calibration), swung)
+    return replace(calibration, own_terms=own_terms)
 
 
 def entry_of(run: PreparedRun) -> dict[str, object]:

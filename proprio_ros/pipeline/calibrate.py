@@ -481,9 +481,9 @@ def _laid_out(key: str, value: Any) -> Any:
         return [_on_one_line(entry) for entry in value]
     if key == "unknowns":
         return CommentedMap({name: _on_one_line(entry) for name, entry in value.items()})
-    if key in ("correlation", "deviations", "without"):
+    if key in ("correlation", "deviations", "without", "own_terms"):
         return LiteralScalarString(value)
-    return _on_one_line(value) if key in ("made", "torque_scale") else value
+    return _on_one_line(value) if key in ("made", "torque_scale", "driven_by") else value
 
 
 def _on_one_line(entry: Mapping[str, Any]) -> CommentedMap:

@@ -44,17 +44,22 @@ def robot_file(
     return path
 
 
-def driven(load_kg: float, seed: int, *, seconds: float = 8.0) -> dict[str, np.ndarray]:
+def driven(
+    load_kg: float,
+    seed: int,
+    *,
+    seconds: float = 8.0,
+    gain: float = 2.5,
+    armature: float = 0.01,
+    torque_constant: float = 1.3,
+) -> dict[str, np.ndarray]:
     """A servo under its own position law that swings a point mass at 0.1 m, integrated here in steps of 0.2 ms."""
     random = np.random.default_rng(seed)
-    torque_constant = 1.3
     resistance = 2.0
-    emf = 1.3
-    armature = 0.01
+    emf = torque_constant
     coulomb = 0.05 * random.uniform(0.9, 1.1)
     lost = 0.1
     viscous = 0.02
-    gain = 2.5
     limit = 0.9
     fastest = 5.0
     delay = 0.025
@@ -277,6 +282,94 @@ def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
         mass = estimate.values[0]
         assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
         assert mass.ci95[0] < kg < mass.ci95[1] and mass.value == pytest.approx(kg, rel=0.08)
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """By six motions of one servo, integrated here."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    references = {
+        write(folder / f"known{seed}", driven(kg, seed)): kg
+        for seed, kg in enumerate((*LOADS_KG, *LOADS_KG))
+    }
+    options = Options(robot=str(robot_file(folder)), settings=POINT)
+    learnt = calibrate_from_bags([], references, options, folder / "known.yaml")
+    assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
+    return folder / "known.yaml"
+
+
+@pytest.mark.long
+def test_each_recording_shows_rotor_and_friction_by_itself(calibrated: Path) -> None:
+    """As they were put in, in torques of the file's constant; dry friction and what gears lose of a load are one there."""
+    known = load_robot(calibrated).joint_calibration
+    assert known is not None and len(known.own_terms) == 6
+    for own in known.own_terms:
+        rotor, viscous, _ = own.values / known.values[0]
+        assert abs(rotor - 0.01) < 4.0 * own.std[0] / known.values[0] + 0.002
+        # back EMF is viscous friction, of the torque constant squared over the resistance
+        assert viscous == pytest.approx(0.02 + 1.3**2 / 2.0, rel=0.15)
+
+
+OTHERS: dict[str, dict[str, float]] = {
+    "half the gain": {"gain": 1.25},
+    "twice the gain": {"gain": 5.0},
+    "a weaker servo": {"torque_constant": 0.8, "armature": 0.006},
+    "a stronger servo": {"torque_constant": 2.0, "armature": 0.03},
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("other", OTHERS)
+def test_another_servo_or_gain_than_the_one_that_was_calibrated_is_named(
+    calibrated: Path, tmp_path: Path, other: str
+) -> None:
+    bag = write(tmp_path / "asked", driven(0.45, 21, **OTHERS[other]))
+    estimate = replay(bag, Options(calibration=calibrated, settings=POINT))
+    assert estimate.values[0].value is None
+    codes = [getattr(reason, "code", "") for reason in estimate.reasons]
+    # a servo that is another in all may also be explained by no load
+    assert codes == ["another_joint"] or ("servo" in other and codes == ["misfit"])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("load_kg", [0.1, 1.6])
+def test_a_load_far_outside_of_those_that_were_known_is_not_covered(
+    calibrated: Path, tmp_path: Path, load_kg: float
+) -> None:
+    bag = write(tmp_path / "asked", driven(load_kg, 22))
+    estimate = replay(bag, Options(calibration=calibrated, settings=POINT))
+    codes = [getattr(reason, "code", "") for reason in estimate.reasons]
+    assert estimate.values[0].value is None and codes[0] in ("not_covered", "says_too_little")
+
+
+@pytest.mark.long
+def test_a_law_that_was_edited_since_is_refused(calibrated: Path, tmp_path: Path) -> None:
+    bag = write(tmp_path / "asked", driven(0.45, 23))
+    base = calibrated.parent / "servo.yaml"
+    before = base.read_text()
+    base.write_text(before.replace("gain_per_rad: 2.5", "gain_per_rad: 5.0"))
+    with pytest.raises(
+        RobotError, match=r"gain_per_rad of what drives pendulum .* 5\.0, but it was"
+    ):
+        replay(bag, Options(calibration=calibrated, settings=POINT))
+    base.write_text(before)
+
+
+@pytest.mark.long
+def test_a_calibration_of_an_older_version_is_still_read(calibrated: Path, tmp_path: Path) -> None:
+    lines = calibrated.read_text().splitlines()
+    begin = next(row for row, line in enumerate(lines) if line.strip().startswith("own_terms"))
+    end = next(row for row in range(begin + 1, len(lines)) if not lines[row].startswith("    "))
+    older = calibrated.with_name("older.yaml")
+    kept = [*lines[:begin], *lines[end:]]
+    older.write_text("\n".join(line for line in kept if "  driven_by:" not in line) + "\n")
+    read = load_robot(older).joint_calibration
+    assert read is not None and read.own_terms == () and read.driven_by == {}
+    bag = write(tmp_path / "asked", driven(0.45, 24))
+    answers = [
+        replay(bag, Options(calibration=file, settings=POINT)) for file in (calibrated, older)
+    ]
+    assert answers[0].values[0].value == answers[1].values[0].value is not None
 
 
 @pytest.mark.long

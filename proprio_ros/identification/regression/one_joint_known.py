@@ -17,14 +17,16 @@ known, so the wider counts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize_scalar
 from scipy.special import stdtrit
 
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
-from proprio_ros.errors import RecordingError
+from proprio_ros.calibration_files.own_terms import OwnTerms
+from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression.between import (
     PUBLISHED,
@@ -60,6 +62,11 @@ OUTSIDE_SHARE = 0.1
 HEAVIEST = 4.0  # Times the heaviest known load: nothing beyond is looked for.
 GRID = 33
 ITERATIONS = 4
+OWN_ROUNDS = 6  # What gears lose of a load follows the load.
+USUAL_SHARE = PUBLISHED["friction"]
+"""Of all friction at the motion's speed, by what dry and viscous friction each differ from recording to recording."""
+USUAL_ROTOR, USUAL_INERTIA = 0.05, 0.02
+"""Of its inertia, and of the load's, by what a rotor seems to differ: none does, but windows do not follow every motion alike."""
 STRETCHES = "what differs from stretch to stretch"
 CALIBRATION = "what the calibration leaves open"
 RUNS = "what differs from recording to recording"
@@ -84,6 +91,7 @@ class KnownJointFit:
     driven: float
     at_the_end: bool  # whether the mass stands at the end of what was looked for
     shown: tuple[JointFit, ...]  # torque over time, for a picture
+    own_terms: OwnTerms  # what the recordings show by themselves, see `own_terms`
 
 
 def tables_of(robot: Robot, motion: Motion, joint: str) -> tuple[Table, ...]:
@@ -225,6 +233,73 @@ def _by_stretches(
     return mass, scatter + float(np.var(masses, ddof=1)), count
 
 
+def own_terms(
+    tables: Sequence[Sequence[Table]],
+    terms: FloatArray,
+    carried: Carried,
+    start_kg: float,
+) -> OwnTerms:
+    """What motions show of rotor, viscous and dry friction by themselves: the load is open, and all else as ``terms`` have it.
+
+    Args:
+        tables: Of each motion, by the length of the windows.
+        terms: See `TERMS`, shape (6,).
+        carried: What hangs on the joint.
+        start_kg: A load near that of the motions.
+    """
+    by_window = list(zip(*tables, strict=True))
+    whole = np.array([_own(parts, terms, carried, start_kg) for parts in by_window])
+    values = whole.mean(axis=0)
+    moved = []
+    for stretch in stretches_of(by_window[0]):
+        rest = [
+            [part for part in without(parts, *stretch) if len(part.torque) > len(TERMS)]
+            for parts in by_window
+        ]
+        if all(rest):
+            left = [_own(parts, terms, carried, start_kg) for parts in rest]
+            moved.append(np.mean(left, axis=0) - values)
+    count = len(moved)
+    scatter = np.full(len(values), np.inf)
+    if count > 1:
+        scatter = (count - 1) / count * np.square(moved).sum(axis=0)
+    std = np.sqrt(scatter + whole.var(axis=0, ddof=1))
+    speeds = np.concatenate([part.columns[:, 3] for part in by_window[0]])
+    usual = _usual(terms, rms(speeds), float((carried.arm + start_kg * carried.per_kg)[0]))
+    return OwnTerms(values, std, usual)
+
+
+def _own(
+    parts: Sequence[Table], terms: FloatArray, carried: Carried, start_kg: float
+) -> FloatArray:
+    """Rotor, viscous and dry friction in one length of windows, shape (3,)."""
+    mass = start_kg
+    solution = np.zeros(len(TERMS) - 2)
+    for _ in range(OWN_ROUNDS):
+        rows = []
+        rights = []
+        for number, part in enumerate(parts):
+            design = _design(part, carried.arm + mass * carried.per_kg, terms[0])
+            arm = terms[0] * (part.columns[:, :3] @ carried.arm)
+            per_kg = terms[0] * (part.columns[:, :3] @ carried.per_kg)
+            offsets = np.zeros((len(part.torque), len(parts)))
+            offsets[:, number] = 1.0
+            rows.append(np.column_stack([per_kg, design[:, 1:4], offsets]))
+            rights.append(part.torque - arm - design[:, 4:] @ terms[4:])
+        solution = np.linalg.lstsq(np.vstack(rows), np.concatenate(rights), rcond=None)[0]
+        mass = float(np.clip(solution[0], -HEAVIEST * abs(start_kg), HEAVIEST * abs(start_kg)))
+    return solution[1:4]
+
+
+def _usual(terms: FloatArray, speed_rad_s: float, inertia: float) -> FloatArray:
+    """By how much rotor, viscous and dry friction differ from one recording to the next, shape (3,)."""
+    scale, armature, viscous, coulomb = terms[:4]
+    speed = max(speed_rad_s, 1e-6)
+    friction = coulomb + viscous * speed
+    rotor = USUAL_ROTOR * armature + USUAL_INERTIA * scale * inertia
+    return np.maximum([rotor, USUAL_SHARE * friction / speed, USUAL_SHARE * friction], 1e-9)
+
+
 def reach_of(loads_kg: FloatArray) -> tuple[float, float]:
     """Between which masses is looked [kg]."""
     heaviest = float(loads_kg.max())
@@ -271,8 +346,41 @@ def learn_joint(
         for motion, kg, (mass, variance, _) in zip(motions, loads, read, strict=True)
     )  # fmt: skip
     constant = robot.drive_trains[joint].torque_constant.value
-    learnt = JointCalibration(joint, constant, values, without, 0.0, residual, runs)
+    own = tuple(
+        own_terms([each], values, carried, float(kg) or float(loads.max()))
+        for each, kg in zip(tables, loads, strict=True)
+    )
+    law = law_of(robot, joint)
+    learnt = JointCalibration(joint, constant, values, without, 0.0, residual, runs, own, law)
     return replace(learnt, spread=spread_of(_spread_by(learnt)))
+
+
+def law_of(robot: Robot, joint: str) -> dict[str, Any]:
+    """What makes a joint's currents of goals and duty cycles, as the robot file states it; nothing where a current drives it."""
+    drive = robot.drive_trains[joint]
+    if drive.driven_by is None:
+        return {}
+    numbers = {**asdict(drive.driven_by), "resistance_ohm": drive.resistance_ohm}
+    finite = {name: value for name, value in numbers.items() if np.isfinite(value)}
+    return {"kind": drive.driven_by.kind, **finite}
+
+
+def check_law(robot: Robot, calibration: JointCalibration) -> None:
+    """That the robot file still has the law by which the calibration's currents were made.
+
+    Raises `RobotError`: It has another one.
+    """
+    joint = calibration.joint
+    now = law_of(robot, joint)
+    then = calibration.driven_by
+    if not then:
+        return
+    for key in dict.fromkeys([*then, *now]):
+        if now.get(key) != then.get(key):
+            raise RobotError(
+                f"{robot.source.name}: {key} of what drives {joint} (driven_by) is {now.get(key, 'not stated')}, but it was "
+                f"calibrated with {then.get(key, 'none')}: state it as it was, or calibrate again"
+            )
 
 
 def _spread_by(calibration: JointCalibration, mass: float | None = None) -> FloatArray:
@@ -358,4 +466,5 @@ def identify_by_joint(
         shown_of(
             names, joint, longest, left_over, carried.per_kg, mass, calibration.residual, scale
         ),
+        own_terms(tables, calibration.values, carried, mass),
     )

@@ -49,6 +49,8 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joi
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import ZERO_REPEATS
+from proprio_ros.identification.same_joint import another_joint, mean_of, outside
+from proprio_ros.identification.swing_friction import TERMS, own_friction, swing_starts
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
@@ -76,12 +78,9 @@ relative, has been measured."""
 LEAN_RAD = 0.01  # by what it is said how far an answer leans on a zero
 LEANS = 0.5
 """Of the standard deviation of an answer, from which what a zero puts on it is worth a sentence."""
-SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
 # So many times better, and an open zero is believed; less, and the mass may be either.
 BETTER_FOLLOWED = 1.5
-COVERED = 2.0
-"""A swing may hold so many times less than the lightest load of its calibration; it does not tell whose rotor and arm it is of."""
 SWING_ROUNDS = 4  # How often the error of a simulated swing is looked at again.
 
 
@@ -200,7 +199,7 @@ def _weigh_swings(
     robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, found: gates.Findings, count: int
 ) -> Estimate:  # fmt: skip
     """From free swings; those that are followed worse than the calibration's count for less."""
-    options = replace(options, starts_kg=_swing_starts(robot, runs[0], facts))
+    options = replace(options, starts_kg=swing_starts(robot, runs[0], facts))
     searched, opened, misfit = _followed(robot, runs, facts, options)
     either_kg = 0.0
     if robot.is_calibrated(joints_of(runs)):
@@ -220,6 +219,7 @@ def _weigh_swings(
         elif not worse:
             either_kg = again.value_of("payload_mass") - opened.value_of("payload_mass")
     against: list[Refusal] = []
+    against += _of_another_joint(opened.problem.robot, runs, facts, options)
     if misfit:
         against.append(rejected("misfit", "the model does not explain the recording", misfit))
     if not robot.is_calibrated(joints_of(runs)) and not known_exactly(robot, runs):
@@ -234,6 +234,16 @@ def _weigh_swings(
     return Weighed(
         searched, opened, found, count, facts, options, against=against, either_kg=either_kg
     ).estimate()
+
+
+def _of_another_joint(
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
+) -> Iterator[Refusal]:
+    """Where the swings' own friction is not that of the calibration's."""
+    known = () if robot.calibration is None else robot.calibration.own_terms
+    if known:
+        own = [own_friction(robot, run.run, facts, options) for run in runs]
+        yield from another_joint(runs[0].run.joint, TERMS, known, mean_of(own))
 
 
 def _followed(
@@ -258,13 +268,6 @@ def _followed(
             "torque off all the time, and is the object's place and shape as stated?"
         )  # fmt: skip
     return searched, opened, ""
-
-
-def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
-    """First guesses about the mass that doubles the inertia [kg]: far from it a swing hardly depends on the mass."""
-    own = float(run.coefficients.arm[0]) + robot.drive_trains[run.run.joint].armature.value
-    doubling = own / max(float(run.coefficients.per_kg(facts)[0]), 1e-9)
-    return tuple(doubling * share for share in SWING_STARTS)
 
 
 def _drift(
@@ -409,18 +412,9 @@ class Weighed(Conclusion):
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
         yield from self.several(0.02)
-        loads = (
-            [float(run["load_kg"]) for run in self.robot.calibration.runs]
-            if self.robot.calibration
-            else []
-        )
-        if self.swings and loads and COVERED * mass < min(loads):
-            said = f"{self.runs[0].run.joint} swings as with {shown('kg', mass, spec='.0f')}, and no load of its calibration was "
-            said += f"lighter than {shown('kg', min(loads), spec='.0f')}; a swing does not tell whose it is: another servo or arm "
-            said += "than the one that was calibrated reads like that. If it is this one, calibrate with such a load, too"
-            yield not_identifiable(
-                "not_covered", "the calibration does not cover so light a load", said
-            )
+        if self.swings and self.robot.calibration is not None:
+            loads = [float(run["load_kg"]) for run in self.robot.calibration.runs]
+            yield from outside(self.runs[0].run.joint, mass, loads)
 
     def _all_refusals(self) -> Iterator[Refusal]:
         """And what takes more fits: an interval that hardly reaches above nothing may lie elsewhere, not just be too wide."""
@@ -554,6 +548,9 @@ class Weighed(Conclusion):
             changes = ""
         size = " (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else ""
         free = "friction differs from swing to swing, by one factor each"
+        if self.known:
+            free += "; the joint is that of the calibration, as far as friction shows it, and arm and known loads are as stated: "
+            free += "another rotor or arm with such friction swings like another load"
         stay = self.fit is self.nominal and not self.swings
         tilt = f"; 1 degree of tilt of its base changes the mass by up to {shown('kg', self._tilted(1.0), spec='.2g')}"
         file = (

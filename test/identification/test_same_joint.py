@@ -1,0 +1,81 @@
+"""What a recording shows by itself is compared with what a calibration's own recordings show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from proprio_ros.calibration_files.own_terms import COULOMB, VISCOUS, OwnTerms
+from proprio_ros.identification.same_joint import another_joint, compared, mean_of, outside
+
+NAMES = (COULOMB, VISCOUS)
+USUAL = np.array([0.03, 0.01])
+FRICTION = np.array([0.15, 0.02])
+
+
+def shown(values: np.ndarray, std: float = 1e-3) -> OwnTerms:
+    return OwnTerms(values, np.full(2, std), USUAL)
+
+
+def drawn(rng: np.random.Generator, count: int) -> list[OwnTerms]:
+    return [shown(FRICTION + USUAL * rng.standard_normal(2)) for _ in range(count)]
+
+
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_a_joint_s_own_recordings_are_seldom_taken_for_another_s(count: int) -> None:
+    """They differ as is usual, and of two or three recordings that is all that is known of it."""
+    rng = np.random.default_rng(4)
+    draws = [
+        list(another_joint("elbow", NAMES, drawn(rng, count), drawn(rng, 1)[0])) for _ in range(400)
+    ]
+    assert sum(map(bool, draws)) <= 24
+
+
+def test_friction_of_another_proportion_is_another_joint_s() -> None:
+    rng = np.random.default_rng(5)
+    known = drawn(rng, 3)
+    (refusal,) = another_joint("elbow", NAMES, known, shown(np.array([0.14, 0.08])))
+    assert refusal.reasons[0].code == "another_joint"  # type: ignore[attr-defined]
+    assert "elbow shows a viscous friction of" in refusal.reasons[0]
+    # a term that the recording does not determine says nothing
+    assert not list(another_joint("elbow", NAMES, known, shown(np.array([0.14, 0.08]), std=0.1)))
+
+
+def test_recordings_that_differ_more_bear_a_larger_difference() -> None:
+    now = shown(np.array([0.3, 0.02]))
+    alike = [shown(FRICTION), shown(FRICTION), shown(FRICTION)]
+    apart = [shown(FRICTION * [factor, 1.0]) for factor in (0.4, 1.0, 1.6)]
+    assert compared(alike, now).distances[0] > 1.5 * compared(apart, now).distances[0] > 0.0
+
+
+def test_recordings_that_are_asked_together_know_their_mean_better() -> None:
+    together = mean_of([shown(FRICTION), shown(3.0 * FRICTION)])
+    assert together.values == pytest.approx(2.0 * FRICTION)
+    assert together.std == pytest.approx(np.full(2, 1e-3 / np.sqrt(2.0)))
+
+
+def test_older_calibrations_and_what_is_not_finite_say_nothing() -> None:
+    assert not list(another_joint("elbow", NAMES, (), shown(9.0 * FRICTION)))
+    unknown = OwnTerms(9.0 * FRICTION, np.full(2, np.inf), USUAL)
+    assert not list(another_joint("elbow", NAMES, [shown(FRICTION)] * 2, unknown))
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "loads_kg", "word"),
+    [
+        (0.24, [0.5, 1.0], "light"),
+        (0.26, [0.5, 1.0], ""),
+        (1.9, [0.5, 1.0], ""),
+        (2.1, [0.5, 1.0], "heavy"),
+        (0.0, [0.0, 1.0], ""),
+        (2.1, [0.0, 1.0], "heavy"),
+        (0.1, [0.0, 0.0], ""),
+    ],
+)
+def test_loads_far_outside_of_those_known_are_not_covered(
+    mass_kg: float, loads_kg: list[float], word: str
+) -> None:
+    found = list(outside("elbow", mass_kg, loads_kg))
+    assert bool(found) == bool(word)
+    for refusal in found:
+        assert refusal.reasons[0].code == "not_covered" and word in refusal.withheld  # type: ignore[attr-defined]
