@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import os
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ from random_arm import (
     record,
 )
 from results import REPOSITORY, Results, parser_of
+from ruamel.yaml import YAML
 from support import simulated
 from support.bends import pushes as bends
 
@@ -41,6 +43,8 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.kinds import name_of
+from proprio_ros.pipeline.calibrate import write_calibration
 from proprio_ros.pipeline.loading import bag_recording, runs_or_motion
 from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
@@ -261,7 +265,24 @@ def no_finger(push: Push, random: np.random.Generator) -> Recording:
 
 
 def merged(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
-    """All that the calibration knows of one joint, or of two, is another arm's."""
+    """All that the calibration knows of one joint, or of two, is another arm's, by its file."""
+    asked, push = merged_in_memory(arm, random)
+    assert arm.robot.calibration is not None and asked.robot.calibration is not None
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "merged.yaml"
+        write_calibration(file, load_robot("open_manipulator_x"), arm.robot.calibration)
+        yaml = YAML()
+        content = yaml.load(file.read_text())
+        unknowns = content["calibration"]["unknowns"]
+        for key, known in asked.robot.calibration.quantities.items():
+            unknowns[name_of(key)].update(value=known.value, std=known.std)
+        with file.open("w") as stream:
+            yaml.dump(content, stream)
+        return replace(asked, robot=load_robot(file)), push
+
+
+def merged_in_memory(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+    """The same where no file says what was written."""
     other = None
     while other is None:
         other = drawn_arm(int(random.integers(10**6)))
@@ -300,6 +321,7 @@ KINDS: dict[str, Callable[[Arm, np.random.Generator], tuple[Asked, Push]]] = {
     "columns of two joints swapped": of_recording(swapped),
     "command of another joint": of_recording(other_command),
     "finger missing": of_recording(no_finger),
+    "merged calibrations, digest deleted": merged_in_memory,
 }
 
 
@@ -378,7 +400,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--count", type=int, default=600, help="of mutated pushes")
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--only", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--only", nargs="+", choices=list(KINDS), default=list(KINDS)[:-1])
     parser.add_argument("--show", action="store_true", help="print every answer that is far off")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
@@ -395,7 +417,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             found = getattr(error, "code", type(error).__name__)
         random.bit_generator.state = state
         if kind != "two objects":
-            push = arm.pushes(random) if kind != "merged calibrations" else push
+            push = push if kind.startswith("merged") and push else arm.pushes(random)
             plain = answer(Asked(arm.robot, runs_of(arm.robot, push.recording)), push.facts)
             if unmutated.add(plain, push.truth_kg) is not None:
                 low, high = plain.values[0].ci95

@@ -149,3 +149,13 @@ def test_a_servo_drawn_at_random() -> None:
 
     ((truth, value, std, _),) = asked(0, 100.0, questions=1)
     assert value is not None and abs(value - truth) < 4.0 * std and std < 0.1 * truth
+
+
+@pytest.mark.long
+def test_mutated_pushes_of_one_arm(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mujoco")
+    from mutated_pushes import main
+
+    main(["--count", "4", "--first", "11", "--only", "step of a held joint", "command scaled"])
+    rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if "|" in line]
+    assert [row[4].strip() for row in rows if row[1].strip() in ("all", "nothing")] == ["0", "0"]
