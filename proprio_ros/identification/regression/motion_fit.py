@@ -43,6 +43,7 @@ from proprio_ros.identification.regression.motion_equations import (
 )
 from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
 from proprio_ros.identification.regression.traces import Explained
+from proprio_ros.identification.regression.trends import Trend, trend_of
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -99,6 +100,7 @@ class MotionFit:
     louder_kg: float
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
     shown: tuple[JointFit, ...]  # torque over time, for a picture
+    trends: tuple[Trend, ...]  # of each motion with the payload
 
     @property
     def unexplained(self) -> FloatArray:
@@ -374,6 +376,10 @@ def fit_payload(
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
         shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
+        trends=tuple(
+            trend_of(joints, problem, solution, Rows.together(parts).start_s, number)
+            for number in range(len(loaded))
+        ),
     )
 
 

@@ -5,7 +5,7 @@ What the empty arm does comes from motions that were recorded with the others, o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -38,6 +38,7 @@ from proprio_ros.identification.regression.motion_fit import (
 )
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
 from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body
+from proprio_ros.identification.regression.trends import CHANGES, ROUNDS, Trend, without_trend
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -195,8 +196,15 @@ def _identified(
         return motion_answer(
             robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None
         )
-    refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
     beside = baseline if robot.motion_calibration is not None else ()
+    learnt = calibration
+
+    def refit(motions: Sequence[Motion]) -> MotionFit:
+        return fit_payload(robot, motions, learnt, empty=beside, centre=centre)
+
+    trends = fit.trends
+    motions, fit = _without_trends(robot, motions, fit, refit)
+    refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
     named = refusal
     if len(motions) > 1 and refusal.verdict is Verdict.REJECTED:
         with suppress(RecordingError):  # one is too short by itself
@@ -213,6 +221,8 @@ def _identified(
         else:
             # what explains the torques by their stamps bent the clock, too
             motions, baseline = as_stamped
+    if named is refusal:
+        named = _with_trend(refusal, motions, trends)
     if centre is not None and named is refusal:
         free = fit_payload(robot, motions, calibration, empty=beside)
         named = _elsewhere(refusal, motions, centre, fit, free, known)
@@ -238,6 +248,55 @@ def _identified(
         ),
         shown=fit.shown,
     )
+
+
+def _without_trends(
+    robot: Robot,
+    motions: Sequence[Motion],
+    fit: MotionFit,
+    refit: Callable[[Sequence[Motion]], MotionFit],
+) -> tuple[Sequence[Motion], MotionFit]:
+    """The motions without what clearly changed along each of them, which is noted, and what they say.
+
+    Args:
+        robot: Whose torque constants the currents have.
+        motions: With the payload.
+        fit: Of these.
+        refit: Makes another one.
+    """
+    clear = fit.trends
+    if not any(trend.is_clear for trend in clear):
+        return motions, fit
+    trends = clear
+    for _ in range(ROUNDS):
+        found = [
+            without_trend(robot, motion, trend, which)
+            for motion, trend, which in zip(motions, trends, clear, strict=True)
+        ]
+        fit = refit(found)
+        trends = tuple(old.plus(new) for old, new in zip(trends, fit.trends, strict=True))
+    noted = [
+        replace(motion, notes=(*motion.notes, f"{motion.name}: {trend.words()}; it was followed"))
+        if trend.is_clear
+        else motion
+        for motion, trend in zip(found, clear, strict=True)
+    ]
+    # nobody knows when of it torques were those of the empty hand's motion
+    torque = max(abs(trend.torque) if trend.torque_is_clear else 0.0 for trend in clear)
+    off = 0.5 * torque * fit.values
+    parts = {**fit.parts, CHANGES: float(abs(off[0]))}
+    return noted, replace(fit, covariance=fit.covariance + np.outer(off, off), parts=parts)
+
+
+def _with_trend(refusal: Refusal, motions: Sequence[Motion], trends: Sequence[Trend]) -> Refusal:
+    """The refusal of a fit that does not explain its motions, with what changed along one of these."""
+    if refusal.verdict is not Verdict.REJECTED:
+        return refusal
+    for motion, trend in zip(motions, trends, strict=True):
+        if trend.is_clear:
+            reason = Reason("changed_along", f"{motion.name}: {trend.words()}")
+            return replace(refusal, reasons=(reason, *refusal.reasons))
+    return refusal
 
 
 def _apart(
@@ -306,6 +365,8 @@ def drift(mass: float, std: float) -> Iterator[Refusal]:
 
 def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
     name = motions[0].name
+    for motion, trend in zip(motions, fit.trends, strict=True):
+        yield from _changed_at_once(motion, trend)
     yield from refusals.other_zero(name, fit)
     ratio = 1.0 / (1.0 + fit.off["own_scale"][0])
     far = np.abs(ratio - 1.0) / refusals.noticed(fit)
@@ -343,6 +404,21 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
     yield from refusals.far_from_prior(fit.keys, fit.arm, fit.arm_prior, fit.arm_std, known)
     yield from refusals.lighter_than_empty(
         float(fit.values[0]), fit.half_width, "are the recordings mixed up?"
+    )
+
+
+def _changed_at_once(motion: Motion, trend: Trend) -> Iterator[Refusal]:
+    """Where a payload changes in a motion, which explains it better than what motors do."""
+    step = trend.step
+    if step is None or not trend.payload_changes:
+        return
+    size = shown("kg", abs(step.change_kg), spec=".0f")
+    what = "more" if step.change_kg > 0.0 else "less"
+    yield rejected(
+        "changed_midway",
+        "the payload changes in the recording",
+        f"{motion.name}: from about {step.time_s:.0f} s on the hand holds {size} {what}: was something picked up or put down, or "
+        "another payload set in the controller meanwhile? Weigh the parts, --span FROM:TO",
     )
 
 
