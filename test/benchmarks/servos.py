@@ -34,6 +34,7 @@ ROD_KG = 0.01
 GRAVITY = 9.80665
 KNOWN_KG = (0.3, 0.7, 1.1)
 POINT: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "point"}
+GAIN = 2.656
 STEP_S = 0.0005
 LASTS_S = 10.0
 LAW = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_rad_s: 5.215}"
@@ -110,7 +111,7 @@ class Servo:
             goal += float(np.clip(heard - goal, -5.215 * STEP_S, 5.215 * STEP_S))
             # the law reads its encoder in counts
             read = round(angle / 0.00153398) * 0.00153398
-            duty = float(np.clip(2.656 * (goal - read), -0.97, 0.97))
+            duty = float(np.clip(GAIN * (goal - read), -0.97, 0.97))
             voltage = self.supply_V - self.source_ohm * abs(current * duty)
             current = (voltage * duty - self.torque_constant * speed) / 2.68
             torque = self.torque_constant * current

@@ -88,6 +88,7 @@ SMALL: dict[str, tuple[str, ...]] = {
         "--jobs",
         "1",
     ),
+    "whose_calibration": ("--parts", "driven", "--machines", "1"),
 }
 ELSEWHERE = {
     "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
