@@ -94,7 +94,6 @@ ROWS = (
         command=_NEW,
         make=_antenna,
         verdicts=(ACCEPTED,),
-        pending="rounding errors come next",
     ),
     Row(
         name="sticker_without_inertia",
@@ -104,7 +103,7 @@ ROWS = (
         command=_NEW,
         make=_sticker,
         verdicts=(ACCEPTED,),
-        pending="light bodies come next",
+        pending="a body of less than a gram without an inertia is refused in one sentence, which says what to do",
     ),
     Row(
         name="tool_frame_with_inertia",
@@ -114,7 +113,7 @@ ROWS = (
         command=_NEW,
         make=_tool_frame,
         verdicts=(ACCEPTED,),
-        pending="tool frames with an inertia come next",
+        pending="it is refused in one sentence, which says to leave it out",
     ),
     Row(
         name="hand_not_mounted",
