@@ -18,6 +18,7 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.mistakes import of_all_joints, of_joint
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.regression.misread import misread, thinned
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, equations
 from proprio_ros.identification.regression.motion_prior import HELD_WITHIN
 from proprio_ros.recordings.motions import Motion
@@ -31,6 +32,8 @@ BETTER, CLEARER = 3.0, 1.15
 """And so many times less than as it is, and this much less than what any other mistake leaves."""
 UNEXPLAINED, CERTAIN = 0.15, 8.0
 """What an arm that differs from its URDF leaves is less; a mistake that leaves so many times less is named whatever that is."""
+SUSPECT = 0.25
+"""Share of a joint's torque: on real and simulated arms that nothing is wrong with up to 0.16 are left over."""
 # So many samples are enough to tell mistakes apart: some twenty fits are made.
 RATE_HZ = 100.0
 LONGEST_S = 60.0
@@ -105,17 +108,35 @@ class _Model:
         return 2.0 * float(found.cost) / total, found.x[-3:]
 
 
-def with_cause(refusal: Refusal, robot: Robot, motions: Sequence[Motion]) -> Refusal:
-    """The refusal of a fit of some motions, with the mistake that explains it, where one is found; its mass is withheld then.
+def with_cause(
+    refusal: Refusal,
+    robot: Robot,
+    motions: Sequence[Motion],
+    empty: Sequence[Motion] = (),
+    unexplained: float = 0.0,
+) -> Refusal:
+    """The verdict on a fit, with the mistake that explains what is wrong; its mass is withheld then.
 
     Args:
-        refusal: Of the fit.
-        robot: As its file states it.
-        motions: By their stamps, whatever clock was followed: a reversed joint bends a clock, too.
+        refusal: What was found so far, which may be nothing.
+        robot: As its file states it, with its calibration.
+        motions: With the payload, by their stamps, whatever clock was followed: a reversed joint bends a clock, too.
+        empty: With an empty hand, by their stamps.
+        unexplained: Largest share of a joint's torque that the fit leaves over, whether the joint decides or not: where that is
+            much, an answer that nothing else speaks against is asked, too.
     """
-    if refusal.verdict is Verdict.ACCEPTED:
+    accepted = refusal.verdict is Verdict.ACCEPTED
+    if accepted and unexplained < SUSPECT:
         return refusal
-    for motion in motions:
+    found = misread(robot, motions, empty)
+    if found is not None and (found.of_positions or not accepted):
+        said = f"{found.words}: so the torques of all joints are explained, and as recorded they are not"
+        reasons = (Reason("misread_joint", said), *refusal.reasons)
+        withheld = refusal.withheld or "a joint is not read as its URDF has it"
+        return replace(refusal, verdict=Verdict.REJECTED, withheld=withheld, reasons=reasons)
+    if accepted:
+        return refusal
+    for motion in (*motions, *empty):
         if cause := torque_cause(robot, motion):
             code = (
                 "misfit"
@@ -133,7 +154,7 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
 
     ``robot``: as its file states it; ``motion``: that was refused.
     """
-    motion = _thinned(motion)
+    motion = thinned(motion, RATE_HZ, LONGEST_S)
     try:
         model = _Model.of(robot, motion)
         as_it_is, nothing = (model.left(share * model.rows.torque)[0] for share in (1.0, 0.0))
@@ -198,24 +219,6 @@ def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]
         f"otherwise: is the base mounted so? --set robot.gravity=[{shown}] states it"
     )
     yield model.left(model.rows.torque)[0], said
-
-
-def _thinned(motion: Motion) -> Motion:
-    """The middle of a long motion, and of fast samples every so many."""
-    times_s = motion.times_s
-    middle_s = 0.5 * float(motion.times_s[-1])
-    first, last = np.searchsorted(times_s, [middle_s - 0.5 * LONGEST_S, middle_s + 0.5 * LONGEST_S])
-    kept = slice(first, last, max(1, int(len(times_s) / (2.0 * middle_s * RATE_HZ))))
-    position = motion.position[kept]
-    current_A = motion.current_A[kept]
-    beside = {name: values[kept] for name, values in motion.beside.items()}
-    return replace(
-        motion,
-        times_s=times_s[kept] - times_s[first],
-        position=position,
-        current_A=current_A,
-        beside=beside,
-    )
 
 
 def _rms(values: FloatArray) -> float:

@@ -40,6 +40,7 @@ from proprio_ros.identification.regression.motion_prior import file_prior, relat
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
+from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 
 SHOWN_SHARE = 0.1  # The headline is for an object of this share of the arm's mass.
@@ -76,7 +77,8 @@ def calibrate_motions(
     motions = with_clocks(robot, motions)
     calibration, fits = learn_arm(robot, motions)
     refused = judge(calibration_refusals(robot, motions, calibration))
-    refusal = with_cause(refused, robot, as_stamped)
+    share = float(np.nan_to_num(_unexplained(motions, calibration)).max())
+    refusal = with_cause(refused, robot, (), as_stamped, share)
     if refusal is refused:
         refusal = with_clocks_named(refusal, motions)
     if not refusal.withheld and references:
@@ -127,14 +129,7 @@ def calibration_refusals(
     robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
 ) -> Iterator[Refusal]:
     """Why a calibration is not believed that was made of motions with an empty hand."""
-    torques = [
-        motion.current_A[:, [motion.joints.index(joint) for joint in calibration.joints]]
-        * calibration.torque_constants
-        for motion in motions
-    ]
-    # 0 for a joint whose torque was never measured
-    driven = np.sqrt(np.mean(np.square(np.nan_to_num(np.vstack(torques))), axis=0))
-    share = refusals.deciding(calibration.tells, share_of(calibration.residual, driven))
+    share = refusals.deciding(calibration.tells, _unexplained(motions, calibration))
     yield from refusals.unexplained_torque(calibration.joints, share, "the arm and its friction")
     arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
     prior = file_prior(robot, arm)
@@ -160,6 +155,18 @@ def calibration_refusals(
     if not any(with_it):
         yield from refusals.held_when_empty(held)
     yield from unlike
+
+
+def _unexplained(motions: Sequence[Motion], calibration: MotionCalibration) -> FloatArray:
+    """Share of each joint's torque that a calibration leaves over of its motions, shape (n,)."""
+    torques = [
+        motion.current_A[:, [motion.joints.index(joint) for joint in calibration.joints]]
+        * calibration.torque_constants
+        for motion in motions
+    ]
+    # 0 for a joint whose torque was never measured
+    driven = np.sqrt(np.mean(np.square(np.nan_to_num(np.vstack(torques))), axis=0))
+    return share_of(calibration.residual, driven)
 
 
 def _scaled(

@@ -215,7 +215,8 @@ def _identified(
                 known,
             )
     if named is refusal:
-        named = with_cause(refusal, robot, list(chain(*as_stamped)))
+        share = float(np.nan_to_num(fit.unexplained).max())
+        named = with_cause(refusal, robot, *as_stamped, share)
         if named is refusal:
             refusal = named = with_clocks_named(refusal, (*motions, *baseline))
         else:
