@@ -25,6 +25,7 @@ from proprio_ros.inputs.reading import json_of, path_problem, text_of
 from proprio_ros.recordings.arrivals import of_bursts
 from proprio_ros.recordings.clocks import in_order, is_counted
 from proprio_ros.recordings.effort import Effort
+from proprio_ros.recordings.sign_bits import without_sign_bits
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
@@ -365,19 +366,24 @@ def read_episode(
             f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
         )
     table = np.column_stack(list(joints.values()))
+    times_s = 1e-9 * times_ns.astype(np.float64)
+    decoded: list[str] = []
+    without_sign_bits(times_s, table, tuple(joints), tuple(joints), decoded)
     known = _has_time(read["timestamp"]) if "timestamp" in read else True
     steps: tuple[str, ...] = ()
     if np.all(known):
         times_ns, steps = _by_the_clock(data, times_ns, table, called)
     whole, left_out = _usable(times_ns, known, table, columns, called)
-    notes = (*steps, *left_out)
+    notes = (*steps, *left_out, *decoded)
     nothing = np.full(len(table), np.nan)
     effort = np.column_stack([measured.get(name, nothing) for name in position])
     times_ns = times_ns[whole]
     record = means.record(times_ns, tuple(joints), table[whole], None, effort[whole])
     signals = None
     if sent:
-        rows = np.column_stack(list(sent.values()))[whole]
+        goal_table = np.column_stack(list(sent.values()))
+        without_sign_bits(times_s, goal_table, tuple(sent), tuple(sent), [])
+        rows = goal_table[whole]
         signals = records.DriveSignals(
             times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0)
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.recordings.repeats import repeated
+from proprio_ros.recordings.sign_bits import hint_of
 from proprio_ros.recordings.unmeasured import Measured, measured_only
 from proprio_ros.records import FloatArray, Recording
 
@@ -17,9 +18,8 @@ MOVED_RAD = 0.05
 SHORTEST_S = 3.0  # a shorter motion says nothing about how well it is explained [s]
 SLOWEST_HZ = 20.0  # below this rate a motion of half a second has no shape
 RATE_ROUNDING = 0.005  # stamps are rounded, and no quartz is off by more
-WRAPPED_RAD = 3.0  # no arm turns that far between two samples
-# angles whose steps are smaller than this once they are unwrapped did wrap around
 LARGEST_STEP_RAD = 1.0
+"""No arm turns that far between two samples; angles whose steps are smaller once they are unwrapped did wrap around."""
 MEASURED = "measured current"
 """`Motion.source` where the motors reported what flowed."""
 LONGEST_GAP_S = 0.1  # across a longer gap nobody knows how the arm moved [s]
@@ -266,10 +266,10 @@ def _unwrapped(
             "meanwhile by nobody knows how much: give the part before that gap or behind it, --span FROM:TO"
         )
     far = np.abs(np.diff(position, axis=0)[~gaps]).max(axis=0)
-    if far.max() > WRAPPED_RAD:
+    if far.max() > LARGEST_STEP_RAD:
         raise RecordingError(
-            f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples: angles that wrap around "
-            "must be unwrapped first, and degrees converted to rad"
+            f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples, which no joint does: angles "
+            f"that wrap around otherwise than by a turn must be unwrapped first, and degrees converted to rad{hint_of(far.max())}"
         )
     return position
 

@@ -32,6 +32,7 @@ from proprio_ros.recordings.messages import stamp_ns
 from proprio_ros.recordings.pace import rate_by_velocities
 from proprio_ros.recordings.publishers import of_one_publisher
 from proprio_ros.recordings.reader import Bag, open_bag
+from proprio_ros.recordings.sign_bits import hint_of, without_sign_bits
 from proprio_ros.recordings.topics import (
     BATTERY,
     BATTERY_STATE,
@@ -338,6 +339,8 @@ def _state_rows(
         )
     values = {quantity: table[np.ix_(order, usable)] for quantity, table in columns.values.items()}
     position = values["position"]
+    times_s = 1e-9 * (times - times[0]).astype(np.float64)
+    without_sign_bits(times_s, position, names, expected, notes)
     garbage = _garbage(values, np.isin(names, expected))
     position[garbage] = np.nan
     _note(notes, topic, garbage, "messages hold numbers that no joint can have and were left out")
@@ -408,7 +411,7 @@ def _check_positions(
             worst = values[np.argmax(np.abs(values))]
             raise RecordingError(
                 f"{path}: {name} stands at {worst:.6g}, which is no angle in rad nor a length in m; the publisher seems"
-                " to use degrees, millimetres or encoder counts: convert the positions to rad and m"
+                f" to use degrees, millimetres or encoder counts: convert the positions to rad and m{hint_of(np.abs(values).min())}"
             )
 
 

@@ -267,3 +267,19 @@ def test_row_numbers_and_other_units_are_no_times(
 ) -> None:
     with pytest.raises(RecordingError, match=words):
         read(timed(tmp_path, np.round(times_s, 6)))
+
+
+def test_a_sign_bit_that_was_not_decoded_is(tmp_path: Path) -> None:
+    """LeRobot once read the sign of Feetech's positions as a part of the number."""
+    written = motion(6.0)
+    count_rad = 2.0 * np.pi / 4096.0
+    counts = np.round(written.position[:, 0] / count_rad)
+    raw = written.position.copy()
+    raw[:, 0] = count_rad * np.where(counts < 0.0, 32768.0 - counts, counts)
+    folder = write(tmp_path, replace(written, position=raw))
+    recording = read(folder)
+    assert np.allclose(recording.joints.position[:, 0], count_rad * counts, atol=1e-4)
+    (note,) = recording.notes
+    assert note.startswith("position of j1: ") and "bit 15, was not decoded" in note
+    assert recording.signals is not None
+    assert np.allclose(recording.signals.goals[:, 0], count_rad * counts, atol=1e-4)

@@ -21,7 +21,6 @@ ROWS = (
             bends=(Bent("sign_bit_not_decoded", {"joint": "shoulder_pan_joint", "bits": bits}),),
             cause=r"sign",
             unsaid=r"is the file damaged|wrap around must be unwrapped",
-            pending="sign bits come next",
         )
         for bits in (11, 15)
     ),
@@ -33,7 +32,6 @@ ROWS = (
         bends=(Bent("joint_reversed", {"joint": _WRIST}),),
         cause=rf"{_WRIST}.*(reversed|other way|sign|direction)",
         said_if=("accepted", "too_wide", "rejected", "not_identifiable", "unreadable"),
-        pending="reversed joints come next",
     ),
     Row(
         name="shoulder_reversed_loaded_alone",
