@@ -111,16 +111,22 @@ def another_joint(
     )
 
 
-def outside(joint: str, mass_kg: float, loads_kg: Sequence[float]) -> Iterator[Refusal]:
+def outside(
+    joint: str, mass_kg: float, loads_kg: Sequence[float], times: float = COVERED
+) -> Iterator[Refusal]:
     """Where a mass is far from all loads of its calibration.
 
-    ``joint``: its name; ``mass_kg``: what it carries; ``loads_kg``: that were known.
+    Args:
+        joint: Its name.
+        mass_kg: What it carries.
+        loads_kg: That were known.
+        times: So many times outside of them is far.
     """
     lightest = min((load for load in loads_kg if load > 0.0), default=0.0)
     heaviest = max(loads_kg, default=0.0)
     empty_known = any(load == 0.0 for load in loads_kg)
-    light = COVERED * mass_kg < lightest and not empty_known
-    if not light and not 0.0 < COVERED * heaviest < mass_kg:
+    light = times * mass_kg < lightest and not empty_known
+    if not light and not 0.0 < times * heaviest < mass_kg:
         return
     which = "lighter than" if light else "heavier than"
     limit = shown("kg", lightest if light else heaviest, spec=".0f")

@@ -356,23 +356,6 @@ def test_a_law_that_was_edited_since_is_refused(calibrated: Path, tmp_path: Path
 
 
 @pytest.mark.long
-def test_a_calibration_of_an_older_version_is_still_read(calibrated: Path, tmp_path: Path) -> None:
-    lines = calibrated.read_text().splitlines()
-    begin = next(row for row, line in enumerate(lines) if line.strip().startswith("own_terms"))
-    end = next(row for row in range(begin + 1, len(lines)) if not lines[row].startswith("    "))
-    older = calibrated.with_name("older.yaml")
-    kept = [*lines[:begin], *lines[end:]]
-    older.write_text("\n".join(line for line in kept if "  driven_by:" not in line) + "\n")
-    read = load_robot(older).joint_calibration
-    assert read is not None and read.own_terms == () and read.driven_by == {}
-    bag = write(tmp_path / "asked", driven(0.45, 24))
-    answers = [
-        replay(bag, Options(calibration=file, settings=POINT)) for file in (calibrated, older)
-    ]
-    assert answers[0].values[0].value == answers[1].values[0].value is not None
-
-
-@pytest.mark.long
 def test_known_loads_do_not_make_a_torque_of_a_stale_magnitude(tmp_path: Path) -> None:
     if not REAL.exists():
         pytest.skip("needs the real recordings")

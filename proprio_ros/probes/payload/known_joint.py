@@ -26,6 +26,8 @@ from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
+COVERED = 2.5
+"""A load may be so many times outside of those known: its torque is, and its interval is wider for the distance."""
 MISFIT_SHARE = 0.25
 """A joint whose torque is unexplained by more than this share is another, or its effort is: of two real servos no load leaves more
 than 17 % unexplained by their own calibrations, and 33 % at least where the effort is another servo's and has no sign."""
@@ -97,4 +99,4 @@ def _refusals(
     # a mass at the end of what was looked for may be any
     share = 0.0 if fit.at_the_end else WIDEST_SHARE
     yield from interval_too_wide(fit.mass, half, fit.parts, f"{motion.name}: ", advice, share)
-    yield from outside(joint, fit.mass, calibration.loads_kg.tolist())
+    yield from outside(joint, fit.mass, calibration.loads_kg.tolist(), COVERED)
