@@ -104,7 +104,7 @@ class _Squares:
         products = self.products.copy()
         products[:, -1] /= factor[:, None]
         products[:, :, -1] /= factor[:, None]
-        log_scale = float(self.windows @ np.log(factor))
+        log_scale = float(self.windows @ np.log(np.abs(factor)))
         return replace(self, products=products, log_scale=log_scale)
 
     @classmethod
@@ -308,14 +308,17 @@ def _undone(
 
 
 def _louder(as_recorded: Sequence[_Squares], fitting: _Fitting) -> float:
-    """The least cost of efforts in another unit, of one joint or of all, in the loaded motions, the empty ones or all."""
-    alone = np.where(np.eye(fitting.count) > 0.0, np.nan, 1.0)
-    which = np.vstack([np.full(fitting.count, np.nan), alone])  # shape (n + 1, n)
-    costs = []
-    for joints, factor in itertools.product(which, LOUDER):
-        louder = [part.louder(np.where(np.isnan(joints), factor, 1.0)) for part in as_recorded]
-        for parts in _mixed(louder, as_recorded, fitting.loaded).values():
-            costs.append(fitting.fit(parts).cost)
+    """The least cost of efforts in another unit, of one joint or of all, or all negated, in some of the motions or all."""
+    count = fitting.count
+    every = [np.full(count, factor) for factor in (-1.0, *LOUDER)]
+    alone = [
+        np.where(joint, factor, 1.0) for joint in np.eye(count, dtype=bool) for factor in LOUDER
+    ]
+    costs: list[float] = []
+    for factors in (*every, *alone):
+        louder = [part.louder(factors) for part in as_recorded]
+        mixed = _mixed(louder, as_recorded, fitting.loaded)
+        costs.extend(fitting.fit(parts).cost for parts in mixed.values())
     return min(costs)
 
 

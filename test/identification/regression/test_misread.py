@@ -112,6 +112,8 @@ def nothing_is_named(pair: Pair) -> None:
     elsewhere = replace(pair.loaded, position=pair.loaded.position + 0.3 * np.eye(joints)[2])
     for motion in (pair.loaded, louder, elsewhere):
         assert misread(pair.robot, [motion], [pair.empty]) is None
+    negated = [replace(each, current_A=-each.current_A) for each in (pair.loaded, pair.empty)]
+    assert misread(pair.robot, negated[:1], negated[1:]) is None
 
 
 def test_nothing_is_named_where_nothing_or_something_else_is_wrong(six: Pair) -> None:
