@@ -120,7 +120,7 @@ def _mistakes_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
     mistakes = {
         "about 1000 times what the URDF needs": efforts(1000.0), "the effort of all joints has the sign": efforts(-1.0),
-        "the effort or the angle of lift has the sign": efforts(-1.0, "lift"),
+        "efforts of lift are counted the other way round": efforts(-1.0, "lift"),
     }  # fmt: skip
     for number, (words, bend) in enumerate(mistakes.items()):
         loaded, empty = (

@@ -46,6 +46,7 @@ SMALL: dict[str, tuple[str, ...]] = {
         "--jobs",
         "1",
     ),
+    "mutated_pushes": ("--count", "2", "--first", "3"),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
     "time_axis": ("--step", "1.5", "--sets", "0", "--only", "Panda"),

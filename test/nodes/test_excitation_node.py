@@ -272,14 +272,14 @@ def test_nor_is_the_identifier_configured_with_one(
 def test_timers_have_their_turn_where_messages_come_faster_than_they_are_taken(
     identifier: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def endless(_subscription: Any, data: Any) -> Iterator[Any]:
+    def endless(_subscription: Any, data: Any, info: Any) -> Iterator[Any]:
         for _ in range(10**7):
-            yield data
+            yield data, info
         raise AssertionError("no end")
 
     monkeypatch.setattr("proprio_ros.nodes.runtime.waiting", endless)
     heard: list[int] = []
     identifier.listen(JointState, "many", lambda _: heard.append(1), STREAM, together=lambda: True)
     (subscription,) = (each for each in identifier.subscriptions if each.topic_name == "/many")
-    subscription.callback(JointState())
+    subscription.callback(JointState(), {})
     assert len(heard) > 1

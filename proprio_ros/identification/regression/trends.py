@@ -175,7 +175,9 @@ def _explained(
     values = inverse @ (columns.T @ left_over)
     rest = left_over - columns @ values
     pulls = scores(columns, rest, stretch)
-    variance = np.maximum(np.diag(inverse), np.diag(inverse @ pulls.T @ pulls @ inverse))
+    sandwich = inverse @ pulls.T @ pulls @ inverse
+    # of a joint without efforts both are nothing but for rounding
+    variance = np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0)
     gain = 1.0 - float(rest @ rest) / max(float(left_over @ left_over), 1e-300)
     return _Explained(values, np.sqrt(variance), gain)
 
