@@ -16,8 +16,9 @@ NEAR = 3
 """So many readings to each side say how a joint goes on without a jump."""
 YIELDS_S = 0.05  # a held joint gives way that fast when the current comes on
 JUMP_STDS = 8.0
-"""Standard deviations of a reading that a held joint may move from one reading to the next: simulated servos that give way, with
-friction that sticks and backlash among them, moved by at most 4.6."""
+"""Standard deviations of a reading that a joint may seem to jump: held ones of simulated servos that give way, with friction that
+sticks and backlash among them, moved by at most 4.6 from one reading to the next. A driven one that sticks and slips, read in whole
+counts of its encoder, seemed to by 3."""
 OFF_S = 0.008
 """What a stamp that is off by so much would do at that speed is no jump."""
 FEWEST = 2  # readings to each side of a jump of the driven joint
@@ -60,14 +61,16 @@ def _jumps(readings: np.ndarray) -> np.ndarray:
 def driven_jump(posterior: Posterior, chi2: float, explained: float) -> str:
     """A sentence about a jump of a driven joint without which chance explains a fit that it does not with it; else empty.
 
-    A score test: what the residuals have of a step at each reading, over the information that no unknown of the fit takes.
+    A score test: what the residuals have of a step at each reading, over the information that no unknown of the fit takes. Where
+    chi-square is hardly beyond chance, any small step brings it back: only one is named that is as large against a reading as a
+    held joint's has to be, and as sure.
 
     Args:
         posterior: Of the fit, without inflation.
         chi2: Of the fit.
         explained: Chi-square up to which chance explains it.
     """
-    best = (chi2 - explained, "")
+    best = (max(chi2 - explained, JUMP_STDS**2), "")
     for number, run in enumerate(posterior.problem.runs):
         own = np.flatnonzero(posterior.run == number)
         for count in range(FEWEST, run.used - FEWEST + 1):
@@ -82,7 +85,8 @@ def driven_jump(posterior: Posterior, chi2: float, explained: float) -> str:
             speed = abs(run.position[count] - run.position[count - 1]) / (
                 run.times_s[count] - run.times_s[count - 1]
             )
-            if gain > best[0] and abs(size) > speed * OFF_S:
+            least = max(speed * OFF_S, JUMP_STDS * run.drive.reading_std)
+            if gain > best[0] and abs(size) > least:
                 where = f"{1e3 * run.times_s[count]:.0f} ms after its start"
                 best = (
                     gain,

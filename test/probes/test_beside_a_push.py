@@ -161,6 +161,16 @@ def test_a_driven_joint_that_jumps_is_refused(arm: Robot, step_rad: float, at_s:
     assert {"position_jumps", "other_zero", "misfit"} & set(codes(estimate))
 
 
+@pytest.mark.parametrize("at_s", [0.2, 0.4])
+@pytest.mark.parametrize("step_rad", [0.003, -0.003])
+def test_two_counts_of_an_encoder_are_no_jump(arm: Robot, step_rad: float, at_s: float) -> None:
+    """Where chance hardly fails to explain a fit, so small a step would; friction that sticks does the same."""
+    estimate = asked(arm, bends.step(recorded(BALL), "joint3", step_rad, at_s))
+    mass = estimate.values[0]
+    assert "position_jumps" not in codes(estimate)
+    assert estimate.verdict is Verdict.ACCEPTED and abs(mass.value - 0.02) < 3.0 * mass.std
+
+
 @pytest.mark.parametrize("folder", [BALL, HEAVY_BALL, CUBE, LOWERED])
 def test_joints_that_give_way_do_not_jump(arm: Robot, folder: Path) -> None:
     assert "position_jumps" not in codes(asked(arm, recorded(folder), folder))
