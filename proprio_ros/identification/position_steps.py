@@ -6,6 +6,8 @@ joint gives way smoothly once its load is there, and a driven one would need a t
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from proprio_ros.identification.posterior import Posterior
@@ -19,16 +21,13 @@ JUMP_STDS = 8.0
 """Standard deviations of a reading that a joint may seem to jump: held ones of simulated servos that give way, with friction that
 sticks and backlash among them, moved by at most 4.6 from one reading to the next. A driven one that sticks and slips, read in whole
 counts of its encoder, seemed to by 3."""
-OFF_S = 0.008
-"""What a stamp that is off by so much would do at that speed is no jump."""
 FEWEST = 2  # readings to each side of a jump of the driven joint
 
 
 def held_jump(run: PreparedRun) -> str:
     """A sentence about the largest jump of a joint that is held and matters; empty where there is none."""
     times_s = np.concatenate([run.run.before_times_s, run.run.times_s])
-    least = JUMP_STDS * run.drive.reading_std
-    worst = least
+    worst = JUMP_STDS * run.drive.reading_std
     said = ""
     for name in run.coefficients.pose:
         readings = run.run.held_position.get(name)
@@ -58,41 +57,60 @@ def _jumps(readings: np.ndarray) -> np.ndarray:
     return jumps
 
 
+@dataclass(frozen=True)
+class _Step:
+    """By how much something is off from a sample on, and the part of chi-square that this explains."""
+
+    size: float
+    gain: float
+    run: PreparedRun | None = None
+    at_s: float = 0.0
+
+
 def driven_jump(posterior: Posterior, chi2: float, explained: float) -> str:
     """A sentence about a jump of a driven joint without which chance explains a fit that it does not with it; else empty.
 
     A score test: what the residuals have of a step at each reading, over the information that no unknown of the fit takes. Where
     chi-square is hardly beyond chance, any small step brings it back: only one is named that is as large against a reading as a
-    held joint's has to be, and as sure.
+    held joint's has to be, and as sure. Where a clock that steps explains more, it is not named: then readings differ by how fast
+    the joint goes. Both look nearly alike, so the sentence names both.
 
     Args:
         posterior: Of the fit, without inflation.
         chi2: Of the fit.
         explained: Chi-square up to which chance explains it.
     """
-    best = (max(chi2 - explained, JUMP_STDS**2), "")
+    readings = _Step(0.0, max(chi2 - explained, JUMP_STDS**2))
+    clock_gain = 0.0
     for number, run in enumerate(posterior.problem.runs):
         own = np.flatnonzero(posterior.run == number)
+        speed = np.gradient(run.position[: run.used], run.times_s[: run.used])
         for count in range(FEWEST, run.used - FEWEST + 1):
-            seen = np.zeros(len(posterior.residual))
-            seen[own[count:]] = 1.0 / run.sigma[count:]
-            across = posterior.sensitivity.T @ seen
-            information = float(seen @ seen - across @ posterior.covariance @ across)
-            if information <= 0.0:
-                continue
-            size = float(seen @ posterior.residual - across @ posterior.step) / information
-            gain = size**2 * information
-            speed = abs(run.position[count] - run.position[count - 1]) / (
-                run.times_s[count] - run.times_s[count - 1]
-            )
-            least = max(speed * OFF_S, JUMP_STDS * run.drive.reading_std)
-            if gain > best[0] and abs(size) > least:
-                where = f"{1e3 * run.times_s[count]:.0f} ms after its start"
-                best = (
-                    gain,
-                    f"{run.run.name}: the reading of {run.run.joint} jumps by about {1e3 * size:+.0f} mrad {where}",
-                )
-    return best[1]
+            from_here = np.arange(run.used) >= count
+            off = np.zeros(len(posterior.residual))
+            off[own] = from_here / run.sigma
+            late = np.zeros(len(posterior.residual))
+            late[own] = from_here * speed / run.sigma
+            clock_gain = max(clock_gain, _step(posterior, late).gain)
+            found = _step(posterior, off)
+            large = abs(found.size) > JUMP_STDS * run.drive.reading_std
+            if large and found.gain > readings.gain:
+                readings = replace(found, run=run, at_s=float(run.times_s[count]))
+    if readings.run is None or clock_gain > readings.gain:
+        return ""
+    run = readings.run
+    size = f"{1e3 * readings.size:+.0f} mrad {1e3 * readings.at_s:.0f} ms after its start"
+    return f"{run.run.name}: the reading of {run.run.joint} jumps by about {size}, or its clock steps there"
+
+
+def _step(posterior: Posterior, seen: np.ndarray) -> _Step:
+    """Of what the residuals see so, per unit, shape (N,)."""
+    across = posterior.sensitivity.T @ seen
+    information = float(seen @ seen - across @ posterior.covariance @ across)
+    if information <= 0.0:
+        return _Step(0.0, 0.0)
+    size = float(seen @ posterior.residual - across @ posterior.step) / information
+    return _Step(size, size**2 * information)
 
 
 def jumped(sentence: str) -> Reason:
