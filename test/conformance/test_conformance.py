@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.bends.bend import all_bends
 from support.known.asking import VERDICTS, asked
+from support.known.bases import MOTION
 
 from conformance.table import Row, all_rows, files_of, wrong_with
 from proprio_ros.identification.reasons import CODES
@@ -18,7 +20,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("bases")
 
 
-@pytest.mark.parametrize("row", all_rows(), ids=lambda row: row.name)
+def _asked(row: Row) -> Any:
+    """A row; motions of several joints take seconds each, and are asked in the gate."""
+    marks = [pytest.mark.long] if row.of.kind == MOTION else []
+    return pytest.param(row, id=row.name, marks=marks)
+
+
+@pytest.mark.parametrize("row", [_asked(row) for row in all_rows()])
 def test_is_answered_right(row: Row, made: Path, tmp_path: Path) -> None:
     if row.of.missing:
         pytest.skip(f"{row.base} does not ship with the package")
