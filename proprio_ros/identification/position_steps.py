@@ -13,10 +13,14 @@ import numpy as np
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.records import BoolArray
 
 NEAR = 3
 """So many readings to each side say how a joint goes on without a jump."""
 YIELDS_S = 0.05  # a held joint gives way that fast when the current comes on
+# A driven joint that loses so much of its speed within some readings is stopped, by more than weight and friction can.
+STOPS_SHARE = 0.4
+FAST_QUANTILE = 0.95  # of its speeds, beyond what one reading that is off makes
 JUMP_STDS = 8.0
 """Standard deviations of a reading that a joint may seem to jump: held ones of simulated servos that give way, with friction that
 sticks and backlash among them, moved by at most 4.6 from one reading to the next. A driven one that sticks and slips, read in whole
@@ -27,6 +31,7 @@ FEWEST = 2  # readings to each side of a jump of the driven joint
 def held_jump(run: PreparedRun) -> str:
     """A sentence about the largest jump of a joint that is held and matters; empty where there is none."""
     times_s = np.concatenate([run.run.before_times_s, run.run.times_s])
+    brakes = _brakes(run)
     worst = JUMP_STDS * run.drive.reading_std
     said = ""
     for name in run.coefficients.pose:
@@ -34,13 +39,30 @@ def held_jump(run: PreparedRun) -> str:
         if readings is None or len(readings) < 2 * NEAR + 2:
             continue
         jumps = _jumps(readings)
-        jumps[times_s[1:] < YIELDS_S] = 0.0
+        jumps[(times_s[1:] < YIELDS_S) | brakes] = 0.0
         row = int(np.argmax(np.abs(jumps)))
         if abs(jumps[row]) > worst:
             worst = float(abs(jumps[row]))
             by = f"jumps by {1e3 * jumps[row]:+.0f} mrad within {1e3 * (times_s[row + 1] - times_s[row]):.0f} ms"
             said = f"the reading of {name}, which is held, {by}, {times_s[row + 1]:.2f} s after the start"
     return said
+
+
+def _brakes(run: PreparedRun) -> BoolArray:
+    """Between which readings the driven joint stops hard, shape (T - 1,): a joint that is held gives way to that.
+
+    A run ends before its arm is stopped, but for one whose commands are stamped late.
+    """
+    times_s = np.concatenate([run.run.before_times_s, run.run.times_s])
+    position = np.concatenate([run.run.before_position, run.run.position])
+    speed = np.abs(np.diff(position) / np.maximum(np.diff(times_s), 1e-6))
+    fastest = float(np.quantile(speed, FAST_QUANTILE))
+    brakes = np.zeros(len(speed), dtype=bool)
+    for row in range(NEAR, len(speed) - NEAR + 1):
+        before = float(np.median(speed[row - NEAR : row]))
+        after = float(np.median(speed[row : row + NEAR]))
+        brakes[row] = before - after > STOPS_SHARE * fastest
+    return brakes
 
 
 def _jumps(readings: np.ndarray) -> np.ndarray:
