@@ -69,8 +69,9 @@ def test_objects_are_weighed(arm: Calibrated, mass_kg: float) -> None:
     assert client.wait_for(lambda: bool(client.masses) and client.final())
     final = client.estimates[-1]
     low, high = json.loads(final["payload_mass.ci95"])
-    # the interval reaches a gram at most to either side; how often it holds: test/benchmarks/coverage.py
-    assert abs(client.masses[-1] - mass_kg) < high - low < 0.002, final
+    # the interval reaches a gram and a half at most to either side, for zeros that may differ by 5 mrad; how often it holds:
+    # test/benchmarks/coverage.py
+    assert abs(client.masses[-1] - mass_kg) < high - low < 0.003, final
     assert float(final["payload_mass"]) == client.masses[-1] and final["payload_mass.unit"] == "kg"
     assert final["calibration"].endswith("calibration.yaml")
 

@@ -28,6 +28,7 @@ from proprio_ros.identification.regression.between import CLOCK, Between
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
 from proprio_ros.identification.regression.solve import solve
 from proprio_ros.recordings.motions import Motion
+from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.robot import Robot
 
 PACE_SPREAD = 0.5
@@ -92,6 +93,9 @@ def with_clocks(
 def _followed(
     robot: Robot, motion: Motion, calibration: MotionCalibration | None, loaded: bool
 ) -> Motion:
+    if voltage_driven(robot):
+        # their torques are made of goals, whose delay nobody states: it looks like another pace
+        return motion
     try:
         clock = clock_of(robot, motion, calibration, loaded=loaded)
     except RecordingError:  # of no use for anything: the weighing says why
