@@ -366,9 +366,8 @@ class IdentifierNode(ManagedNode):
             level = "ok" if job.success else "warning"
         except ProprioError as error:
             job.message = str(error)
-        except (
-            Exception
-        ) as error:  # a defect must be reported, and must not leave the services busy for ever
+        except Exception as error:
+            # a defect must be reported, and must not leave the services busy for ever
             job.message = f"a defect in the identification ({type(error).__name__}: {error}); the recording is kept"
             self.get_logger().error(job.message)
         finally:

@@ -85,9 +85,8 @@ class Running:
                     else:
                         share.rested()
                         clock.sleep(NOTHING_WAITS_S)
-        except (
-            Exception
-        ) as error:  # a defect must be reported, and must not take the services along
+        except Exception as error:
+            # a defect must be reported, and must not take the services along
             self._inputs.arrived = None
             words = f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
             self._node.say("error", words)

@@ -575,9 +575,8 @@ def _argument(name: str, value: Any, form: Form) -> Any:
         return read(name, _plain(value), form)
     except ProprioError:
         raise
-    except (
-        Exception
-    ) as error:  # of a value's own methods: a path or a list that is none, or holds itself
+    except Exception as error:
+        # of a value's own methods: a path or a list that is none, or holds itself
         raise ConfigurationError(
             f"{name}: cannot be read ({type(error).__name__}: {error})"
         ) from error

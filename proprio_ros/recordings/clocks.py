@@ -24,9 +24,8 @@ NEIGHBOURS = 11  # a level is the median of so many messages: single late ones a
 PERIODS = 5.0  # a clock that is whole goes on within so many periods, or half a step
 CUT_NS = 200_000_000
 """What is left between two parts; no window of a motion spans a gap so long."""
-MARGIN_NS = (
-    60_000_000  # before and behind an overlap: where it begins and ends is known to a few messages
-)
+# before and behind an overlap: where it begins and ends is known to a few messages
+MARGIN_NS = 60_000_000
 YEAR_NS = 31_557_600 * 10**9
 EPOCH_NS = 10**15  # a clock of today is past that, twelve days; one of a simulation is not
 FEWEST = 30

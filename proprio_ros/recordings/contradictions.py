@@ -46,9 +46,8 @@ TORQUE_OFF = 0.3
 """The same where others command: an arm may measure torque behind its gears, which lacks what friction and rotor take."""
 SURE_STDS = 3.0
 """Beside that, so many standard deviations of the ratio itself: readings are whole counts, have noise and come late."""
-LEAST_CURRENT_A = (
-    0.005  # a reading so close to its command is not far from it; two counts of an XM430
-)
+# a reading so close to its command is not far from it; two counts of an XM430
+LEAST_CURRENT_A = 0.005
 SAME_UNIT = {"N.m": 4.0, "A": 4.0, "mA": 1.5, "raw": 1.5}
 """Effort in no unit that is known is compared with no command: the nearest one must fit to this factor. Per mille of a motor's
 rating lie near mA and raw counts."""

@@ -11,7 +11,7 @@ from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.recordings.repeats import repeated
 from proprio_ros.recordings.sign_bits import hint_of
 from proprio_ros.recordings.unmeasured import Measured, measured_only
-from proprio_ros.records import FloatArray, Recording
+from proprio_ros.records import BoolArray, FloatArray, Recording
 
 MOVED_RAD = 0.05
 """A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
@@ -41,6 +41,7 @@ class Motion:
     begin_ns: int = 0  # stamp of the first sample [ns]; 0: not known
     # position of every other joint that was recorded, at the same times [rad or m], shape (T,) each
     beside: Mapping[str, FloatArray] = field(default_factory=dict)
+    clock_off: tuple[str, ...] = ()  # of its notes, what is said of a clock that was followed
     # how well its clock is known: of the logarithm of its pace, and of how late currents are [s]; one standard deviation
     pace_std: float = 0.0
     lag_std_s: float = 0.0
@@ -53,12 +54,23 @@ class Motion:
         )
         return tuple(name for name, each in zip(self.joints, moved, strict=True) if each)
 
+    def part(self, rows: BoolArray | slice) -> Motion:
+        """Some of its samples; times count from the first of them."""
+        times_s = self.times_s[rows]
+        return replace(
+            self,
+            times_s=times_s - times_s[0],
+            position=self.position[rows],
+            current_A=self.current_A[rows],
+            beside={joint: values[rows] for joint, values in self.beside.items()},
+        )
+
     def complete(self) -> Motion:
         """Those samples in which all currents were measured.
 
         Raises `RecordingError`: There are none.
         """
-        known = np.isfinite(self.current_A).all(axis=1)
+        known = np.asarray(np.isfinite(self.current_A).all(axis=1))
         if known.all():
             return self
         if not known.any():
@@ -68,13 +80,7 @@ class Motion:
                 f"{self.name}: the effort of {', '.join(names) or 'some joint'} was never measured together with that of the "
                 "others: does its driver publish it?"
             )
-        return replace(
-            self,
-            times_s=self.times_s[known] - self.times_s[known][0],
-            position=self.position[known],
-            current_A=self.current_A[known],
-            beside={joint: values[known] for joint, values in self.beside.items()},
-        )
+        return self.part(known)
 
 
 def motion_of(

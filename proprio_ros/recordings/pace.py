@@ -147,13 +147,18 @@ def _scale_of_run(recording: Recording, run: Run) -> VelocityScale | None:
     return VelocityScale(whole.scale, std, whole.lag_s)
 
 
+def _integral_and_velocity(times_s: FloatArray, velocity: FloatArray) -> FloatArray:
+    """The columns of the fit, shape (T, 2): by the first goes the scale, by the second scale and lag."""
+    means = 0.5 * (velocity[1:] + velocity[:-1])
+    integral = np.concatenate([[0.0], np.cumsum(means * np.diff(times_s))])
+    return np.column_stack([integral, velocity])
+
+
 def _slopes(
     times_s: FloatArray, position: FloatArray, velocity: FloatArray
 ) -> VelocityScale | None:
     """Scale and lag by all samples, of shape (T,); None where velocities leave too much open."""
-    means = 0.5 * (velocity[1:] + velocity[:-1])
-    integral = np.concatenate([[0.0], np.cumsum(means * np.diff(times_s))])
-    design = np.column_stack([integral, velocity])
+    design = _integral_and_velocity(times_s, velocity)
     design -= design.mean(axis=0)
     travelled = position - position.mean()
     product = design.T @ design
@@ -256,9 +261,7 @@ def _velocity_scale(
     times_s: FloatArray, position: FloatArray, velocity: FloatArray
 ) -> VelocityScale | None:
     """Of one joint, by windows; all of shape (T,); None where velocities leave too much open."""
-    means = 0.5 * (velocity[1:] + velocity[:-1])
-    integral = np.concatenate([[0.0], np.cumsum(means * np.diff(times_s))])
-    regressors = np.column_stack([integral, velocity])
+    regressors = _integral_and_velocity(times_s, velocity)
     number = np.floor(times_s / WINDOW_S).astype(np.int64)
     products = []
     projections = []

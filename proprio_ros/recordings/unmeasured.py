@@ -127,9 +127,8 @@ def _outliers(effort: FloatArray) -> BoolArray:
     low, high = np.percentile(values, [5.0, 95.0])
     usual = 1.4826 * float(np.median(away))
     steps = np.abs(np.diff(values))
-    step = (
-        float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
-    )  # a count, where it is coarse
+    # a count, where it is coarse
+    step = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
     found[known] = away > OUTLIER_SIGMAS * usual + OUTLIER_SHARE * (high - low) + 2.0 * step
     return found
 

@@ -78,9 +78,8 @@ def _packaged(name: str) -> Path:
         raise RobotError(
             f"{where}: the package has no such description; `python -m robot_descriptions list` names them"
         ) from error
-    except (
-        Exception
-    ) as error:  # it clones a repository when it is imported: git and the network fail as they like
+    except Exception as error:
+        # it clones a repository when it is imported: git and the network fail as they like
         raise RobotError(f"{where}: cannot be fetched ({one_line(str(error), 120)})") from error
     path = getattr(found, "URDF_PATH", None)
     if not path:

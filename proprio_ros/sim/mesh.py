@@ -234,10 +234,8 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
     try:
         with redirect_stdout(printed), redirect_stderr(printed):
             found = meshio.read(path)
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # what a reader raises over a broken file is the reader's own choice
+    except (Exception, SystemExit) as error:
+        # what a reader raises over a broken file is the reader's own choice
         why = printed.getvalue().strip().split("\n")[0] or error or type(error).__name__
         raise ConfigurationError(f"{path}: meshio cannot read this mesh ({why})") from error
     tets = [block.data for block in found.cells if block.type == "tetra"]

@@ -95,6 +95,16 @@ class Between:
         """Nothing is known of this arm but its friction."""
         return cls(PUBLISHED, dict.fromkeys(PUBLISHED, PSEUDO_RECORDINGS), friction, drift)
 
+    @classmethod
+    def unknown(cls, count: int) -> Between:
+        """Nothing is known of an arm of so many joints, not even its friction."""
+        friction = np.zeros(3 * count)
+        return cls.published(friction, friction)
+
+    def place(self, kind: str) -> int:
+        """Where the first term of a kind stands among a recording's own."""
+        return int(np.flatnonzero(self.kinds == kind)[0])
+
     @property
     def kinds(self) -> NDArray[np.str_]:
         """Of the own terms, shape (5 n + 3,)."""

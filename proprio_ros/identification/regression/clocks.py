@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
-from proprio_ros.calibration_files.motions import FRICTION_TERMS, MotionCalibration
+from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
@@ -116,6 +116,7 @@ def _followed(
     return replace(
         _retimed(motion, pace, lag_s),
         notes=(*motion.notes, *notes),
+        clock_off=tuple(notes),
         pace_std=pace_std,
         lag_std_s=lag_std_s,
     )
@@ -145,8 +146,7 @@ def with_clocks_named(refusal: Refusal, motions: Sequence[Motion]) -> Refusal:
     """A refusal for which nothing else was found, with the clocks that were followed before its other reasons."""
     if refusal.verdict is Verdict.ACCEPTED:
         return refusal
-    # of a motion's notes those that say what is wrong with it, not what was made of it
-    clocks = [note for motion in motions for note in motion.notes if isinstance(note, Reason)]
+    clocks = [reason for motion in motions for reason in motion.clock_off]
     return replace(refusal, reasons=(*clocks, *refusal.reasons)) if clocks else refusal
 
 
@@ -192,8 +192,7 @@ def _step(
     problem = Problem.of([equations(robot, motion, joints)], int(holds))
     if calibration is None:
         prior = motion_prior.prior_of_file(robot, arm, 1)
-        unknown = np.zeros(len(FRICTION_TERMS) * arm.count)
-        between = Between.published(unknown, unknown)
+        between = Between.unknown(arm.count)
     else:
         prior, _ = motion_prior.calibrated_prior(arm, calibration, 1)
         between = motion_prior.between_of(calibration)
@@ -201,8 +200,7 @@ def _step(
     between = replace(between, spreads=spreads)
     per_kg = motion_prior.payload_stds(arm)
     solution = solve(problem, prior, between, per_kg, calibration, followed=CLOCK)
-    first = problem.own(0).start
-    at = [first + int(np.flatnonzero(between.kinds == kind)[0]) for kind in CLOCK]
+    at = [problem.own(0).start + between.place(kind) for kind in CLOCK]
     acceleration, lag_s = solution.values[at]
     # the larger of what the fit and what its stretches say
     variance = np.maximum(
@@ -227,13 +225,8 @@ def _retimed(motion: Motion, pace: float, lag_s: float) -> Motion:
     current_A = np.column_stack(
         [np.interp(times_s[within] + lag_s, times_s, column) for column in motion.current_A.T]
     )
-    return replace(
-        motion,
-        times_s=pace * (times_s[within] - times_s[within][0]),
-        position=motion.position[within],
-        current_A=current_A,
-        beside={joint: position[within] for joint, position in motion.beside.items()},
-    )
+    part = motion.part(within)
+    return replace(part, times_s=pace * part.times_s, current_A=current_A)
 
 
 def _open_std(off: float, std: float, misfit: float, spread: float) -> float:

@@ -83,9 +83,8 @@ class Found:
     """The mistake that explains recordings."""
 
     words: str
-    of_positions: (
-        bool  # then the mass is another one, whether the joint's own torque decides or not
-    )
+    # whether positions are concerned: then the mass is another one, whether the joint's own torque decides or not
+    of_positions: bool
 
 
 @dataclass(frozen=True)
@@ -248,14 +247,7 @@ def thinned(motion: Motion, rate_hz: float, longest_s: float) -> Motion:
     middle_s = 0.5 * float(times_s[-1])
     first, last = np.searchsorted(times_s, [middle_s - 0.5 * longest_s, middle_s + 0.5 * longest_s])
     kept = slice(first, last, max(1, int(len(times_s) / (2.0 * middle_s * rate_hz))))
-    beside = {name: values[kept] for name, values in motion.beside.items()}
-    return replace(
-        motion,
-        times_s=times_s[kept] - times_s[first],
-        position=motion.position[kept],
-        current_A=motion.current_A[kept],
-        beside=beside,
-    )
+    return motion.part(kept)
 
 
 def _squares(robot: Robot, motion: Motion) -> _Squares:

@@ -117,7 +117,7 @@ class Arm:
             velocity: At the same instants [rad/s].
             torque: Of the motors [N m].
             counts: Which rows are wanted, broadcast to shape (W, n).
-            by_zeros: Whether the rows know how they follow the joints' zeros.
+            by_zeros: Whether the rows know how they follow the joints' zeros, and the pace of the clock.
         """
         slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
         window, joint = np.nonzero(counts & ~slow)
@@ -295,7 +295,7 @@ def equations(
 
     ``robot``: its torque constants and geometry; ``motion``: of these joints; ``joints``: whose terms are the columns;
     ``centre_m``: where the payload's mass sits: its other parameters are then how it differs from a point there, shape
-    (3,); ``by_zeros``: whether they know how they follow the joints' zeros, which takes most of the time.
+    (3,); ``by_zeros``: whether they know how they follow the joints' zeros and the clock's pace, which takes most of the time.
 
     Raises `RecordingError`: It is too short, or too fast for its rate.
     """

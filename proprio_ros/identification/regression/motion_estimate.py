@@ -275,14 +275,7 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEs
 
 def _between(motion: Motion, first_s: float, last_s: float, words: str) -> Motion:
     rows = (motion.times_s >= first_s) & (motion.times_s < last_s)
-    return replace(
-        motion,
-        name=f"{motion.name}, {words}",
-        times_s=motion.times_s[rows] - motion.times_s[rows][0],
-        position=motion.position[rows],
-        current_A=motion.current_A[rows],
-        beside={joint: position[rows] for joint, position in motion.beside.items()},
-    )
+    return replace(motion.part(rows), name=f"{motion.name}, {words}")
 
 
 def _longest_weighed(

@@ -13,6 +13,7 @@ over stretches says far too much where four are all there is: each then has a le
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -64,6 +65,15 @@ STRETCHES, UNDETERMINED, CALIBRATION, CONSTANTS = (
 
 
 @dataclass(frozen=True)
+class Solved:
+    """Equations, and their solution."""
+
+    problem: Problem
+    solution: Solution
+    start_s: FloatArray  # when each equation's window begins [s], shape (E,)
+
+
+@dataclass(frozen=True)
 class MotionFit:
     """What the hand holds, and what that rests on."""
 
@@ -100,7 +110,16 @@ class MotionFit:
     louder_kg: float
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
     shown: tuple[JointFit, ...]  # torque over time, for a picture
-    trends: tuple[Trend, ...]  # of each motion with the payload
+    solved: Solved  # what all of it was made of
+
+    @functools.cached_property
+    def trends(self) -> tuple[Trend, ...]:
+        """What changes along each motion with the payload; it takes a quarter of a fit, and few who fit ask for it."""
+        problem = self.solved.problem
+        return tuple(
+            trend_of(self.joints, problem, self.solved.solution, self.solved.start_s, number)
+            for number in range(problem.loaded)
+        )
 
     @property
     def unexplained(self) -> FloatArray:
@@ -159,8 +178,8 @@ def learn_arm(
     problem = Problem.of(parts, 0)
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
     prior = motion_prior.prior_of_file(robot, arm, runs)
-    none = np.zeros(len(FRICTION_TERMS) * count)
-    published = Between.published(none, none)
+    friction = len(FRICTION_TERMS) * count
+    published = Between.unknown(count)
     per_kg = motion_prior.payload_stds(arm)
     if runs == 1:
         solution = solve(problem, prior, published, per_kg)
@@ -171,7 +190,7 @@ def learn_arm(
     mean = np.zeros((TERMS * count, len(solution.values)))
     mean[: ARM_TERMS * count, PARAMETERS:shared] = np.eye(ARM_TERMS * count)
     for number in range(runs):
-        mean[ARM_TERMS * count :, problem.own(number)][:, : len(none)] = np.eye(len(none)) / runs
+        mean[ARM_TERMS * count :, problem.own(number)][:, :friction] = np.eye(friction) / runs
     between = _friction_between(problem, solution)
     names = arm.model.joint_names
     bodies = slice(PARAMETERS, PARAMETERS * (1 + count))
@@ -197,7 +216,7 @@ def learn_arm(
         values=mean @ solution.values,
         covariance=mean @ solution.covariance @ mean.T,
         deviations=solution.deviations @ mean.T,
-        friction_spread=between.std[: len(none)],
+        friction_spread=between.std[:friction],
         between={
             kind: (between.spreads[kind], between.recordings[kind]) for kind in sorted(BETWEEN)
         },
@@ -235,9 +254,8 @@ def held_by_file(robot: Robot, motions: Sequence[Motion]) -> HeldByFile:
     parts = weighable([equations(robot, motion, joints) for motion in motions])
     problem = Problem.of(parts, len(motions))
     prior = motion_prior.prior_of_file(robot, arm, len(motions))
-    none = np.zeros(len(FRICTION_TERMS) * arm.count)
     per_kg = motion_prior.payload_stds(arm)
-    solution = solve(problem, prior, Between.published(none, none), per_kg)
+    solution = solve(problem, prior, Between.unknown(arm.count), per_kg)
     shared = slice(PARAMETERS, PARAMETERS + ARM_TERMS * arm.count)
     seen = solution.values[:4]  # mass and first moment: what gravity pulls at
     squared = float(seen @ np.linalg.solve(solution.covariance[:4, :4], seen))
@@ -376,10 +394,7 @@ def fit_payload(
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
         shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
-        trends=tuple(
-            trend_of(joints, problem, solution, Rows.together(parts).start_s, number)
-            for number in range(len(loaded))
-        ),
+        solved=Solved(problem, solution, Rows.together(parts).start_s),
     )
 
 
@@ -505,8 +520,7 @@ def _of_its_own(problem: Problem, solution: Solution, kind: str) -> tuple[FloatA
         own = problem.own(number)
         share[:, own][:, solution.between.kinds == kind] = np.eye(problem.count) / problem.loaded
         if kind == "own_scale":
-            common = np.flatnonzero(solution.between.kinds == "common_scale")
-            share[:, own.start + common] = 1.0 / problem.loaded
+            share[:, own.start + solution.between.place("common_scale")] = 1.0 / problem.loaded
     before, after = (
         np.sum(share @ each * share, axis=1)
         for each in (solution.prior.covariance, solution.covariance)
@@ -520,7 +534,7 @@ def _of_its_own(problem: Problem, solution: Solution, kind: str) -> tuple[FloatA
 
 def _follows_torque(problem: Problem, solution: Solution) -> float:
     """How the mass follows the loaded motions' share of the torque in common [kg]."""
-    (common,) = np.flatnonzero(solution.between.kinds == "common_scale")
+    common = solution.between.place("common_scale")
     shares = [problem.own(number).start + common for number in range(problem.loaded)]
     return float(
         solution.covariance[0, shares].sum() / solution.covariance[np.ix_(shares, shares)].sum()

@@ -504,7 +504,7 @@ class Weighed(Conclusion):
         if self.assessed.zeros_std < LEANS * self.assessed.std or not self.assessed.leans:
             return
         joint, per_rad = max(self.assessed.leans.items(), key=lambda entry: abs(entry[1]))
-        more = f"{1e3 * per_rad * LEAN_RAD:+.1f} g"
+        more = shown("kg", per_rad * LEAN_RAD, spec="+.1f")
         said = f"this pose does not tell the zero of {joint} from weight: {1e3 * LEAN_RAD:.0f} mrad more are {more}"
         counted = f"the interval counts {1e3 * self.robot.zero_repeat:g} mrad of each joint (zero_repeat_rad)"
         remedy = "a push from another pose, or an empty-hand run beside it (--baseline), tells them apart"

@@ -6,8 +6,9 @@ What the empty arm does comes from motions that were recorded with the others, o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -197,36 +198,22 @@ def _identified(
             robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None
         )
     beside = baseline if robot.motion_calibration is not None else ()
-    learnt = calibration
-
-    def refit(motions: Sequence[Motion]) -> MotionFit:
-        return fit_payload(robot, motions, learnt, empty=beside, centre=centre)
-
+    fitted = partial(fit_payload, robot, calibration=calibration, empty=beside)
     trends = fit.trends
-    motions, fit = _without_trends(robot, motions, fit, refit)
+    motions, fit = _without_trends(robot, motions, fit, partial(fitted, centre=centre))
     refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
-    named = refusal
-    if len(motions) > 1 and refusal.verdict is Verdict.REJECTED:
-        with suppress(RecordingError):  # one is too short by itself
-            named = _apart(
-                refusal,
-                motions,
-                [fit_payload(robot, [m], calibration, empty=beside) for m in motions],
-                known,
-            )
+    share = float(np.nan_to_num(fit.unexplained).max())
+    named = _each_by_itself(refusal, motions, fitted, known)
     if named is refusal:
-        share = float(np.nan_to_num(fit.unexplained).max())
         named = with_cause(refusal, robot, *as_stamped, share)
-        if named is refusal:
-            refusal = named = with_clocks_named(refusal, (*motions, *baseline))
-        else:
+        if named is not refusal:
             # what explains the torques by their stamps bent the clock, too
             motions, baseline = as_stamped
     if named is refusal:
+        refusal = with_clocks_named(refusal, (*motions, *baseline))
         named = _with_trend(refusal, motions, trends)
-    if centre is not None and named is refusal:
-        free = fit_payload(robot, motions, calibration, empty=beside)
-        named = _elsewhere(refusal, motions, centre, fit, free, known)
+        if named is refusal and centre is not None:
+            named = _elsewhere(refusal, motions, centre, fit, fitted(motions), known)
     refusal = named
     mass = float(fit.values[0])
     std = float(fit.std[0])
@@ -298,6 +285,29 @@ def _with_trend(refusal: Refusal, motions: Sequence[Motion], trends: Sequence[Tr
             reason = Reason("changed_along", f"{motion.name}: {trend.words()}")
             return replace(refusal, reasons=(reason, *refusal.reasons))
     return refusal
+
+
+def _each_by_itself(
+    refusal: Refusal,
+    motions: Sequence[Motion],
+    fitted: Callable[[Sequence[Motion]], MotionFit],
+    known: str,
+) -> Refusal:
+    """The refusal of several motions together, with what each says alone, where that is explained.
+
+    Args:
+        refusal: Of all together.
+        motions: With the payload.
+        fitted: Makes the fit of some of them.
+        known: What the arm is known by.
+    """
+    if len(motions) < 2 or refusal.verdict is not Verdict.REJECTED:
+        return refusal
+    try:
+        alone = [fitted([motion]) for motion in motions]
+        return _apart(refusal, motions, alone, known)
+    except RecordingError:  # one is too short by itself
+        return refusal
 
 
 def _apart(
