@@ -25,6 +25,10 @@ FEWEST_CROSSINGS = 2
 """One jump by half a turn or less may be of something else; no joint turns several times round between two samples."""
 TOLERANCE_RAD = 0.02
 """That a jump differs by from the bit's worth, beside what the joint moves meanwhile: some counts, at either side of zero."""
+NEAREST_SHARE = 0.125
+"""Of a bit's worth, that a jump differs by at most, however fast the joint moves: more would be any jump."""
+FEWEST_SAMPLES = 30
+"""Half a second at the lowest rates; in fewer readings any few jumps look like a bit's."""
 NEAR_RAD = 0.3  # of a bit's worth, by which a reading is off that cannot be decoded
 AROUND = 5  # samples on either side of a jump that say which way a joint moves
 
@@ -45,6 +49,8 @@ def sign_bit(times_s: FloatArray, position: FloatArray) -> SignBit | None:
         times_s: Increasing [s], shape (T,).
         position: Finite [rad], shape (T,).
     """
+    if len(position) < FEWEST_SAMPLES:
+        return None
     step_s = np.diff(times_s)
     usual_s = float(np.median(step_s))
     close = step_s < max(LONGEST_STEP_S, 2.0 * usual_s)
@@ -75,9 +81,8 @@ def _decoded(
 ) -> SignBit | None:
     """The readings without a sign bit, where their jumps are all of its worth and gone without it."""
     worth = COUNT_RAD * 2.0**bit
-    moves = float(np.median(np.abs(step[np.abs(step) > 0.0])))
-    others = np.delete(step, jumps)
-    near = TOLERANCE_RAD + 2.0 * max(moves, float(np.abs(others).max(initial=0.0)))
+    moves = float(np.abs(np.delete(step, jumps)).max(initial=0.0))
+    near = min(TOLERANCE_RAD + 2.0 * moves, NEAREST_SHARE * worth)
     if np.any(np.abs(np.abs(step[jumps]) - worth) > near):
         return None
     lower = float(np.minimum(position[jumps], position[jumps + 1]).min())

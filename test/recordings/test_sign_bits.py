@@ -69,6 +69,18 @@ def test_nothing_is_decoded_where_nothing_jumps() -> None:
     assert sign_bit(TIMES_S, COUNT_RAD * swinging()) is None
 
 
+@pytest.mark.parametrize("readings", [[0.0, 0.0, 0.5, 0.0, 0.5], [0.5, 0.0, 1.0, 0.0, 0.5]])
+def test_a_few_readings_that_jump_are_left_as_they_are(readings: list[float]) -> None:
+    position = np.array(readings)
+    assert sign_bit(1e-3 * np.arange(len(position)), position) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_readings_that_jump_everywhere_are_left_as_they_are(seed: int) -> None:
+    position = np.random.default_rng(seed).uniform(-2.0, 2.0, 200)
+    assert sign_bit(1e-3 * np.arange(200), position) is None
+
+
 @pytest.mark.long
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"needs {REAL}")
 @pytest.mark.parametrize("bit", [11, 15])
