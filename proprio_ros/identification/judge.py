@@ -25,13 +25,14 @@ from proprio_ros.identification.gates import MOVING_START, chi2_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.robot_unknowns import zero_repeat_of
 from proprio_ros.identification.stamps import stamps_off
 from proprio_ros.quantity import Z95, shown, spec_for
 
 FAR = 5.0
 """Standard deviations of its prior beyond which an unknown says that the model is wrong, whatever the residuals say (DESIGN)."""
 NAMED_AT_MOST = 3
-LEAST_LEARNT = 0.01  # of a zero's variance: a recording that tells less of it tells nothing
+LEAST_LEARNT = 1e-4  # of a zero's variance: a recording that tells less of it tells nothing
 ELSEWHERE = 4.0
 """Standard deviations that a zero may seem elsewhere; uneven stamps make three of them. 240 simulated pushes had 2.4 at most."""
 ALIKE_PULL = 0.9
@@ -170,7 +171,12 @@ class Assessment:
     @property
     def zeros_std(self) -> float:
         """What zeros that differ from one recording to the next put on the value, as a standard deviation."""
-        return self.robot.zero_repeat * float(np.linalg.norm(list(self.leans.values())))
+        return self.zero_repeat * float(np.linalg.norm(list(self.leans.values())))
+
+    @property
+    def zero_repeat(self) -> float:
+        """How far the zero of a joint may be elsewhere than the calibration has it, as a standard deviation [rad]."""
+        return zero_repeat_of(self.robot, self.runs)
 
     @property
     def std(self) -> float:

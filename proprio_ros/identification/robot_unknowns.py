@@ -14,7 +14,7 @@ from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import Key, Scope
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import MEASURED_EFFORT
-from proprio_ros.robot import Robot
+from proprio_ros.robot import ZEROS_BESIDE, Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 PAYLOAD_TERMS = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale")
@@ -135,7 +135,19 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
 
 def prior_of(robot: Robot, runs: Sequence[PreparedRun]) -> Calibration | None:
     """What a calibration says of other runs; a free swing has an unknown of its own for where its zero is."""
-    return robot.calibration if any(run.run.free for run in runs) else robot.known
+    if any(run.run.free for run in runs):
+        return robot.calibration
+    return robot.known_beside if has_known_load(runs) else robot.known
+
+
+def zero_repeat_of(robot: Robot, runs: Sequence[PreparedRun]) -> float:
+    """How far a zero may be elsewhere in some runs than the calibration has it, as a standard deviation [rad]."""
+    return robot.zero_repeat * (ZEROS_BESIDE if has_known_load(runs) else 1.0)
+
+
+def has_known_load(runs: Sequence[PreparedRun]) -> bool:
+    """Whether one of the runs is of an empty hand or a reference, which tells where zeros are today."""
+    return any(run.load is not None for run in runs)
 
 
 def onset_std(robot: Robot, run: PreparedRun) -> float:

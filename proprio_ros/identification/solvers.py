@@ -18,6 +18,9 @@ valley before the late, sensitive part is believed."""
 IDLE_GAIN = 1e-6
 """A decrease of half chi-square below this moves nothing by more than a thousandth of its standard deviation."""
 
+LARGEST_CURVATURE = 1e100
+"""Of a start, products of whose numbers are still finite."""
+
 
 class LeastSquares(Protocol):
     """What a solver needs of a problem."""
@@ -86,6 +89,19 @@ def bounded_step(
     return step
 
 
+def _scaled_down(
+    cost: np.ndarray, gradient: np.ndarray, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Costs (S,), and slopes (S, F) and curvatures (S, F, F) of those starts that run away brought to where products are finite.
+
+    The simulation of a bad guess may grow by a hundred powers of ten. A factor that both share changes no step.
+    """
+    largest = np.abs(np.diagonal(matrix, axis1=1, axis2=2)).max(axis=1, initial=0.0)
+    runs_away = np.isfinite(largest) & (largest > LARGEST_CURVATURE)
+    factor = np.where(runs_away, LARGEST_CURVATURE / np.where(runs_away, largest, 1.0), 1.0)
+    return cost, gradient * factor[:, None], matrix * factor[:, None, None]
+
+
 def levenberg_marquardt(
     problem: LeastSquares,
     starts: np.ndarray,
@@ -119,14 +135,16 @@ def levenberg_marquardt(
     for fraction in WINDOWS if windows is not None else WINDOWS[-1:]:
         last = fraction == WINDOWS[-1]
         counts = None if last or windows is None else windows(fraction)
-        cost, gradient, matrix = problem.linearise(u, counts)
+        cost, gradient, matrix = _scaled_down(*problem.linearise(u, counts))
         idle = np.zeros(len(u), dtype=int)
         if not path_cost:
             path_cost.append(cost.copy())
         for _ in range(iterations if last else window_iterations):
             step = bounded_step(u, gradient, matrix, damping, coordinates)
             trial = np.clip(u + step, coordinates.lower, coordinates.upper)
-            trial_cost, trial_gradient, trial_matrix = problem.linearise(trial, counts)
+            trial_cost, trial_gradient, trial_matrix = _scaled_down(
+                *problem.linearise(trial, counts)
+            )
             better = np.isfinite(trial_cost) & (trial_cost <= cost)
             moved = trial - u
             curvature = np.einsum("si,sij,sj->s", moved, matrix, moved)

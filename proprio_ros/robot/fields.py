@@ -199,7 +199,7 @@ ROBOT: dict[str, Field] = {
     "friction_spread": Field(NOISE["friction_spread"], 0.15),
     "zero_repeat_rad": Field(
         Number("a joint's zero from one recording of an arm to the next, std", "rad", 0.0, 0.5),
-        0.005,
+        0.001,
     ),
     "link_mass_std": Field(
         Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.05

@@ -90,8 +90,7 @@ OPEN_OF_ALL = {
 def robot_knowing(effects: Collection[str]) -> Robot:
     """The robot file of somebody who knows which effects are absent: what they would make uncertain is known exactly."""
     robot = load_robot("open_manipulator_x")
-    # these robots' zeros are the same in all of their recordings, and whoever knows that says so
-    changes: dict[str, object] = {"zero_repeat_rad": 0.0}
+    changes: dict[str, object] = {}
     for effect, keys in OPEN_OF_ALL.items():
         if effect not in effects:
             for key in keys:

@@ -22,8 +22,7 @@ LEVELS = ("realistic_s00", "realistic_s01", "hard_s00")
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:
-    """Each of the recorded robots has zeros that repeat: one that may differ by 5 mrad is weighed less well."""
-    return replace(load_robot("open_manipulator_x"), zero_repeat=0.0)
+    return load_robot("open_manipulator_x")
 
 
 class Learnt(dict[tuple[str, bool], CalibrationEstimate]):

@@ -54,7 +54,7 @@ from proprio_ros.identification.swing_friction import TERMS, own_friction, swing
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
-from proprio_ros.robot import Robot
+from proprio_ros.robot import ZEROS_BESIDE, Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 COM = tuple(f"payload_com_{axis}" for axis in "xyz")
@@ -75,9 +75,8 @@ AS_WELL, MEASURED = 4.0, 0.02
 """A fit whose chi-square is larger by less explains a recording as well as another; a torque constant that is known better than so,
 relative, has been measured."""
 
-LEAN_RAD = 0.01  # by what it is said how far an answer leans on a zero
-LEANS = 0.5
-"""Of the standard deviation of an answer, from which what a zero puts on it is worth a sentence."""
+LEAN_RAD = 0.01
+"""By what it is said how far an answer leans on a zero, where so much moves the answer out of its interval."""
 ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
 # So many times better, and an open zero is believed; less, and the mass may be either.
 BETTER_FOLLOWED = 1.5
@@ -277,6 +276,8 @@ def _drift(
     if not baseline:
         return []
     runs = [replace(run, load=None) for run in baseline]
+    # zeros that are elsewhere today are followed in what is weighed, too
+    robot = replace(robot, zero_repeat=ZEROS_BESIDE * robot.zero_repeat)
     fit = fit_opened(partial(solve_load, robot, runs, facts, options))
     mass, std = fit.determined("payload_mass")
     since = "its calibration" if robot.is_calibrated() else "its robot file was written"
@@ -501,13 +502,15 @@ class Weighed(Conclusion):
 
     def remarks(self) -> Iterator[str]:
         """How far an answer leans on zeros that one pose does not tell."""
-        if self.assessed.zeros_std < LEANS * self.assessed.std or not self.assessed.leans:
+        if not self.assessed.leans:
             return
         joint, per_rad = max(self.assessed.leans.items(), key=lambda entry: abs(entry[1]))
+        if LEAN_RAD * abs(per_rad) < Z95 * self.assessed.std:
+            return
         more = shown("kg", per_rad * LEAN_RAD, spec="+.1f")
         said = f"this pose does not tell the zero of {joint} from weight: {1e3 * LEAN_RAD:.0f} mrad more are {more}"
-        counted = f"the interval counts {1e3 * self.robot.zero_repeat:g} mrad of each joint (zero_repeat_rad)"
-        remedy = "a push from another pose, or an empty-hand run beside it (--baseline), tells them apart"
+        counted = f"the interval counts {1e3 * self.assessed.zero_repeat:g} mrad of each joint (zero_repeat_rad)"
+        remedy = "an empty-hand run beside it (--baseline) tells them apart"
         yield Reason("leans_on_zero", f"{said}; {counted}; {remedy}")
 
     def cautions(self, solver: SolverSummary) -> Iterator[str]:
