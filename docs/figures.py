@@ -41,7 +41,10 @@ def numbers(name: str, table: str, **where: Any) -> dict[str, Any]:
     return found
 
 
-def cells(columns: Mapping[str, str], row: Mapping[str, Any]) -> list[str]:
+def cells(
+    columns: Mapping[str, str],
+    row: Mapping[str, Any],
+) -> list[str]:
     """A row as a page shows it: each column's words with the row's numbers; `-` where a number is missing."""
     missing = {key for key, value in row.items() if value is None or value != value}
     return [
@@ -105,7 +108,10 @@ def _real(*asked: str) -> list[dict[str, Any]]:
     return [numbers("real", "real", asked=row) for row in asked]
 
 
-def _together(rows: list[dict[str, Any]], digits: int = 1) -> tuple[str, str, int, int]:
+def _together(
+    rows: list[dict[str, Any]],
+    digits: int = 1,
+) -> tuple[str, str, int, int]:
     """Largest error and half intervals [%] of several rows, how many hold, and how many were answered."""
     errors = [each for row in rows for each in row["errors"]]
     halves = [each for row in rows for each in row["half_intervals"]]
@@ -146,7 +152,7 @@ def _simulated() -> list[Row]:
     found.append((
         "sphere in a closed box, three recordings together (two robots)",
         f"{_span([error for row in boxes for error in row['together_errors']])} g",
-        _all(sum(row["together_hold"] for row in boxes), sum(row["together_answered"] for row in boxes)), "what-is-in-the-box",
+        _all(sum(row["together_hold"] for row in boxes), sum(row["together_answered"] for row in boxes),), "what-is-in-the-box",
     ))  # fmt: skip
     blocks = _two("blocks")
     halves = [row[key] for row in blocks for key in ("half_from", "half_to")]

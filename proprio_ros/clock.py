@@ -50,7 +50,12 @@ class Clock:
     def lock(self) -> contextlib.AbstractContextManager[bool]:
         return threading.Lock()
 
-    def thread(self, target: Callable[..., None], name: str, args: tuple[Any, ...] = ()) -> Thread:
+    def thread(
+        self,
+        target: Callable[..., None],
+        name: str,
+        args: tuple[Any, ...] = (),
+    ) -> Thread:
         """A thread that does not keep the process from ending."""
         return threading.Thread(target=target, name=name, args=args, daemon=True)
 
@@ -108,7 +113,11 @@ def lock() -> contextlib.AbstractContextManager[bool]:
     return _clock.lock()
 
 
-def thread(target: Callable[..., None], name: str, args: tuple[Any, ...] = ()) -> Thread:
+def thread(
+    target: Callable[..., None],
+    name: str,
+    args: tuple[Any, ...] = (),
+) -> Thread:
     """A thread that waits on this clock, and does not keep the process from ending."""
     return _clock.thread(target, name, args)
 

@@ -40,7 +40,12 @@ INSTANT_S = 1e-6
 """Two stamps closer than this are the same instant: cycles are milliseconds apart, and stamps carry rounding [s]."""
 
 
-def _frozen(values: Any, dtype: type, what: str, shape: tuple[int, ...]) -> NDArray[Any]:
+def _frozen(
+    values: Any,
+    dtype: type,
+    what: str,
+    shape: tuple[int, ...],
+) -> NDArray[Any]:
     """Copy to a read-only array of the given shape (-1: any length)."""
     array: NDArray[Any]
     try:
@@ -60,7 +65,11 @@ def _frozen(values: Any, dtype: type, what: str, shape: tuple[int, ...]) -> NDAr
 
 
 def _keep(
-    record: Any, field_name: str, what: str, shape: tuple[int, ...], dtype: type = np.float64
+    record: Any,
+    field_name: str,
+    what: str,
+    shape: tuple[int, ...],
+    dtype: type = np.float64,
 ) -> NDArray[Any]:
     """Put the frozen array in the place of what was given."""
     array = _frozen(getattr(record, field_name), dtype, what, shape)
@@ -167,7 +176,12 @@ class InputRecord:
         times = _keep(self, "times_ns", "input: times_ns", (-1,), np.int64)
         _increasing(times, "input")
         _finite(
-            _keep(self, "current_A", "input: current_A", (len(times), len(self.names))),
+            _keep(
+                self,
+                "current_A",
+                "input: current_A",
+                (len(times), len(self.names)),
+            ),
             "input: current_A",
         )
 

@@ -17,12 +17,19 @@ def header(kind: str) -> dict[str, str]:
 
 def error(sentence: str, exit_code: int) -> dict[str, Any]:
     """What is printed instead of a result."""
-    return {**header("error"), "error": " ".join(sentence.split()), "exit_code": exit_code}
+    return {
+        **header("error"),
+        "error": " ".join(sentence.split()),
+        "exit_code": exit_code,
+    }
 
 
 def calibration_used(path: Path) -> dict[str, str]:
     """Name of a calibration file, and the SHA-256 of its bytes, as ``sha256sum`` prints it."""
-    return {"name": path.name, "fingerprint": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {
+        "name": path.name,
+        "fingerprint": hashlib.sha256(path.read_bytes()).hexdigest(),
+    }
 
 
 def reason_codes(reasons: Sequence[str]) -> list[str]:

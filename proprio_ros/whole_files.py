@@ -57,5 +57,8 @@ def _umask() -> int:
         suppress(OSError, ValueError, IndexError),
         open("/proc/self/status", encoding="ascii") as status,
     ):
-        return int(next(line for line in status if line.startswith("Umask:")).split()[1], 8)
+        return int(
+            next(line for line in status if line.startswith("Umask:")).split()[1],
+            8,
+        )
     return 0o022

@@ -117,7 +117,11 @@ def test_a_sentence_is_one_short_printable_line() -> None:
 def test_names_of_others_cannot_speak() -> None:
     for name in ("joint\naccepted 1 g", "j\x1b[2J", "j" * 10**6):
         with pytest.raises(RecordingError, match="is no name of a joint"):
-            JointRecord(np.array([1]), (name,), np.zeros((1, 1)))
+            JointRecord(
+                np.array([1]),
+                (name,),
+                np.zeros((1, 1)),
+            )
 
 
 # --- parsers ---------------------------------------------------------------------------------------------------------
@@ -291,7 +295,11 @@ def test_every_default_is_of_its_form() -> None:
     "path", ["x" * 300, "x/" * 3000, "a\0b", "\ud800"], ids=["name", "path", "NUL", "surrogate"]
 )
 @pytest.mark.parametrize("option", ["bag", "--robot", "--calibration", "--report", "--baseline"])
-def test_names_that_no_file_has(capsys: pytest.CaptureFixture[str], path: str, option: str) -> None:
+def test_names_that_no_file_has(
+    capsys: pytest.CaptureFixture[str],
+    path: str,
+    option: str,
+) -> None:
     path = path + (".yaml" if option in ("--robot", "--calibration") else "")
     words = [path] if option == "bag" else [str(BAG), option, path]
     refused(capsys, "replay", "--probe", "payload", *words)
@@ -315,7 +323,15 @@ def test_robot_files_that_nobody_means(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str
 ) -> None:
     (tmp_path / "arm.yaml").write_text(text)
-    refused(capsys, "replay", str(BAG), "--probe", "payload", "--robot", str(tmp_path / "arm.yaml"))
+    refused(
+        capsys,
+        "replay",
+        str(BAG),
+        "--probe",
+        "payload",
+        "--robot",
+        str(tmp_path / "arm.yaml"),
+    )
 
 
 @pytest.mark.parametrize("named", ["empty", "robot file", "page", "old page"])
@@ -437,7 +453,10 @@ def test_camera_files(tmp_path: Path) -> None:
 
 def test_a_mesh_with_a_corner_that_is_no_node(tmp_path: Path) -> None:
     meshio = pytest.importorskip("meshio")
-    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    points = np.array(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        dtype=float,
+    )
     meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 9]]))]).write(tmp_path / "block.vtk")
     with pytest.raises(ConfigurationError, match="a corner that is no node"):
         read_mesh(tmp_path / "block.vtk")
@@ -451,7 +470,10 @@ def read(path: Path) -> Any:
     return read_recording(path, nominal_torque_constants={}, joint_order=joints)
 
 
-def bytes_of(path: Path, topic: str) -> list[tuple[str, int, bytes]]:
+def bytes_of(
+    path: Path,
+    topic: str,
+) -> list[tuple[str, int, bytes]]:
     """Type, time and bytes of the messages of a topic."""
     with Reader(path) as reader:
         wanted = [connection for connection in reader.connections if connection.topic == topic]
@@ -534,14 +556,28 @@ def test_links_that_lead_in_a_circle(
         "batch": ["--out", str(tmp_path / "out"), "--probe", "payload"],
     }[command]
     refused(capsys, command, str(tmp_path / "bag"), *more)
-    refused(capsys, command, str(BAG), *more, "--robot", str(tmp_path / "robot.yaml"))
+    refused(
+        capsys,
+        command,
+        str(BAG),
+        *more,
+        "--robot",
+        str(tmp_path / "robot.yaml"),
+    )
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "1e300", "-1", "0"])
 def test_a_beginning_that_no_recording_has(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: str
 ) -> None:
-    words = ["batch", str(BAG), "--out", str(tmp_path / "out"), "--probe", "payload"]
+    words = [
+        "batch",
+        str(BAG),
+        "--out",
+        str(tmp_path / "out"),
+        "--probe",
+        "payload",
+    ]
     assert "--empty-first" in refused(capsys, *words, "--empty-first", seconds)
 
 
@@ -557,10 +593,26 @@ def test_a_robot_of_which_nothing_moves(tmp_path: Path, capsys: pytest.CaptureFi
 
 # --- hundreds of mistakes --------------------------------------------------------------------------------------------
 
-GROSS: list[Any] = [None, True, "", "text", "1e5", [], {}, [1], 10**400, -(10**400), 1e300, -1e300]
+GROSS: list[Any] = [
+    None,
+    True,
+    "",
+    "text",
+    "1e5",
+    [],
+    {},
+    [1],
+    10**400,
+    -(10**400),
+    1e300,
+    -1e300,
+]
 
 
-def leaves(content: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def leaves(
+    content: Any,
+    at: tuple[Any, ...] = (),
+) -> Iterator[tuple[Any, ...]]:
     """The way to each key and entry below a content."""
     for key, value in content.items() if isinstance(content, dict) else enumerate(content):
         yield (*at, key)
@@ -612,7 +664,11 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def mistaken(good: Path, folder: Path, dice: random.Random) -> list[str]:
+def mistaken(
+    good: Path,
+    folder: Path,
+    dice: random.Random,
+) -> list[str]:
     """The words of a command with one mistake in it."""
     bag = BAG
     calibration = good
@@ -685,7 +741,12 @@ def mistaken(good: Path, folder: Path, dice: random.Random) -> list[str]:
     ]
 
 
-def check_one(good: Path, folder: Path, seed: int, printed: Callable[[], Any]) -> str:
+def check_one(
+    good: Path,
+    folder: Path,
+    seed: int,
+    printed: Callable[[], Any],
+) -> str:
     """Run one mistaken command; returns what became of it."""
     words = mistaken(good, folder, random.Random(seed))
     code = main(words)
@@ -747,7 +808,11 @@ def test_hundreds_of_mistakes(
     assert not said.read_text(), said.read_text()
 
 
-def test_some_mistakes(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_some_mistakes(
+    good: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """The first of them, at every run."""
     capsys.readouterr()
     outcomes = []

@@ -152,10 +152,23 @@ def test_the_installed_command() -> None:
     assert done.returncode == 3 and json.loads(done.stdout)["verdict"] == "too_wide"
     assert "CUDA" not in done.stderr  # that there is no GPU is no news
     bad = subprocess.run(
-        [*command[:3], "replay", BAG, "--probe", "weight"], capture_output=True, text=True
+        [
+            *command[:3],
+            "replay",
+            BAG,
+            "--probe",
+            "weight",
+        ],
+        capture_output=True,
+        text=True,
     )
     assert bad.returncode == 2 and not bad.stdout and "payload" in bad.stderr
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     process.stdout.close()
     assert "Traceback" not in process.stderr.read()
     process.wait()
@@ -171,7 +184,10 @@ def test_the_installed_command() -> None:
     ],
 )
 def test_a_demo_of_something_else_is_refused(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    words: list[str],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     assert main(["demo", *words, "--output", str(tmp_path / "demo")]) == 2
     told = capsys.readouterr().err

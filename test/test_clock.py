@@ -112,7 +112,12 @@ while os.sched_getscheduler(0) == os.SCHED_RR:
 
 
 def test_a_thread_that_spins_does_not_starve_the_computer() -> None:
-    run = subprocess.run([sys.executable, "-c", SPIN], capture_output=True, text=True, timeout=30)
+    run = subprocess.run(
+        [sys.executable, "-c", SPIN],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
     if run.returncode == 77:
         pytest.skip("real-time scheduling is not granted here")
     assert run.returncode == 0, run.stderr
@@ -144,7 +149,12 @@ assert seen == [os.SCHED_OTHER, os.SCHED_OTHER], seen
 
 
 def test_what_hears_runs_in_real_time_and_what_computes_does_not() -> None:
-    run = subprocess.run([sys.executable, "-c", SOME], capture_output=True, text=True, timeout=30)
+    run = subprocess.run(
+        [sys.executable, "-c", SOME],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
     if run.returncode == 77:
         pytest.skip("real-time scheduling is not granted here")
     assert run.returncode == 0, run.stderr

@@ -14,7 +14,12 @@ TRUTH = {
     "container": ("sphere", "sphere_mass", 0.0352, 3e-3),
     "contents": ("inside", "contents_mass", 0.1153, 6e-3),
     # a cube of mu 20 and lambda 7 kPa: E = mu (3 lambda + 2 mu) / (lambda + mu)
-    "softness": ("block", "youngs_modulus", 20e3 * (3 * 7 + 2 * 20) / (7 + 20), 6e3),
+    "softness": (
+        "block",
+        "youngs_modulus",
+        20e3 * (3 * 7 + 2 * 20) / (7 + 20),
+        6e3,
+    ),
 }
 SLOW = {"contents"}
 

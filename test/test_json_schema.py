@@ -59,7 +59,11 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(path)
 
 
-def printed(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> dict[str, Any]:
+def printed(
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    code: int,
+) -> dict[str, Any]:
     """The one object on stdout."""
     capsys.readouterr()
     assert main(arguments) == code
@@ -140,7 +144,11 @@ def test_calibrations(
     ]
     arguments = arguments if len(paths) > 1 else arguments[:2]
     accepted = len(paths) > 1
-    result = printed(capsys, [*arguments, "--output", str(output), "--json"], 0 if accepted else 3)
+    result = printed(
+        capsys,
+        [*arguments, "--output", str(output), "--json"],
+        0 if accepted else 3,
+    )
     validator.validate(result)
     assert result["bags"] == paths and len(result["references"]) == accepted
     assert (

@@ -53,10 +53,17 @@ def bag_in(folder: Path) -> Path:
 
 
 def answer(
-    bags: Path, probe: str, name: str, settings: Mapping[str, Any], baseline: str = ""
+    bags: Path,
+    probe: str,
+    name: str,
+    settings: Mapping[str, Any],
+    baseline: str = "",
 ) -> Estimate:
     empty = [bag_in(bags / baseline)] if baseline else []
-    return replay(bag_in(bags / name), Options(probe=probe, settings=settings, baseline=empty))
+    return replay(
+        bag_in(bags / name),
+        Options(probe=probe, settings=settings, baseline=empty),
+    )
 
 
 def codes(estimate: Estimate) -> list[str]:
@@ -212,12 +219,22 @@ def real_robot(folder: Path, name: str, noise: float) -> Path:
     return path
 
 
-def real_answer(folder: Path, bag: Path, unit: str, noise: float) -> Estimate | None:
+def real_answer(
+    folder: Path,
+    bag: Path,
+    unit: str,
+    noise: float,
+) -> Estimate | None:
     """What is said about a pendulum, or None where nothing can be read."""
     path = real_robot(folder, bag.name.partition("_")[0], noise)
     try:
         return replay(
-            bag, Options(robot=str(path), effort_unit=unit, settings={"payload.size": 0.06})
+            bag,
+            Options(
+                robot=str(path),
+                effort_unit=unit,
+                settings={"payload.size": 0.06},
+            ),
         )
     except RecordingError:
         return None
@@ -294,12 +311,25 @@ def test_a_run_of_the_calibration_is_weighed_with_its_noise(
         run = loaded.run
         # where it was then, stamped as if in time
         seen = run.times_s + late.normal(0.0, jitter_s, len(run.times_s))
-        clockwork = np.linspace(run.times_s[0], run.times_s[-1], len(run.times_s))
+        clockwork = np.linspace(
+            run.times_s[0],
+            run.times_s[-1],
+            len(run.times_s),
+        )
         position = np.interp(
-            np.clip(seen, run.times_s[0], run.times_s[-1]), run.times_s, run.position
+            np.clip(
+                seen,
+                run.times_s[0],
+                run.times_s[-1],
+            ),
+            run.times_s,
+            run.position,
         )
         runs.append(LoadedRun(replace(run, times_s=clockwork, position=position)))
-    fitted = fit(robot, [prepare_run(robot, loaded.run, loaded.load) for loaded in runs])
+    fitted = fit(
+        robot,
+        [prepare_run(robot, loaded.run, loaded.load) for loaded in runs],
+    )
     learnt = calibrate(robot, runs).calibration
     assert learnt is not None and learnt.stamp_jitter_s > 1e-3
     known = robot.with_calibration(learnt)
@@ -318,7 +348,10 @@ def stamped_off(folder: Path, robot: Robot, off_s: float) -> Sequence[Run]:
     """The runs of a bag whose commands are stamped so much later than the joint states are."""
     recording = bag_recording(bag_in(folder), Request(robot))
     assert recording.inputs is not None
-    inputs = replace(recording.inputs, times_ns=recording.inputs.times_ns + round(1e9 * off_s))
+    inputs = replace(
+        recording.inputs,
+        times_ns=recording.inputs.times_ns + round(1e9 * off_s),
+    )
     return cut_runs(replace(recording, inputs=inputs), joints=list(robot.drive_trains))
 
 
@@ -412,7 +445,11 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(
     assert abs(beside.values[0].value - 0.1) < 2.0 * beside.values[0].std
     said = " ".join(beside.reasons)
     assert late[-1].name in said and "1 of 4" in said and beside.runs == 4
-    two = weigh(known, [*good[:2], *late[:2]], facts)
+    two = weigh(
+        known,
+        [*good[:2], *late[:2]],
+        facts,
+    )
     if late_s > 0.05:
         assert two.verdict is Verdict.REJECTED
     else:  # then the delay may be another in all of them
@@ -589,7 +626,12 @@ def test_however_wide_an_interval_is_it_is_given(bags: Path) -> None:
         ("kg", 1e-9, False, ".4f"),
     ],
 )
-def test_digits_follow_the_uncertainty(unit: str, std: float | None, kept: bool, spec: str) -> None:
+def test_digits_follow_the_uncertainty(
+    unit: str,
+    std: float | None,
+    kept: bool,
+    spec: str,
+) -> None:
     assert spec_for(unit, std, kept) == spec
 
 
@@ -663,7 +705,10 @@ def test_a_base_that_is_tilted_is_worth_what_the_answer_says(
     )
     assert worth is not None
     angle = np.radians(degrees)
-    tilted = replace(known, gravity=9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)]))
+    tilted = replace(
+        known,
+        gravity=9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)]),
+    )
     change = 1e3 * abs(weigh(tilted, [run]).values[0].value - answer.values[0].value)  # type: ignore[operator]
     assert 0.5 * float(worth[1]) < change < 1.3 * float(worth[1])
 
@@ -683,7 +728,10 @@ def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(
     ):
         replay(bag, Options(calibration=calibration, settings=rolled))
     # an empty hand recorded as the arm stands now does tell
-    drifted = replay(bag, Options(calibration=calibration, settings=rolled, baseline=empty[:1]))
+    drifted = replay(
+        bag,
+        Options(calibration=calibration, settings=rolled, baseline=empty[:1]),
+    )
     assert drifted.verdict is Verdict.REJECTED and "drift" in codes(drifted)
     level = {"robot.gravity": [0, 0, -9.81], "payload.com": [0, 0, 0]}
     answer = replay(bag, Options(calibration=calibration, settings=level))
@@ -693,6 +741,9 @@ def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(
         for each in answer.assumptions
     )
     assert worth is not None
-    moved = replay(bag, Options(calibration=calibration, settings={"payload.com": [0.01, 0, 0]}))
+    moved = replay(
+        bag,
+        Options(calibration=calibration, settings={"payload.com": [0.01, 0, 0]}),
+    )
     change = 1e3 * abs(moved.values[0].value - answer.values[0].value)  # type: ignore[operator]
     assert 0.5 * change < float(worth[1]) < 5.0 * change

@@ -117,9 +117,17 @@ def swung(
     return Recording("swung", record, None), inertia / moment
 
 
-def replayed(bag: Path, robot: Path, unit: str = "N.m", baseline: Path | None = None) -> Estimate:
+def replayed(
+    bag: Path,
+    robot: Path,
+    unit: str = "N.m",
+    baseline: Path | None = None,
+) -> Estimate:
     empty = [] if baseline is None else [baseline]
-    return replay(bag, Options(robot=str(robot), effort_unit=unit, baseline=empty))
+    return replay(
+        bag,
+        Options(robot=str(robot), effort_unit=unit, baseline=empty),
+    )
 
 
 def codes(estimate: Estimate) -> list[str]:
@@ -226,7 +234,10 @@ def test_beside_an_empty_motion_a_known_torque_gives_the_mass(tmp_path: Path) ->
     assert mass.ci95[0] < 0.3 < mass.ci95[1] and mass.value == pytest.approx(0.3, rel=0.05)
     # the same, but the torque is another than stated: the empty arm shows it
     for name, payload, seed in (("loaded_off", 0.3, 1), ("empty_off", 0.0, 2)):
-        write_recording(tmp_path / name, swung(payload, seed=seed, rod_kg=0.4, scale=1.6)[0])
+        write_recording(
+            tmp_path / name,
+            swung(payload, seed=seed, rod_kg=0.4, scale=1.6)[0],
+        )
     off = replayed(tmp_path / "loaded_off", robot, baseline=tmp_path / "empty_off")
     assert off.values[0].value is None
 
@@ -279,9 +290,17 @@ def test_an_effort_that_repeats_the_command_is_named() -> None:
     record = recording.joints
     assert record.effort is not None
     command = InputRecord(record.times_ns, ("pendulum",), record.effort, "/current_command")
-    same = replace(recording, joints=replace(record, current=record.effort), inputs=command)
+    same = replace(
+        recording,
+        joints=replace(record, current=record.effort),
+        inputs=command,
+    )
     assert any("nobody measured it" in note for note in motion_of(same, joints=["pendulum"]).notes)
-    other = replace(recording, joints=replace(record, current=record.effort + 0.01), inputs=command)
+    other = replace(
+        recording,
+        joints=replace(record, current=record.effort + 0.01),
+        inputs=command,
+    )
     assert not motion_of(other, joints=["pendulum"]).notes
 
 
@@ -290,7 +309,11 @@ def test_a_magnitude_of_the_effort_is_named(tmp_path: Path) -> None:
     record = recording.joints
     assert record.effort is not None
     write_recording(
-        tmp_path / "bag", replace(recording, joints=replace(record, effort=np.abs(record.effort)))
+        tmp_path / "bag",
+        replace(
+            recording,
+            joints=replace(record, effort=np.abs(record.effort)),
+        ),
     )
     estimate = replayed(tmp_path / "bag", robot_file(tmp_path))
     assert codes(estimate) == ["misfit"] and "never changes its sign" in estimate.reasons[0]

@@ -85,5 +85,11 @@ def test_colcon_finds_it_where_it_is_named(tmp_path: Path) -> None:
         part for part in clean["PATH"].split(os.pathsep) if part != python
     )
     command = [colcon, "build", "--base-paths", str(source), str(source / "proprio_msgs")]
-    done = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True)
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=clean,
+        capture_output=True,
+        text=True,
+    )
     assert ">>> proprio_msgs" in done.stdout, done.stdout + done.stderr

@@ -65,9 +65,9 @@ def test_of_the_recordings_that_come_with_it(heard: set[str], tmp_path: Path) ->
         ["check", *bags],
         ["plan", "--mass", "0.05", "--count", "2", "--seconds", "1"],
         ["plan", "--mass", "0.05", "--robot", "so101", "--count", "1", "--seconds", "1"],
-        ["robot", "new", str(BAGS.parent / "urdf" / "so101.urdf"), "--output", str(robot)],
-        ["calibrate", *(bag for bag in bags if "s00_empty_" in bag), "--output", arm, "--report", f"{arm}.html"],
-        ["batch", *bags[:6], "--out", str(tmp_path / "out"), "--jobs", "1"],
+        ["robot", "new", str(BAGS.parent / "urdf" / "so101.urdf"), "--output", str(robot),],
+        ["calibrate", *(bag for bag in bags if "s00_empty_" in bag), "--output", arm, "--report", f"{arm}.html",],
+        ["batch", *bags[:6], "--out", str(tmp_path / "out"), "--jobs", "1",],
         *(["replay", bag, "--probe", "payload", "--report", str(tmp_path / "page.html")] for bag in bags[:6]),
     ]  # fmt: skip
     for words in commands:

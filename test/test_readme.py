@@ -111,7 +111,11 @@ def _mistakes_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     """On three joints a payload, friction that helps and constant torques explained anything: no cause was named, or another."""
 
     def efforts(factor: float, only: str = "") -> Bend:
-        def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+        def bend(
+            topic: str,
+            time_ns: int,
+            message: Any,
+        ) -> tuple[int, Any]:
             column = np.array([only in ("", name) for name in message.name])
             message.effort = np.where(column, factor, 1.0) * message.effort
             return time_ns, message
@@ -243,7 +247,11 @@ def test_a_reference_stops_no_calibration(
 
 
 def recorded(
-    folder: Path, count: int, unit: str, seed: int, masses: Mapping[str, float]
+    folder: Path,
+    count: int,
+    unit: str,
+    seed: int,
+    masses: Mapping[str, float],
 ) -> dict[str, float]:
     """Bags of an arm that is drawn at random, whose torque constants are off by 3 % each from these, which are stated."""
     urdf = write_urdf(folder / "my_arm.urdf", count, seed)

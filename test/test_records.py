@@ -57,7 +57,12 @@ def test_a_column_is_found_by_name_and_an_unknown_name_lists_the_choices() -> No
     assert joint_record().column("joint3") == 1
     with pytest.raises(RecordingError, match=r"'elbow'.*joint2, joint3"):
         joint_record().column("elbow")
-    inputs = InputRecord(np.array([0]), ("joint3",), np.zeros((1, 1)), MEASURED_EFFORT)
+    inputs = InputRecord(
+        np.array([0]),
+        ("joint3",),
+        np.zeros((1, 1)),
+        MEASURED_EFFORT,
+    )
     assert inputs.column("joint3") == 0
     assert inputs.measured
     assert not replace(inputs, source="/current_command").measured
@@ -102,7 +107,12 @@ def test_input_record_refuses(
     times_ns: list[int], current: list[list[float]], message: str
 ) -> None:
     with pytest.raises(RecordingError, match=message):
-        InputRecord(np.array(times_ns), ("joint3",), np.array(current), "/current_command")
+        InputRecord(
+            np.array(times_ns),
+            ("joint3",),
+            np.array(current),
+            "/current_command",
+        )
 
 
 @pytest.mark.parametrize(

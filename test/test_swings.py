@@ -46,7 +46,14 @@ def swings() -> list[tuple[np.ndarray, np.ndarray]]:
     """Of one pendulum that an independent simulation let go three times."""
     rng = np.random.default_rng(3)
     return released(
-        rng, np.array(MASSES_KG), {**machine_of(rng), "coulomb": 0.1, "rise": 0.2}, False
+        rng,
+        np.array(MASSES_KG),
+        {
+            **machine_of(rng),
+            "coulomb": 0.1,
+            "rise": 0.2,
+        },
+        False,
     )
 
 
@@ -63,12 +70,23 @@ def recording(
 ) -> Recording:
     times_ns = START_NS + np.rint(1e9 * stamps_s).astype(np.int64)
     off = () if off_s is None else ((START_NS + int(1e9 * off_s), int(times_ns[-1]) + 1),)
-    return Recording("bag", JointRecord(times_ns, ("pivot",), position[:, None]), inputs, (), off)
+    return Recording(
+        "bag",
+        JointRecord(times_ns, ("pivot",), position[:, None]),
+        inputs,
+        (),
+        off,
+    )
 
 
 def current(at_s: Sequence[float], values_A: Sequence[float]) -> InputRecord:
     times_ns = START_NS + np.rint(1e9 * np.array(at_s)).astype(np.int64)
-    return InputRecord(times_ns, ("pivot",), np.array(values_A)[:, None], "/current_command")
+    return InputRecord(
+        times_ns,
+        ("pivot",),
+        np.array(values_A)[:, None],
+        "/current_command",
+    )
 
 
 # --- what is a swing ---------------------------------------------------------------------------------------------------
@@ -94,18 +112,31 @@ def test_a_holding_current_that_ends_is_a_swing_only_where_torque_is_said_to_be_
 ) -> None:
     stamps, position = swings[0]
     held = current([0.0, 0.1], [0.4, 0.0])
-    (swing,) = cut_runs(recording(stamps, position, 0.1, held), joints=["pivot"])
+    (swing,) = cut_runs(
+        recording(stamps, position, 0.1, held),
+        joints=["pivot"],
+    )
     assert swing.free
-    (probe,) = cut_runs(recording(stamps, position, None, held), joints=["pivot"])
+    (probe,) = cut_runs(
+        recording(stamps, position, None, held),
+        joints=["pivot"],
+    )
     assert not probe.free and probe.input_current_A[0] == 0.4
 
 
 def test_the_rest_after_a_probe_is_no_swing_though_torque_goes_off_later() -> None:
     stamps = np.arange(0.0, 3.0, 0.01)
     position = 0.5 * np.clip(stamps - 0.5, 0.0, 0.6)
-    position = np.where(stamps > 2.0, position * np.cos(6.0 * (stamps - 2.0)), position)
+    position = np.where(
+        stamps > 2.0,
+        position * np.cos(6.0 * (stamps - 2.0)),
+        position,
+    )
     driven = current([0.0, 0.5, 1.1], [0.0, 0.3, 0.0])
-    (run,) = cut_runs(recording(stamps, position, 2.0, driven), joints=["pivot"])
+    (run,) = cut_runs(
+        recording(stamps, position, 2.0, driven),
+        joints=["pivot"],
+    )
     assert not run.free and run.duration_s == pytest.approx(0.6)
 
 
@@ -115,7 +146,11 @@ def test_a_swing_ends_before_torque_comes_back(swings: list[tuple[np.ndarray, np
     whole = recording(stamps, position, 0.1)
     back_ns = START_NS + 600_000_000
     (run,) = cut_runs(
-        replace(whole, torque_off_ns=((whole.torque_off_ns[0][0], back_ns),)), joints=["pivot"]
+        replace(
+            whole,
+            torque_off_ns=((whole.torque_off_ns[0][0], back_ns),),
+        ),
+        joints=["pivot"],
     )
     ended_s = 1e-9 * (run.onset_ns - START_NS) + run.duration_s
     assert 0.6 - RELEASE_S - 0.02 < ended_s < 0.6 - RELEASE_S
@@ -150,19 +185,30 @@ def test_what_no_torque_explains_is_refused_with_the_reason() -> None:
         cut_runs(recording(stamps, still, 1.905), joints=["pivot"])
     with pytest.raises(RecordingError, match="holds no input current"):
         cut_runs(recording(stamps, np.sin(stamps), None), joints=["pivot"])
-    both = np.stack([np.sin(stamps), np.cos(stamps)], axis=1)
+    both = np.stack(
+        [np.sin(stamps), np.cos(stamps)],
+        axis=1,
+    )
     times_ns = START_NS + np.rint(1e9 * stamps).astype(np.int64)
     record = JointRecord(times_ns, ("pivot", "elbow"), both)
     with pytest.raises(RecordingError, match="pivot, elbow fall at once"):
         cut_runs(
-            Recording("bag", record, None, (), ((START_NS, int(times_ns[-1])),)),
+            Recording(
+                "bag",
+                record,
+                None,
+                (),
+                ((START_NS, int(times_ns[-1])),),
+            ),
             joints=["pivot", "elbow"],
         )
 
 
 @pytest.mark.parametrize("late_s", [0, 3])
 def test_a_bag_says_when_torque_is_off(
-    tmp_path: Path, swings: list[tuple[np.ndarray, np.ndarray]], late_s: int
+    tmp_path: Path,
+    swings: list[tuple[np.ndarray, np.ndarray]],
+    late_s: int,
 ) -> None:
     """Also where most states were heard late, on a busy computer: no clock differs for that."""
     types: Any = message_types()
@@ -201,7 +247,10 @@ def test_a_bag_says_when_torque_is_off(
     assert 0.095 < 1e-9 * (read.torque_off_ns[0][0] - START_NS) < 0.115
     (tmp_path / "swing.urdf").write_text(URDF)
     (tmp_path / "swing.yaml").write_text(ROBOT)
-    _, (check,) = check_bags(tmp_path / "bag", Options(robot=str(tmp_path / "swing.yaml")))
+    _, (check,) = check_bags(
+        tmp_path / "bag",
+        Options(robot=str(tmp_path / "swing.yaml")),
+    )
     assert (
         check.usable == 1
         and check.runs[0].free
@@ -219,7 +268,10 @@ def test_a_bag_says_when_torque_is_off(
 # --- what it weighs ----------------------------------------------------------------------------------------------------
 
 
-def known(runs: Sequence[Run], masses: Sequence[float]) -> list[LoadedRun]:
+def known(
+    runs: Sequence[Run],
+    masses: Sequence[float],
+) -> list[LoadedRun]:
     return [
         LoadedRun(run, KnownLoad(mass, facts())) for run, mass in zip(runs, masses, strict=True)
     ]
@@ -230,7 +282,11 @@ def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
     learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
     assert learnt.verdict is Verdict.ACCEPTED and learnt.calibration is not None
     assert any("torque constant" in note for note in learnt.notes)
-    estimate = weigh(robot.with_calibration(learnt.calibration), runs[2:], facts())
+    estimate = weigh(
+        robot.with_calibration(learnt.calibration),
+        runs[2:],
+        facts(),
+    )
     value = estimate.values[0]
     assert (
         estimate.verdict is Verdict.ACCEPTED
@@ -354,7 +410,10 @@ def test_the_torque_constant_does_not_matter(robot: Robot, runs: list[Run]) -> N
 
 @pytest.mark.long
 def test_loads_that_are_not_as_stated_are_no_calibration(robot: Robot, runs: list[Run]) -> None:
-    learnt = calibrate(robot, known(runs[:2], (MASSES_KG[0], 0.3)))
+    learnt = calibrate(
+        robot,
+        known(runs[:2], (MASSES_KG[0], 0.3)),
+    )
     assert learnt.verdict is not Verdict.ACCEPTED
 
 
@@ -413,7 +472,12 @@ def test_a_real_servo_that_lets_go_weighs(
     )
     output = tmp_path / "calibrated.yaml"
     options = Options(robot=str(file), settings=dict(REAL))
-    learnt = calibrate_from_bags([], {bags[n]: REAL_KG[n] for n in calibrating}, options, output)
+    learnt = calibrate_from_bags(
+        [],
+        {bags[n]: REAL_KG[n] for n in calibrating},
+        options,
+        output,
+    )
     assert learnt.verdict is Verdict.ACCEPTED
     for number in set(range(4)) - set(calibrating):
         asked = Options(calibration=output, settings=dict(REAL))
@@ -445,7 +509,13 @@ def test_a_real_servo_by_another_one_s_calibration_is_named(
     output = tmp_path / "calibrated.yaml"
     references = {folder / f"{calibrated}_{kg:.3f}kg": kg for kg in (REAL_KG[0], REAL_KG[2])}
     learnt = calibrate_from_bags(
-        [], references, Options(robot=str(file), settings=dict(REAL)), output
+        [],
+        references,
+        Options(
+            robot=str(file),
+            settings=dict(REAL),
+        ),
+        output,
     )
     assert learnt.verdict is Verdict.ACCEPTED
     for kg in REAL_KG:

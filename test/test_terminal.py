@@ -35,7 +35,11 @@ done
 def on_terminal(*words: str, columns: int = 90, **environment: str) -> str:
     """What `proprio` writes on a terminal that is so wide."""
     ours, its = pty.openpty()
-    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
+    fcntl.ioctl(
+        its,
+        termios.TIOCSWINSZ,
+        struct.pack("HHHH", 40, columns, 0, 0),
+    )
     inherited = {
         key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")
     }
@@ -164,7 +168,13 @@ def test_every_command_is_completed(shell: str, capsys: pytest.CaptureFixture[st
 def test_bash_completes(capsys: pytest.CaptureFixture[str]) -> None:
     main(["completion", "bash"])
     done = subprocess.run(
-        ["bash", "-c", capsys.readouterr().out + TRY], capture_output=True, text=True
+        [
+            "bash",
+            "-c",
+            capsys.readouterr().out + TRY,
+        ],
+        capture_output=True,
+        text=True,
     )
     expected = [
         "replay",

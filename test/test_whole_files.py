@@ -102,7 +102,10 @@ def test_an_answer_onto_a_full_disk_is_one_sentence(
         if words[-1] == "no"
         else "proprio: the answer cannot be printed: No space left on device"
     )
-    os.dup2(os.open(os.devnull, os.O_WRONLY), full.fileno())
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY),
+        full.fileno(),
+    )
 
 
 @pytest.mark.parametrize("command", ["replay", "calibrate"])

@@ -62,7 +62,10 @@ class Period:
         rows = [self.arm.keys.index((kind, joint)) for joint in self.arm.joints]
         at = {"viscous": 0, "coulomb": 1, "offset": 2}[kind] * len(rows)
         spread = self.arm.friction_spread[at : at + len(rows)]
-        return self.arm.values[rows], np.hypot(self.arm.std[rows], spread / np.sqrt(self.episodes))
+        return self.arm.values[rows], np.hypot(
+            self.arm.std[rows],
+            spread / np.sqrt(self.episodes),
+        )
 
 
 class Drift(Listed[Period]):
@@ -129,14 +132,24 @@ class Drift(Listed[Period]):
         values, std = (
             np.array([period.term("coulomb")[part] for period in self]).T for part in (0, 1)
         )
-        lines = zip(self[0].arm.joints, values, Z95 * std, strict=True)
+        lines = zip(
+            self[0].arm.joints,
+            values,
+            Z95 * std,
+            strict=True,
+        )
         return series_figure(
             self.sentence(), [period.name for period in self], "Coulomb friction (N m)", list(lines)
         )
 
     def _repr_html_(self) -> str:
         titles, *rows = self.friction()
-        return small_table(repr(self)[1:-1], titles, rows, [self.sentence()])
+        return small_table(
+            repr(self)[1:-1],
+            titles,
+            rows,
+            [self.sentence()],
+        )
 
     def __repr__(self) -> str:
         return f"<drift over {len(self)} periods>"
@@ -209,18 +222,32 @@ def drift_of(
     request = request_of(replace(options, calibration=None))
     episodes = [episode for episode in episodes if stamps.get(episode.path)] or episodes
     found = []
-    periods = evenly(periods_of([stamps.get(episode.path) for episode in episodes]), MOST_PERIODS)
+    periods = evenly(
+        periods_of([stamps.get(episode.path) for episode in episodes]),
+        MOST_PERIODS,
+    )
     if len(periods) > 1:
         tell(f"drift over {len(periods)} periods")
     for name, at, own in periods:
         motions = readable([episodes[place] for place in own], MOST_OF_PERIOD, request)
         with suppress(RecordingError):  # too little motion in all of them
             if motions:
-                found.append(Period(name, at, len(motions), fit_empty(request.robot, motions)))
+                found.append(
+                    Period(
+                        name,
+                        at,
+                        len(motions),
+                        fit_empty(request.robot, motions),
+                    )
+                )
     return Drift(found)
 
 
-def readable(episodes: Sequence[Episode], most: int, request: Request) -> list[Motion]:
+def readable(
+    episodes: Sequence[Episode],
+    most: int,
+    request: Request,
+) -> list[Motion]:
     """Motions of at most so many episodes, evenly over those there are; what cannot be read is left out."""
     found = []
     for episode in evenly(episodes, most):

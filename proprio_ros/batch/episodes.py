@@ -76,7 +76,11 @@ def _below(place: Path) -> Iterator[Episode]:
         for name in sorted(inner):
             path = Path(folder, name)
             if _is_bag(path):
-                yield Episode(str(place), path.relative_to(place).as_posix(), str(path))
+                yield Episode(
+                    str(place),
+                    path.relative_to(place).as_posix(),
+                    str(path),
+                )
             elif is_data_set(path):
                 yield from _of_data_set(path)
             else:
@@ -86,7 +90,11 @@ def _below(place: Path) -> Iterator[Episode]:
         for name in sorted(files):
             if name.endswith((*STORAGE, *COMPRESSED)):
                 path = Path(folder, name)
-                yield Episode(str(place), path.relative_to(place).as_posix(), str(path))
+                yield Episode(
+                    str(place),
+                    path.relative_to(place).as_posix(),
+                    str(path),
+                )
 
 
 def _of_data_set(folder: Path) -> Iterator[Episode]:

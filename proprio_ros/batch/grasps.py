@@ -69,7 +69,11 @@ class Grasps:
     def __init__(self, request: Request, robot: Robot, first: Motion) -> None:
         self.robot = robot
         assert isinstance(request.probe, Online)
-        self._running = request.probe.running(robot, request.facts, dict(first.held))
+        self._running = request.probe.running(
+            robot,
+            request.facts,
+            dict(first.held),
+        )
         self._gripper = gripper_joint(robot, first)
         self._last: dict[float, OnlineEstimate] = {}
         self._times: list[FloatArray] = []
@@ -122,7 +126,16 @@ class Grasps:
                 stands = float(gripper[within].mean()) if within.any() else None
             what = _said(before, now, moved)
             mass = (now.mass_kg, now.std_kg, now.ci95_kg, now.known)
-            grasps.append(Grasp(start, end, int(within.sum()), *mass, *what, stands))
+            grasps.append(
+                Grasp(
+                    start,
+                    end,
+                    int(within.sum()),
+                    *mass,
+                    *what,
+                    stands,
+                )
+            )
             before = now
         return grasps
 

@@ -112,7 +112,10 @@ def run_batch(
     empties = list[Episode]()
     if empty is not None:
         empties = _marked(episodes, empty)
-        job = replace(job, options=self_calibrated(empties, plain, "--empty", Path(out), tell))
+        job = replace(
+            job,
+            options=self_calibrated(empties, plain, "--empty", Path(out), tell),
+        )
     elif empty_first_s is not None:
         empties = [
             each for each in episodes if not each.problem and not is_text_recording(each.path)
@@ -192,7 +195,11 @@ def _check_units(episodes: Sequence[Episode], options: Options) -> None:
 
 
 def self_calibrated(
-    empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]
+    empty: Sequence[Episode],
+    options: Options,
+    option: str,
+    out: Path,
+    tell: Callable[[str], Any],
 ) -> Options:
     """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
@@ -311,7 +318,10 @@ def _located(options: Options) -> Options:
     def absolute(name: str | Path | None) -> str | None:
         return None if name is None else str(real_path(name)) if Path(name).is_file() else str(name)
 
-    robot, calibration, driver = map(absolute, (options.robot, options.calibration, options.driver))
+    robot, calibration, driver = map(
+        absolute,
+        (options.robot, options.calibration, options.driver),
+    )
     return replace(options, robot=robot, calibration=calibration, driver=driver)
 
 

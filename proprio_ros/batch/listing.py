@@ -73,7 +73,10 @@ class Sentences:
     def add(self, sentence: str) -> list[Any]:
         """The number of a sentence, and the numbers in it."""
         between = tuple(_NUMBER.split(sentence))
-        return [self.known.setdefault(between, len(self.known)), *_NUMBER.findall(sentence)]
+        return [
+            self.known.setdefault(between, len(self.known)),
+            *_NUMBER.findall(sentence),
+        ]
 
     def all(self) -> list[tuple[str, ...]]:
         """What stands between the numbers of each."""
@@ -118,7 +121,13 @@ def rounded(row: Row) -> tuple[str, str, str]:
     spec = spec_for(row["unit"], row["std"])
     # one that ends at a bound says more than its deviation
     if row["low"] is not None and row["high"] > row["low"]:
-        spec = spec_for(row["unit"], max(row["std"] or 0.0, (row["high"] - row["low"]) / 4.0))
+        spec = spec_for(
+            row["unit"],
+            max(
+                row["std"] or 0.0,
+                (row["high"] - row["low"]) / 4.0,
+            ),
+        )
     found = (
         None if each is None else f"{factor * each:{spec}}"
         for each in (row["value"], row["low"], row["high"])
@@ -171,7 +180,7 @@ def listing(
             row["episode"],
             "#" if row["episode_index"] is not None else "/",
             when(row),
-            [begin, end, named(row).rpartition(" --span ")[2] if span_of(row) else ""],
+            [begin, end, named(row).rpartition(" --span ")[2] if span_of(row) else "",],
             *rounded(row),
             verdicts.setdefault(verdict, len(verdicts)),
             place[cause_of(row)] if refused(row) else -1,

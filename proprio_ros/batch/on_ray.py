@@ -64,6 +64,13 @@ def run_ray(
         return table_of(lasting(rows_of_all([Episode(**each) for each in batch.to_pylist()], job)))
 
     # the same needs for both, so that one task answers and writes; Ray tries a task again whose worker or machine dies
-    blocks = ray.data.from_items(listed, override_num_blocks=-(-len(listed) // size))
+    blocks = ray.data.from_items(
+        listed,
+        override_num_blocks=-(-len(listed) // size),
+    )
     rows = blocks.map_batches(answered, batch_format="pyarrow", batch_size=None)
-    rows.write_parquet(str(store.rows), partition_cols=[PARTITION], schema=schema())
+    rows.write_parquet(
+        str(store.rows),
+        partition_cols=[PARTITION],
+        schema=schema(),
+    )

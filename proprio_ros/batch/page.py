@@ -71,13 +71,21 @@ def write_batch_page(
         row["number"] = -1
     for number, row in enumerate(listed):
         row["number"] = number
-    parts = [*_summary(whole), *_masses(whole), *_refused(whole, reports, options)]
+    parts = [
+        *_summary(whole),
+        *_masses(whole),
+        *_refused(whole, reports, options),
+    ]
     if grasps := Counter(row["reason_codes"][0] for row in rows if row["kind"] == GRASP):
         counts = [(code, float(count), str(count)) for code, count in grasps.most_common()]
         parts += ["<h2>Grasps</h2>", bars(counts)]
     parts += drift_parts(drift)
     parts += _all(listed, reports, options)
-    parts += provenance(command, sorted({row["source"] for row in whole}), {})
+    parts += provenance(
+        command,
+        sorted({row["source"] for row in whole}),
+        {},
+    )
     write_document(path, "Many recordings", parts, "--out", own=OWN)
 
 
@@ -119,7 +127,14 @@ def _summary(whole: Sequence[Row]) -> list[str]:
                 f"± {half}" if std else "",
             ]
         share = f"{len(good)} ({_percent(len(good), len(own))})"
-        found.append([names[source][0], str(len(own)), share, *numbers])
+        found.append(
+            [
+                names[source][0],
+                str(len(own)),
+                share,
+                *numbers,
+            ]
+        )
     known = sorted({(row["robot"], row["calibration"] or "") for row in whole if row["robot"]})
     arms = ", ".join(
         f"{robot} ({f'calibration {made}' if made else 'not calibrated'})" for robot, made in known
@@ -248,7 +263,11 @@ def far(whole: Sequence[Row]) -> list[Row]:
     return [row for _, row in sorted(found, key=lambda pair: pair[0])]
 
 
-def _all(rows: Sequence[Row], reports: Mapping[str, str], options: Options | None) -> list[str]:
+def _all(
+    rows: Sequence[Row],
+    reports: Mapping[str, str],
+    options: Options | None,
+) -> list[str]:
     """Every row, to search and filter by its script; without scripts the page says where they are."""
     names = _sources(rows)
     several = len({row["source_name"] for row in rows}) > 1
@@ -270,7 +289,13 @@ def _all(rows: Sequence[Row], reports: Mapping[str, str], options: Options | Non
     )
     pages = {n: reports[name] for n, row in enumerate(rows) if (name := named(row)) in reports}
     about = {"replay": asked(options), "check": asked(options, True)}
-    data = listing(rows, names, pages, {row["number"] for row in far(rows)}, about)
+    data = listing(
+        rows,
+        names,
+        pages,
+        {row["number"] for row in far(rows)},
+        about,
+    )
     choices = "".join(
         f"<select id={key} aria-label='{key}'><option value=''>{words}</option></select>"
         for key, words in (

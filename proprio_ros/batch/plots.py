@@ -29,8 +29,14 @@ def values_figure(own: Sequence[Row], name: str) -> str:
     accepted = np.array([row["verdict"] == "accepted" for row in own])
     # an interval of a metre must not make all others invisible
     seen = accepted if accepted.any() else np.full(len(own), True)
-    bottom = min(value[seen].min(), np.percentile(low[seen], 2))
-    top = max(value[seen].max(), np.percentile(high[seen], 98))
+    bottom = min(
+        value[seen].min(),
+        np.percentile(low[seen], 2),
+    )
+    top = max(
+        value[seen].max(),
+        np.percentile(high[seen], 98),
+    )
     bottom, top = 1.5 * bottom - 0.5 * top, 1.5 * top - 0.5 * bottom
     inside = (value >= bottom) & (value <= top)
     ends = np.clip(np.column_stack([low, high]), bottom, top)
@@ -42,8 +48,24 @@ def values_figure(own: Sequence[Row], name: str) -> str:
     ):
         mask = mask & inside
         if mask.any():
-            series.append(Series("", np.repeat(x[mask], 2), ends[mask].ravel(), color, "pairs"))
-            series.append(Series(words, x[mask], value[mask], color, "dots"))
+            series.append(
+                Series(
+                    "",
+                    np.repeat(x[mask], 2),
+                    ends[mask].ravel(),
+                    color,
+                    "pairs",
+                )
+            )
+            series.append(
+                Series(
+                    words,
+                    x[mask],
+                    value[mask],
+                    color,
+                    "dots",
+                )
+            )
             dots.append(
                 ",".join(str(row["number"]) for row, drawn in zip(own, mask, strict=True) if drawn)
             )
@@ -57,7 +79,10 @@ def values_figure(own: Sequence[Row], name: str) -> str:
 
 def _over_time(rows: Sequence[Row]) -> tuple[np.ndarray, Axis]:
     """Where each stands: over time where all stamps say it, else in their order."""
-    stamps = np.array([row["recorded_ns"] or 0 for row in rows], dtype=np.int64)
+    stamps = np.array(
+        [row["recorded_ns"] or 0 for row in rows],
+        dtype=np.int64,
+    )
     if not stamps.all() or np.ptp(stamps) < SHORTEST_NS:
         return np.arange(len(rows), dtype=float), Axis("rows in their order", "")
     seconds = 1e-9 * (stamps - stamps.min())

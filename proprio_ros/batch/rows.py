@@ -66,7 +66,11 @@ class Job:
 
     def as_text(self) -> str:
         """Options and version as JSON."""
-        return json.dumps({"version": __version__, **asdict(self)}, default=str, sort_keys=True)
+        return json.dumps(
+            {"version": __version__, **asdict(self)},
+            default=str,
+            sort_keys=True,
+        )
 
 
 @one_blas_thread
@@ -104,7 +108,11 @@ def rows_of_all(episodes: Sequence[Episode], job: Job) -> list[Row]:
     return [row for episode in episodes for row in rows_of(episode, job)]
 
 
-def spans_of(episode: Episode, job: Job, request: Request) -> list[Span | None]:
+def spans_of(
+    episode: Episode,
+    job: Job,
+    request: Request,
+) -> list[Span | None]:
     """The parts in which an episode is answered; one, unless it is long. Raises `RecordingError`: It cannot be read."""
     parts: Sequence[Span] = []
     if episode.index is not None:
@@ -153,7 +161,14 @@ def _answered(
             robot, read = read_for(here, [episode.path])
             if len(spans) > 1 and read.runs:
                 return []
-            rows.append(_whole(episode, here, read, identify(here, robot, read, [episode.path])))
+            rows.append(
+                _whole(
+                    episode,
+                    here,
+                    read,
+                    identify(here, robot, read, [episode.path]),
+                )
+            )
         except ProprioError as error:
             if span is None or of_the_machine(error):
                 raise
@@ -171,7 +186,10 @@ def _answered(
             if grasps is None and robot.motion_calibration is not None:
                 grasps = Grasps(here, robot, read.motions[0])
             if grasps is not None:
-                grasps.add(read.motions[0], 0.0 if span is None else 1e-9 * span[0])
+                grasps.add(
+                    read.motions[0],
+                    0.0 if span is None else 1e-9 * span[0],
+                )
     if grasps is not None:
         whole = next(row for row in rows if row["kind"] != FAILED)
         used = calibration_used(grasps.robot.source)
@@ -184,7 +202,10 @@ def _place(row: Row, span: Span) -> Row:
     begin_s = 1e-9 * span[0]
     if span[1] is not None:
         return {"start_s": begin_s, "end_s": 1e-9 * span[1]}
-    return {"start_s": begin_s, "end_s": None if row["end_s"] is None else begin_s + row["end_s"]}
+    return {
+        "start_s": begin_s,
+        "end_s": None if row["end_s"] is None else begin_s + row["end_s"],
+    }
 
 
 def _request(job: Job) -> Request:
@@ -225,7 +246,15 @@ def failed_row(episode: Episode, job: Job, reason: str, code: str) -> Row:
     robot = "" if job.options.robot is None else Path(job.options.robot).stem
     why = {"reasons": [reason], "reason_codes": [code], "robot": robot}
     alone = {"segment": 0, "segments": 1, "elapsed_s": 0.0}
-    return _row(episode, job.options.probe, FAILED, "failed", {}, **why, **alone)
+    return _row(
+        episode,
+        job.options.probe,
+        FAILED,
+        "failed",
+        {},
+        **why,
+        **alone,
+    )
 
 
 def _whole(episode: Episode, request: Request, read: Recorded, estimate: Estimate) -> Row:
@@ -244,7 +273,15 @@ def _whole(episode: Episode, request: Request, read: Recorded, estimate: Estimat
         "robot": estimate.robot,
     }
     used = estimate.origin["calibration"] or {}
-    return _row(episode, estimate.probe, EPISODE, estimate.verdict.value, used, **about, **why)
+    return _row(
+        episode,
+        estimate.probe,
+        EPISODE,
+        estimate.verdict.value,
+        used,
+        **about,
+        **why,
+    )
 
 
 def _numbers(value: Value) -> Row:
@@ -280,15 +317,35 @@ def _span(episode: Episode, read: Recorded) -> Row:
     return {**when, "samples": samples, "joints": joints}
 
 
-def _of_grasp(episode: Episode, whole: Row, grasp: Grasp, used: Mapping[str, str]) -> Row:
+def _of_grasp(
+    episode: Episode,
+    whole: Row,
+    grasp: Grasp,
+    used: Mapping[str, str],
+) -> Row:
     verdict, (low, high) = "accepted" if grasp.known else "too_wide", grasp.ci95_kg
     as_whole = {
         name: whole[name] for name in ("recorded_ns", "joints", "quantity", "unit", "robot")
     }
     when = {name: getattr(grasp, name) for name in ("start_s", "end_s", "samples", "gripper")}
-    held = {"value": grasp.mass_kg, "std": grasp.std_kg, "low": low, "high": high}
+    held = {
+        "value": grasp.mass_kg,
+        "std": grasp.std_kg,
+        "low": low,
+        "high": high,
+    }
     why = {"reasons": [grasp.what], "reason_codes": [grasp.code]}
-    return _row(episode, whole["probe"], GRASP, verdict, used, **as_whole, **when, **held, **why)
+    return _row(
+        episode,
+        whole["probe"],
+        GRASP,
+        verdict,
+        used,
+        **as_whole,
+        **when,
+        **held,
+        **why,
+    )
 
 
 def source_name(source: str) -> str:

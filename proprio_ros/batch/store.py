@@ -48,7 +48,10 @@ def chunk_id(episodes: Sequence[Episode]) -> str:
     return hashlib.sha256("\n".join(episode.path for episode in episodes).encode()).hexdigest()[:16]
 
 
-def chunks_of(episodes: Sequence[Episode], size: int) -> Iterator[list[Episode]]:
+def chunks_of(
+    episodes: Sequence[Episode],
+    size: int,
+) -> Iterator[list[Episode]]:
     """Episodes in groups of at most so many, each of one source."""
     for _, group in itertools.groupby(episodes, key=lambda episode: episode.source):
         own = list(group)
@@ -130,9 +133,16 @@ class Store:
         from pyarrow import dataset
 
         pa = arrow()
-        hive = dataset.partitioning(pa.schema([(PARTITION, pa.string())]), flavor="hive")
+        hive = dataset.partitioning(
+            pa.schema([(PARTITION, pa.string())]),
+            flavor="hive",
+        )
         place = {"partitioning": hive, "partition_base_dir": str(self.rows)}
-        whole = dataset.dataset([str(file) for file in self.files()], schema=schema(), **place)
+        whole = dataset.dataset(
+            [str(file) for file in self.files()],
+            schema=schema(),
+            **place,
+        )
         return list(whole.to_table(columns=[*columns]).to_pylist())
 
 

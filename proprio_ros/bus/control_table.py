@@ -82,10 +82,18 @@ class Register:
 
     def encode(self, value: int) -> bytes:
         """Bytes of a number; one that is out of range wraps like the servo's own."""
-        return (int(value) & ((1 << (8 * self.size)) - 1)).to_bytes(self.size, "little")
+        return (int(value) & ((1 << (8 * self.size)) - 1)).to_bytes(
+            self.size,
+            "little",
+        )
 
 
-def _read_only(address: int, size: int, initial: int = 0, signed: bool = False) -> Register:
+def _read_only(
+    address: int,
+    size: int,
+    initial: int = 0,
+    signed: bool = False,
+) -> Register:
     return Register(address, size, initial, writable=False, signed=signed)
 
 

@@ -230,7 +230,11 @@ class ArmDriver:
                 self._targets.update(targets)
         return ""
 
-    def _sinks(self, before_rad: Mapping[str, float], after_rad: Mapping[str, float]) -> bool:
+    def _sinks(
+        self,
+        before_rad: Mapping[str, float],
+        after_rad: Mapping[str, float],
+    ) -> bool:
         """Whether the arm comes too low on the way from one pose to another; an arm that is too low may rise."""
         after_m = self._height(after_rad)
         return (

@@ -231,10 +231,17 @@ class DynamixelBus:
         entry = self._by_id[servo_id].model.registers[register]
         arguments = servo_id, entry.address, entry.size, list(entry.encode(value))
         what = f"write {register} = {value}"
-        self._tried(servo_id, what, lambda port: (None, *self._packets.writeTxRx(port, *arguments)))
+        self._tried(
+            servo_id,
+            what,
+            lambda port: (None, *self._packets.writeTxRx(port, *arguments)),
+        )
 
     def _tried(
-        self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]
+        self,
+        servo_id: int,
+        what: str,
+        exchange: Callable[[Any], tuple[Any, int, int]],
     ) -> Any:
         """Repeat an exchange that was lost on the wire; the servo's own refusal is final. Returns its data."""
         result = error = 0
@@ -325,7 +332,11 @@ class DynamixelBus:
             if self.read(servo.id, "torque_enable") == 0:
                 self.write(servo.id, "torque_enable", 1)
             units = round(watchdog_s / control_table.BUS_WATCHDOG_UNIT_S)
-            self.write(servo.id, "bus_watchdog", min(max(units, 1), 127) if watchdog_s > 0.0 else 0)
+            self.write(
+                servo.id,
+                "bus_watchdog",
+                min(max(units, 1), 127) if watchdog_s > 0.0 else 0,
+            )
 
     def _set(self, servo: BusServo, register: str, value: int) -> None:
         """Write what differs: EEPROM wears out, and a write costs as much as a read."""

@@ -53,7 +53,12 @@ class Port(dynamixel_sdk.PortHandler):
             self.ser = self._connect()
         else:
             # exclusive: two drivers on one bus would answer each other's servos
-            self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
+            self.ser = serial.Serial(
+                self.port_name,
+                self.baudrate,
+                timeout=0,
+                exclusive=True,
+            )
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10_000.0 / self.baudrate
@@ -66,7 +71,12 @@ class Port(dynamixel_sdk.PortHandler):
         if not data:
             left_s = max(1e-3 * (self.packet_timeout - self.getTimeSinceStart()), 0.0)
             if self._connect is None:
-                select.select([self.ser.fileno()], [], [], min(left_s, 0.005))
+                select.select(
+                    [self.ser.fileno()],
+                    [],
+                    [],
+                    min(left_s, 0.005),
+                )
             else:
                 clock.sleep(min(left_s, 0.0002))  # not every such port has a descriptor to wait for
             data = self.ser.read(length)

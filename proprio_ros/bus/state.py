@@ -114,7 +114,10 @@ class DrivenJoint:
     def hold(self) -> None:
         """Stay where it was last seen, within its limits."""
         self.mode, self.commanded_A = JointMode.HELD, 0.0
-        self.goal_rad = self.target_rad = min(max(self.angle_rad, self.lower_rad), self.upper_rad)
+        self.goal_rad = self.target_rad = min(
+            max(self.angle_rad, self.lower_rad),
+            self.upper_rad,
+        )
 
     def let_go(self) -> None:
         """No current, until it is held or driven again."""
@@ -152,7 +155,12 @@ class Senders:
         self._moved_ns: dict[int, int] = {}  # by how much ours was set since a publisher was heard
         self._known = 0
 
-    def of(self, number: int | None, looks: Hashable, sent_ns: int | None = None) -> int:
+    def of(
+        self,
+        number: int | None,
+        looks: Hashable,
+        sent_ns: int | None = None,
+    ) -> int:
         """Who sent a message: the same number for all messages of a sender; 0 where it cannot be known; or `OUTDATED`.
 
         Args:
@@ -183,7 +191,13 @@ class Senders:
             del self._last[gone]
         return sender
 
-    def late_s(self, sender: int, lag_ns: int, set_ns: int = 0, waited_ns: int = 0) -> float:
+    def late_s(
+        self,
+        sender: int,
+        lag_ns: int,
+        set_ns: int = 0,
+        waited_ns: int = 0,
+    ) -> float:
         """How late a message came that was sent so long ago [ns] by its publisher's clock, whose error is the least of that.
 
         ``set_ns``: by how much our clock was set just now; what was sent before seems late by that, and teaches nothing.

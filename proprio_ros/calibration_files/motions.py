@@ -251,7 +251,17 @@ class MotionCalibration:
         constants, residual, correlated = numbers.T
         scales = (torque_scale, torque_scale_std, over_urdf)
         between = _read_between(section.get("between_recordings", {}))
-        return cls(joints, constants, *fitted, residual, correlated, *scales, "", runs, between)
+        return cls(
+            joints,
+            constants,
+            *fitted,
+            residual,
+            correlated,
+            *scales,
+            "",
+            runs,
+            between,
+        )
 
 
 def _read_between(given: Any) -> dict[str, tuple[float, float]]:

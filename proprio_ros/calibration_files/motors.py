@@ -13,7 +13,11 @@ from typing import Any
 from proprio_ros.inputs.forms import FormError, Whole, shortly
 
 _LONGEST = 1000  # characters of one motor
-_FORM = Whole("as in its register", lowest=-(2**31), highest=2**32 - 1)
+_FORM = Whole(
+    "as in its register",
+    lowest=-(2**31),
+    highest=2**32 - 1,
+)
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,11 @@ def own_terms_text(own: Sequence[OwnTerms]) -> dict[str, str]:
     return {KEY: lines_of(rows, 8)}
 
 
-def own_terms_of(section: Mapping[str, Any], runs: int, terms: int) -> tuple[OwnTerms, ...]:
+def own_terms_of(
+    section: Mapping[str, Any],
+    runs: int,
+    terms: int,
+) -> tuple[OwnTerms, ...]:
     """The reverse; nothing where the section has none.
 
     Args:

@@ -122,7 +122,10 @@ class Moment:
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers."""
         warmth = {joint: short(t, 4) for joint, t in self.temperature_C.items()}
-        return {"time_s": round(self.time_s, 1), **({"temperature_C": warmth} if warmth else {})}
+        return {
+            "time_s": round(self.time_s, 1),
+            **({"temperature_C": warmth} if warmth else {}),
+        }
 
     @classmethod
     def from_settings(cls, given: Any) -> Moment:
@@ -217,7 +220,10 @@ class Calibration:
         fixed = [row for row, key in enumerate(self.keys) if key in keys]
         others = [row for row, key in enumerate(self.keys) if key not in keys]
         across = self.covariance[np.ix_(others, fixed)]
-        follows = np.linalg.solve(self.covariance[np.ix_(fixed, fixed)], across.T)
+        follows = np.linalg.solve(
+            self.covariance[np.ix_(fixed, fixed)],
+            across.T,
+        )
         covariance = self.covariance.copy()
         covariance[np.ix_(others, others)] -= across @ follows
         return replace(self, covariance=covariance).without(keys)
@@ -292,7 +298,11 @@ class Calibration:
             * scale[:, None]
             * scale[None, :]
         )
-        defaults = zip(NOISE.items(), (1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
+        defaults = zip(
+            NOISE.items(),
+            (1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0),
+            strict=True,
+        )
         noise = {
             re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default)
             for (name, form), default in defaults
@@ -322,7 +332,10 @@ def check_complete(
     for key in calibration.keys:
         of = KINDS[_kind(key)].of
         scope = "" if isinstance(key, str) else str(key[1])
-        names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(of, ())
+        names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(
+            of,
+            (),
+        )
         if of and scope not in names:
             raise FormError(
                 f"{name_of(key)}: the robot has no such {of}; it has {', '.join(names)}"

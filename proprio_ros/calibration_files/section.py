@@ -32,7 +32,11 @@ def lines_of(rows: Iterable[FloatArray], digits: int) -> str:
     return "".join(" ".join(f"{value:.{digits}g}" for value in row) + "\n" for row in rows)
 
 
-def correlation_of(section: Mapping[str, Any], count: int, smallest: float) -> FloatArray:
+def correlation_of(
+    section: Mapping[str, Any],
+    count: int,
+    smallest: float,
+) -> FloatArray:
     """The matrix under ``correlation``, shape (count, count); refuses other sizes, and eigenvalues under the smallest."""
     rows = numbers_of(section, "correlation")
     if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
@@ -50,7 +54,10 @@ def correlation_of(section: Mapping[str, Any], count: int, smallest: float) -> F
     return matrix
 
 
-def numbers_of(section: Mapping[str, Any], key: str) -> list[list[float]]:
+def numbers_of(
+    section: Mapping[str, Any],
+    key: str,
+) -> list[list[float]]:
     """The lines of numbers under a key; raises `FormError` where there are none, or a word is none."""
     rows = []
     for n, line in enumerate(part_of(section, key, str).splitlines(), start=1):
@@ -61,14 +68,23 @@ def numbers_of(section: Mapping[str, Any], key: str) -> list[list[float]]:
     return rows
 
 
-def exactly(entry: Any, forms: Mapping[str, Form], beside: tuple[str, ...] = ()) -> list[Any]:
+def exactly(
+    entry: Any,
+    forms: Mapping[str, Form],
+    beside: tuple[str, ...] = (),
+) -> list[Any]:
     """The values of a mapping in the order of its keys, which must be exactly these; raises `FormError`."""
     if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
         raise FormError(f"expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
     return [read_under(entry, key, form) for key, form in forms.items()]
 
 
-def read_under(given: Mapping[str, Any], key: str, form: Form, default: Any = None) -> Any:
+def read_under(
+    given: Mapping[str, Any],
+    key: str,
+    form: Form,
+    default: Any = None,
+) -> Any:
     """The value of a key as its form takes it; raises `FormError` under the key."""
     with under(key):
         return form.read(given.get(key, default))
@@ -111,7 +127,10 @@ def _plain(value: Any) -> Any:
     return f"{float(value):.12g}"
 
 
-def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any, ...]:
+def runs_of(
+    section: Mapping[str, Any],
+    forms: Mapping[str, Form],
+) -> tuple[Any, ...]:
     """The runs of a calibration, each a mapping that must have exactly these keys; raises `FormError`."""
     runs = part_of(section, "runs", list)
     for number, run in enumerate(runs, 1):
@@ -120,7 +139,11 @@ def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any,
     return tuple(runs)
 
 
-def part_of(section: Mapping[str, Any], key: str, kind: type) -> Any:
+def part_of(
+    section: Mapping[str, Any],
+    key: str,
+    kind: type,
+) -> Any:
     """A part of a section that must be there; raises `FormError` where it is not, or is something else."""
     if not isinstance(section.get(key), kind):
         raise FormError(

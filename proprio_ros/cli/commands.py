@@ -122,7 +122,10 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     else:
         estimate = calibrate_from_bags(options.bags, references, *how)
     accepted = estimate.verdict.value == "accepted"
-    written = {**estimate.as_json(), "output": str(options.output) if accepted else None}
+    written = {
+        **estimate.as_json(),
+        "output": str(options.output) if accepted else None,
+    }
     if options.report:
         from proprio_ros.report import write_calibration_report
 
@@ -167,7 +170,10 @@ def plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     from proprio_ros.pipeline.api import Plans
     from proprio_ros.pipeline.calibrate import plan_excitations
 
-    plans = Plans(*plan_excitations(masses, asked, options.count, say, options.seconds), masses)
+    plans = Plans(
+        *plan_excitations(masses, asked, options.count, say, options.seconds),
+        masses,
+    )
     open_yet = "the robot has not been calibrated: the intervals carry what its file leaves open"
     lines = [] if plans.robot.is_calibrated() else [open_yet]
     lines += [
@@ -242,7 +248,13 @@ def robot_export(options: argparse.Namespace, given: Sequence[str]) -> int:
     links = ", ".join(learnt.links) or "no link"
     text = f"{output}: friction of {joints}; inertia of {links}{bent}"
     terminal.show(
-        options.json, {**schema.header("robot"), **about, "not_as_learnt": list(learnt.bent)}, text
+        options.json,
+        {
+            **schema.header("robot"),
+            **about,
+            "not_as_learnt": list(learnt.bent),
+        },
+        text,
     )
     return EXIT_OK
 
@@ -287,7 +299,13 @@ def paper(options: argparse.Namespace, given: Sequence[str]) -> int:
     check_page(folder / "paper.html", "--out")
     tasks_of(options.only, options.seeds)  # a name that is none is refused before anything is made
     recording = None if options.recording is None else published(Path(options.recording))
-    found = run(Store(folder), options.only, options.seeds, options.jobs or processors(), say)
+    found = run(
+        Store(folder),
+        options.only,
+        options.seeds,
+        options.jobs or processors(),
+        say,
+    )
     page = folder / "paper.html"
     write_paper_page(found, page, _command(given), options.seeds, recording)
     print(printable(str(page)))
@@ -334,7 +352,11 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
         f"{count} {name}" for name, count in outcome.verdicts.items()
     )
     text += f"\nrows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}"
-    whole = {**schema.header("batch"), "folder": str(outcome.folder), **done}
+    whole = {
+        **schema.header("batch"),
+        "folder": str(outcome.folder),
+        **done,
+    }
     if outcome.undone:
         text += (
             f"\n{outcome.undone} episodes were not answered, since this computer could not: mend what is said above, and give the "

@@ -56,7 +56,11 @@ def script(shell: str, parser: argparse.ArgumentParser) -> str:
                     f'            "{name} {flag}") words={shlex.quote(" ".join(words))} ;;'
                 )
     first = shlex.quote(" ".join(dict.fromkeys(name.partition(" ")[0] for name in commands)))
-    text = BASH.format(commands=first, values="\n".join(values), options="\n".join(options))
+    text = BASH.format(
+        commands=first,
+        values="\n".join(values),
+        options="\n".join(options),
+    )
     return ZSH * (shell == "zsh") + text
 
 

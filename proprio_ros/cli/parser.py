@@ -366,11 +366,21 @@ def _demo(add: Callable[..., _Parser]) -> None:
     )
     examples = {probe.name: probe.example for probe in all_probes() if probe.example is not None}
     takes = "; ".join(f"{name}: {example.takes}" for name, example in examples.items())
-    it.add_argument("--probe", default=next(iter(examples)), choices=tuple(examples), help=takes)
+    it.add_argument(
+        "--probe",
+        default=next(iter(examples)),
+        choices=tuple(examples),
+        help=takes,
+    )
     for flag in dict.fromkeys(example.flag for example in examples.values()):
         stated = [example for example in examples.values() if example.flag == flag]
         words = ", ".join(f"{example.help} ({example.truth:g})" for example in stated)
-        it.add_argument(f"--{flag}", type=float, metavar=stated[0].metavar, help=words)
+        it.add_argument(
+            f"--{flag}",
+            type=float,
+            metavar=stated[0].metavar,
+            help=words,
+        )
     hidden = "draws the arm's hidden friction, torque constants .."
     it.add_argument("--seed", type=int, default=1, metavar="N", help=hidden)
     it.add_argument(

@@ -43,7 +43,12 @@ def json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:
     return exit_code
 
 
-def show(as_json: bool, content: Mapping[str, Any], text: str = "", table: Table = ()) -> None:
+def show(
+    as_json: bool,
+    content: Mapping[str, Any],
+    text: str = "",
+    table: Table = (),
+) -> None:
     """A result: the one object of ``--json``, or its lines; what else moves a cursor is escaped (names in notes are others').
 
     A ``table`` of several answers, titles first, follows on a terminal.

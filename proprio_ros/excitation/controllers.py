@@ -78,7 +78,12 @@ class Controller:
     kind = without = recorded_as = let_go = ""
     can_let_go = False
 
-    def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        joints: Sequence[str],
+        jump_rad: float = 0.3,
+    ) -> None:
         driven = ", ".join(robot.drive_trains)
         if not joints:
             words = f"state the {self.kind} controller's `joints` in its order; {robot.name} drives {driven}"
@@ -173,7 +178,11 @@ class EffortController(Controller):
     let_go = "the efforts are zero: nobody holds the arm until a controller does"
 
     def __init__(
-        self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None
+        self,
+        robot: Robot,
+        joints: Sequence[str],
+        unit: str,
+        gains: HoldGains | None = None,
     ) -> None:
         super().__init__(robot, joints, (gains or HoldGains()).jump_rad)
         if unit not in UNITS:
@@ -303,7 +312,12 @@ class GoalController(Controller):
     kind = recorded_as = "position"
     let_go = "no more goals are sent: the servos hold the arm at the last ones until their driver turns torque off"
 
-    def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        joints: Sequence[str],
+        jump_rad: float = 0.3,
+    ) -> None:
         super().__init__(robot, joints, jump_rad)
         self.lost = ""  # servos hold by themselves: nobody can lose them here
         self._limits = {
@@ -397,7 +411,10 @@ class GoalController(Controller):
         gravity = self._loads.at({**self._pose, **wanted}).gravity
         for name, stiffness in self._stiffness.items():
             lean = gravity[name] / stiffness
-            self._lean[name] = math.copysign(min(abs(lean), self._farthest[name]), lean)
+            self._lean[name] = math.copysign(
+                min(abs(lean), self._farthest[name]),
+                lean,
+            )
 
     def _sum_up(self, name: str, time_s: float, step_s: float) -> None:
         """Where all should stand and this joint does, but elsewhere, something hangs at it."""
@@ -411,7 +428,10 @@ class GoalController(Controller):
         off = self._wanted[name] - self._position[name]
         if abs(off) > SLACK_RAD * self._per_rad[name]:
             most = LARGEST_SUM_RAD * self._per_rad[name]
-            self._sum[name] = max(-most, min(most, self._sum[name] + off * step_s / SUM_S))
+            self._sum[name] = max(
+                -most,
+                min(most, self._sum[name] + off * step_s / SUM_S),
+            )
 
     def _goal(self, name: str, pushed: bool = True) -> float:
         """Of a joint, ahead of where it is wanted; within its limits, which some controllers refuse to leave."""
@@ -419,10 +439,16 @@ class GoalController(Controller):
         if name in self._stepped:
             wanted = self._stepped[name] if pushed else self._position[name]
         low, high = self._limits[name]
-        return max(low, min(high, wanted + self._lean[name] + self._sum[name]))
+        return max(
+            low,
+            min(high, wanted + self._lean[name] + self._sum[name]),
+        )
 
 
-def _springs(robot: Robot, joints: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
+def _springs(
+    robot: Robot,
+    joints: Sequence[str],
+) -> tuple[dict[str, float], dict[str, float]]:
     """Of joints whose servo's law the robot file states: stiffness [N m/rad], and how far its goal is at the largest duty."""
     stiffness = {}
     farthest = {}

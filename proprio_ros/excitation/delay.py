@@ -142,7 +142,10 @@ class Delay:
         if self._seen_for_s < 2.0 * WINDOW_S:
             return None
         places_s = time_s - WINDOW_S * np.arange(3)
-        q = np.stack([np.interp(places_s, self._seen_s, column) for column in self._seen.T], axis=1)
+        q = np.stack(
+            [np.interp(places_s, self._seen_s, column) for column in self._seen.T],
+            axis=1,
+        )
         inertial = inertia @ _second_difference(q)
         twice = self._integrals((places_s[:, None] - LAGS_S).ravel())[:, 1]
         efforts = _second_difference(twice.reshape(3, len(LAGS_S), -1))
@@ -158,7 +161,10 @@ class Delay:
 
     def _integrals(self, times_s: FloatArray) -> FloatArray:
         """Of the efforts, once and twice, shape (T, 2, J); before the first one there are none."""
-        row = np.maximum(self._sent_s.searchsorted(times_s, side="right") - 1, 0)
+        row = np.maximum(
+            self._sent_s.searchsorted(times_s, side="right") - 1,
+            0,
+        )
         since = (times_s - self._sent_s[row])[:, None]
         sent = self._sent[row]
         effort = sent[:, 0]

@@ -96,7 +96,10 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
         raise ConfigurationError(f"{robot.name}: {words}, and payload_frame")
     runs: list[plans.ExcitationRun] = []
     for name in best:
-        poses = sorted(found[name], key=lambda each: -abs(each[0]) + 0.02 * _far(each[1], best))
+        poses = sorted(
+            found[name],
+            key=lambda each: -abs(each[0]) + 0.02 * _far(each[1], best),
+        )
         longest = poses[0][1]
         # a second one in which gravity turns the joint the other way, or less, tells weight from friction
         other = min(
@@ -110,7 +113,16 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
                 step = up * plans.margin(robot, name, STEP_RAD)
                 runs.append(plans.ExcitationRun(name, 0.0, DURATION_S, start, goal_step=step))
             else:
-                runs.append(_push(robot, name, start, up, lifts, loads.at(pose, held_kg)))
+                runs.append(
+                    _push(
+                        robot,
+                        name,
+                        start,
+                        up,
+                        lifts,
+                        loads.at(pose, held_kg),
+                    )
+                )
     return plans.ExcitationSequence(
         f"first_{hand}", hand, tuple(runs), description=f"lifts and lowers {' and '.join(best)} {WORDS[hand]}",
         min_clearance_m=CLEARANCE_M,
@@ -118,7 +130,12 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
 
 
 def _push(
-    robot: Robot, name: str, start: Mapping[str, float], up: float, lifts: bool, load: Load
+    robot: Robot,
+    name: str,
+    start: Mapping[str, float],
+    up: float,
+    lifts: bool,
+    load: Load,
 ) -> plans.ExcitationRun:
     drive = robot.drive_trains[name]
     per_A = drive.nominal_effort_per_current
@@ -140,7 +157,11 @@ def _push(
     )
 
 
-def lever_m(robot: Robot, joint: str, pose: Mapping[str, float]) -> float:
+def lever_m(
+    robot: Robot,
+    joint: str,
+    pose: Mapping[str, float],
+) -> float:
     """How far the hand rises as a joint turns: the moment of a weight in it, per newton [m/rad]."""
     up = -robot.gravity / np.linalg.norm(robot.gravity)
     ends = [
@@ -158,7 +179,11 @@ def _limits(robot: Robot, name: str) -> tuple[float, float]:
     return (low, high) if low < high else (0.5 * (low + high),) * 2
 
 
-def _has_room(robot: Robot, name: str, pose: Mapping[str, float]) -> bool:
+def _has_room(
+    robot: Robot,
+    name: str,
+    pose: Mapping[str, float],
+) -> bool:
     joint = robot.model.joint(name)
     places = [pose[name] + part * ROOM_RAD for part in (-1.0, -0.5, 0.0, 0.5, 1.0)]
     if not joint.lower <= places[0] <= places[-1] <= joint.upper:

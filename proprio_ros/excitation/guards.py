@@ -116,10 +116,18 @@ class FreeResponse:
     def way(self, start: float) -> np.ndarray:
         """Places from a start to where it would swing to without friction, as far beyond the rest [rad]."""
         end = 2.0 * self.rest - start
-        return np.linspace(start, end, 2 + math.ceil(abs(end - start) / STEP_RAD))
+        return np.linspace(
+            start,
+            end,
+            2 + math.ceil(abs(end - start) / STEP_RAD),
+        )
 
 
-def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeResponse:
+def free_swing(
+    robot: Robot,
+    joint: str,
+    pose: Mapping[str, float],
+) -> FreeResponse:
     """The pendulum that a joint is, with an empty hand, where all independent joints are at a pose [rad or m].
 
     Raises `ExcitationError`: The joint slides, drives another one too, or gravity does not move it.
@@ -143,7 +151,11 @@ def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeRespo
         )
     rest = math.atan2(at_zero, -at_quarter)
     rest += 2.0 * math.pi * round((pose[joint] - rest) / (2.0 * math.pi))
-    return FreeResponse(moment, rest, float(np.trace(second) - axis @ second @ axis))
+    return FreeResponse(
+        moment,
+        rest,
+        float(np.trace(second) - axis @ second @ axis),
+    )
 
 
 def check_free_response(
@@ -161,7 +173,10 @@ def check_free_response(
     drive = ways.robot.drive_trains[name]
     weight_N_m = abs(swing.moment_at(pose[name]) * drive.transmission)
     # what is to be expected of a number that cannot be negative and is only known to be small: a half-normal's mean
-    friction_N_m = max(drive.coulomb.value, math.sqrt(2.0 / math.pi) * drive.coulomb.std)
+    friction_N_m = max(
+        drive.coulomb.value,
+        math.sqrt(2.0 / math.pi) * drive.coulomb.std,
+    )
     hangs = f"it would hang at {swing.rest:.3g} rad"
     low, high = ways.limits(name, guards.limit_margin_rad)
     if not low <= swing.rest <= high:

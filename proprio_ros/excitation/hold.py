@@ -89,7 +89,12 @@ class Hold:
         lost: Why the joints are not held any more; empty while they are.
     """
 
-    def __init__(self, robot: Robot, joints: Sequence[str], gains: HoldGains | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        joints: Sequence[str],
+        gains: HoldGains | None = None,
+    ) -> None:
         self.joints = tuple(joints)
         self.gains = gains or HoldGains()
         self.largest = {
@@ -382,12 +387,18 @@ class Hold:
             if name in self._pushed:
                 pushing = self._pushed[name] - self._gravity[name] - summed
                 summed -= math.copysign(STOPPING_SHARE * self.largest[name], pushing)
-            steady[name] = self._bounded(name, self._gravity[name] + summed + self._leaning[name])
+            steady[name] = self._bounded(
+                name,
+                self._gravity[name] + summed + self._leaning[name],
+            )
         return steady
 
     def sent(self, efforts: Mapping[str, float]) -> None:
         """These are commanded [N m or N]; what `efforts` gives is."""
-        self.delay.sent(self._now_s, [efforts[n] - self._gravity[n] for n in self.joints])
+        self.delay.sent(
+            self._now_s,
+            [efforts[n] - self._gravity[n] for n in self.joints],
+        )
 
     def _ahead(self) -> dict[str, tuple[float, float]]:
         """Where joints will be, and how fast, when what is sent now comes into effect."""
@@ -457,10 +468,16 @@ class Hold:
                     if other in self.joints:
                         self._mass[self.joints.index(other), column] = by_acceleration
             # a joint may have no inertia, by its URDF
-            self._inverse = np.asarray(np.linalg.pinv(self._mass), dtype=np.float64)
+            self._inverse = np.asarray(
+                np.linalg.pinv(self._mass),
+                dtype=np.float64,
+            )
 
     def _bounded(self, name: str, effort: float) -> float:
-        return max(-self.largest[name], min(self.largest[name], effort))
+        return max(
+            -self.largest[name],
+            min(self.largest[name], effort),
+        )
 
 
 def _share(step_s: float) -> float:

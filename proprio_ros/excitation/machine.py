@@ -196,7 +196,12 @@ class ExcitationMachine:
                     run, after, sequence, self.ways, self.guards, f"{words} cannot swing freely"
                 )
         if sequence.home:
-            home = self.ways.find(before, {**before, **sequence.home}, sequence, "home")
+            home = self.ways.find(
+                before,
+                {**before, **sequence.home},
+                sequence,
+                "home",
+            )
             expected_s.append((home.duration_s,))
         self.sequence = sequence
         self.outcomes, self.abort_reason, self.aborted_by, self._caught_for = [], "", "", None
@@ -522,7 +527,10 @@ class ExcitationMachine:
 
     def _hold_driven(self) -> None:
         """The run's joint stays where it was last seen."""
-        self._goals = {**self._goals, self._run.joint: self._sample.position[self._run.joint]}
+        self._goals = {
+            **self._goals,
+            self._run.joint: self._sample.position[self._run.joint],
+        }
         self._enter(Phase.BRAKE)
 
     def _catch(self, ended_by: str) -> None:
@@ -581,7 +589,10 @@ class ExcitationMachine:
         joint = self._run.joint
         held = {name: goal for name, goal in self._goals.items() if name != joint}
         if self._run.goal_step:
-            return Command(held, stepped={joint: self._goals[joint] + self._run.goal_step})
+            return Command(
+                held,
+                stepped={joint: self._goals[joint] + self._run.goal_step},
+            )
         if self._run.free:
             return Command(held, {joint: self._current_of_swing(self._elapsed_s)})
         # the wave changes, like the run ends, at the nearest tick; a pause before the onset is none of it

@@ -403,14 +403,22 @@ def _whole(section: Any, path: Path) -> Any:
         raise ConfigurationError(
             f"{path.name}: excitation.like={named}: name one of the package's sequences"
         )
-    return {**base, **{key: value for key, value in section.items() if key != "like"}}
+    return {
+        **base,
+        **{key: value for key, value in section.items() if key != "like"},
+    }
 
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:
     # then there need be no runs of one's own
     chosen = isinstance(section, Mapping) and "until" in section
     own = ("runs", "from_here", "until")
-    values = _values({"runs": [], **section} if chosen else section, ExcitationSequence, where, own)
+    values = _values(
+        {"runs": [], **section} if chosen else section,
+        ExcitationSequence,
+        where,
+        own,
+    )
     if "from_here" in values:
         names = values["from_here"]
         if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
@@ -448,7 +456,12 @@ _TEXTS = {
 _POSES = ("start", "home")
 
 
-def _values(section: Any, kind: type, where: str, own: Sequence[str] = ()) -> dict[str, Any]:
+def _values(
+    section: Any,
+    kind: type,
+    where: str,
+    own: Sequence[str] = (),
+) -> dict[str, Any]:
     """A section's entries for a data class, less its name: texts, poses, and numbers; those of its ``own`` as they are.
 
     Raises `ConfigurationError`: An entry is unknown, missing though it has no default, or none of these.

@@ -122,14 +122,26 @@ class Ways:
         )
         poses = [{**before, **{name: after[name] for name in first}} for first in some]
         # the base joint does not lift anything: leave it where it is
-        poses.append({**before, **{name: self._rest[name] for name in turning[1:]}})
+        poses.append(
+            {
+                **before,
+                **{name: self._rest[name] for name in turning[1:]},
+            }
+        )
         return sorted(poses, key=lambda pose: -self.height(pose))
 
-    def clear(self, poses: Sequence[Mapping[str, float]], min_clearance_m: float) -> bool:
+    def clear(
+        self,
+        poses: Sequence[Mapping[str, float]],
+        min_clearance_m: float,
+    ) -> bool:
         """Whether the arm stays high enough; where it begins too low, whether it only rises until it is."""
         reached = self.height(poses[0])
         for before, after in itertools.pairwise(poses):
-            steps = max(2, 1 + math.ceil(self._widest_rad(before, after) / PATH_STEP_RAD))
+            steps = max(
+                2,
+                1 + math.ceil(self._widest_rad(before, after) / PATH_STEP_RAD),
+            )
             for part in np.linspace(0.0, 1.0, steps).tolist():
                 height = self.height(
                     {name: q + part * (after[name] - q) for name, q in before.items()}
@@ -139,5 +151,9 @@ class Ways:
                 reached = max(reached, height)
         return reached >= min_clearance_m - PATH_SLACK_M
 
-    def _widest_rad(self, before: Mapping[str, float], after: Mapping[str, float]) -> float:
+    def _widest_rad(
+        self,
+        before: Mapping[str, float],
+        after: Mapping[str, float],
+    ) -> float:
         return max(abs(after[name] - before[name]) / self.per_rad[name] for name in self.joints)

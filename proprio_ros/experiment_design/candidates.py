@@ -62,7 +62,12 @@ def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
     )
 
 
-def still_run(joint: str, pose: Mapping[str, float], current_A: float, duration_s: float) -> Run:
+def still_run(
+    joint: str,
+    pose: Mapping[str, float],
+    current_A: float,
+    duration_s: float,
+) -> Run:
     """A run as it would be recorded, standing still."""
     count = round(duration_s * RATE_HZ)
     held = {name: position for name, position in pose.items() if name != joint}
@@ -129,14 +134,21 @@ def shuffled(axes: Mapping[str, Sequence[float]]) -> Iterator[dict[str, float]]:
     sizes = [len(axis) for axis in axes.values()]
     rng = np.random.default_rng(0)
     if math.prod(sizes) <= MOST_POSES:
-        places = np.stack(np.unravel_index(rng.permutation(math.prod(sizes)), sizes), axis=1)
+        places = np.stack(
+            np.unravel_index(rng.permutation(math.prod(sizes)), sizes),
+            axis=1,
+        )
     else:
         places = rng.integers(sizes, size=(MOST_POSES, len(sizes)))
     for row in places.tolist():
         yield {name: axis[at] for (name, axis), at in zip(axes.items(), row, strict=True)}
 
 
-def locked_poses(robot: Robot, joint: str, count: int) -> list[dict[str, float]]:
+def locked_poses(
+    robot: Robot,
+    joint: str,
+    count: int,
+) -> list[dict[str, float]]:
     """Poses over a grid of the locked joints that matter to the driven one, ``count`` positions of each; all others at zero."""
     rest = zero_pose(robot)
     others = joints_that_matter(robot, joint)
@@ -146,7 +158,12 @@ def locked_poses(robot: Robot, joint: str, count: int) -> list[dict[str, float]]
     ]
 
 
-def start_poses(robot: Robot, joint: str, starts: int, locked: int) -> list[dict[str, float]]:
+def start_poses(
+    robot: Robot,
+    joint: str,
+    starts: int,
+    locked: int,
+) -> list[dict[str, float]]:
     """Start poses over a grid of the driven joint and of those that matter to it, high enough above the base's plane."""
     poses = locked_poses(robot, joint, locked)
     whole = [pose | {joint: q} for q in start_positions(robot, joint, starts) for pose in poses]
@@ -178,4 +195,11 @@ def currents_beyond(
     for sign, edge in ((1.0, max(balance)), (-1.0, min(balance))):
         for push in PUSHES:
             beyond = dry + drive.load_friction.value * abs(edge) + push * largest
-            yield push, round((edge + sign * beyond) / drive.torque_constant.value, 3), largest
+            yield (
+                push,
+                round(
+                    (edge + sign * beyond) / drive.torque_constant.value,
+                    3,
+                ),
+                largest,
+            )

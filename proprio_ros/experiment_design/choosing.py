@@ -68,7 +68,10 @@ class Decision:
 
     def as_entries(self) -> dict[str, object]:
         """Keys and values, flat."""
-        entries: dict[str, object] = {self.sought.name: self.value, "half_interval": self.half}
+        entries: dict[str, object] = {
+            self.sought.name: self.value,
+            "half_interval": self.half,
+        }
         entries |= {"promised": self.promised, "decided_s": round(self.decided_s, 3)}
         if self.ended_by:
             entries["ended_by"] = self.ended_by
@@ -128,7 +131,11 @@ class Chooser(ABC):
         """What all runs so far say; there are more than before."""
 
     @abstractmethod
-    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+    def ranked(
+        self,
+        pose: Mapping[str, float],
+        target_std: float,
+    ) -> list[Push]:
         """Pushes inside all limits, best first, from where the arm stands [rad or m].
 
         ``target_std`` is asked for, before all that widens an answer, in the unit of what is sought.
@@ -157,7 +164,12 @@ class Chooser(ABC):
         """Of the 95 % interval so far, as it is sought."""
         return self._half(self._found.std)
 
-    def next(self, runs: Sequence[Run], pose: Mapping[str, float], elapsed_s: float) -> Decision:
+    def next(
+        self,
+        runs: Sequence[Run],
+        pose: Mapping[str, float],
+        elapsed_s: float,
+    ) -> Decision:
         """What to do now, by all runs so far, the newest last, where the arm stands [rad or m], and the time so far [s]."""
         began = time.perf_counter()
         self._take_in(runs)
@@ -167,7 +179,11 @@ class Chooser(ABC):
         known = self._found.runs > 0
         half = self.half
 
-        def end(by: str, reason: str, others: tuple[Push, ...] = ()) -> Decision:
+        def end(
+            by: str,
+            reason: str,
+            others: tuple[Push, ...] = (),
+        ) -> Decision:
             took = time.perf_counter() - began
             return Decision(
                 None,
@@ -206,7 +222,10 @@ class Chooser(ABC):
             heavy = "what the hand holds is too heavy for the currents that its limits allow"
             return end("stuck", f"{nothing}: the joint sticks, or {heavy}")
         inner = max(target**2 - self._widening**2, 0.0) ** 0.5
-        ranked = self.ranked(pose, self.sought.std_of(inner, self._found.value))
+        ranked = self.ranked(
+            pose,
+            self.sought.std_of(inner, self._found.value),
+        )
         ranked = [
             push
             for push in ranked
@@ -236,7 +255,12 @@ class Chooser(ABC):
             reason = f"{push.words} promises {said(promised)} after {push.time_s:.1f} s"
             others = _varied(in_time[number + 1 :], push)
             self._last = push
-            return replace(end("", reason, others), run=run, promised=promised, push=push)
+            return replace(
+                end("", reason, others),
+                run=run,
+                promised=promised,
+                push=push,
+            )
         return end(
             "nothing", "no way to any start keeps the clearance: move the arm to a higher pose"
         )
@@ -280,10 +304,20 @@ class Chooser(ABC):
 
 def alone(sequence: ExcitationSequence, run: ExcitationRun) -> ExcitationSequence:
     """A push made as a sequence makes its own, after which the arm stays where it ends."""
-    return replace(sequence, name="chosen", runs=(run,), until=None, home={})
+    return replace(
+        sequence,
+        name="chosen",
+        runs=(run,),
+        until=None,
+        home={},
+    )
 
 
-def time_of(robot: Robot, sequence: ExcitationSequence, pose: Mapping[str, float]) -> TimeOf:
+def time_of(
+    robot: Robot,
+    sequence: ExcitationSequence,
+    pose: Mapping[str, float],
+) -> TimeOf:
     """How long pushes take beside themselves, by their starts [s]: the way there from a pose, rest and brake."""
     names = robot.model.independent_joints
     beside_s = sequence.settle_s + sequence.brake_s
@@ -315,7 +349,10 @@ def _count(runs: int) -> str:
     return f"{runs} run" + "s" * (runs != 1)
 
 
-def _varied(pushes: Sequence[Push], chosen: Push | None = None) -> tuple[Push, ...]:
+def _varied(
+    pushes: Sequence[Push],
+    chosen: Push | None = None,
+) -> tuple[Push, ...]:
     """The best of each joint and direction."""
     best: dict[tuple[str, bool], Push] = {}
     for push in pushes if chosen is None else (chosen, *pushes):

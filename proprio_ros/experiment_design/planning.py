@@ -65,9 +65,18 @@ class _Candidates:
     clearance_m: np.ndarray  # shape (R,)
     fits: np.ndarray  # whether a run is inside all limits, shape (S, R)
 
-    def known_after(self, s: int, r: int) -> tuple[list[Key], np.ndarray]:
+    def known_after(
+        self,
+        s: int,
+        r: int,
+    ) -> tuple[list[Key], np.ndarray]:
         """Keys of the unknowns that one run touches, and what is known of them after it, everything else under its prior."""
-        return _known_after(self.problem, self.dq[s], self.alive[s], [r])
+        return _known_after(
+            self.problem,
+            self.dq[s],
+            self.alive[s],
+            [r],
+        )
 
 
 def _known_after(
@@ -110,7 +119,10 @@ def plan(
                 f"file: state joints.{name}.motor.current_limit_A"
             )
 
-    def tries(joint: str, pose: Mapping[str, float]) -> Iterator[tuple[float, ExcitationPlan]]:
+    def tries(
+        joint: str,
+        pose: Mapping[str, float],
+    ) -> Iterator[tuple[float, ExcitationPlan]]:
         if (
             candidates := _candidates(robot, masses, facts or PayloadFacts(), None, joint, pose)
         ) is None:
@@ -139,7 +151,13 @@ def plan(
             raise
         progress("stopped: these are the best so far")
     if not search.plans:
-        ends = shown("kg", masses[0], masses[-1], spec=".0f", between=" to ")
+        ends = shown(
+            "kg",
+            masses[0],
+            masses[-1],
+            spec=".0f",
+            between=" to ",
+        )
         cure = "narrow the range, plan for light and heavy objects apart, or allow more time"
         none = f"no run of {DURATION_S} s suits all masses from {ends} inside the robot's limits"
         raise ConfigurationError(f"{none}: {cure}")
@@ -181,7 +199,11 @@ def with_advice(
     return replace(estimate, advice=tuple(suggestions), weighable=can_weigh, timing_s=timing_s)
 
 
-def advise(robot: Robot, joints: Sequence[str], count: int = 3) -> list[ExcitationPlan]:
+def advise(
+    robot: Robot,
+    joints: Sequence[str],
+    count: int = 3,
+) -> list[ExcitationPlan]:
     """Empty-hand runs that would teach most about the drive trains of these joints, given the robot's calibration.
 
     Ranked by how much each shrinks the joint uncertainty of torque constants, friction and armatures (D-optimality).
@@ -192,7 +214,13 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3) -> list[Excitati
     wanted = [key for key in wanted if key in before.keys]
     place = [before.keys.index(key) for key in wanted]
     old = before.covariance[np.ix_(place, place)]
-    simulate = partial(_candidates, robot, np.zeros(1), PayloadFacts(), KnownLoad())
+    simulate = partial(
+        _candidates,
+        robot,
+        np.zeros(1),
+        PayloadFacts(),
+        KnownLoad(),
+    )
     turning = [joint for joint in joints if robot.model.joint(joint).kind != "prismatic"]
     found: list[tuple[float, ExcitationPlan]] = []
     for candidates, r in _suitable(robot, turning, COARSE_STARTS, COARSE_POSES, simulate):
@@ -330,7 +358,11 @@ def _candidates(
     told = np.isfinite(q) & np.isfinite(dq).all(axis=3)
     alive = np.cumprod(told & (np.abs(v) < drive.usable_velocity), axis=2).astype(bool)
     counted = np.abs(np.where(alive, q, start) - start).max(axis=2)
-    ends = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
+    ends = np.where(
+        np.isfinite(q),
+        np.clip(q, -10.0, 10.0),
+        start,
+    )
     low = ends.min(axis=2)
     high = ends.max(axis=2)
     travel = np.where(start - low > high - start, low - start, high - start)
@@ -345,7 +377,12 @@ def _candidates(
     return _Candidates(problem, dq, alive, travel, clear, fits)
 
 
-def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str) -> ExcitationPlan:
+def _as_plan(
+    candidates: _Candidates,
+    r: int,
+    stds: Sequence[float],
+    words: str,
+) -> ExcitationPlan:
     prepared = candidates.problem.runs[r]
     travel = candidates.travel[:, r]
     run = prepared.run

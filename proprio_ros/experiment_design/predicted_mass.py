@@ -95,7 +95,10 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     driving = run.input_current_A[run.input_times_s < run.times_s[-1]]
     if np.ptp(driving) > STEADY * np.abs(driving).max():
         return None
-    duration = max(float(run.times_s[-1] - run.times_s[0]), 1e-3)
+    duration = max(
+        float(run.times_s[-1] - run.times_s[0]),
+        1e-3,
+    )
     way = float(run.position[-1] - run.position[0])
     acceleration = 2.0 * way / duration**2
     speed = abs(way) / duration

@@ -44,7 +44,12 @@ class _Best:
 class Search:
     """A search over poses that can be stopped at any time; ``tries`` simulates the runs of one joint from one pose."""
 
-    def __init__(self, robot: Robot, joints: Iterable[str], tries: Try) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        joints: Iterable[str],
+        tries: Try,
+    ) -> None:
         self._robot, self._tries, self._rest = robot, tries, zero_pose(robot)
         self._axes = {joint: self._axes_of(joint) for joint in joints}
         self._found: dict[tuple[str, str], list[_Best]] = {}
@@ -58,7 +63,11 @@ class Search:
         )
         return [best.plan for best in found]
 
-    def run(self, seconds: float, tell: Callable[[str], None]) -> None:
+    def run(
+        self,
+        seconds: float,
+        tell: Callable[[str], None],
+    ) -> None:
         """Search so long [s], or until nothing is left to try; while there is no plan it goes on."""
         began = told = time.monotonic()
         tell(f"trying start poses of {', '.join(self._axes)}; Ctrl-C ends it with the best so far")
@@ -104,7 +113,10 @@ class Search:
             for name, axis in self._axes[joint].items():
                 for way in (1.0, -1.0):
                     moved = best.plan.start[name] + way * best.step * (axis[1] - axis[0])
-                    place = round(min(max(moved, axis[0]), axis[-1]), 2)
+                    place = round(
+                        min(max(moved, axis[0]), axis[-1]),
+                        2,
+                    )
                     self._try(joint, {**best.plan.start, name: place})
                     yield
             if best.score > 0.999 * before:

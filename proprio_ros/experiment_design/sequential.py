@@ -144,7 +144,15 @@ class Catalogue:
 
     def _still(self, joint: str, pose: Mapping[str, float]) -> PreparedRun:
         return prepare_run(
-            self.robot, still_run(joint, pose, 0.01, max(DURATIONS_S)), None, self.facts
+            self.robot,
+            still_run(
+                joint,
+                pose,
+                0.01,
+                max(DURATIONS_S),
+            ),
+            None,
+            self.facts,
         )
 
     def _places_of(self, joint: str) -> list[_Place]:
@@ -184,14 +192,31 @@ class Catalogue:
                 [clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD]
             )
             p_and_dp = p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0]
-            found.append(_Place(run, {**pose, joint: q}, *p_and_dp, variance, heights))
+            found.append(
+                _Place(
+                    run,
+                    {**pose, joint: q},
+                    *p_and_dp,
+                    variance,
+                    heights,
+                )
+            )
         return found
 
     def nothing_known(self) -> Known:
         """Before the first run."""
-        return Known(0.5 * sum(UNKNOWN_KG), UNKNOWN_STD_KG, np.linalg.inv(self._shared.prior), 0)
+        return Known(
+            0.5 * sum(UNKNOWN_KG),
+            UNKNOWN_STD_KG,
+            np.linalg.inv(self._shared.prior),
+            0,
+        )
 
-    def known(self, runs: Sequence[Run], before: Known | None = None) -> Known:
+    def known(
+        self,
+        runs: Sequence[Run],
+        before: Known | None = None,
+    ) -> Known:
         """What the runs so far say, robot and object together; the fit starts where that of the same ``before`` the last ended."""
         prepared = () if before is None else before.prepared
         prepared += tuple(
@@ -202,20 +227,41 @@ class Catalogue:
             return replace(self.nothing_known(), prepared=prepared)
         start = None
         if before is not None and before.fit is not None:
-            start = replace(before.fit, values=before.fit.values_of(self._unknowns(usable)))
+            start = replace(
+                before.fit,
+                values=before.fit.values_of(self._unknowns(usable)),
+            )
         fit = solve_load(
             self.robot, usable, self.facts, SearchOptions(), Role.FREE, start=start, rough=True
         )
         covariance = self._shared.covariance_after(fit)
         place = self.at["payload_mass"]
         std = float(np.sqrt(covariance[place, place]))
-        return Known(fit.value_of("payload_mass"), std, covariance, len(usable), fit, prepared)
+        return Known(
+            fit.value_of("payload_mass"),
+            std,
+            covariance,
+            len(usable),
+            fit,
+            prepared,
+        )
 
-    def predicted(self, known: Known, push: Push, load_kg: float | None = None) -> Known:
+    def predicted(
+        self,
+        known: Known,
+        push: Push,
+        load_kg: float | None = None,
+    ) -> Known:
         """What would be known after a push of this catalogue, to first order; ``load_kg`` as in `rank`."""
         made = [_Candidate(self._place_of(push), push.current_A, push.shake_A)]
         mass = known.mass if load_kg is None else load_kg
-        rows = self._rows(self._simulator(made), np.zeros(1, int), made, mass, load_kg is not None)
+        rows = self._rows(
+            self._simulator(made),
+            np.zeros(1, int),
+            made,
+            mass,
+            load_kg is not None,
+        )
         used = rows.times_s <= push.duration_s + 1e-9
         shared = rows.shared[0][used]
         own = rows.own[0][used]
@@ -276,7 +322,11 @@ class Catalogue:
             return []
         simulator = self._simulator(candidates)
         mean = float(np.clip(known.mass, low, high))
-        fits = self._fitting(simulator, candidates, (low, high) if high - low > 0.004 else (mean,))
+        fits = self._fitting(
+            simulator,
+            candidates,
+            (low, high) if high - low > 0.004 else (mean,),
+        )
         chosen = np.flatnonzero(fits)
         if not len(chosen):
             return []
@@ -339,13 +389,21 @@ class Catalogue:
         for mass in masses:
             p = np.array([place.p + mass * place.p_per_kg for place in places])
             with np.errstate(over="ignore", invalid="ignore"):
-                q, v, _ = simulator.jacobian(worlds, p, np.zeros((count, len(INDEX), 1)))
+                q, v, _ = simulator.jacobian(
+                    worlds,
+                    p,
+                    np.zeros((count, len(INDEX), 1)),
+                )
             q = np.where(np.isfinite(q), q, 1e3)
             v = np.where(np.isfinite(v), v, 1e3)
             off = q - start[:, None]
             # until it has gone so far, and the sample at which that is seen
             under_way = np.concatenate(
-                [np.ones((count, 1), bool), (np.abs(off) < MAX_TRAVEL)[:, :-1]], axis=1
+                [
+                    np.ones((count, 1), bool),
+                    (np.abs(off) < MAX_TRAVEL)[:, :-1],
+                ],
+                axis=1,
             )
             under_way = np.cumprod(under_way, axis=1).astype(bool)
             ahead = np.where(under_way, q + v * LOOKAHEAD_S, start[:, None])
@@ -387,9 +445,16 @@ class Catalogue:
         size = len(self.keys)
         p = np.array([place.p + mass * place.p_per_kg for place in places])
         dp = np.array([place.dp + mass * place.dp_per_kg for place in places])
-        identity = np.tile(np.eye(len(INDEX)), (count, 1, 1))
+        identity = np.tile(
+            np.eye(len(INDEX)),
+            (count, 1, 1),
+        )
         with np.errstate(over="ignore", invalid="ignore"):
-            q, v, by_p = simulator.jacobian(worlds.astype(np.int32), p, identity)
+            q, v, by_p = simulator.jacobian(
+                worlds.astype(np.int32),
+                p,
+                identity,
+            )
         start = np.array([place.prepared.rest.value for place in places])
         usable = np.array([place.prepared.drive.usable_velocity for place in places])
         alive = (
@@ -399,22 +464,39 @@ class Catalogue:
         )
         alive = np.cumprod(alive, axis=1).astype(bool)
         reading = np.array([place.prepared.sigma[0] for place in places])
-        sigma = np.hypot(reading[:, None], np.abs(v) * self.robot.stamp_jitter_s)
+        sigma = np.hypot(
+            reading[:, None],
+            np.abs(v) * self.robot.stamp_jitter_s,
+        )
         rows = by_p @ dp
         for column, place in enumerate(places):  # the encoder's once-per-turn error
             for kind, wave in zip(RIPPLE_TERMS, (np.cos, np.sin), strict=True):
                 at = self.at.get((kind, place.prepared.run.joint))
                 if at is not None:
                     rows[column, :, at] += wave(q[column])
-        rows = np.where(alive[..., None], rows / sigma[..., None], 0.0)
+        rows = np.where(
+            alive[..., None],
+            rows / sigma[..., None],
+            0.0,
+        )
         shared = rows[..., :size]
         own = rows[..., size:]
         if is_known:
             shared[..., [at for key, at in self.at.items() if key in PAYLOAD_TERMS]] = 0.0
         spread = own * np.sqrt(np.array([place.own_variance for place in places]))[:, None, :]
         off = np.where(alive, q - start[:, None], 0.0)
-        travel = np.where(off.max(axis=1) > -off.min(axis=1), off.max(axis=1), off.min(axis=1))
-        return _Rows(shared, spread, places[0].prepared.run.times_s, alive.sum(axis=1), travel)
+        travel = np.where(
+            off.max(axis=1) > -off.min(axis=1),
+            off.max(axis=1),
+            off.min(axis=1),
+        )
+        return _Rows(
+            shared,
+            spread,
+            places[0].prepared.run.times_s,
+            alive.sum(axis=1),
+            travel,
+        )
 
     def _scored(
         self,
@@ -445,7 +527,10 @@ class Catalogue:
             after = np.maximum(now - taken, 1e-12)
             # a push that travel ends before is the same push
             longer = rows.counted >= np.searchsorted(times, duration - 0.15)
-            lasts = np.minimum(rows.counted / max(len(times), 1) * times[-1], duration)
+            lasts = np.minimum(
+                rows.counted / max(len(times), 1) * times[-1],
+                duration,
+            )
             for c in np.flatnonzero(
                 np.isfinite(after) & (longer | (duration == durations_s[0]))
             ).tolist():
@@ -470,7 +555,10 @@ def _standing_at(still: PreparedRun, position: float) -> PreparedRun:
     )
 
 
-def _input_of(current_A: float, shake_A: float) -> tuple[np.ndarray, np.ndarray]:
+def _input_of(
+    current_A: float,
+    shake_A: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """When the current of a push changes [s], and to what [A]."""
     if not shake_A:
         return np.zeros(1), np.array([current_A])

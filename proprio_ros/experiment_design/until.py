@@ -69,7 +69,11 @@ class UntilSure(CatalogueChooser):
             known.mass, known.std, known.runs, 0.0 if known.fit is None else known.fit.reduced_chi2
         )
 
-    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+    def ranked(
+        self,
+        pose: Mapping[str, float],
+        target_std: float,
+    ) -> list[Push]:
         beside = time_of(self.robot, self._sequence, pose)
         return self.catalogue.rank(self.known, beside, target_std, self._unknown_kg)
 
@@ -138,7 +142,14 @@ def chosen_refresh(
     half = Z95 * then.std
     now = Z95 * known.std
     return (
-        _chosen(catalogue, known, (1.0 + sequential.WORTH) * half, at_most_s, sequence, 0.0),
+        _chosen(
+            catalogue,
+            known,
+            (1.0 + sequential.WORTH) * half,
+            at_most_s,
+            sequence,
+            0.0,
+        ),
         half,
         now,
     )
@@ -191,6 +202,9 @@ def _chosen(
         elapsed_s += push.time_s
         known = catalogue.predicted(known, push, load_kg)
         # where it ends
-        here = {**push.start, push.joint: push.start[push.joint] + push.travel}
+        here = {
+            **push.start,
+            push.joint: push.start[push.joint] + push.travel,
+        }
         chosen.append(run)
     return chosen

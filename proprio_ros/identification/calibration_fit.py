@@ -108,7 +108,11 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
     return Fitted(problem, values, posterior, posterior.covariance, solution.cost, noise)
 
 
-def foretold(robot: Robot, fitted: Fitted, run: PreparedRun) -> tuple[int, float]:
+def foretold(
+    robot: Robot,
+    fitted: Fitted,
+    run: PreparedRun,
+) -> tuple[int, float]:
     """How a fit of others predicts a run whose start, onset and torque of its own are as open as those of any.
 
     Not as `Posterior.held_out`, for which the run is in the fit: one that came late has bent it by then.
@@ -158,14 +162,20 @@ def _starts(problem: Problem) -> np.ndarray:
     coordinates = problem.coordinates
     levels: Sequence[float] = FRICTION_STARTS
     if problem.runs[0].run.free:
-        p, _ = problem.parameters(problem.base[None], problem.free[:1])
+        p, _ = problem.parameters(
+            problem.base[None],
+            problem.free[:1],
+        )
         largest = float(np.hypot(p[..., INDEX["gravity_cos"]], p[..., INDEX["gravity_sin"]]).max())
         levels = [share * largest for share in SWING_FRICTION_STARTS]
     starts = np.tile(coordinates.prior_mean, (len(levels), 1))
     for column, row in enumerate(problem.free):
         unknown = problem.unknowns[row]
         if unknown.kind == "coulomb" and unknown.value < min(levels):
-            starts[:, column] = np.minimum(levels, unknown.value + 2.0 * unknown.std)
+            starts[:, column] = np.minimum(
+                levels,
+                unknown.value + 2.0 * unknown.std,
+            )
     return coordinates.internal(starts)
 
 

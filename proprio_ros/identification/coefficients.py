@@ -40,7 +40,11 @@ class Coefficients:
         return result
 
 
-def reduced_model(robot: Robot, run: Run, shift: Mapping[str, float]) -> ReducedModel:
+def reduced_model(
+    robot: Robot,
+    run: Run,
+    shift: Mapping[str, float],
+) -> ReducedModel:
     """The robot with every joint locked but the driven one; ``shift`` displaces locked joints [rad or m]."""
     held = {name: position + shift.get(name, 0.0) for name, position in run.held.items()}
     return robot.model.lock([run.joint], held, robot.gravity)
@@ -61,7 +65,10 @@ def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficie
     """Of a revolute joint, with what the zeros of these locked joints change."""
     links = _by_links(robot, run)
     count = len(locked)
-    rows = np.tile([run.held.get(name, 0.0) for name in locked], (1 + 2 * count, 1))
+    rows = np.tile(
+        [run.held.get(name, 0.0) for name in locked],
+        (1 + 2 * count, 1),
+    )
     rows[1:] += POSE_STEP * np.concatenate([np.eye(count), -np.eye(count)])
     poses = {name: np.array([position]) for name, position in run.held.items()} | dict(
         zip(locked, rows.T, strict=True)
@@ -70,7 +77,14 @@ def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficie
     by_pose = [(of[1 : 1 + count] - of[1 + count :]) / (2.0 * POSE_STEP) for of in (arm, payload)]
     matters = np.abs(by_pose[0]).max(axis=1, initial=0.0) > 1e-6
     pose = tuple(name for name, does in zip(locked, matters, strict=True) if does)
-    return Coefficients(arm[0], payload[0], pose, by_pose[0][matters], by_pose[1][matters], *links)
+    return Coefficients(
+        arm[0],
+        payload[0],
+        pose,
+        by_pose[0][matters],
+        by_pose[1][matters],
+        *links,
+    )
 
 
 def at_poses(
@@ -104,7 +118,10 @@ def at_poses(
         frames[each.child] = at
         if moves[each.child]:
             pseudo = pseudo + at @ inertias[each.child] @ at.transpose(0, 2, 1)
-    arm = np.broadcast_to(joint_coefficients(pseudo, joint.kind, joint.axis, gravity), (count, 4))
+    arm = np.broadcast_to(
+        joint_coefficients(pseudo, joint.kind, joint.axis, gravity),
+        (count, 4),
+    )
     if not moves[robot.payload_frame]:
         return arm, np.zeros((count, 4, 10))
     at = frames[robot.payload_frame][:, None]
@@ -113,7 +130,10 @@ def at_poses(
     return arm, np.broadcast_to(payload, (count, 4, 10))
 
 
-def _by_links(robot: Robot, run: Run) -> tuple[tuple[tuple[str, str], ...], np.ndarray]:
+def _by_links(
+    robot: Robot,
+    run: Run,
+) -> tuple[tuple[tuple[str, str], ...], np.ndarray]:
     """What each link's deviations from the URDF add to the moving part (see ``LINK_TERMS``), where that is noticeable."""
     model = reduced_model(robot, run, {})
     axis, gravity = axis_and_gravity(model)
@@ -164,4 +184,7 @@ def slide_coefficients(robot: Robot, run: Run) -> Coefficients:
             velocity = (transform(link.name, after) - transform(link.name, before))[:3, 3]
             mass += weight * float(velocity @ velocity)
             load -= weight * float(velocity @ robot.gravity)
-    return Coefficients(np.array([mass * per_rad**2, 0.0, 0.0, load * per_rad]), np.zeros((4, 10)))
+    return Coefficients(
+        np.array([mass * per_rad**2, 0.0, 0.0, load * per_rad]),
+        np.zeros((4, 10)),
+    )

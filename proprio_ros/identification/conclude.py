@@ -124,7 +124,10 @@ class Conclusion:
         """What only this probe's answers have."""
         return None
 
-    def misfit(self, suspects: Callable[[], Sequence[str]] = tuple) -> Iterator[Refusal]:
+    def misfit(
+        self,
+        suspects: Callable[[], Sequence[str]] = tuple,
+    ) -> Iterator[Refusal]:
         """Where the model does not explain the recording; ``suspects`` may be why, default what the robot file leaves open."""
         if self.fit.reduced_chi2 > MISFIT_LIMIT:
             yield self.misfit_of(*(suspects() or other_suspects(self.robot)))
@@ -148,7 +151,12 @@ class Conclusion:
             "misfit", "the model does not explain the recording", f"misfit: {said}", *suspects
         )
 
-    def lighter(self, thing: str, question: str, loaded: str = "") -> Iterator[Refusal]:
+    def lighter(
+        self,
+        thing: str,
+        question: str,
+        loaded: str = "",
+    ) -> Iterator[Refusal]:
         """Where ``thing`` is lighter than it was empty, to the end of its interval; ``loaded``: how it is now."""
         mass = self.assessed.value
         if mass + Z95 * self.assessed.std < 0.0:
@@ -168,7 +176,10 @@ class Conclusion:
     def count(self, std: float, source: str) -> None:
         """Widen the interval by an uncertainty of its own, and show it in the budget."""
         self.assessed.widen(std)
-        self.budget = sorted([*self.budget, (source, abs(std))], key=lambda entry: -entry[1])
+        self.budget = sorted(
+            [*self.budget, (source, abs(std))],
+            key=lambda entry: -entry[1],
+        )
 
     def compare_runs(self) -> None:
         """Look for a run that says another value than the others; nearly the same one widens the interval by half of that."""

@@ -79,7 +79,13 @@ class FitResult:
         values = problem.all_values(problem.coordinates.physical(best[None]))[0]
         without_prior = sum(not np.isfinite(problem.unknowns[row].std) for row in problem.free)
         dof = max(problem.samples - without_prior, 1)
-        return cls(problem, solution, values, 2.0 * float(solution.cost[solution.best]), dof)
+        return cls(
+            problem,
+            solution,
+            values,
+            2.0 * float(solution.cost[solution.best]),
+            dof,
+        )
 
     @property
     def reduced_chi2(self) -> float:
@@ -107,7 +113,11 @@ class FitResult:
         """Place of an unknown among the free ones."""
         return list(self.problem.free).index(self.problem.index[name])
 
-    def physical(self, name: str, internal: np.ndarray | None = None) -> np.ndarray:
+    def physical(
+        self,
+        name: str,
+        internal: np.ndarray | None = None,
+    ) -> np.ndarray:
         """A free unknown at every start's end, shape (S,), or at other solver coordinates of shape (..., F)."""
         given = self.solution.internal if internal is None else internal
         return self.problem.coordinates.physical(given)[..., self.column(name)]
@@ -247,7 +257,9 @@ def error_budget(
 
 
 def _split(
-    row: np.ndarray, precision: np.ndarray, groups: Mapping[str, Sequence[int]]
+    row: np.ndarray,
+    precision: np.ndarray,
+    groups: Mapping[str, Sequence[int]],
 ) -> dict[str, float]:
     """A variance that correlated unknowns cause together, split among groups of them, which are places of unknowns by name.
 
@@ -287,7 +299,13 @@ def source_label(source: str) -> str:
     return source if source.startswith(CALIBRATION) else label_of(key_of(source))
 
 
-def rivals(fit: FitResult, name: str, value: float, std: float, share: float) -> list[float]:
+def rivals(
+    fit: FitResult,
+    name: str,
+    value: float,
+    std: float,
+    share: float,
+) -> list[float]:
     """Masses of other starts that explain the recording as well but lie elsewhere than the estimate [kg].
 
     Masses that differ by less than a ``share`` of them are one.
@@ -340,7 +358,13 @@ def _paths(
     near = np.abs(ends - ends[solution.best]) <= tolerance
     near &= solution.cost < solution.cost[solution.best] + margin
     firsts = history[0].tolist() if starts is None else itertools.cycle(starts)
-    numbers = zip(firsts, ends.tolist(), solution.cost.tolist(), near.tolist(), strict=False)
+    numbers = zip(
+        firsts,
+        ends.tolist(),
+        solution.cost.tolist(),
+        near.tolist(),
+        strict=False,
+    )
     return tuple(
         StartPath(*row, history[:, s], solution.path_cost[:, s]) for s, row in enumerate(numbers)
     )
@@ -375,7 +399,13 @@ class _Held:
     (F,) stay the best values.
     """
 
-    def __init__(self, problem: Problem, column: int, inflation: float, best: np.ndarray) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        column: int,
+        inflation: float,
+        best: np.ndarray,
+    ) -> None:
         self.coordinates = problem.coordinates
         self._problem, self._column, self._inflation, self._best = problem, column, inflation, best
 
@@ -402,7 +432,12 @@ class _Held:
 
 
 def misfit_profile(
-    fit: FitResult, name: str, posterior: Posterior, inflation: float, value: float, std: float
+    fit: FitResult,
+    name: str,
+    posterior: Posterior,
+    inflation: float,
+    value: float,
+    std: float,
 ) -> Scan:
     """Chi-square above its least over the unknown called ``name``, everything else fitted again at each of its values.
 

@@ -59,7 +59,13 @@ class Contradiction:
 
 
 def contradiction(
-    name: str, unit: str, one: float, others: float, alike: float, same: float, question: str
+    name: str,
+    unit: str,
+    one: float,
+    others: float,
+    alike: float,
+    same: float,
+    question: str,
 ) -> Contradiction:
     """What to make of the run called ``name`` that says ``one`` value where the others say another.
 
@@ -166,7 +172,11 @@ def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
 
 
 def stood_still(
-    robot: Robot, problem: Problem, values: np.ndarray, still: Sequence[PreparedRun], mass: float
+    robot: Robot,
+    problem: Problem,
+    values: np.ndarray,
+    still: Sequence[PreparedRun],
+    mass: float,
 ) -> str:
     """A sentence about the first run whose joint stood still and should not have; empty where there is none.
 
@@ -238,7 +248,11 @@ def of_another_value(posterior: Posterior, name: str) -> int | None:
         return None
     pulls = []
     for row in unknown:
-        slope = np.where(posterior.run == row, posterior.sensitivity[:, column], 0.0)
+        slope = np.where(
+            posterior.run == row,
+            posterior.sensitivity[:, column],
+            0.0,
+        )
         across = posterior.sensitivity.T @ slope
         information = float(slope @ slope - across @ posterior.covariance @ across)
         towards = float(slope @ posterior.residual - across @ posterior.step)

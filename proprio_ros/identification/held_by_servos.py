@@ -75,12 +75,19 @@ def forced_on(
 ) -> Forced | None:
     """What others that move do to a held joint; None where that is nothing."""
     moving = {each: motion for each, motion in moving.items() if each != name}
-    model = robot.model.lock([*moving, name], run.held, robot.gravity)
+    model = robot.model.lock(
+        [*moving, name],
+        run.held,
+        robot.gravity,
+    )
     inertias = np.tensordot([1.0, carried_kg], arm_and_payload(robot, model, facts), axes=1)[None]
     times_s = next(iter(moving.values())).times_s
     drive = robot.drive_trains[name]
 
-    def torque(times_s: FloatArray, more: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
+    def torque(
+        times_s: FloatArray,
+        more: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> FloatArray:
         """What the joint needs that stands where it is held, or is so much further, faster, and accelerated."""
         motion = []
         for each in model.joint_names:
@@ -104,7 +111,10 @@ def forced_on(
         float(np.mean(torque(middle_s[::10], more) - load[::10])) / STEP
         for more in STEP * np.eye(3)
     )
-    rubs = max(drive.coulomb.value + drive.load_friction.value * abs(still), LEAST_FRICTION_N_M)
+    rubs = max(
+        drive.coulomb.value + drive.load_friction.value * abs(still),
+        LEAST_FRICTION_N_M,
+    )
     known = {
         "inertia": inertia + drive.armature.value, "gravity_sin": spring, "viscous": damper + drive.viscous.value,
         "coulomb": rubs, "stribeck": drive.stribeck.value, "stribeck_velocity": drive.stribeck_velocity.value,
@@ -151,7 +161,11 @@ class Servo:
             dp = np.stack(
                 [self._law(z + 1e-30j * unit).imag / 1e-30 for unit in np.eye(len(z))], axis=2
             )
-            found = self._simulator.jacobian(np.arange(len(dp), dtype=np.int32), self._law(z), dp)
+            found = self._simulator.jacobian(
+                np.arange(len(dp), dtype=np.int32),
+                self._law(z),
+                dp,
+            )
             self._last = z.copy(), tuple(each.copy() for each in found)
         return self._last[1]
 
@@ -162,7 +176,10 @@ class Servo:
             np.interp(self._read[row][0], times_s, each[: len(times_s)])
             for each in q.reshape(len(q), -1).T
         ]
-        return np.stack(columns, axis=1).reshape(-1, *q.shape[1:])
+        return np.stack(columns, axis=1).reshape(
+            -1,
+            *q.shape[1:],
+        )
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Of all readings, then of the priors, in standard deviations. Where a joint rests, the readings' mean says."""
@@ -191,5 +208,11 @@ class Servo:
         ):
             count = len(run.sample_times_s)
             rest = float(np.mean(self._read[row][1] - self._seen(row, q)))
-            found.append(Followed(run.sample_times_s, rest + q[:count], v[:count]))
+            found.append(
+                Followed(
+                    run.sample_times_s,
+                    rest + q[:count],
+                    v[:count],
+                )
+            )
         return found

@@ -138,13 +138,22 @@ class Assessment:
         covariance: Of all unknowns, shape (N, N); ``widen`` adds to it.
     """
 
-    def __init__(self, fit: FitResult, name: str, opened: FitResult | None = None) -> None:
+    def __init__(
+        self,
+        fit: FitResult,
+        name: str,
+        opened: FitResult | None = None,
+    ) -> None:
         self.fit, self.name, self.opened = fit, name, opened or fit
         self.robot, self.runs = fit.problem.robot, fit.problem.runs
         self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.row = fit.problem.index[name]
         self.unit = fit.problem.unknowns[self.row].unit
-        self.run_fits, self.rms, self.expected = run_fits(fit.problem, fit.values, self.runs)
+        self.run_fits, self.rms, self.expected = run_fits(
+            fit.problem,
+            fit.values,
+            self.runs,
+        )
         self.inflation = 1.0 if self.known and fit.explains else max(1.0, fit.reduced_chi2)
         self.posterior = Posterior(self.opened.problem, self.opened.values, self.inflation)
         self.covariance = self.posterior.whole_covariance()
@@ -259,7 +268,10 @@ class Assessment:
         precision = problem.coordinates.prior_precision[block]
         off = self.opened.values[problem.free[own]] - problem.coordinates.prior_mean[own]
         # with a right model, the distance squared is on average the number of directions that the recording has determined
-        learnt = max(len(own) - float(np.sum(precision * self.posterior.covariance[block])), 1.0)
+        learnt = max(
+            len(own) - float(np.sum(precision * self.posterior.covariance[block])),
+            1.0,
+        )
         distance2 = float(off @ precision @ off)
         if distance2 <= chi2_limit(learnt, FAR):
             return []
@@ -318,7 +330,11 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     std_but_zeros = float(np.sqrt(max(std**2 - assessed.zeros_std**2, 0.0)))
     if not useful.exceeded_by(value, std_but_zeros):
         return
-    interval = shown(unit, *not_negative(value, std), spec=spec_for(unit, std))
+    interval = shown(
+        unit,
+        *not_negative(value, std),
+        spec=spec_for(unit, std),
+    )
     limit = f"+-{100.0 * useful.share:.0f} % of the value"
     if useful.floor:
         limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
@@ -360,10 +376,20 @@ def positive(
     if withheld:
         return Value(name, unit, None, reason=withheld)
     low, high = not_negative(value, std, quantile)
-    return Value(name, unit, max(value, 0.0), std, [low, min(high, highest)])
+    return Value(
+        name,
+        unit,
+        max(value, 0.0),
+        std,
+        [low, min(high, highest)],
+    )
 
 
-def not_negative(value: float, std: float, quantile: float = Z95) -> tuple[float, float]:
+def not_negative(
+    value: float,
+    std: float,
+    quantile: float = Z95,
+) -> tuple[float, float]:
     """The 95 % interval of a quantity that cannot be below nothing, never shorter above than the likelihood has it.
 
     An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the

@@ -42,7 +42,10 @@ class Motion:
     acceleration: np.ndarray  # at the knots, linear between them [rad/s^2], shape (K,)
     evidence: float  # logarithm of how much more probable this motion makes the readings than none
 
-    def at(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def at(
+        self,
+        times_s: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position less the start, velocity and acceleration, each of the shape of the times."""
         position, velocity, hat = _basis(times_s, self.knots_s)
         return position @ self.acceleration, velocity @ self.acceleration, hat @ self.acceleration
@@ -60,7 +63,10 @@ class Followed:
     def start(self) -> float:
         return float(self.position[0])
 
-    def at(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def at(
+        self,
+        times_s: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As `Motion.at`."""
         known = self.position - self.start, self.velocity, np.gradient(self.velocity, self.times_s)
         position, velocity, acceleration = (
@@ -69,7 +75,10 @@ class Followed:
         return position, velocity, acceleration
 
 
-def _basis(times_s: np.ndarray, knots_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _basis(
+    times_s: np.ndarray,
+    knots_s: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What one unit of acceleration at each knot does to position, velocity and acceleration; shapes (T, K)."""
     step = knots_s[1] - knots_s[0]
     left = (
@@ -94,7 +103,12 @@ def _basis(times_s: np.ndarray, knots_s: np.ndarray) -> tuple[np.ndarray, np.nda
     return position, velocity, acceleration
 
 
-def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.ndarray) -> Motion:
+def smooth(
+    times_s: np.ndarray,
+    position: np.ndarray,
+    sigma: float,
+    scales: np.ndarray,
+) -> Motion:
     """The motion that readings show: acceleration as a random walk, how large by the evidence (Kimeldorf & Wahba 1970).
 
     Readings may be finer than they are said to be, down to their rounding: how fine they are, the evidence decides, too.
@@ -113,7 +127,10 @@ def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.n
     middle = float(np.mean(position))
     off = position - np.mean(position)
     spread = shape @ walk
-    left, size, right = np.linalg.svd(spread - spread.mean(axis=0), full_matrices=False)
+    left, size, right = np.linalg.svd(
+        spread - spread.mean(axis=0),
+        full_matrices=False,
+    )
     along = left.T @ off
     across = max(float(off @ off - along @ along), 0.0)
     more = len(off) - 1 - len(size)
@@ -133,14 +150,23 @@ def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.n
     fine, best = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
     acceleration = walk @ (right.T @ (scales[best] ** 2 * size * along / variance[fine, best]))
     start = middle - float(np.mean(shape @ acceleration))
-    return Motion(start, knots, acceleration, float(evidence[fine, best] - still.max()))
+    return Motion(
+        start,
+        knots,
+        acceleration,
+        float(evidence[fine, best] - still.max()),
+    )
 
 
 def _knots(times_s: np.ndarray) -> np.ndarray:
     """Where accelerations are, twice as far apart as readings, as far as that makes sense."""
     apart = float(np.clip(2.0 * np.median(np.diff(times_s)), FINEST_KNOT_S, KNOT_S))
     end = float(times_s[-1])
-    return np.linspace(0.0, max(end, apart), max(int(np.ceil(end / apart)), 1) + 1)
+    return np.linspace(
+        0.0,
+        max(end, apart),
+        max(int(np.ceil(end / apart)), 1) + 1,
+    )
 
 
 def _rounding(position: np.ndarray) -> float:
@@ -208,8 +234,15 @@ def loads_of_yielding(
         Instants from which each value holds [s], shape (S,), the first 0; with an empty hand [N m] and per kilogram of payload
         [N m/kg], shape (S, 2).
     """
-    held = {**run.held, **{name: motion.start for name, motion in motions.items()}}
-    model = robot.model.lock([run.joint, *motions], held, robot.gravity)
+    held = {
+        **run.held,
+        **{name: motion.start for name, motion in motions.items()},
+    }
+    model = robot.model.lock(
+        [run.joint, *motions],
+        held,
+        robot.gravity,
+    )
     rests = rests_from(run.before_times_s, run.before_position, robot.drive_trains[run.joint])
     times_s = np.concatenate([run.before_times_s, run.times_s])[rests:]
     driven = own or smooth(
@@ -272,7 +305,11 @@ def joint_torque(
             moved = np.eye(4) + q[:, None, None] * generator
         else:
             x, y, z = model.axes[n]
-            generator[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+            generator[:3, :3] = [
+                [0.0, -z, y],
+                [z, 0.0, -x],
+                [-y, x, 0.0],
+            ]
             squared = generator @ generator
             moved = (
                 np.eye(4)

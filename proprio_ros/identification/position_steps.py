@@ -106,7 +106,10 @@ def driven_jump(posterior: Posterior, chi2: float, explained: float) -> str:
     clock_gain = 0.0
     for number, run in enumerate(posterior.problem.runs):
         own = np.flatnonzero(posterior.run == number)
-        speed = np.gradient(run.position[: run.used], run.times_s[: run.used])
+        speed = np.gradient(
+            run.position[: run.used],
+            run.times_s[: run.used],
+        )
         for count in range(FEWEST, run.used - FEWEST + 1):
             from_here = np.arange(run.used) >= count
             off = np.zeros(len(posterior.residual))

@@ -24,7 +24,12 @@ class Posterior:
         condition: Of the normal matrix scaled to a unit diagonal.
     """
 
-    def __init__(self, problem: Problem, values: np.ndarray, inflation: float = 1.0) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        values: np.ndarray,
+        inflation: float = 1.0,
+    ) -> None:
         self.problem = problem
         self.values = values
         q, v, dq = problem.simulate(values[None], problem.free)
@@ -101,7 +106,10 @@ def run_fits(
     problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]
 ) -> tuple[tuple[RunFit, ...], float, float]:
     """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
-    q, _, _ = problem.simulate(values[None], problem.free[:3])
+    q, _, _ = problem.simulate(
+        values[None],
+        problem.free[:3],
+    )
     fits = []
     squares = 0.0
     expected = 0.0
@@ -117,6 +125,14 @@ def run_fits(
         followed = prepared.times_s, prepared.position, simulated, prepared.sigma
         left_out = run.times_s[used:], run.position[used:]
         fits.append(
-            RunFit(run.name, run.joint, run.source, driven, *followed, *left_out, prepared.travel)
+            RunFit(
+                run.name,
+                run.joint,
+                run.source,
+                driven,
+                *followed,
+                *left_out,
+                prepared.travel,
+            )
         )
     return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))

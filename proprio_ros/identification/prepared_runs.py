@@ -127,7 +127,10 @@ def joints_of(runs: Sequence[PreparedRun]) -> tuple[str, ...]:
 
 def turning_with(robot: Robot, run: PreparedRun) -> list[tuple[str, float]]:
     """Held joints whose zero turns the hand as the driven joint's does, and by which share."""
-    positions = {**run.run.held, run.run.joint: float(run.position[0])}
+    positions = {
+        **run.run.held,
+        run.run.joint: float(run.position[0]),
+    }
 
     def axis(name: str) -> np.ndarray:
         joint = robot.model.joint(name)
@@ -149,7 +152,10 @@ def at_the_shaft(robot: Robot, run: Run) -> Run:
     if drive is None or drive.transmission == 1.0:
         return run
     positions = ("position", "before_position", "after_position")
-    return replace(run, **{name: getattr(run, name) / drive.transmission for name in positions})
+    return replace(
+        run,
+        **{name: getattr(run, name) / drive.transmission for name in positions},
+    )
 
 
 def prepare_run(
@@ -217,7 +223,10 @@ def prepare_run(
     )
 
 
-def _reduced(robot: Robot, run: Run) -> tuple[Run, Coefficients, dict[str, Motion]]:
+def _reduced(
+    robot: Robot,
+    run: Run,
+) -> tuple[Run, Coefficients, dict[str, Motion]]:
     """What the driven joint moves, how locked joints gave way meanwhile, and the run with them where they were at its start."""
     if run.joint not in robot.drive_trains:
         known = f"{robot.name} has no drive train for it (it has: {', '.join(robot.drive_trains)})"
@@ -245,7 +254,10 @@ def _sigma(robot: Robot, run: Run, velocity: np.ndarray) -> np.ndarray:
     if robot.calibration is None:
         # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none. What a calibration
         # learnt from residuals holds as it is: whatever makes them grow with speed is in it, and not in the intervals.
-        jitter = min(jitter, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
+        jitter = min(
+            jitter,
+            float(np.std(np.diff(run.times_s))) / np.sqrt(2.0),
+        )
     reading = robot.residual_scale * robot.drive_trains[run.joint].reading_std
     sigma: np.ndarray = np.hypot(reading, velocity * jitter)
     return np.hypot(sigma, robot.swing_error or FIRST_SWING_ERROR) if run.free else sigma
@@ -257,7 +269,10 @@ def _rest(robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
         return Quantity(float(run.position[0]), START_STD)
     resting = run.before_position[rests_from(run.before_times_s, run.before_position, drive) :]
     if len(resting) == 0:
-        return Quantity(float(run.position[0]), 3.0 * (robot.residual_scale * drive.reading_std))
+        return Quantity(
+            float(run.position[0]),
+            3.0 * (robot.residual_scale * drive.reading_std),
+        )
     # at rest the rounding error repeats, so only the noise averages out
     noise = drive.encoder_noise / np.sqrt(len(resting))
     return Quantity(
@@ -279,9 +294,18 @@ def _weight_on_gears(
     """
     _, cos, sin, constant = coefficients.per_kg(facts)
     arm = float(np.hypot(coefficients.arm[1], coefficients.arm[2]))
-    width = max(round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1, 3)
+    width = max(
+        round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1,
+        3,
+    )
     smooth = np.convolve(
-        np.pad(run.position, width // 2, mode="edge"), np.full(width, 1.0 / width), "valid"
+        np.pad(
+            run.position,
+            width // 2,
+            mode="edge",
+        ),
+        np.full(width, 1.0 / width),
+        "valid",
     )
     side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
     moment = np.abs(cos * np.cos(run.position) + sin * np.sin(run.position) + constant)

@@ -78,7 +78,10 @@ class Problem:
         )
         self.coordinates = Coordinates(free, belong)
         self.base = np.array([u.value for u in unknowns])
-        self.simulator = self._simulator([self._joint_run(run, step_s) for run in runs], integrator)
+        self.simulator = self._simulator(
+            [self._joint_run(run, step_s) for run in runs],
+            integrator,
+        )
         width = int(self.simulator.sample_counts.max())
         self.measured = np.zeros((len(runs), width))
         self.weight = np.zeros((len(runs), width))
@@ -162,7 +165,10 @@ class Problem:
             input_load,
         )
 
-    def _inputs(self, run: PreparedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    def _inputs(
+        self,
+        run: PreparedRun,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Current, and the load of yielding joints: stamped when they were read, so it is earlier by the delay."""
         times_s = run.run.input_times_s
         current_A = run.run.input_current_A
@@ -179,7 +185,11 @@ class Problem:
         unknown = self.unknowns[self.index[key]]
         return unknown.value + (2.0 * unknown.std if unknown.role is Role.FREE else 0.0)
 
-    def parameters(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def parameters(
+        self,
+        values: np.ndarray,
+        columns: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Simulator parameters of every guess and run, shape (S, R, P), and their derivative, shape (S, R, P, F).
 
         ``values``: all unknowns of each guess, shape (S, N); ``columns``: which unknowns to differentiate by, shape (F,).
@@ -187,7 +197,10 @@ class Problem:
         p, dp = self._all_parameters(values)
         return p, dp[..., columns]
 
-    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _all_parameters(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """As ``parameters``, by every unknown."""
         guesses = len(values)
         width = len(self.simulator.parameters)
@@ -223,7 +236,10 @@ class Problem:
         return p, dp
 
     def _moving_part(
-        self, row: int, values: np.ndarray, payload: tuple[np.ndarray, dict[int, np.ndarray]] | None
+        self,
+        row: int,
+        values: np.ndarray,
+        payload: tuple[np.ndarray, dict[int, np.ndarray]] | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Inertia and gravity load of arm and payload, shape (S, 4), and their derivative by every unknown, shape (S, 4, N)."""
         run = self.runs[row]
@@ -282,7 +298,13 @@ class Problem:
             g[:, 1:] *= times[:, None]
         return g, d
 
-    def _disturb(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
+    def _disturb(
+        self,
+        row: int,
+        p: np.ndarray,
+        dp: np.ndarray,
+        values: np.ndarray,
+    ) -> None:
         """The torque that only this run has is stated at the torque constant that was known before, and goes with what it is.
 
         Motion tells torques only relative to each other. If this one were a number of its own, every run would pull all of them
@@ -301,7 +323,13 @@ class Problem:
         dp[:, row, to, disturbance] = -factor
         dp[:, row, to, constant] -= values[:, disturbance] / stated
 
-    def _change_friction(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
+    def _change_friction(
+        self,
+        row: int,
+        p: np.ndarray,
+        dp: np.ndarray,
+        values: np.ndarray,
+    ) -> None:
         """Warm gears, fresh grease: all friction of a swing is the joint's times the same factor.
 
         The gears carry no motor's torque but the weight, and lose the same part of it; ``carried`` is what they lose per moment
@@ -328,7 +356,10 @@ class Problem:
         if run.load is None:
             dp[:, row, carried, at["payload_mass"]] = factor * lost
 
-    def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    def _payload(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""
         at = self.index
         guesses = len(values)
@@ -336,14 +367,21 @@ class Problem:
         com = values[:, [at[f"payload_com_{axis}"] for axis in "xyz"]]
         scale = values[:, at["shape_scale"]]
         spread = self.facts.shape.second_moment_per_mass
-        per_spread = payload_parameters(np.ones(guesses), np.zeros((guesses, 3)), spread)
+        per_spread = payload_parameters(
+            np.ones(guesses),
+            np.zeros((guesses, 3)),
+            spread,
+        )
         per_spread[:, 0] = 0.0
         per_mass = (
             payload_parameters(np.ones(guesses), com, np.zeros((3, 3)))
             + scale[:, None] * per_spread
         )
         by_com = payload_parameters_by_com(mass, com)
-        changes = {at["payload_mass"]: per_mass, at["shape_scale"]: mass[:, None] * per_spread}
+        changes = {
+            at["payload_mass"]: per_mass,
+            at["shape_scale"]: mass[:, None] * per_spread,
+        }
         changes |= {
             at[f"payload_com_{name}"]: by_com[:, :, axis] for axis, name in enumerate("xyz")
         }
@@ -353,7 +391,11 @@ class Problem:
         self, name: str, reading: float, values: np.ndarray
     ) -> tuple[np.ndarray, list[tuple[int, float]]]:
         """True position less reading of a locked joint, shape (S,), and what it changes with."""
-        terms = [("zero", 1.0), ("ripple_cos", -np.cos(reading)), ("ripple_sin", -np.sin(reading))]
+        terms = [
+            ("zero", 1.0),
+            ("ripple_cos", -np.cos(reading)),
+            ("ripple_sin", -np.sin(reading)),
+        ]
         present = [
             (self.index[kind, name], float(factor))
             for kind, factor in terms
@@ -363,7 +405,13 @@ class Problem:
             (values[:, row] * factor for row, factor in present), np.zeros(len(values))
         ), present
 
-    def _start_reading(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
+    def _start_reading(
+        self,
+        row: int,
+        p: np.ndarray,
+        dp: np.ndarray,
+        values: np.ndarray,
+    ) -> None:
         """``q0`` is what the encoder shows at the start; the simulator wants it without the encoder's error."""
         cos_row, sin_row = self._ripple[row]
         if not self._ripples or cos_row < 0:
@@ -380,7 +428,12 @@ class Problem:
         dp[:, row, start, sin_row] = -sin
 
     def _observe(
-        self, row: int, values: np.ndarray, q: np.ndarray, dq: np.ndarray, columns: np.ndarray
+        self,
+        row: int,
+        values: np.ndarray,
+        q: np.ndarray,
+        dq: np.ndarray,
+        columns: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """What the encoder of one run shows of positions (S, T), and its derivative (S, T, F); may change its arguments."""
         cos_row, sin_row = self._ripple[row]
@@ -402,7 +455,10 @@ class Problem:
         values[:, self.free] = free_values
         return values
 
-    def _kernel_parameters(self, free_values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _kernel_parameters(
+        self,
+        free_values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Parameters (W, P) of every world, a guess's runs side by side, and their tangents (W, P, F).
 
         Where the parameters are affine in what is free, the tangents are one read-only array, which the simulator copies once.
@@ -436,7 +492,10 @@ class Problem:
         return self._identities[worlds]
 
     def _rollout(
-        self, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None = None
+        self,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
         """Simulate worlds with parameters p (W, P), and their tangents dp (W, P, F); ``counts`` of samples as in ``linearise``.
 
@@ -448,7 +507,12 @@ class Problem:
         runs = len(self.runs)
         guesses = len(p) // runs
         tangents = dp if direct else self._identity(len(p))
-        q, v, dq = self.simulator.jacobian(self._worlds(guesses), p, tangents, counts)
+        q, v, dq = self.simulator.jacobian(
+            self._worlds(guesses),
+            p,
+            tangents,
+            counts,
+        )
         return (
             *(a.reshape(guesses, runs, -1) for a in (q, v)),
             dq.reshape(guesses, runs, -1, dq.shape[-1]),
@@ -537,5 +601,11 @@ class Problem:
             dq = dq.copy() if direct else dq @ dp.reshape(*q.shape[:2], *dp.shape[1:])
         if self._ripples:
             for row in range(len(self.runs)):
-                q[:, row], dq[:, row] = self._observe(row, values, q[:, row], dq[:, row], columns)
+                q[:, row], dq[:, row] = self._observe(
+                    row,
+                    values,
+                    q[:, row],
+                    dq[:, row],
+                    columns,
+                )
         return q, v, dq

@@ -69,7 +69,12 @@ def refresh(
     progress(f"fitting {len(usable)} runs")
     # where the zeros are now is what the new runs are to say
     robot = replace(robot, zero_repeat=0.0)
-    problem = Problem(robot, usable, PayloadFacts(), robot_unknowns(robot, usable, Role.FREE))
+    problem = Problem(
+        robot,
+        usable,
+        PayloadFacts(),
+        robot_unknowns(robot, usable, Role.FREE),
+    )
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     solution = solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)
     ended = FitResult.of(problem, solution)
@@ -122,7 +127,16 @@ def _updated(
     new = old.values + follows @ (values[rows] - old.values[own])
     # a rise of friction that was zero may not fall below that
     forms = [RANGES[key if isinstance(key, str) else key[0]] for key in old.keys]
-    new = np.clip(new, [form.lowest for form in forms], [form.highest for form in forms])
+    new = np.clip(
+        new,
+        [form.lowest for form in forms],
+        [form.highest for form in forms],
+    )
     covariance = old.covariance - LEARNT * (follows @ (prior - after) @ follows.T)
     runs = (*old.runs, *map(robot_calibration.entry_of, problem.runs))
-    return replace(old, values=new, covariance=0.5 * (covariance + covariance.T), runs=runs)
+    return replace(
+        old,
+        values=new,
+        covariance=0.5 * (covariance + covariance.T),
+        runs=runs,
+    )

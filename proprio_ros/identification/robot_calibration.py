@@ -79,7 +79,9 @@ class LoadedRun(NamedTuple):
 
 
 def calibrate(
-    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
+    robot: Robot,
+    runs: Sequence[LoadedRun],
+    progress: Callable[[str], None] = lambda _: None,
 ) -> CalibrationEstimate:
     """Learn the robot from empty-hand runs, and runs with a weighed reference; what its file states is the prior.
 
@@ -206,7 +208,12 @@ def nothing_usable(
     )
 
 
-def _misfits(robot: Robot, fitted: Fitted, left_out: Sequence[str], count: int) -> list[str]:
+def _misfits(
+    robot: Robot,
+    fitted: Fitted,
+    left_out: Sequence[str],
+    count: int,
+) -> list[str]:
     """Why these runs are no calibration of this robot, in a sentence; empty where they are one."""
     noise = fitted.noise
     if len(left_out) > gates.LEFT_OUT_AT_MOST * count:
@@ -314,11 +321,18 @@ def empty_hand(
         after = solvers.levenberg_marquardt(
             hiding_all(mass), starts, None, iterations=HIDDEN_ITERATIONS
         ).cost
-        std = max(std, abs(mass) / max(2.0 * float(before[0] - after.min()), 1e-6) ** 0.5)
+        std = max(
+            std,
+            abs(mass) / max(2.0 * float(before[0] - after.min()), 1e-6) ** 0.5,
+        )
     return EmptyHand(mass, std)
 
 
-def not_empty(hand: EmptyHand | None, beyond: float, up_to: float = np.inf) -> list[str]:
+def not_empty(
+    hand: EmptyHand | None,
+    beyond: float,
+    up_to: float = np.inf,
+) -> list[str]:
     """That the hand was not empty, where the runs say so by more than ``beyond`` standard deviations, and by at most ``up_to``."""
     return (
         [Reason("hand_not_empty", hand.contradiction())]
@@ -370,7 +384,10 @@ def _fit_what_agrees(
     return fitted, [run.run.name for run in left_out]
 
 
-def _without(some: Sequence[PreparedRun], runs: Sequence[PreparedRun]) -> list[PreparedRun]:
+def _without(
+    some: Sequence[PreparedRun],
+    runs: Sequence[PreparedRun],
+) -> list[PreparedRun]:
     return [run for run in runs if all(run is not other for other in some)]
 
 
@@ -392,7 +409,11 @@ def _begins_s(run: PreparedRun) -> float:
     seen = np.flatnonzero(way[:end] > BEGINNING[0] * way.max())
     if len(seen) < 3:
         return 0.0
-    slope, offset = np.polyfit(run.times_s[seen], np.sqrt(way[seen]), 1)
+    slope, offset = np.polyfit(
+        run.times_s[seen],
+        np.sqrt(way[seen]),
+        1,
+    )
     return float(-offset / slope) if slope > 0.0 else 0.0
 
 
@@ -460,7 +481,14 @@ def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
     for row, run in enumerate(fitted.problem.runs):
         off, chi2 = fitted.posterior.held_out(row)
         rms = float(np.sqrt(np.mean(off**2)))
-        entries.append(HeldOutRun(run.run.name, run.run.joint, rms, chi2 / len(off)))
+        entries.append(
+            HeldOutRun(
+                run.run.name,
+                run.run.joint,
+                rms,
+                chi2 / len(off),
+            )
+        )
     return tuple(entries)
 
 

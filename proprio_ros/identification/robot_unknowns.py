@@ -60,7 +60,16 @@ def load_unknowns(
     start_mass_kg: float,
 ) -> list[Unknown]:
     """All unknowns of a weighing: the payload, from whose ``start_mass_kg`` a fit starts, and those of `robot_unknowns`."""
-    unknowns = [Unknown("payload_mass", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
+    unknowns = [
+        Unknown(
+            "payload_mass",
+            start_mass_kg,
+            np.inf,
+            -0.5,
+            20.0,
+            asinh_scale=0.005,
+        )
+    ]
     for axis, name in enumerate("xyz"):
         spread = float(facts.com_std[axis])
         unknowns.append(
@@ -74,7 +83,11 @@ def load_unknowns(
     return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
 
 
-def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) -> list[Unknown]:
+def robot_unknowns(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    drive_role: Role,
+) -> list[Unknown]:
     """What is open about the robot in these runs, shared and of each run on its own.
 
     Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown. ``FROZEN`` keeps
@@ -125,7 +138,16 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
                 zip(OF_A_SWING, (robot.friction_spread, MOMENT_REPEATS, zero_std), strict=True)
             )
             of_run = [Unknown(kind, 0.0, std, -0.9, scope=row) for kind, std in stds.items()]
-        of_run.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row))
+        of_run.append(
+            Unknown(
+                "onset",
+                0.0,
+                onset_std(robot, run),
+                -0.1,
+                0.1,
+                scope=row,
+            )
+        )
         # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
         disturbance = 0.0 if free else math.hypot(robot.torque_disturbance, run.current_torque_std)
         of_run.append(Unknown("disturbance", 0.0, disturbance, scope=row))
@@ -170,14 +192,21 @@ def onset_std(robot: Robot, run: PreparedRun) -> float:
 
 
 def _from_quantity(
-    kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf
+    kind: str,
+    scope: Scope,
+    quantity: Quantity,
+    lower: float = -np.inf,
+    upper: float = np.inf,
 ) -> Unknown:
     return Unknown(
         kind, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper, scope=scope
     )
 
 
-def of_one_kind(robot: Robot, free: Sequence[Unknown]) -> tuple[list[Key], np.ndarray]:
+def of_one_kind(
+    robot: Robot,
+    free: Sequence[Unknown],
+) -> tuple[list[Key], np.ndarray]:
     """Keys and prior covariance of the torque constants among some unknowns; motors of one kind err together in part."""
     constants = [unknown for unknown in free if unknown.kind == "torque_constant"]
     kinds = [

@@ -55,7 +55,11 @@ def mean_of(own: Sequence[OwnTerms]) -> OwnTerms:
     count = len(own)
     values = np.mean([each.values for each in own], axis=0)
     std = np.sqrt(np.sum([each.std**2 for each in own], axis=0)) / count
-    return OwnTerms(values, std, np.mean([each.usual for each in own], axis=0))
+    return OwnTerms(
+        values,
+        std,
+        np.mean([each.usual for each in own], axis=0),
+    )
 
 
 def compared(known: Sequence[OwnTerms], now: OwnTerms) -> Comparison:

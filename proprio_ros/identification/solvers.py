@@ -68,7 +68,11 @@ def bounded_step(
     step = np.zeros_like(u)
     for _ in range(3):
         moves = ~fixed
-        damped = np.where(moves[:, :, None] & moves[:, None, :], matrix, 0.0)
+        damped = np.where(
+            moves[:, :, None] & moves[:, None, :],
+            matrix,
+            0.0,
+        )
         damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
         damped[:, diagonal, diagonal] += np.where(fixed, 1.0, 1e-300)
         held = np.where(fixed, step, 0.0)
@@ -84,7 +88,11 @@ def bounded_step(
         crosses = moves & ((u + step < lower) | (u + step > upper))
         if not crosses.any():
             break
-        step = np.where(crosses, np.clip(u + step, lower, upper) - u, step)
+        step = np.where(
+            crosses,
+            np.clip(u + step, lower, upper) - u,
+            step,
+        )
         fixed |= crosses
     return step
 
@@ -98,7 +106,11 @@ def _scaled_down(
     """
     largest = np.abs(np.diagonal(matrix, axis1=1, axis2=2)).max(axis=1, initial=0.0)
     runs_away = np.isfinite(largest) & (largest > LARGEST_CURVATURE)
-    factor = np.where(runs_away, LARGEST_CURVATURE / np.where(runs_away, largest, 1.0), 1.0)
+    factor = np.where(
+        runs_away,
+        LARGEST_CURVATURE / np.where(runs_away, largest, 1.0),
+        1.0,
+    )
     return cost, gradient * factor[:, None], matrix * factor[:, None, None]
 
 
@@ -157,7 +169,11 @@ def levenberg_marquardt(
                 finite, np.where(finite, cost, 0.0) - np.where(finite, trial_cost, 0.0), 0.0
             )
             # Nielsen 1999: the damping follows how much of the promised decrease came true
-            kept = np.clip(gained / np.maximum(promised, np.maximum(gained, 1e-300)), 0.0, 1.0)
+            kept = np.clip(
+                gained / np.maximum(promised, np.maximum(gained, 1e-300)),
+                0.0,
+                1.0,
+            )
             damping = damping * np.where(
                 better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth
             )
@@ -173,7 +189,13 @@ def levenberg_marquardt(
             path_cost.append(cost.copy())
             if last and np.all((size < tolerance) | (damping > 1e6) | (idle >= 3)):
                 break
-    return Solution(u, cost, np.array(path), np.array(path_cost), len(path) - 1)
+    return Solution(
+        u,
+        cost,
+        np.array(path),
+        np.array(path_cost),
+        len(path) - 1,
+    )
 
 
 def cosine_annealed(rate: float, iteration: int, iterations: int) -> float:
@@ -208,11 +230,21 @@ def adam_descent(
         direction = (first / (1.0 - 0.9 ** (n + 1))) / (
             np.sqrt(second / (1.0 - 0.999 ** (n + 1))) + 1e-8
         )
-        u = np.clip(u - cosine_annealed(rate, n, iterations) * direction, lower, upper)
+        u = np.clip(
+            u - cosine_annealed(rate, n, iterations) * direction,
+            lower,
+            upper,
+        )
         path.append(u.copy())
     cost, _ = gradient_of(u)
     path_cost.append(cost.copy())
-    return Solution(u, cost, np.array(path), np.array(path_cost), iterations)
+    return Solution(
+        u,
+        cost,
+        np.array(path),
+        np.array(path_cost),
+        iterations,
+    )
 
 
 def adam(
@@ -265,7 +297,10 @@ def cma(
         while not search.stop():
             asked = np.array(search.ask())
             cost = problem.linearise(asked * natural)[0]
-            search.tell(list(asked), list(np.where(np.isfinite(cost), cost, 1e30)))
+            search.tell(
+                list(asked),
+                list(np.where(np.isfinite(cost), cost, 1e30)),
+            )
             path.append(np.asarray(search.result.xbest) * natural)
             path_cost.append(float(search.result.fbest))
         paths.append(path)
@@ -276,4 +311,10 @@ def cma(
         1, 0, 2
     )
     padded_cost = np.array([c + [c[-1]] * (length - len(c)) for c in path_costs]).T
-    return Solution(padded[-1], padded_cost[-1], padded, padded_cost, length - 1)
+    return Solution(
+        padded[-1],
+        padded_cost[-1],
+        padded,
+        padded_cost,
+        length - 1,
+    )

@@ -53,7 +53,10 @@ def stamps_off(fit: FitResult) -> list[Reason]:
         if robot.model.joint(run.run.joint).kind == "prismatic":
             continue
         period = float(np.median(np.diff(run.run.times_s)))
-        spread = max(STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))), 0.5 * period)
+        spread = max(
+            STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))),
+            0.5 * period,
+        )
         change = (
             -row[INDEX["torque_constant"]]
             * float(run.run.input_current_A[-1])
@@ -123,7 +126,12 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     return float(good[-1]) if good[-1] < least_s else None
 
 
-def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: float) -> float | None:
+def driven_beyond(
+    run: PreparedRun,
+    most_s: float,
+    change: float,
+    jitter_s: float,
+) -> float | None:
     """How long after its stated end a current still drives the joint, where that is later than it may; else None [s].
 
     The motion before the end is followed by a cubic, and so is what comes after, up to where the joint is braked. Had the current
@@ -148,14 +156,24 @@ def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: floa
         return None
     weight = 1.0 / _sigma(run, times_s, position, jitter_s)
     u = (times_s - end_s) / FORETELL_S
-    smooth = np.stack([np.ones_like(u), u, u**2, u**3], axis=1)
+    smooth = np.stack(
+        [np.ones_like(u), u, u**2, u**3],
+        axis=1,
+    )
     bend = 0.5 * np.maximum(times_s - end_s, 0.0)[:, None] ** 2
-    chi2, values, _ = _fitted(smooth[:ahead], position[:ahead], weight[:ahead])
+    chi2, values, _ = _fitted(
+        smooth[:ahead],
+        position[:ahead],
+        weight[:ahead],
+    )
     scatter = max(chi2 / (ahead - 4), 1.0)
     if values[1] / FORETELL_S * -np.sign(change) < MOVING_RAD_S:
         return None
     for count in range(ahead + MIN_BEYOND, len(times_s) + 1):
-        columns = np.concatenate([smooth[:count], bend[:count]], axis=1)
+        columns = np.concatenate(
+            [smooth[:count], bend[:count]],
+            axis=1,
+        )
         chi2, values, stds = _fitted(columns, position[:count], weight[:count])
         if chi2 / scatter > count - 5 + SURE:
             return None
@@ -167,7 +185,10 @@ def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: floa
 def _sigma(
     run: PreparedRun, times_s: np.ndarray, position: np.ndarray, jitter_s: float
 ) -> np.ndarray:
-    return np.hypot(max(run.drive.reading_std, 1e-9), np.gradient(position, times_s) * jitter_s)
+    return np.hypot(
+        max(run.drive.reading_std, 1e-9),
+        np.gradient(position, times_s) * jitter_s,
+    )
 
 
 def _fitted(
@@ -176,7 +197,11 @@ def _fitted(
     """Chi-square of a linear least-squares fit, its values, and their standard deviations."""
     length = np.linalg.norm(columns * weight[:, None], axis=0)
     scaled = columns * weight[:, None] / length
-    values, _, _, _ = np.linalg.lstsq(scaled, position * weight, rcond=None)
+    values, _, _, _ = np.linalg.lstsq(
+        scaled,
+        position * weight,
+        rcond=None,
+    )
     residual = scaled @ values - position * weight
     stds = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled, hermitian=True)))
     return float(residual @ residual), values / length, stds / length

@@ -30,7 +30,11 @@ USUAL_SHARE = 0.15
 has `friction_spread` unless it says otherwise. Those of two real servos do by 3 to 5 and by 14 to 16 %."""
 
 
-def swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
+def swing_starts(
+    robot: Robot,
+    run: PreparedRun,
+    facts: PayloadFacts,
+) -> tuple[float, ...]:
     """First guesses about the mass that doubles the inertia [kg]: far from it a swing hardly depends on the mass."""
     own = float(run.coefficients.arm[0]) + robot.drive_trains[run.run.joint].armature.value
     doubling = own / max(float(run.coefficients.per_kg(facts)[0]), 1e-9)
@@ -54,10 +58,16 @@ def own_friction(
     search = replace(options or SearchOptions(), starts_kg=starts)
     fit = solve_load(loose, [prepared], facts, search, Role.FREE)
     posterior = Posterior(fit.problem, fit.values)
-    rows = [fit.problem.index["coulomb", run.joint], fit.problem.index["viscous", run.joint]]
+    rows = [
+        fit.problem.index["coulomb", run.joint],
+        fit.problem.index["viscous", run.joint],
+    ]
     values = fit.values[rows]
     std = np.sqrt(np.diag(posterior.whole_covariance())[rows])
-    speed = max(float(np.sqrt(np.mean(np.square(posterior.velocity)))), 1e-6)
+    speed = max(
+        float(np.sqrt(np.mean(np.square(posterior.velocity)))),
+        1e-6,
+    )
     whole = values[0] + values[1] * speed
     usual = USUAL_SHARE * whole / np.array([1.0, speed])
     return OwnTerms(values, std, np.maximum(usual, 1e-9))

@@ -83,12 +83,27 @@ class Coordinates:
             self._correlate([u.key for u in unknowns], *correlated)
         # one step of the solver never leaves the range in which the linearisation means something
         self.step_limit = np.where(
-            self._curved, 1.5, np.where(np.isfinite(stds), 5.0 * stds, np.inf)
+            self._curved,
+            1.5,
+            np.where(
+                np.isfinite(stds),
+                5.0 * stds,
+                np.inf,
+            ),
         )
         # a natural length per coordinate, for solvers that want one (Adam, CMA-ES)
-        self.natural = np.where(self._curved, 1.0, np.where(np.isfinite(stds), stds, 1.0))
+        self.natural = np.where(
+            self._curved,
+            1.0,
+            np.where(np.isfinite(stds), stds, 1.0),
+        )
 
-    def _correlate(self, free: Sequence[Key], keys: Sequence[Key], covariance: np.ndarray) -> None:
+    def _correlate(
+        self,
+        free: Sequence[Key],
+        keys: Sequence[Key],
+        covariance: np.ndarray,
+    ) -> None:
         where = {key: row for row, key in enumerate(keys)}
         own = [row for row, key in enumerate(free) if key in where]
         if own:

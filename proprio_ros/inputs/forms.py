@@ -254,11 +254,18 @@ def mapping(value: Any) -> Mapping[str, Any]:
 
 def did_you_mean(key: object, known: Iterable[str]) -> str:
     """A question after the nearest of the known keys; empty where none is near."""
-    close = difflib.get_close_matches(str(key)[:100], list(known), n=1)
+    close = difflib.get_close_matches(
+        str(key)[:100],
+        list(known),
+        n=1,
+    )
     return f"did you mean {close[0]!r}? " if close else ""
 
 
-def refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+def refuse_unknown(
+    given: Mapping[str, Any],
+    known: Mapping[str, Any],
+) -> None:
     """Raises: FormError: A key is not among those known, with the one that is nearest to it."""
     for key in given:
         if key not in known:
@@ -267,7 +274,10 @@ def refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
             )
 
 
-def section(value: Any, fields: Mapping[str, Field | Form]) -> dict[str, Any]:
+def section(
+    value: Any,
+    fields: Mapping[str, Field | Form],
+) -> dict[str, Any]:
     """Read keys and values, of bare forms only those there are; raises `FormError`: a key is unknown or missing, a value wrong."""
     given = mapping(value)
     refuse_unknown(given, fields)

@@ -61,7 +61,11 @@ def path_problem(path: str | Path) -> str:
     return ""
 
 
-def text_of(path: Path, error: type[ProprioError], longest: int = LONGEST_TEXT) -> str:
+def text_of(
+    path: Path,
+    error: type[ProprioError],
+    longest: int = LONGEST_TEXT,
+) -> str:
     """The text of a regular file of at most so many bytes, without a byte order mark.
 
     Raises `ProprioError`: Of the kind given: it cannot be read, is no text, or is too long.
@@ -183,7 +187,11 @@ def _parsed(text: str) -> Any:
         raise _Refused(one_line(words, 160) + where if words else type(reason).__name__) from reason
 
 
-def yaml_file(path: Path, kind: type[ProprioError], called: str = "") -> Any:
+def yaml_file(
+    path: Path,
+    kind: type[ProprioError],
+    called: str = "",
+) -> Any:
     """What a YAML file says (plain types only); messages call it by its path, or otherwise.
 
     Raises `ProprioError`: Of that kind: it is not readable, or no YAML that `yaml_of` takes.

@@ -116,7 +116,12 @@ class Settings:
         """Keys that nothing has taken yet."""
         return frozenset(self._left)
 
-    def take(self, key: str, default: Any, form: Form | None = None) -> Any:
+    def take(
+        self,
+        key: str,
+        default: Any,
+        form: Form | None = None,
+    ) -> Any:
         """The user's value, or the default; as the form reads it, where there is one (see `read`)."""
         self._known.append(key)
         if key in self._left:
@@ -131,7 +136,10 @@ class Settings:
         return {key[len(prefix) :]: value for key, value in found.items()}
 
     def options(
-        self, kind: Callable[..., _Options], prefix: str, defaults: Mapping[str, Any]
+        self,
+        kind: Callable[..., _Options],
+        prefix: str,
+        defaults: Mapping[str, Any],
     ) -> _Options:
         """The options of a solver, a data class, from the keys under a prefix such as ``solver.``; `SEARCH` has their forms.
 
@@ -154,7 +162,11 @@ class Settings:
             names = sorted(self._left)
             # the nearest first, since the list may be longer than a sentence
             section = names[0].partition(".")[0]
-            close = difflib.get_close_matches(names[0][:100], self._known, n=1)
+            close = difflib.get_close_matches(
+                names[0][:100],
+                self._known,
+                n=1,
+            )
             known = sorted(
                 set(self._known),
                 key=lambda key: (key not in close, not key.startswith(f"{section}."), key),
@@ -164,7 +176,10 @@ class Settings:
             )
 
 
-def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
+def probe_file(
+    name: str,
+    sections: Sequence[str] = (),
+) -> dict[str, Any]:
     """What the file of a probe in ``config/probes`` says; refuses one that is not readable, or lacks one of these sections."""
     path: Path = resource("probes", name)
     content = yaml_file(path, ConfigurationError)

@@ -21,7 +21,10 @@ def interval_of(estimate: Estimate) -> str:
         or value.ci95 is None
     ):
         return ""
-    spec = spec_for(value.unit, value.std if isinstance(value.std, float) else None)
+    spec = spec_for(
+        value.unit,
+        value.std if isinstance(value.std, float) else None,
+    )
     return f"{shown(value.unit, value.value, spec=spec)}, 95 % interval {shown(value.unit, *value.ci95, spec=spec)}"
 
 
@@ -53,7 +56,13 @@ def live_answer(estimate: Estimate) -> tuple[int, str, dict[str, Any]] | None:
         f"{name}.unit": unit,
     }
     entries |= {f"{name}.std": std, f"{name}.ci95": [value - half, value + half]}
-    words = shown(unit, value, half, spec=spec_for(unit, std), between=" +- ")
+    words = shown(
+        unit,
+        value,
+        half,
+        spec=spec_for(unit, std),
+        between=" +- ",
+    )
     return samples, f"live, {samples} samples: {words}", entries
 
 

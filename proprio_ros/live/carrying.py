@@ -107,7 +107,11 @@ class Carrier:
         )
         return float(min(robot.model.joint(name).effort_limit or np.inf, by_current))
 
-    def efforts(self, pose: Mapping[str, float], load: Load) -> tuple[FloatArray, FloatArray]:
+    def efforts(
+        self,
+        pose: Mapping[str, float],
+        load: Load,
+    ) -> tuple[FloatArray, FloatArray]:
         """Torque of each joint that carries arm and load at a pose [rad], and its standard deviation [N m], shape (n,) each.
 
         Raises `RobotError`: The pose lacks a joint.
@@ -136,7 +140,13 @@ class Carrier:
             torque_rate=nothing,
         )
         along = hand @ point_mass(np.asarray(load.centre_m)) / self._scale
-        fill_drives(design, self._values, rows, slice(11 * count, 12 * count), load.mass_kg * along)
+        fill_drives(
+            design,
+            self._values,
+            rows,
+            slice(11 * count, 12 * count),
+            load.mass_kg * along,
+        )
         variance = (
             np.einsum("ij,jk,ik->i", design, self._covariance, design) + (load.std_kg * along) ** 2
         )
@@ -149,9 +159,17 @@ class Carrier:
         efforts, stds = self.efforts(pose, load)
         needed = np.abs(efforts) + self._friction + Z95 * stds
         with np.errstate(invalid="ignore"):
-            return np.where(np.isfinite(self.limits), 1.0 - needed / self.limits, 1.0)
+            return np.where(
+                np.isfinite(self.limits),
+                1.0 - needed / self.limits,
+                1.0,
+            )
 
-    def capability(self, poses: Sequence[Mapping[str, float]], load: Load) -> Capability:
+    def capability(
+        self,
+        poses: Sequence[Mapping[str, float]],
+        load: Load,
+    ) -> Capability:
         """Whether the arm can carry a load at all of some poses [rad]; the worst of them decides."""
         worst = min((self._left(pose, load) for pose in poses), key=lambda left: float(left.min()))
         least = 0.0
@@ -166,10 +184,17 @@ class Carrier:
                 >= 0.0
             )
             least, most = (middle, most) if able else (least, middle)
-        return Capability(self.joints[int(worst.argmin())], float(worst.min()), least)
+        return Capability(
+            self.joints[int(worst.argmin())],
+            float(worst.min()),
+            least,
+        )
 
 
-def way(start: Mapping[str, float], goal: Mapping[str, float]) -> list[dict[str, float]]:
+def way(
+    start: Mapping[str, float],
+    goal: Mapping[str, float],
+) -> list[dict[str, float]]:
     """Poses on the straight way of the joints from one pose to another, which may leave joints where they are [rad]."""
     shares = np.linspace(0.0, 1.0, WAY_POSES)
     return [

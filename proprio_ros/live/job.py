@@ -57,6 +57,10 @@ class Job:
         """
         plan = load_sequence(self.sequence or default, robot)
         if self.until is not None:
-            plan = replace(plan, until=self.until, runs=plan.runs if self.sequence else ())
+            plan = replace(
+                plan,
+                until=self.until,
+                runs=plan.runs if self.sequence else (),
+            )
             check_sequence(plan, robot)
         return plan

@@ -30,7 +30,8 @@ def current_A(effort: float, unit: str, effort_per_current: float) -> float:
 
 
 def any_moved(
-    states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]
+    states: Iterable[tuple[Sequence[str], Sequence[float]]],
+    joints: Iterable[str],
 ) -> bool:
     """Whether any of these joints moved, by the names and positions of joint states [rad or m]."""
     seen: dict[str, list[float]] = {name: [] for name in joints}
@@ -151,7 +152,15 @@ class OnlineFeed:
             names, position, effort[: len(names)], fillvalue=math.nan
         ):
             if name in self.stall.joints:
-                self._latest[name] = at, self.stall.current_A(name, time_s, at, said)
+                self._latest[name] = (
+                    at,
+                    self.stall.current_A(
+                        name,
+                        time_s,
+                        at,
+                        said,
+                    ),
+                )
                 if math.isnan(self._latest[name][1]) and name in self.joints:
                     self.waits_for = (
                         f"nobody says where {name} is sent: publish goals on joint_command, "
@@ -168,7 +177,12 @@ class OnlineFeed:
             self._running = self._make(self._held)
         rows = [self._latest[name] for name in self.joints]
         works = self.stall.works(time_s)
-        new = self._running.add(time_s, [row[0] for row in rows], [row[1] for row in rows], works)
+        new = self._running.add(
+            time_s,
+            [row[0] for row in rows],
+            [row[1] for row in rows],
+            works,
+        )
         if self._running.frozen:
             self.waits_for = "joint states say the same again and again of an arm that was moving: their publisher stalls"
         elif all(math.isfinite(value) for row in rows for value in row):
@@ -176,7 +190,11 @@ class OnlineFeed:
         return self._running.estimate() if new else None
 
 
-def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str:
+def _why_not(
+    mine: Mapping[str, int],
+    effort: Sequence[float],
+    unit: str,
+) -> str:
     """Why the effort of a joint state says nothing, or an empty string; ``mine``: the place of each joint that matters."""
     if not unit:
         return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
@@ -189,7 +207,11 @@ def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str
     return f"{none}: have the driver publish what it measures"
 
 
-def online_entries(feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float) -> dict[str, Any]:
+def online_entries(
+    feed: OnlineFeed,
+    estimate: OnlineEstimate,
+    behind_s: float,
+) -> dict[str, Any]:
     """Keys and values of a diagnostics message.
 
     Args:

@@ -75,7 +75,12 @@ def together(load: Carried, tool: Sequence[float]) -> Carried:
         return load
     mass = load.mass_kg + tool_kg
     com = (load.mass_kg * np.asarray(load.com_m, float) + tool_kg * centre) / mass
-    return replace(load, mass_kg=mass, com_m=com.tolist(), inertia_kg_m2=np.full((3, 3), math.nan))
+    return replace(
+        load,
+        mass_kg=mass,
+        com_m=com.tolist(),
+        inertia_kg_m2=np.full((3, 3), math.nan),
+    )
 
 
 def check_tool(controller: str, tool: Sequence[float]) -> tuple[float, ...]:

@@ -52,7 +52,12 @@ class Session:
     end: the index of an MCAP file is written last.
     """
 
-    def __init__(self, root: Path, kind: str, now: datetime | None = None) -> None:
+    def __init__(
+        self,
+        root: Path,
+        kind: str,
+        now: datetime | None = None,
+    ) -> None:
         stamp = (now or datetime.now(timezone.utc)).strftime("%Y%m%d_%H%M%S_%f")[:-3]
         self.name = f"{stamp}_{kind}"
         self.folder = root / self.name
@@ -75,7 +80,13 @@ class Session:
             self.discard()
             raise unwritable(self.folder.parent, error) from error
 
-    def add(self, topic: str, msgtype: str, time_ns: int, data: bytes) -> None:
+    def add(
+        self,
+        topic: str,
+        msgtype: str,
+        time_ns: int,
+        data: bytes,
+    ) -> None:
         """Keep one message; from any thread."""
         with self._lock:
             self._messages.append(RawMessage(topic, msgtype, time_ns, data))
@@ -208,7 +219,10 @@ def prepare_identification(options: Options) -> None:
     compile_kernels(rises=robot_of(options).friction_rises)
 
 
-def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+def settings_for(
+    probe: Probe[Any],
+    settings: Mapping[str, Any],
+) -> dict[str, Any]:
     """What concerns a probe; what is stated about another probe's object is left out."""
     foreign = tuple(
         start for other in all_probes() if other.name != probe.name for start in other.keys
@@ -274,7 +288,11 @@ def baseline_options(request: Request) -> Options:
     return replace(options, probe=probe.baseline.probe, settings=settings, baseline=())
 
 
-def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) -> tuple[str, ...]:
+def check_input(
+    folder: Path,
+    messages: Sequence[RawMessage],
+    request: Request,
+) -> tuple[str, ...]:
     """Read what comes in at rest as it will be read after the excitation, so that a refusal comes before anything moves.
 
     Args:
@@ -375,7 +393,12 @@ class LiveEstimate:
             self._newest_ns: dict[tuple[str, ...], int] = {}
             self._weighed = 0
 
-    def add_state(self, stamp_ns: int, names: Sequence[str], position: Sequence[float]) -> None:
+    def add_state(
+        self,
+        stamp_ns: int,
+        names: Sequence[str],
+        position: Sequence[float],
+    ) -> None:
         """One joint state, of some or all joints; others than the robot's, and what is no number, are passed over."""
         row = self._row(names, position)
         with self._lock:
@@ -384,7 +407,12 @@ class LiveEstimate:
                 self._newest_ns[key] = stamp_ns
                 self._states.append((stamp_ns, row))
 
-    def add_input(self, stamp_ns: int, names: Sequence[str], effort: Sequence[float]) -> None:
+    def add_input(
+        self,
+        stamp_ns: int,
+        names: Sequence[str],
+        effort: Sequence[float],
+    ) -> None:
         """One applied effort [N m or N]."""
         drives = self._request.robot.drive_trains
         row = {
@@ -402,7 +430,11 @@ class LiveEstimate:
             if not self._commands or time_ns > self._commands[-1][0]:
                 self._commands.append((time_ns, row))
 
-    def _row(self, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    def _row(
+        self,
+        names: Sequence[str],
+        values: Sequence[float],
+    ) -> dict[str, float]:
         known = self._request.robot.drive_trains
         row = {
             name: float(value) for name, value in zip(names, values, strict=False) if name in known
@@ -437,7 +469,12 @@ class LiveEstimate:
                 rows[stamp_ns] = [latest[name] for name in names]
         try:
             record = JointRecord(
-                np.array(list(rows)), names, np.array(list(rows.values())).reshape(-1, len(names))
+                np.array(list(rows)),
+                names,
+                np.array(list(rows.values())).reshape(
+                    -1,
+                    len(names),
+                ),
             )
             topic = "/applied_effort" if applied else "/current_command"
             source = InputRecord(

@@ -45,7 +45,12 @@ class StallCurrents:
         """Of the supply; until it is heard, that of the robot file counts."""
         self._volt = volt if 0.0 < volt < math.inf else self._volt
 
-    def hear_goals(self, time_s: float, names: Iterable[str], positions: Iterable[float]) -> None:
+    def hear_goals(
+        self,
+        time_s: float,
+        names: Iterable[str],
+        positions: Iterable[float],
+    ) -> None:
         """Where joints were sent [rad]; after a clock that was set back they begin anew."""
         for name, goal in zip(names, positions, strict=False):
             if (sent := self._sent.get(name)) is not None and math.isfinite(goal):
@@ -63,7 +68,13 @@ class StallCurrents:
         """Whether somebody moves the arm; where goals stand, what moves it is a load that was put down, and dry friction."""
         return not self._sent or time_s - self._moved_s < WORKS_S
 
-    def current_A(self, name: str, time_s: float, position: float, effort: float) -> float:
+    def current_A(
+        self,
+        name: str,
+        time_s: float,
+        position: float,
+        effort: float,
+    ) -> float:
         """Of a joint, where it is [rad] and with the effort as published; NaN where nobody said its goal or its duty cycle."""
         drive = self._drives[name]
         sent = self._sent.get(name)
@@ -79,7 +90,13 @@ class StallCurrents:
             np.array([time_s]), np.array([position]), np.array([effort]), goal, self._delay_s
         )
         if sent and goal is not None and isinstance(law, PositionServo):
-            (reached,), newest = goal.at(np.array([at_s]), law.goal_speed_rad_s), sent[0][1]
+            (reached,), newest = (
+                goal.at(
+                    np.array([at_s]),
+                    law.goal_speed_rad_s,
+                ),
+                sent[0][1],
+            )
             while sent and sent[0][0] <= at_s:
                 _, newest = sent.popleft()
             sent.extendleft([(at_s + AT_ONCE_S, newest), (at_s, float(reached))])

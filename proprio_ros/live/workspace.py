@@ -40,7 +40,10 @@ class Workspace:
         return Options(robot=robot, calibration=self.calibration, **self.topics)
 
     def request(
-        self, probe: Probe[Any], settings: Mapping[str, Any], baseline: Path | None
+        self,
+        probe: Probe[Any],
+        settings: Mapping[str, Any],
+        baseline: Path | None,
     ) -> Request:
         """What a job is about: robot, and what is stated about the object, read once; raises as `request_of` does."""
         empty = () if baseline is None else (baseline,)

@@ -13,7 +13,11 @@ from proprio_ros.probes import virtual_object
 from proprio_ros.recordings.description import robot_named
 
 
-def check_arguments(robot: str = "", params_file: str = "", held: str = "") -> None:
+def check_arguments(
+    robot: str = "",
+    params_file: str = "",
+    held: str = "",
+) -> None:
     """Refuse in one line what the nodes would refuse one after the other, or would start without; empty: not stated.
 
     Raises `ProprioError`: Robot, parameter file, or what the virtual hand is to hold is not there, or not understood.

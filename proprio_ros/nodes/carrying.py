@@ -105,7 +105,12 @@ class Carrying:
         entries = {"where": where, "can_carry": "unknown"}
         self._capability.publish(messages.status("warning", "capability", why, entries))
 
-    def _say(self, load: Load, poses: list[dict[str, float]], where: str) -> None:
+    def _say(
+        self,
+        load: Load,
+        poses: list[dict[str, float]],
+        where: str,
+    ) -> None:
         assert self._carrier is not None
         found = self._carrier.capability(poses, load)
         left = f"{found.joint} has {100.0 * found.margin:.0f} % left"

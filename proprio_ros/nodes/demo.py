@@ -82,13 +82,23 @@ def demo(
     folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     # a domain of its own: another arm's driver on this network must not hear our commands, nor we its states
-    domain = os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    domain = os.environ.setdefault(
+        "ROS_DOMAIN_ID",
+        str(random.SystemRandom().randint(1, 101)),
+    )
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     _interrupted.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     with Graph(folder / "logs") as graph:
-        weighs = _start(graph, example, {"robot": robot, "seed": seed}, truth, folder, full)
+        weighs = _start(
+            graph,
+            example,
+            {"robot": robot, "seed": seed},
+            truth,
+            folder,
+            full,
+        )
         tell(
             f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}"
         )
@@ -109,13 +119,21 @@ def demo(
 
 
 def _start(
-    graph: Graph, example: Example, robot: dict[str, Any], truth: float, folder: Path, full: bool
+    graph: Graph,
+    example: Example,
+    robot: dict[str, Any],
+    truth: float,
+    folder: Path,
+    full: bool,
 ) -> bool:
     """Start the nodes; whether the robot is calibrated with a weight, too."""
     name = robot["robot"]
     link = folder / "bus"
     weighs = full or example.reference
-    graph.start("virtual", {**robot, "link": link, "object": example.held.format(truth=truth)})
+    graph.start(
+        "virtual",
+        {**robot, "link": link, "object": example.held.format(truth=truth)},
+    )
     graph.start("driver", {"robot": name, "port": link})
     graph.start("excitation", {"robot": name})
     own: dict[str, Any] = {"robot": name, "data_directory": folder, "calibration": "none"}
@@ -145,7 +163,11 @@ def _obey_interrupt() -> None:
 class _Client:
     """Calls services and listens, in this process."""
 
-    def __init__(self, graph: Graph, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        tell: Callable[[str], None],
+    ) -> None:
         self._graph, self._tell = graph, tell
         self._last_words, self._words = "", 0
         self._final: dict[str, dict[str, str]] = {}
@@ -182,7 +204,11 @@ class _Client:
             elif values.get("final") == "false":
                 self._tell(status.message)
 
-    def _spin_until(self, ready: Callable[[], bool], silence_s: float = SILENCE_S) -> bool:
+    def _spin_until(
+        self,
+        ready: Callable[[], bool],
+        silence_s: float = SILENCE_S,
+    ) -> bool:
         """Whether it became so, before nobody said anything for so long."""
         patience = Patience(silence_s)
         while not ready():
@@ -224,7 +250,12 @@ class _Client:
         answer = future.result()
         return bool(answer.success), str(answer.message)
 
-    def identify(self, probe: Probe[Any], example: Example, weighs: bool) -> tuple[bool, str]:
+    def identify(
+        self,
+        probe: Probe[Any],
+        example: Example,
+        weighs: bool,
+    ) -> tuple[bool, str]:
         """Robot, baseline and object, one after the other; the last service's answer."""
         weight = f", then with a weight of {1e3 * REFERENCE_KG:.0f} g" if weighs else ""
         self._tell(

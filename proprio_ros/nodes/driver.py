@@ -177,7 +177,10 @@ class DriverNode(ManagedNode):
 
     def _publish(self, driver: ArmDriver, sample: ArmSample) -> None:
         if self._stamps.offset_ns is None:
-            self._stamps.look(self.get_clock().now().nanoseconds, clock.now())
+            self._stamps.look(
+                self.get_clock().now().nanoseconds,
+                clock.now(),
+            )
         stamp = self._stamps.stamp_ns(sample.sampled_at_s)
         names = driver.joints
         measured = [sample.current_A[name] * self._effort_per_current[name] for name in names]
@@ -277,7 +280,10 @@ class DriverNode(ManagedNode):
         if driver is None or self._thread is None:
             return
         if self.active and "driven" not in driver.modes.values():
-            moved_s = self._stamps.look(self.get_clock().now().nanoseconds, clock.now())
+            moved_s = self._stamps.look(
+                self.get_clock().now().nanoseconds,
+                clock.now(),
+            )
             if abs(moved_s) > CLOCK_JUMP_S:
                 self.say(
                     "warning",

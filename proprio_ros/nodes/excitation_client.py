@@ -36,7 +36,9 @@ class Excitation:
     """
 
     def __init__(
-        self, node: ManagedNode, on_progress: Callable[[str, dict[str, str]], None]
+        self,
+        node: ManagedNode,
+        on_progress: Callable[[str, dict[str, str]], None],
     ) -> None:
         self._on_progress = on_progress
         self.name = str(node.values["excitation_node"])
@@ -73,7 +75,12 @@ class Excitation:
             return f"no joint states reach {self.name}; are the topics named alike?"
         return ""
 
-    def make(self, job: Job, sequence: str, begun: Callable[[], None] = lambda: None) -> None:
+    def make(
+        self,
+        job: Job,
+        sequence: str,
+        begun: Callable[[], None] = lambda: None,
+    ) -> None:
         """Ask for a sequence and wait until it has ended well; ``begun`` is called when it is under way.
 
         Raises `JobError`: It was refused, aborted, cancelled, or the node fell silent.

@@ -24,7 +24,11 @@ _PR_SET_PDEATHSIG = 1
 class Patience:
     """How long to wait for those who say how far they are: until they have been silent for some time, by a clock [s]."""
 
-    def __init__(self, silence_s: float, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        silence_s: float,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._silence_s, self._now = silence_s, now
         self._heard: object = None
         self._since_s = now()
@@ -47,7 +51,11 @@ class Graph:
     Leaving the context ends them all: the driver last but for the virtual robot, so that what others still say is obeyed.
     """
 
-    def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        logs: Path,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.logs = logs
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         # whatever lies in the present folder must not be imported (Python 3.11 and later)
@@ -100,7 +108,11 @@ class Graph:
                 lines = self.log(node).strip().splitlines() or [f"exit code {process.returncode}"]
                 raise ConfigurationError(f"the {node} node has ended: {lines[-1]}")
 
-    def stop(self, node: str | None = None, number: int = signal.SIGTERM) -> None:
+    def stop(
+        self,
+        node: str | None = None,
+        number: int = signal.SIGTERM,
+    ) -> None:
         """End one node, or all; one that does not end in time is killed.
 
         SIGTERM ends even one that is still starting without a traceback.

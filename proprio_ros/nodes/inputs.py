@@ -181,9 +181,20 @@ class Inputs:
             return
         for role, kind in (("applied_effort", JointState), ("current_command", Float64MultiArray)):
             if _type_of(kind) in dict(node.get_topic_names_and_types()).get(name, []):
-                node.listen(kind, str(name), self.listener(str(name), role, kind), STREAM, raw=True)
+                node.listen(
+                    kind,
+                    str(name),
+                    self.listener(str(name), role, kind),
+                    STREAM,
+                    raw=True,
+                )
 
-    def listener(self, full_name: str, role: str, kind: type) -> Callable[..., None]:
+    def listener(
+        self,
+        full_name: str,
+        role: str,
+        kind: type,
+    ) -> Callable[..., None]:
         """What takes the messages of a topic."""
         msgtype = _type_of(kind)
 
@@ -220,7 +231,12 @@ class Inputs:
 
         return listen
 
-    def _arrival(self, role: str, raw: RawMessage, info: Mapping[str, Any]) -> Arrival:
+    def _arrival(
+        self,
+        role: str,
+        raw: RawMessage,
+        info: Mapping[str, Any],
+    ) -> Arrival:
         """A message with when it was sent, as far as the middleware says it."""
         late_ns = 0
         # a simulation's time is heard as late as what happens in it
@@ -230,7 +246,12 @@ class Inputs:
         stamp_ns = messages.first_stamp_ns(raw.data) or raw.time_ns
         return Arrival(role, raw, stamp_ns, clock.now() - 1e-9 * late_ns)
 
-    def _late_ns(self, size: int, now_ns: int, info: Mapping[str, Any]) -> int:
+    def _late_ns(
+        self,
+        size: int,
+        now_ns: int,
+        info: Mapping[str, Any],
+    ) -> int:
         """How long a message waited here until it is heard, and how much later than ever it came here.
 
         Args:
@@ -250,12 +271,22 @@ class Inputs:
         lag.note(came_ns, sent_ns, clock.now_ns() - waited_ns)
         return waited_ns + lag.late_ns
 
-    def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
+    def _add_live(
+        self,
+        live: LiveEstimate,
+        role: str,
+        now_ns: int,
+        message: Any,
+    ) -> None:
         if role == "joint_states":
             names = self.conventions.renamed(message.name)
             live.add_state(messages.time_ns(message.header.stamp), names, message.position)
         elif role == "applied_effort":
-            live.add_input(messages.time_ns(message.header.stamp), message.name, message.effort)
+            live.add_input(
+                messages.time_ns(message.header.stamp),
+                message.name,
+                message.effort,
+            )
             self.driven = any(message.effort)
         else:
             current_A = messages.by_joint(message, live.joints)
@@ -288,7 +319,12 @@ class Inputs:
         found = messages.by_joint(deserialize_message(self._temperatures, Float64MultiArray), ())
         return {} if isinstance(found, str) else found
 
-    def _on_torque_enabled(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
+    def _on_torque_enabled(
+        self,
+        topic: str,
+        data: bytes,
+        info: dict[str, Any],
+    ) -> None:
         """It has no stamp: when it was sent counts, since a busy computer may have us hear it after the joint was caught."""
         session = self.session
         if session is not None:

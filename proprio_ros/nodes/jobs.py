@@ -130,14 +130,21 @@ class Jobs:
             if job.cancelled.wait(0.05):
                 raise JobError("cancelled")
 
-    def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
+    def _identify_object(
+        self,
+        job: Job,
+        probe: Probe[Any],
+    ) -> tuple[bool, str]:
         """Have the runs of a probe made, and identify the object from them."""
         baseline = None
         if isinstance(probe, HasBaseline):
             baseline = self._workspace.find_baseline(probe, self._value(f"{probe.name}_baseline"))
         stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
         request = self._workspace.request(probe, stated, baseline)
-        request = replace(request, robot=aged_robot(request.robot, self._inputs.moment()))
+        request = replace(
+            request,
+            robot=aged_robot(request.robot, self._inputs.moment()),
+        )
         self._results.link = request.robot.payload_frame
         if (
             baseline is None
@@ -191,7 +198,11 @@ class Jobs:
         answer += probe.remark(estimate) if isinstance(probe, Shown) else ""
         return True, f"{probe.subject} {answer}, {estimate.runs} runs{said}; recording: {bag}"
 
-    def _record_baseline(self, job: Job, probe: HasBaseline[Any]) -> tuple[bool, str]:
+    def _record_baseline(
+        self,
+        job: Job,
+        probe: HasBaseline[Any],
+    ) -> tuple[bool, str]:
         """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
         baseline = probe.baseline
         used = self._workspace.used
@@ -204,7 +215,12 @@ class Jobs:
             sequence = as_text(replace(plan, until=None)) if plan.runs else probe.default_sequence
         bag = self.record(job, job.kind, sequence, request)
         options = baseline_options(request)
-        estimate = self.identify(job, bag, options, partial(self._results.final, name=job.kind))
+        estimate = self.identify(
+            job,
+            bag,
+            options,
+            partial(self._results.final, name=job.kind),
+        )
         if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
             return (
                 False,
@@ -223,7 +239,11 @@ class Jobs:
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         """The robot, with an empty hand and perhaps a weighed object."""
         self._inputs.live, tell = None, partial(self._results.tell, job.kind)
-        options = replace(self._workspace.options(), robot=self._workspace.robot, calibration=None)
+        options = replace(
+            self._workspace.options(),
+            robot=self._workspace.robot,
+            calibration=None,
+        )
         request = Request(robot_of(options), options)
         sequence = self._value("robot_sequence")
         bag = self.record(job, ROBOT, sequence, request)
@@ -356,7 +376,11 @@ class Jobs:
         return as_text(replace(plan, runs=tuple(runs), until=None)) if runs else ""
 
     def identify(
-        self, job: Job, bag: Path, options: Options, publish: Callable[[Estimate], None]
+        self,
+        job: Job,
+        bag: Path,
+        options: Options,
+        publish: Callable[[Estimate], None],
     ) -> Estimate:
         """The estimate from a bag: published, then written beside it with a report."""
         self._results.tell(job.kind, "identifying")
@@ -405,7 +429,12 @@ class Jobs:
             clock.sleep(period_s)
 
     def record(
-        self, job: Job, kind: str, sequence: str, request: Request, chooser: Chooser | None = None
+        self,
+        job: Job,
+        kind: str,
+        sequence: str,
+        request: Request,
+        chooser: Chooser | None = None,
     ) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
         inputs = self._inputs
@@ -444,7 +473,12 @@ class Jobs:
             raise JobError(f"{failure}; recording: {bag}")
         return bag
 
-    def _excite(self, job: Job, sequence: str, chooser: Chooser | None = None) -> None:
+    def _excite(
+        self,
+        job: Job,
+        sequence: str,
+        chooser: Chooser | None = None,
+    ) -> None:
         """Have the arm moved, and estimate meanwhile."""
         estimate = partial(clock.thread, self._estimate_live, "live estimate", (job,))
         try:

@@ -63,7 +63,12 @@ class LastWords:
             command, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
         assert self._process.stdin is not None and self._process.stdout is not None
-        ready, _, _ = select.select([self._process.stdout], [], [], START_S)
+        ready, _, _ = select.select(
+            [self._process.stdout],
+            [],
+            [],
+            START_S,
+        )
         said = self._process.stdout.readline() if ready else b""
         if not said:
             self._process.kill()
@@ -149,7 +154,12 @@ def main(topic: str, switched: str = "") -> int:
             heard = not heard
             with contextlib.suppress(OSError):  # nobody is left to read it
                 os.write(sys.stdout.fileno(), HEARD if heard else UNHEARD)
-        ready, _, _ = select.select([sys.stdin], [], [], SILENT_S)
+        ready, _, _ = select.select(
+            [sys.stdin],
+            [],
+            [],
+            SILENT_S,
+        )
         read = os.read(sys.stdin.fileno(), 65536) if ready else b""
         if ready and not read:
             break

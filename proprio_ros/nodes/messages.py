@@ -25,7 +25,11 @@ LEVELS = {
 KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 BLUE = (0.1, 0.5, 0.9)
 AMBER = (1.0, 0.65, 0.0)
-UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan))
+UNKNOWN_LOAD = Carried(
+    np.nan,
+    [np.nan] * 3,
+    np.full((3, 3), np.nan),
+)
 """What is published where a load was published before that stands no longer."""
 Floats = Sequence[float]
 
@@ -69,10 +73,16 @@ def labelled(values: Mapping[str, float]) -> Float64MultiArray:
     layout = MultiArrayLayout(
         dim=[MultiArrayDimension(label=",".join(values), size=size, stride=size)]
     )
-    return Float64MultiArray(layout=layout, data=list(map(float, values.values())))
+    return Float64MultiArray(
+        layout=layout,
+        data=list(map(float, values.values())),
+    )
 
 
-def by_joint(message: Float64MultiArray, order: Sequence[str]) -> dict[str, float] | str:
+def by_joint(
+    message: Float64MultiArray,
+    order: Sequence[str],
+) -> dict[str, float] | str:
     """Numbers by joint: as labelled, else in the given order; a sentence where neither fits. Without numbers nothing is driven."""
     labels = [
         label.strip()
@@ -108,7 +118,11 @@ def text_of(value: Any) -> str:
 
 
 def status(
-    level: str, name: str, message: str, values: Mapping[str, Any], hardware_id: str = ""
+    level: str,
+    name: str,
+    message: str,
+    values: Mapping[str, Any],
+    hardware_id: str = "",
 ) -> DiagnosticStatus:
     """A diagnostic status; level is ``ok``, ``warning`` or ``error``."""
     return DiagnosticStatus(
@@ -162,7 +176,12 @@ def _marker(
     """One of several of a name space; the header is that, a stamp [ns] and a frame."""
     from scipy.spatial.transform import Rotation  # takes a while, and few nodes show anything
 
-    marker = Marker(ns=header[0], id=number_, type=kind, action=Marker.ADD)
+    marker = Marker(
+        ns=header[0],
+        id=number_,
+        type=kind,
+        action=Marker.ADD,
+    )
     marker.header.stamp, marker.header.frame_id = time_message(header[1]), header[2]
     position = marker.pose.position
     turn = marker.pose.orientation
@@ -218,7 +237,11 @@ def markers(
 
 
 def planned(
-    stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: np.ndarray | None
+    stamp_ns: int,
+    frame: str,
+    place_m: np.ndarray,
+    words: str,
+    path_m: np.ndarray | None,
 ) -> MarkerArray:
     """What is known so far, in words above the hand, and the way of the hand in the push that comes next; what was shown goes.
 
@@ -227,12 +250,29 @@ def planned(
     header = ("next push", stamp_ns, frame)
     colour = (*AMBER, 1.0)
     x, y, z = map(float, place_m)
-    above = _marker(header, 0, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.025), colour, (x, y, z + 0.12))
+    above = _marker(
+        header,
+        0,
+        Marker.TEXT_VIEW_FACING,
+        (0.0, 0.0, 0.025),
+        colour,
+        (x, y, z + 0.12),
+    )
     above.text = words
     array = [*no_markers().markers, above]
     if path_m is not None:
         way = _marker(header, 1, Marker.LINE_STRIP, (0.004, 0.0, 0.0), colour)
         way.points = [Point(x=x, y=y, z=z) for x, y, z in path_m.tolist()]
         # a ball where the push ends
-        array += [way, _marker(header, 2, Marker.SPHERE, (0.012, 0.012, 0.012), colour, path_m[-1])]
+        array += [
+            way,
+            _marker(
+                header,
+                2,
+                Marker.SPHERE,
+                (0.012, 0.012, 0.012),
+                colour,
+                path_m[-1],
+            ),
+        ]
     return MarkerArray(markers=array)

@@ -46,7 +46,11 @@ def _numbers(value: Any, count: int) -> list[float]:
     return [_number(each) for each in value]
 
 
-def fill(message: Any, probe: Probe[Any], entries: Mapping[str, Any]) -> Any:
+def fill(
+    message: Any,
+    probe: Probe[Any],
+    entries: Mapping[str, Any],
+) -> Any:
     """Numbers, verdict and reasons of a probe's answer, as in ``~/estimate``, in a message of an estimate or a `Weigh` result."""
     name, unit = probe.answer
     setattr(message, _FIELDS[unit], _number(entries.get(name)))
@@ -92,7 +96,11 @@ class StampedEstimates:
         publisher, kind = self._publishers[probe.answer[1]]
 
         def send(what: Mapping[str, Any], when_ns: int) -> None:
-            message = fill(kind(probe=probe.name, final=bool(what.get("final"))), probe, what)
+            message = fill(
+                kind(probe=probe.name, final=bool(what.get("final"))),
+                probe,
+                what,
+            )
             publisher.publish(self._headed(message, link, when_ns))
 
         send(entries, stamp_ns)
@@ -131,7 +139,10 @@ class WeighAction:
     """
 
     def __init__(
-        self, node: ManagedNode, begin: Callable[[Job, Answer], None], check: Callable[[Job], None]
+        self,
+        node: ManagedNode,
+        begin: Callable[[Job, Answer], None],
+        check: Callable[[Job], None],
     ) -> None:
         self._node, self._begin, self._check = node, begin, check
         self._goal: Any = None
@@ -179,7 +190,12 @@ class WeighAction:
         }
         if (probe := weighing.get(target)) is None:
             raise ConfigurationError(f"target {target!r}: give one of {', '.join(weighing)}")
-        job = Job(target, ACTION, settings=tuple(request.settings), sequence=request.sequence)
+        job = Job(
+            target,
+            ACTION,
+            settings=tuple(request.settings),
+            sequence=request.sequence,
+        )
         if request.half_interval != 0.0:
             job.until = Until(request.half_interval, "kg", request.at_most_s or Until.at_most_s)
         if target == WEIGH and (job.sequence or job.until):
@@ -220,7 +236,12 @@ class WeighAction:
             self._feedback.fraction = float(entries.get("fraction") or self._feedback.fraction)
         goal.publish_feedback(self._feedback)
 
-    def _end(self, goal: Any, probe: Probe[Any], job: Job) -> None:
+    def _end(
+        self,
+        goal: Any,
+        probe: Probe[Any],
+        job: Job,
+    ) -> None:
         """The result, from any thread; the executor sends it."""
 
         def execute(_goal: Any) -> Any:
@@ -231,7 +252,11 @@ class WeighAction:
             else:
                 goal.abort()
             entries = job.entries or {"verdict": "failed", "reason.1": job.message}
-            return fill(Weigh.Result(bag=job.bag, message=job.message), probe, entries)
+            return fill(
+                Weigh.Result(bag=job.bag, message=job.message),
+                probe,
+                entries,
+            )
 
         if self._node.executor is not None:  # else this node is ending
             goal.execute(execute)

@@ -193,7 +193,10 @@ class ControllerOutput(Output):
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         stamp_ns = messages.time_ns(message.header.stamp)
-        self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, clock.now_ns())
+        self._clock.hear(
+            stamp_ns or self._node.get_clock().now().nanoseconds,
+            clock.now_ns(),
+        )
         stamp_ns = stamp_ns or self._clock.at(clock.now_ns())
         controller = self.controller
         lost = self.controller.lost

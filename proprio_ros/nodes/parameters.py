@@ -47,7 +47,11 @@ class Parameter:
                 ]
             else:
                 message.integer_range = [
-                    IntegerRange(from_value=int(self.lowest), to_value=int(self.highest), step=1)
+                    IntegerRange(
+                        from_value=int(self.lowest),
+                        to_value=int(self.highest),
+                        step=1,
+                    )
                 ]
         return message
 
@@ -73,7 +77,10 @@ def value_of(node: Node, name: str) -> Any:
     return [entry for entry in value if entry != ""] if isinstance(value, (list, tuple)) else value
 
 
-def fields_stated(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
+def fields_stated(
+    kind: type,
+    values: Mapping[str, Any],
+) -> dict[str, Any]:
     """Fields of a data class that are parameters, whose names have no unit: ``max_jump`` is ``max_jump_rad``."""
     return {
         field.name: value

@@ -92,7 +92,11 @@ class Results:
         return int(self._node.get_clock().now().nanoseconds)
 
     def tell(
-        self, doing: str, message: str, entries: Mapping[str, Any] | None = None, level: str = "ok"
+        self,
+        doing: str,
+        message: str,
+        entries: Mapping[str, Any] | None = None,
+        level: str = "ok",
     ) -> None:
         """The status."""
         values = {"doing": doing, "calibration": self._calibration, **(entries or {})}
@@ -104,7 +108,12 @@ class Results:
         self._node.say("info", message)
         self.tell(doing, message)
 
-    def choice(self, robot: Robot, decision: Decision, pose: Mapping[str, float]) -> None:
+    def choice(
+        self,
+        robot: Robot,
+        decision: Decision,
+        pose: Mapping[str, float],
+    ) -> None:
         """What is known after a push of a robot that stands at a pose [rad or m], and the way of the hand in the next."""
         push = decision.push
         here = {**zero_pose(robot), **pose}
@@ -165,7 +174,12 @@ class Results:
         self.entries = entries
         self.publish_estimate("error", job.kind, job.message, entries)
 
-    def final(self, estimate: Estimate, name: str, carried: Carried | None = None) -> None:
+    def final(
+        self,
+        estimate: Estimate,
+        name: str,
+        carried: Carried | None = None,
+    ) -> None:
         """An estimate without what it says of the hand; with a load that will be published, where its inertia comes from."""
         entries = {**as_diagnostics(estimate), "final": True, "calibration": self._calibration}
         value = estimate.values[0]
@@ -234,7 +248,13 @@ class Results:
             )
             self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
 
-    def running(self, feed: OnlineFeed, news: News, behind_s: float, link: str) -> None:
+    def running(
+        self,
+        feed: OnlineFeed,
+        news: News,
+        behind_s: float,
+        link: str,
+    ) -> None:
         """Publish what the hand holds now, as far as the estimate is not too old for it.
 
         Args:
@@ -276,7 +296,11 @@ class Results:
         self.publish_estimate("warning", feed.probe.name, why, entries)
 
     def _hear(
-        self, mass_kg: float, std_kg: float, stamp_ns: int | None = None, behind_s: float = 0.0
+        self,
+        mass_kg: float,
+        std_kg: float,
+        stamp_ns: int | None = None,
+        behind_s: float = 0.0,
     ) -> dict[str, Any]:
         """Take an estimate of all that is in the hand; what it says of whether there is something.
 
@@ -301,7 +325,11 @@ class Results:
             self._holding.forget()
             self._stamped.holding(self.link, self._holding, stamp_ns)
 
-    def _publish_numbers(self, probe: Probe[Any], values: Mapping[str, float]) -> None:
+    def _publish_numbers(
+        self,
+        probe: Probe[Any],
+        values: Mapping[str, float],
+    ) -> None:
         for topic, name in probe.numbers.items():
             if name in values:
                 publish = self._numbers[topic].publish

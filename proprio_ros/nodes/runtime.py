@@ -276,7 +276,11 @@ class ManagedNode(LifecycleNode):
         )
         future.add_done_callback(responded)
 
-    def when_there(self, client: Any, then: Callable[[bool], None]) -> None:
+    def when_there(
+        self,
+        client: Any,
+        then: Callable[[bool], None],
+    ) -> None:
         """Call ``then`` with whether a service is there: at once where it is; on a busy computer it is heard of late."""
         if client.service_is_ready():
             return then(True)
@@ -292,7 +296,12 @@ class ManagedNode(LifecycleNode):
         timer = self.create_timer(LOOK_S, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return None
 
-    def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+    def _change_state(
+        self,
+        change: Callable[[Any, Any], Any],
+        request: Any,
+        response: Any,
+    ) -> Any:
         """Refuse a transition that is not due: rclpy 7.1 raises then, which would end the node that holds the arm."""
         try:
             return change(request, response)
@@ -383,7 +392,12 @@ class LongService:
     then (rclpy 7.1: the identifier stood at 95 % of a core). So the answer is held back at the service's own `send_response`.
     """
 
-    def __init__(self, node: ManagedNode, name: str, serve: Callable[[Answer], None]) -> None:
+    def __init__(
+        self,
+        node: ManagedNode,
+        name: str,
+        serve: Callable[[Answer], None],
+    ) -> None:
         self._serve = serve
         self._service = node.create_service(Trigger, name, lambda request, response: response)
         self._send = self._service.send_response
@@ -440,7 +454,10 @@ def _leave_shared_memory() -> None:
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 
-def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = None) -> int:
+def run_node(
+    make: Callable[[], ManagedNode],
+    arguments: Sequence[str] | None = None,
+) -> int:
     """Run one node until it is asked to end (SIGINT, SIGTERM), and end it in order; returns the exit code as `live` does.
 
     rclpy's own handlers shut the context down first, after which nothing can be published any more; ours let the node
@@ -486,7 +503,10 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
                 called = clock.now() - node.called_s < CALLED_S
                 clock.sleep(min(node.pause_s, CALLED_PAUSE_S) if called else node.pause_s)
     except (ProprioError, ParameterException) as error:
-        logging.getLogger("proprio_ros").error("%s", " ".join(str(error).split()))
+        logging.getLogger("proprio_ros").error(
+            "%s",
+            " ".join(str(error).split()),
+        )
         code = 2
     finally:
         if node is not None:

@@ -79,7 +79,11 @@ class Switching:
         self._client = node.create_client(self._kind, controllers.service)
         self.engaged = self.pending = False
 
-    def ask(self, engage: bool, then: Callable[[str], None]) -> None:
+    def ask(
+        self,
+        engage: bool,
+        then: Callable[[str], None],
+    ) -> None:
         """Take over, or hand back; ``then`` is called later with why it was not switched, or an empty string."""
         self.pending = True
 

@@ -93,7 +93,11 @@ class VirtualNode(ManagedNode):
         elif self.values["seed"] < 0:
             truth = Truth.nominal(robot)
         else:
-            truth = Truth.draw(robot, self.values["seed"], links=self.values["links"])
+            truth = Truth.draw(
+                robot,
+                self.values["seed"],
+                links=self.values["links"],
+            )
         self._model, self._truth = robot, truth
         self.add_on_set_parameters_callback(self._on_parameters)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
@@ -201,7 +205,10 @@ class VirtualNode(ManagedNode):
     def _fill_hand(self) -> None:
         if self._robot is None:
             return
-        thing = {"empty": None, "reference": self._reference}.get(self._hand, self._object)
+        thing = {"empty": None, "reference": self._reference}.get(
+            self._hand,
+            self._object,
+        )
         if self._content_is_out and thing is not None:
             thing = thing.emptied
         self._robot.hold(thing)

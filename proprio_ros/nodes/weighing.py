@@ -83,7 +83,13 @@ class Weighing:
             )
             self._make_feed()  # so that a calibration of another arm is refused now
             link = request.robot.payload_frame
-            self._running = Running(self._node, self._inputs, self._results, self._silent, link)
+            self._running = Running(
+                self._node,
+                self._inputs,
+                self._results,
+                self._silent,
+                link,
+            )
         return self._robot
 
     def weigh(self, job: Job, identify: Identify) -> tuple[bool, str]:

@@ -58,7 +58,10 @@ def payload(name: str) -> tuple[Payload, PayloadFacts]:
 def robots(seed: int, sequence: str) -> list[tuple[bool, Robot]]:
     """The robot without and with a calibration of its own; only without where it refused what it learnt."""
     learnt = learnt_robot(seed, sequence)
-    return [(False, stated_robot()), *([] if learnt is None else [(True, learnt)])]
+    return [
+        (False, stated_robot()),
+        *([] if learnt is None else [(True, learnt)]),
+    ]
 
 
 def calibrated_robot(seed: int, sequence: str) -> Robot:
@@ -70,7 +73,16 @@ def one_lift(robot: Robot, run: Run, facts: PayloadFacts) -> Problem:
     """A mass from one run of a robot whose numbers are taken as exact, with where and how fast the joint began."""
     prepared = prepare_run(robot, run, None, facts)
     return Problem(
-        robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05)
+        robot,
+        [prepared],
+        facts,
+        load_unknowns(
+            robot,
+            [prepared],
+            facts,
+            Role.FROZEN,
+            0.05,
+        ),
     )
 
 
@@ -99,7 +111,14 @@ def squeezed(
         u if u.kind == "youngs_modulus" else replace(u, role=Role.FROZEN)
         for u in block_unknowns(robot, [prepared], [True], facts, Role.FROZEN)
     ]
-    problem = SqueezeProblem(robot, [prepared], facts, [True], unknowns, step_s=1.0 / 480.0)
+    problem = SqueezeProblem(
+        robot,
+        [prepared],
+        facts,
+        [True],
+        unknowns,
+        step_s=1.0 / 480.0,
+    )
     values = np.tile(problem.base, (len(moduli), 1))
     values[:, problem.index["youngs_modulus"]] = moduli
     values[:, problem.index["poissons_ratio"]] = ratio

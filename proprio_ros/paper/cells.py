@@ -16,10 +16,20 @@ COLORS = ("agreeing", "answer", "current", "measured", "apart")
 STATES = ((False, "as stated"), (True, "calibrated"))
 
 
-def identified(rows: Sequence[Rows], scale: float, digits: int = 1) -> list[str]:
+def identified(
+    rows: Sequence[Rows],
+    scale: float,
+    digits: int = 1,
+) -> list[str]:
     """Cells of one way over the seeds: value, error, interval, how many hold the truth, verdicts."""
     value = over([row["value"] for row in rows], scale, digits)
-    return [value, rms(rows, scale, digits), half(rows, scale, digits), holds(rows), verdicts(rows)]
+    return [
+        value,
+        rms(rows, scale, digits),
+        half(rows, scale, digits),
+        holds(rows),
+        verdicts(rows),
+    ]
 
 
 def linked(
@@ -39,7 +49,11 @@ def slug(*words: str) -> str:
     return re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower().replace("'", "")).strip("-")
 
 
-def over(values: Sequence[float | None], scale: float = 1.0, digits: int = 1) -> str:
+def over(
+    values: Sequence[float | None],
+    scale: float = 1.0,
+    digits: int = 1,
+) -> str:
     """Mean and standard deviation over seeds."""
     known = scale * np.array([value for value in values if value is not None])
     if not len(known):
@@ -48,13 +62,22 @@ def over(values: Sequence[float | None], scale: float = 1.0, digits: int = 1) ->
     return f"{middle} \u00b1 {known.std(ddof=1):.{digits}f}" if len(known) > 1 else middle
 
 
-def rms(rows: Sequence[Rows], scale: float, digits: int = 1) -> str:
+def rms(
+    rows: Sequence[Rows],
+    scale: float,
+    digits: int = 1,
+) -> str:
     """Root mean square of the errors, and the least and the greatest of them."""
     off = [abs(row["value"] - row["truth"]) for row in rows if row["value"] is not None]
     return ranged(float(np.sqrt(np.mean(np.square(off)))), off, scale, digits) if off else "-"
 
 
-def ranged(middle: float, values: Sequence[float], scale: float, digits: int) -> str:
+def ranged(
+    middle: float,
+    values: Sequence[float],
+    scale: float,
+    digits: int,
+) -> str:
     """A number for many, with the least and the greatest of them."""
     word = f"{scale * middle:.{digits}f}"
     if len(values) < 2:
@@ -69,7 +92,11 @@ def holds(rows: Sequence[Rows]) -> str:
     return f"{held} of {len(known)}" if known else "no interval"
 
 
-def half(rows: Sequence[Rows], scale: float, digits: int = 1) -> str:
+def half(
+    rows: Sequence[Rows],
+    scale: float,
+    digits: int = 1,
+) -> str:
     """Half the width of the intervals: median, least and greatest."""
     known = [0.5 * (row["high"] - row["low"]) for row in rows if row["low"] is not None]
     return "\u00b1" + ranged(float(np.median(known)), known, scale, digits) if known else "-"

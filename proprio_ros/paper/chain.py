@@ -71,14 +71,25 @@ def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
     second = pseudo[..., :3, :3]
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
     return np.concatenate(
-        [pseudo[..., 3, 3:], pseudo[..., :3, 3], inertia[..., rows, columns]], axis=-1
+        [
+            pseudo[..., 3, 3:],
+            pseudo[..., :3, 3],
+            inertia[..., rows, columns],
+        ],
+        axis=-1,
     )
 
 
 def doubles(values: ArrayLike, dtype: Any, **kwargs: Any) -> wp.array:
     """An array on the CPU."""
     return wp.array(
-        np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu", **kwargs
+        np.ascontiguousarray(
+            values,
+            dtype=np.float64,
+        ),
+        dtype=dtype,
+        device="cpu",
+        **kwargs,
     )
 
 
@@ -227,7 +238,11 @@ class ChainSimulator:
         self._current = doubles(current, self._vec)
         self._steps = (step_s, fine)
 
-    def jacobian(self, p: ArrayLike, dp: ArrayLike) -> tuple[NDArray[np.float64], ...]:
+    def jacobian(
+        self,
+        p: ArrayLike,
+        dp: ArrayLike,
+    ) -> tuple[NDArray[np.float64], ...]:
         """Positions and velocities at the sample instants, with exact forward sensitivities of the positions.
 
         ``p``: parameters of each world, shape (W, P); ``dp``: D tangent directions of each world in parameter space,
@@ -252,8 +267,17 @@ class ChainSimulator:
         rows = (worlds, worlds, worlds * per_world)
         outputs = [wp.empty((count, samples), dtype=self._vec, device="cpu") for count in rows]
         block = next((size for size in _BLOCKS if size >= per_world), _BLOCKS[-1])
-        along = doubles(directions.transpose(0, 2, 1).reshape(-1, columns), FLOAT)
-        run = [self._fixed, self._samples, self._switches, self._current, *self._steps]
+        along = doubles(
+            directions.transpose(0, 2, 1).reshape(-1, columns),
+            FLOAT,
+        )
+        run = [
+            self._fixed,
+            self._samples,
+            self._switches,
+            self._current,
+            *self._steps,
+        ]
         wp.launch(
             forward_kernel(self._parents, self.integrator, block),
             dim=(worlds, -(-per_world // block)),
@@ -335,9 +359,15 @@ def attach_payload_joint(
         model,
         joint_names=(*model.joint_names, *names),
         kinds=(*model.kinds, *kinds),
-        parents=np.array([*model.parents, *[parent, first][:added]], dtype=np.int64),
+        parents=np.array(
+            [*model.parents, *[parent, first][:added]],
+            dtype=np.int64,
+        ),
         placement=np.concatenate([model.placement, [placement, np.eye(4)][:added]]),
         axes=np.concatenate([model.axes, directions]),
         pseudo_inertia=np.concatenate([model.pseudo_inertia, bodies]),
-        frames={**model.frames, name: (first + added - 1, np.eye(4))},
+        frames={
+            **model.frames,
+            name: (first + added - 1, np.eye(4)),
+        },
     )

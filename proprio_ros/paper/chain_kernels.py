@@ -56,7 +56,17 @@ class ChainData:
 
 @wp.func
 def _rotation(pose: VEC12):
-    return MAT33(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5], pose[6], pose[7], pose[8])
+    return MAT33(
+        pose[0],
+        pose[1],
+        pose[2],
+        pose[3],
+        pose[4],
+        pose[5],
+        pose[6],
+        pose[7],
+        pose[8],
+    )
 
 
 @wp.func
@@ -119,7 +129,14 @@ def _momentum(pi: VEC10, x: VEC6):
     )
     moment = turning + wp.cross(h, u)
     force = pi[0] * u + wp.cross(w, h)
-    return VEC6(moment[0], moment[1], moment[2], force[0], force[1], force[2])
+    return VEC6(
+        moment[0],
+        moment[1],
+        moment[2],
+        force[0],
+        force[1],
+        force[2],
+    )
 
 
 @cache
@@ -158,13 +175,29 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
             turns = fixed.revolute[i]
             w = turns * z
             u = wp.cross(_origin(x[i]), w) + (FLOAT(1.0) - turns) * z
-            result[i] = VEC6(w[0], w[1], w[2], u[0], u[1], u[2])
+            result[i] = VEC6(
+                w[0],
+                w[1],
+                w[2],
+                u[0],
+                u[1],
+                u[2],
+            )
         return result
 
     @wp.func
-    def at_base(p: TABLE, w: wp.int32, i: wp.int32, pose: VEC12):
+    def at_base(
+        p: TABLE,
+        w: wp.int32,
+        i: wp.int32,
+        pose: VEC12,
+    ):
         c = pi_start + 10 * i
-        h = VEC3(p[w, c + 1], p[w, c + 2], p[w, c + 3])
+        h = VEC3(
+            p[w, c + 1],
+            p[w, c + 2],
+            p[w, c + 3],
+        )
         j = MAT33(
             p[w, c + 4], p[w, c + 7], p[w, c + 8],
             p[w, c + 7], p[w, c + 5], p[w, c + 9],
@@ -220,7 +253,14 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return result
 
     @wp.func
-    def inverse_dynamics(fixed: ChainData, s: rows6, inertia: rows10, vel: rows6, v: vec, a: vec):
+    def inverse_dynamics(
+        fixed: ChainData,
+        s: rows6,
+        inertia: rows10,
+        vel: rows6,
+        v: vec,
+        a: vec,
+    ):
         g = fixed.gravity
         acc = rows6()
         force = rows6()
@@ -282,7 +322,14 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return x
 
     @wp.func
-    def torques(fixed: ChainData, p: TABLE, w: wp.int32, q: vec, v: vec, command: vec):
+    def torques(
+        fixed: ChainData,
+        p: TABLE,
+        w: wp.int32,
+        q: vec,
+        v: vec,
+        command: vec,
+    ):
         result = vec()
         for i in range(n):
             supply = fixed.supply
@@ -297,7 +344,14 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return result
 
     @wp.func
-    def solved(fixed: ChainData, p: TABLE, w: wp.int32, q: vec, v: vec, command: vec):
+    def solved(
+        fixed: ChainData,
+        p: TABLE,
+        w: wp.int32,
+        q: vec,
+        v: vec,
+        command: vec,
+    ):
         """Poses, screws, inertias and velocities, the factor of the mass matrix, and the acceleration."""
         x = poses(fixed, q)
         s = screws(fixed, x)
@@ -308,7 +362,17 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         for i in range(n):
             armature[i] = p[w, ARMATURE * n + i]
         root = factor(mass_matrix(s, inertia) + wp.diag(armature))
-        return x, s, inertia, vel, root, solve(root, torques(fixed, p, w, q, v, command) - bias)
+        return (
+            x,
+            s,
+            inertia,
+            vel,
+            root,
+            solve(
+                root,
+                torques(fixed, p, w, q, v, command) - bias,
+            ),
+        )
 
     @wp.func
     def linearised(
@@ -325,7 +389,14 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         command: vec,
     ):
         """The acceleration and its changes along directions row, row + 1, ...; never taped."""
-        x, s, inertia, vel, root, a = solved(fixed, p, w, q, v, command)
+        x, s, inertia, vel, root, a = solved(
+            fixed,
+            p,
+            w,
+            q,
+            v,
+            command,
+        )
 
         # what all directions share
         g = fixed.gravity
@@ -335,7 +406,14 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         turn = rows6()  # V_i x S_i
         lift = rows6()  # A_p x S_i
         for i in range(n):
-            below = VEC6(FLOAT(0.0), FLOAT(0.0), FLOAT(0.0), -g[0], -g[1], -g[2])
+            below = VEC6(
+                FLOAT(0.0),
+                FLOAT(0.0),
+                FLOAT(0.0),
+                -g[0],
+                -g[1],
+                -g[2],
+            )
             if wp.static(parents[i] >= 0):
                 below = acc[wp.static(parents[i])]
             turn[i] = wp.spatial_cross(vel[i], s[i])
@@ -423,7 +501,14 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return a, da
 
     @wp.func
-    def sticking(fixed: ChainData, p: TABLE, w: wp.int32, v: vec, a: vec, step: FLOAT):
+    def sticking(
+        fixed: ChainData,
+        p: TABLE,
+        w: wp.int32,
+        v: vec,
+        a: vec,
+        step: FLOAT,
+    ):
         """Whether a joint with dry friction is, or may come within a step, near standstill."""
         result = wp.bool(False)
         for i in range(n):
@@ -439,7 +524,10 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
     )
 
 
-def _way_to_base(parents: tuple[int, ...], joint: int) -> tuple[int, ...]:
+def _way_to_base(
+    parents: tuple[int, ...],
+    joint: int,
+) -> tuple[int, ...]:
     """A joint and all those that carry it."""
     way = []
     while joint >= 0:
@@ -460,7 +548,11 @@ def module_of(parents: tuple[int, ...], purpose: str) -> Any:
 
 
 @cache
-def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -> Any:
+def forward_kernel(
+    parents: tuple[int, ...],
+    integrator: str,
+    directions: int,
+) -> Any:
     """Rollout with exact forward sensitivities; thread = (world, block of so many directions)."""
     n = len(parents)
     delay_column = (len(JOINT_PARAMETERS) + INERTIAL) * n

@@ -68,7 +68,13 @@ def objects(seed: int) -> Rows:
             for used in (runs[:1], runs[:2]):
                 identify = partial(weigh, robot, used, facts)
                 answer = ours(identify, "payload_mass")
-                rows.append(answer.row(way="ours", runs=len(used), **labels))
+                rows.append(
+                    answer.row(
+                        way="ours",
+                        runs=len(used),
+                        **labels,
+                    )
+                )
                 if name == "heavy ball" and len(used) == 1 and answer.value and theirs.value:
                     kept = _lift_trace(
                         robot, runs[LIFT], facts, {"wrong": 0.005, "paper": theirs.value}
@@ -81,10 +87,18 @@ def objects(seed: int) -> Rows:
     return {"rows": rows, "trace": trace}
 
 
-def _lift_trace(robot: Robot, run: Run, facts: PayloadFacts, masses: Mapping[str, float]) -> Rows:
+def _lift_trace(
+    robot: Robot,
+    run: Run,
+    facts: PayloadFacts,
+    masses: Mapping[str, float],
+) -> Rows:
     """A lift as measured and as simulated with some masses, the drive train as the robot is taken."""
     whole = last_frame_loss(robot, run, facts, PaperOptions()).whole
-    q, _, _ = whole.simulate(whole.all_values(np.array([[m] for m in masses.values()])), whole.free)
+    q, _, _ = whole.simulate(
+        whole.all_values(np.array([[m] for m in masses.values()])),
+        whole.free,
+    )
     used = whole.runs[0].used
     return {
         "times_s": run.times_s[:used].tolist(),
@@ -105,7 +119,11 @@ def starts(seed: int) -> Rows:
         for iterations in (15, 400):
             first = np.array(STARTS_KG)[:, None]
             found = adam_descent(loss, first, options.learning_rate, iterations, lower=1e-6)
-            ends = zip(STARTS_KG, found.internal[:, 0].tolist(), strict=True)
+            ends = zip(
+                STARTS_KG,
+                found.internal[:, 0].tolist(),
+                strict=True,
+            )
             rows += _from(f"paper, {iterations} iterations", ends, calibrated, held.mass_kg)
         estimate = weigh(robot, [run], facts, WeighingOptions(starts_kg=STARTS_KG))
         paths = estimate.solver.paths if estimate.solver is not None else ()
@@ -114,7 +132,10 @@ def starts(seed: int) -> Rows:
 
 
 def _from(
-    way: str, ends: Iterable[tuple[float, float]], calibrated: bool, truth: float
+    way: str,
+    ends: Iterable[tuple[float, float]],
+    calibrated: bool,
+    truth: float,
 ) -> list[Rows]:
     return [
         {"way": way, "calibrated": calibrated, "start": start, "value": end, "truth": truth}
@@ -145,7 +166,12 @@ def sphere(seed: int) -> Rows:
     rows = []
     for calibrated, robot in cases.robots(seed, "empty_hand_container"):
         labels = {"calibrated": calibrated, "truth": held.sphere_mass_kg}
-        rows.append(paper_sphere(robot, rolling[LIFT], weighed).row(way="paper, one run", **labels))
+        rows.append(
+            paper_sphere(robot, rolling[LIFT], weighed).row(
+                way="paper, one run",
+                **labels,
+            )
+        )
         for way, runs, facts, empty in (
             ("ours, one run", rolling[:1], weighed, ()),
             ("ours, three runs and the empty box", rolling, open_box, baseline),
@@ -168,7 +194,12 @@ def tracking(seed: int) -> Rows:
         estimate = find_sphere(
             robot, played.runs, facts, ContainerOptions(signals=signals), baseline, tracks
         )
-        rows.append(answered(estimate, "sphere_mass").row(way=signals, truth=held.sphere_mass_kg))
+        rows.append(
+            answered(estimate, "sphere_mass").row(
+                way=signals,
+                truth=held.sphere_mass_kg,
+            )
+        )
     return {"rows": rows}
 
 
@@ -193,14 +224,26 @@ def _hung(seed: int) -> list[Rows]:
     stated = 1.0 + 0.1 * rng.standard_normal()
     across = HUNG_KG * HUNG_SIZE_M**2 / 10.0
     below = (0.0, 0.0, -PENDULUM_M)
-    ball: Any = {"mass_kg": HUNG_KG, "inertia_kg_m2": (across, across, across, 0.0, 0.0, 0.0)}
+    ball: Any = {
+        "mass_kg": HUNG_KG,
+        "inertia_kg_m2": (across, across, across, 0.0, 0.0, 0.0),
+    }
     damping = 2.0 * HUNG_KG * decay
     stiffness = HUNG_KG * frequency**2
     slid = HungPayload(
         **ball, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=stiffness, damping=damping
     )
-    swung = HungPayload(**ball, com_m=below, damping=2.0 * HUNG_KG * PENDULUM_M**2 * decay)
-    spring = Hung("prismatic", np.array(slid.axes[0]), np.zeros(3), shape.second_moment_per_mass)
+    swung = HungPayload(
+        **ball,
+        com_m=below,
+        damping=2.0 * HUNG_KG * PENDULUM_M**2 * decay,
+    )
+    spring = Hung(
+        "prismatic",
+        np.array(slid.axes[0]),
+        np.zeros(3),
+        shape.second_moment_per_mass,
+    )
     known = replace(spring, frequency=(stated * frequency, 0.1 * stated * frequency))
     pendulum = Hung(
         "universal", np.array(swung.axes), np.array(below), shape.second_moment_per_mass
@@ -219,10 +262,19 @@ def _hung(seed: int) -> list[Rows]:
     ):
         runs = play("payload_elbow", seed, held).runs
         labels = {"part": part, "truth": HUNG_KG}
-        rigid = weigh(robot, runs, PayloadFacts(np.array(held.com_m), shape=shape))
+        rigid = weigh(
+            robot,
+            runs,
+            PayloadFacts(np.array(held.com_m), shape=shape),
+        )
         rows.append(answered(rigid, "payload_mass").row(way="as if it were rigid", **labels))
         for way, hung in ways:
-            rows.append(identify_hung(robot, runs, hung).row(way=way, **labels))
+            rows.append(
+                identify_hung(robot, runs, hung).row(
+                    way=way,
+                    **labels,
+                )
+            )
     return rows
 
 
@@ -234,7 +286,12 @@ def _anywhere(seed: int) -> list[Rows]:
     baseline = play("container", seed, held.emptied).runs
     labels = {"part": "sphere", "truth": held.sphere_mass_kg}
     words = "the paper's, one run, taken to lie where the box is lowest"
-    rows = [paper_sphere(robot, runs[LIFT], weighed).row(way=words, **labels)]
+    rows = [
+        paper_sphere(robot, runs[LIFT], weighed).row(
+            way=words,
+            **labels,
+        )
+    ]
     for way, facts in (
         ("ours, three runs and the empty box, taken to lie where it is lowest", open_box),
         ("ours, the same, start unknown", replace(open_box, settled=False)),
@@ -254,13 +311,34 @@ def cubes(seed: int) -> Rows:
         runs = play("softness", seed, cases.soft_cube(name)).runs
         for calibrated, robot in known:
             first = lame(2.0 * modulus, 0.3)
-            theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, OBJECTS[name][0], first)
+            theirs = paper_cube(
+                robot,
+                runs[-1],
+                EDGE_M,
+                2.0 * GAP_M,
+                OBJECTS[name][0],
+                first,
+            )
             labels = {"object": name, "calibrated": calibrated}
-            rows.append(theirs.row(way="paper", quantity="youngs_modulus", truth=modulus, **labels))
+            rows.append(
+                theirs.row(
+                    way="paper",
+                    quantity="youngs_modulus",
+                    truth=modulus,
+                    **labels,
+                )
+            )
             estimate, seconds = timed(partial(find_softness, robot, runs, facts))
             for quantity, truth in (("youngs_modulus", modulus), ("poissons_ratio", ratio)):
                 answer = answered(estimate, quantity, seconds)
-                rows.append(answer.row(way="ours", quantity=quantity, truth=truth, **labels))
+                rows.append(
+                    answer.row(
+                        way="ours",
+                        quantity=quantity,
+                        truth=truth,
+                        **labels,
+                    )
+                )
             value = estimate.value("youngs_modulus").value
             if calibrated and isinstance(value, float):
                 moduli = {"wrong": 4.0 * modulus, "identified": value}
@@ -268,9 +346,19 @@ def cubes(seed: int) -> Rows:
     return {"rows": rows, "trace": trace}
 
 
-def _squeeze_trace(robot: Robot, run: Run, moduli: Mapping[str, float], ratio: float) -> Rows:
+def _squeeze_trace(
+    robot: Robot,
+    run: Run,
+    moduli: Mapping[str, float],
+    ratio: float,
+) -> Rows:
     """The last squeeze as measured and as simulated with some moduli."""
-    problem, q = cases.squeezed(robot, run, list(moduli.values()), ratio)
+    problem, q = cases.squeezed(
+        robot,
+        run,
+        list(moduli.values()),
+        ratio,
+    )
     prepared = problem.runs[0]
     scale = 1e3 * prepared.drive.transmission
     return {
@@ -298,7 +386,11 @@ def effects(seed: int) -> Rows:
     joint = f"joints.{run.joint}.drive_train."
     drive = robot.drive_trains[run.joint]
 
-    def found(changed: Robot, integrator: str = "rk4", step_s: float = 1.0 / 240.0) -> float:
+    def found(
+        changed: Robot,
+        integrator: str = "rk4",
+        step_s: float = 1.0 / 240.0,
+    ) -> float:
         options = SearchOptions(integrator=integrator, step_s=step_s)
         fit = solve_load(
             changed, [prepare_run(changed, run, None, facts)], facts, options, Role.FROZEN

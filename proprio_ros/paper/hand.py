@@ -75,7 +75,11 @@ class Played(NamedTuple):
 
 
 def play(
-    name: str, seed: int, held: HandObject | None, exact: bool = False, anywhere: bool = False
+    name: str,
+    seed: int,
+    held: HandObject | None,
+    exact: bool = False,
+    anywhere: bool = False,
 ) -> Played:
     """Let the robot of a seed play a sequence of ``config/probes``; SimulationError where a run of it was not made.
 
@@ -149,7 +153,10 @@ def play(
 
 
 def _on_the_floor(
-    robot: Robot, position: dict[str, float], held: Container, rng: np.random.Generator
+    robot: Robot,
+    position: dict[str, float],
+    held: Container,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """A place of the sphere on the wall that is lowest, from the container's centre [m], shape (3,)."""
     down = robot.model.frame_transform(robot.payload_frame, position)[:3, :3].T @ robot.gravity
@@ -179,7 +186,12 @@ def _counted(current_A: float) -> float:
     return COUNT_A * round(current_A / COUNT_A)
 
 
-def _drive(arm: VirtualArm, command: Command, joints: tuple[str, ...], scale: np.ndarray) -> None:
+def _drive(
+    arm: VirtualArm,
+    command: Command,
+    joints: tuple[str, ...],
+    scale: np.ndarray,
+) -> None:
     """One control period: the driven joint's current, and the servos of the others."""
     angles = arm.encoder_rad()
     speeds = arm.velocity_rad_s()
@@ -200,5 +212,8 @@ def _drive(arm: VirtualArm, command: Command, joints: tuple[str, ...], scale: np
 def learnt_robot(seed: int, sequence: str) -> Robot | None:
     """The robot of a seed as it learnt itself from a sequence with an empty hand; None where it refused what it learnt."""
     robot = stated_robot()
-    estimate = calibrate(robot, [LoadedRun(run) for run in play(sequence, seed, None).runs])
+    estimate = calibrate(
+        robot,
+        [LoadedRun(run) for run in play(sequence, seed, None).runs],
+    )
     return None if estimate.calibration is None else robot.with_calibration(estimate.calibration)

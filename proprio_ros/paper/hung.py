@@ -80,7 +80,11 @@ class Hung:
     def pseudo_per_kg(self) -> np.ndarray:
         """Pseudo-inertia of a kilogram of it about the payload frame, shape (4, 4)."""
         spread = self.second_moment_per_mass
-        return pseudo_inertia(1.0, self.com, np.trace(spread) * np.eye(3) - spread)
+        return pseudo_inertia(
+            1.0,
+            self.com,
+            np.trace(spread) * np.eye(3) - spread,
+        )
 
     @property
     def inertia_per_kg(self) -> float:
@@ -111,10 +115,17 @@ class HungSimulator:
     windows = JointSimulator.windows
 
     def __init__(
-        self, models: Sequence[ReducedModel], runs: Sequence[JointRun], hung: Hung, frame: str
+        self,
+        models: Sequence[ReducedModel],
+        runs: Sequence[JointRun],
+        hung: Hung,
+        frame: str,
     ) -> None:
         self.runs = tuple(runs)
-        self.sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
+        self.sample_counts = np.array(
+            [len(run.sample_times_s) for run in runs],
+            dtype=np.int32,
+        )
         starts = [f"{what}_{n + 1}" for what in ("start", "speed") for n in range(hung.joints)]
         self.parameters = (*PARAMETERS, "mass", "stiffness", "damping", *starts)
         self._chains: list[tuple[ChainSimulator, np.ndarray]] = []
@@ -168,7 +179,11 @@ class HungSimulator:
         return by
 
     def jacobian(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None = None
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As ``JointSimulator.jacobian``; all samples are computed whatever the ``counts``."""
         shape = (len(world_run), int(self.sample_counts.max()))
@@ -178,7 +193,10 @@ class HungSimulator:
         for row, (chain, by) in enumerate(self._chains):
             mine = np.flatnonzero(world_run == row)
             if len(mine):
-                seen, _, slopes = chain.jacobian(p[mine] @ by.T, by @ dp[mine])
+                seen, _, slopes = chain.jacobian(
+                    p[mine] @ by.T,
+                    by @ dp[mine],
+                )
                 q[mine, : seen.shape[1]], dq[mine, : seen.shape[1]] = seen[..., 0], slopes[:, :, 0]
         return q, v, dq
 
@@ -187,7 +205,11 @@ class HungProblem(Problem):
     """Whitened residuals of runs, prepared as with an empty hand, with a payload on a joint of its own."""
 
     def __init__(
-        self, robot: Robot, runs: Sequence[PreparedRun], hung: Hung, unknowns: Sequence[Unknown]
+        self,
+        robot: Robot,
+        runs: Sequence[PreparedRun],
+        hung: Hung,
+        unknowns: Sequence[Unknown],
     ) -> None:
         self.hung = hung
         self._prepared = tuple(runs)
@@ -207,10 +229,16 @@ class HungProblem(Problem):
     def _touches(self, unknown: Unknown, row: int) -> bool:
         return unknown.kind == "payload_mass" or super()._touches(unknown, row)
 
-    def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    def _payload(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         return np.zeros((len(values), 10)), {}  # it is not part of the driven body
 
-    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _all_parameters(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
         at = self.index
         to = {name: column for column, name in enumerate(self.simulator.parameters)}
@@ -243,7 +271,11 @@ class HungProblem(Problem):
         return p, dp
 
 
-def hung_unknowns(robot: Robot, runs: Sequence[PreparedRun], hung: Hung) -> list[Unknown]:
+def hung_unknowns(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    hung: Hung,
+) -> list[Unknown]:
     """The payload's mass, what its joint does, where it began in each run, and what is open about the robot."""
     slides = hung.kind == "prismatic"
     unknowns = [
@@ -293,4 +325,10 @@ def identify_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> Answer:
     mass = float(fit.values[at])
     reach = Z95 * float(np.sqrt(covariance[at, at]))
     verdict = "explained" if fit.explains else "not explained"
-    return Answer(mass, mass - reach, mass + reach, time.process_time() - began, verdict)
+    return Answer(
+        mass,
+        mass - reach,
+        mass + reach,
+        time.process_time() - began,
+        verdict,
+    )

@@ -46,12 +46,18 @@ def write_paper_page(
 
     ``recording`` is what ``published`` made of the paper's own recording, where it was given.
     """
-    parts = [*paper_parts(found, seeds, recording), *_cost(found), *provenance(command, [], {})]
+    parts = [
+        *paper_parts(found, seeds, recording),
+        *_cost(found),
+        *provenance(command, [], {}),
+    ]
     write_document(path, "The paper, reproduced", parts, "--out")
 
 
 def paper_parts(
-    found: Mapping[str, Sequence[Rows]], seeds: int, recording: Rows | None = None
+    found: Mapping[str, Sequence[Rows]],
+    seeds: int,
+    recording: Rows | None = None,
 ) -> list[str]:
     """What the page says, as HTML; the documentation takes its tables and figures from here."""
     parts = _head(seeds, recording is not None)
@@ -73,7 +79,12 @@ def _cost(found: Mapping[str, Sequence[Rows]]) -> list[str]:
     return [
         '<h2 id="cost">What it costs</h2>',
         f"<p>{total:.0f} s of one processor in all, kernels compiled; two processes share everything but the speed table.</p>",
-        linked("cost", ["experiment", "seeds", "each (s)", "all (s)"], lines, (1, 2, 3)),
+        linked(
+            "cost",
+            ["experiment", "seeds", "each (s)", "all (s)"],
+            lines,
+            (1, 2, 3),
+        ),
     ]
 
 
@@ -128,7 +139,13 @@ def _objects(found: Sequence[Rows]) -> list[str]:
         "<p>One lift of the elbow, as in the paper, with as much current as it takes; shape and size of the object are stated. The "
         "paper's way may run until it has reached its least error (five starts, 400 iterations), which is what its time is of. "
         "Times are those of a processor, without what else the machine does.</p>",
-        linked("table-1", header, lines, (1, 4, 5, 6, 9), 4),
+        linked(
+            "table-1",
+            header,
+            lines,
+            (1, 4, 5, 6, 9),
+            4,
+        ),
         table(["the paper says", ""], paper, ()),
         "<h3>With and without calibration, one run against lift and lower</h3>",
     ]
@@ -136,7 +153,14 @@ def _objects(found: Sequence[Rows]) -> list[str]:
     panels = []
     for color, (words, state, rows) in zip((*COLORS, "simulated"), totals, strict=False):
         name = f"{words}, {state}"
-        over_all.append([name, rms(rows, 1e3), half(rows, 1e3), holds(rows)])
+        over_all.append(
+            [
+                name,
+                rms(rows, 1e3),
+                half(rows, 1e3),
+                holds(rows),
+            ]
+        )
         dots = [
             (1e3 * row["truth"], 1e3 * (row["value"] - row["truth"]))
             for row in rows
@@ -145,7 +169,15 @@ def _objects(found: Sequence[Rows]) -> list[str]:
         if dots:
             true, off = np.array(dots).T
             series = Series(name, true, off, color, "dots", listed=False)
-            panels.append(Panel(f"{name}: error (g)", "g", [series], 80.0, rules=[0.0]))
+            panels.append(
+                Panel(
+                    f"{name}: error (g)",
+                    "g",
+                    [series],
+                    80.0,
+                    rules=[0.0],
+                )
+            )
     drawn = chart(panels, Axis("true mass (g)", "g"), "Error of the mass by way")
     parts.append(
         linked("all", ["way and robot", "rms error (g)", "interval (g)", "holds"], over_all, (1, 2))
@@ -173,7 +205,14 @@ def _figure_4(found: Sequence[Rows]) -> list[str]:
             for key, name, color in lines
         ]
         series.append(
-            Series("measured", times, np.array(trace["measured"]), "measured", "dots", listed=False)
+            Series(
+                "measured",
+                times,
+                np.array(trace["measured"]),
+                "measured",
+                "dots",
+                listed=False,
+            )
         )
         caption = (
             f"The robot {words}; heavy ball, 50 g, the first seed; dots: measured. With a wrong mass and with the one of the "
@@ -197,7 +236,13 @@ def _starts(found: Sequence[Rows]) -> list[str]:
     return [
         '<h2 id="table-2">Table II: first guesses from 0 to 4.772 kg</h2>',
         "<p>Heavy ball, 50 g, one lift. Masses in g at which each search ends.</p>",
-        linked("table-2", ["first guess (g)", "robot", *ways], lines, (0, 2, 3, 4), 2),
+        linked(
+            "table-2",
+            ["first guess (g)", "robot", *ways],
+            lines,
+            (0, 2, 3, 4),
+            2,
+        ),
         f"<p>The paper says {quoted.STARTS_END} for this object; its cells are {quoted.MISSING}.</p>",
         "<p>Why some fail: one iteration of Adam moves the mass by about its learning rate of 10 g, and cosine annealing lets a "
         "schedule of 15 iterations move it by about 80 g and one of 400 by about 2 kg in all. A guess farther off cannot arrive, "
@@ -246,7 +291,13 @@ def _sphere(found: Sequence[Rows]) -> list[str]:
         f"<p>A sphere of {truth:g} g is free in a closed box of 30 g. With one run the empty box was weighed; with three runs the "
         "empty box makes the same runs. The paper's way has the paper's law of contact and its last frame. The sphere "
         "begins where the box is lowest, as everyone is told; where it may lie anywhere: <a href='#extensions'>below</a>.</p>",
-        linked("sphere", ["way", "robot", *IN_GRAMS], lines, (2, 3, 4), 2),
+        linked(
+            "sphere",
+            ["way", "robot", *IN_GRAMS],
+            lines,
+            (2, 3, 4),
+            2,
+        ),
         f"<p>The paper: {quoted.SPHERE_ERROR} off.</p>",
     ]
 
@@ -284,7 +335,13 @@ def _extensions(found: Sequence[Rows]) -> list[str]:
         "The chain simulator identifies the mass together with them; &ldquo;explained&rdquo; says that its fit leaves no more than "
         "the encoder's noise; a spring known to 10 % is one whose frequency with the ball is. The sphere lies "
         "somewhere on the box's floor when the current comes on, elsewhere in each run.</p>",
-        linked("extensions", ["what", "way", "true (g)", *IN_GRAMS], lines, (2, 3, 4, 5), 2),
+        linked(
+            "extensions",
+            ["what", "way", "true (g)", *IN_GRAMS],
+            lines,
+            (2, 3, 4, 5),
+            2,
+        ),
         f"<p>{_fails(found)}</p>",
     ]
 
@@ -326,7 +383,16 @@ def _cubes(found: Sequence[Rows]) -> list[str]:
     ):
         if rows := flat(found, object=name, quantity=quantity, calibrated=calibrated, way=way):
             truth = f"{scale * rows[0]['truth']:.3g}"
-            lines.append([name, words, truth, ways[way], state, *identified(rows, scale, 2)])
+            lines.append(
+                [
+                    name,
+                    words,
+                    truth,
+                    ways[way],
+                    state,
+                    *identified(rows, scale, 2),
+                ]
+            )
     header = [
         "cube",
         "of it",
@@ -372,7 +438,15 @@ def _figure_5(found: Sequence[Rows]) -> list[str]:
                 ("identified", "found", "agreeing"),
             )
         ]
-        series.append(Series("measured", times, np.array(trace["measured_mm"]), "measured", "dots"))
+        series.append(
+            Series(
+                "measured",
+                times,
+                np.array(trace["measured_mm"]),
+                "measured",
+                "dots",
+            )
+        )
         drawn = chart([Panel("finger (mm)", "mm", series, 170.0)], TIME, f"Squeeze of the {name}")
         caption = f"The {name}, last of three squeezes, the first seed; Poisson's ratio and the gap as they are."
         parts.append(framed(drawn, caption))
@@ -385,7 +459,14 @@ def _speed(found: Sequence[Rows]) -> list[str]:
         rows = flat(found, way=way)
         known = rows[0]["value"] is not None
         took = over([row["seconds"] for row in rows], 1e3, 0) if known else rows[0]["why"]
-        lines.append([way, took, rms(rows, 1e3, 2), half(rows, 1e3) if known else "-"])
+        lines.append(
+            [
+                way,
+                took,
+                rms(rows, 1e3, 2),
+                half(rows, 1e3) if known else "-",
+            ]
+        )
     return [
         '<h2 id="speed">Speed</h2>',
         "<p>One recording that comes with the package, a robot without friction in MuJoCo, 50 g at the elbow; five first guesses, "

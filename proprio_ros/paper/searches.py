@@ -64,7 +64,13 @@ def optimisers(seed: int) -> Rows:
         low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[
             :, 0
         ]
-        tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], rng)
+        tree_parzen(
+            lambda x: float(watched.linearise(x[None])[0][0]),
+            low,
+            high,
+            start[0],
+            rng,
+        )
 
     windows = problem.simulator.windows
     searches: dict[str, Callable[[Any], Any]] = {
@@ -87,7 +93,11 @@ def optimisers(seed: int) -> Rows:
             :EVALUATIONS
         ]
         rows.append(
-            {"search": name, "cost": best.tolist(), "seconds": watched.seconds[: len(best)]}
+            {
+                "search": name,
+                "cost": best.tolist(),
+                "seconds": watched.seconds[: len(best)],
+            }
         )
     least = min(row["cost"][-1] for row in rows)
     return {"rows": [{**row, "cost": [cost / least for cost in row["cost"]]} for row in rows]}
@@ -119,7 +129,10 @@ def tree_parzen(
                 worse = _mixture(bad[:, axis], *ends)
                 centres, widths = better
                 chosen = rng.integers(len(centres), size=24)
-                tried = np.clip(centres[chosen] + widths[chosen] * rng.standard_normal(24), *ends)
+                tried = np.clip(
+                    centres[chosen] + widths[chosen] * rng.standard_normal(24),
+                    *ends,
+                )
                 drawn[axis] = tried[
                     np.argmax(_logarithm(tried, *better) - _logarithm(tried, *worse))
                 ]
@@ -128,16 +141,31 @@ def tree_parzen(
     return points[int(np.argmin(costs))]
 
 
-def _mixture(points: np.ndarray, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+def _mixture(
+    points: np.ndarray,
+    low: float,
+    high: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Centres and widths of a normal density about every point, as wide as its neighbours are apart, and of one over all."""
     ordered = np.sort(points)
     gaps = np.diff(ordered, prepend=low, append=high)
     span = high - low
-    widths = np.clip(np.maximum(gaps[:-1], gaps[1:]), span / min(100, len(points) + 1), span)
-    return np.append(ordered, 0.5 * (low + high)), np.append(widths, span)
+    widths = np.clip(
+        np.maximum(gaps[:-1], gaps[1:]),
+        span / min(100, len(points) + 1),
+        span,
+    )
+    return np.append(
+        ordered,
+        0.5 * (low + high),
+    ), np.append(widths, span)
 
 
-def _logarithm(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
+def _logarithm(
+    x: np.ndarray,
+    centres: np.ndarray,
+    widths: np.ndarray,
+) -> np.ndarray:
     """Of the densities' mean at x, shape (K,), less a constant."""
     distance = (x[:, None] - centres) / widths
     return np.log((np.exp(-0.5 * distance**2) / widths).mean(axis=1) + 1e-300)
@@ -173,11 +201,25 @@ def landscapes(seed: int) -> Rows:
         calibrated_robot(seed, "empty_hand_gripper"), squeeze, moduli.tolist(), ratio
     )
     off = q - problem.runs[0].position
-    rows.append(_landscape("squeeze", moduli, modulus, off[:, -1] ** 2, (off**2).mean(axis=1)))
+    rows.append(
+        _landscape(
+            "squeeze",
+            moduli,
+            modulus,
+            off[:, -1] ** 2,
+            (off**2).mean(axis=1),
+        )
+    )
     return {"rows": rows}
 
 
-def _landscape(name: str, x: np.ndarray, truth: float, last: np.ndarray, every: np.ndarray) -> Rows:
+def _landscape(
+    name: str,
+    x: np.ndarray,
+    truth: float,
+    last: np.ndarray,
+    every: np.ndarray,
+) -> Rows:
     return {
         "experiment": name,
         "x": x.tolist(),

@@ -18,7 +18,11 @@ def optimisers(found: Sequence[Rows]) -> list[str]:
     """Figure 6: searches with gradients against those without."""
     names = labels(found, "search")
     steps = np.arange(1, EVALUATIONS + 1)
-    instants = np.geomspace(1e-4, max(row["seconds"][-1] for row in flat(found)), 60)
+    instants = np.geomspace(
+        1e-4,
+        max(row["seconds"][-1] for row in flat(found)),
+        60,
+    )
     by_step = []
     by_time = []
     lines = []
@@ -37,8 +41,20 @@ def optimisers(found: Sequence[Rows]) -> list[str]:
         ]
         ends = [row["cost"][-1] for row in rows]
         end = ranged(float(np.median(ends)), ends, 1.0, 2)
-        took = over([row["seconds"][-1] for row in rows], 1e3, 0)
-        lines.append([name, f"{len(good)} of {len(rows)}", over(good, 1.0, 0), end, took])
+        took = over(
+            [row["seconds"][-1] for row in rows],
+            1e3,
+            0,
+        )
+        lines.append(
+            [
+                name,
+                f"{len(good)} of {len(rows)}",
+                over(good, 1.0, 0),
+                end,
+                took,
+            ]
+        )
     header = [
         "search",
         "within 10 % of the least",
@@ -52,22 +68,47 @@ def optimisers(found: Sequence[Rows]) -> list[str]:
         "<p>The same lift of the heavy ball and the same first guess, between 2 and 500 g, for every search; unknown are the mass, "
         f"and where and how fast the joint began. Each may simulate {EVALUATIONS} times. Cost is that of all samples, over "
         "the least; time is that of a processor.</p>",
-        framed(chart(by_step, Axis("simulations", "", log=True), "Cost over simulations"), caption),
-        framed(chart(by_time, Axis("time (s)", "s", log=True), "Cost over time"), caption),
+        framed(
+            chart(by_step, Axis("simulations", "", log=True), "Cost over simulations"),
+            caption,
+        ),
+        framed(
+            chart(by_time, Axis("time (s)", "s", log=True), "Cost over time"),
+            caption,
+        ),
         linked("figure-6", header, lines, (2, 3, 4)),
     ]
 
 
-def _held(x: Any, cost: Sequence[float], grid: np.ndarray) -> np.ndarray:
+def _held(
+    x: Any,
+    cost: Sequence[float],
+    grid: np.ndarray,
+) -> np.ndarray:
     """Best cost so far at the places of a grid; the first before it is known."""
-    at = np.clip(np.searchsorted(np.asarray(x), grid, side="right") - 1, 0, len(cost) - 1)
+    at = np.clip(
+        np.searchsorted(np.asarray(x), grid, side="right") - 1,
+        0,
+        len(cost) - 1,
+    )
     return np.asarray(cost)[at]
 
 
-def _banded(name: str, x: np.ndarray, values: np.ndarray, color: str) -> Panel:
+def _banded(
+    name: str,
+    x: np.ndarray,
+    values: np.ndarray,
+    color: str,
+) -> Panel:
     values = np.minimum(values, 1e9)
     lines = _between(values, x) if len(values) > 1 else []
-    median = Series(name, x, np.median(values, axis=0), color, listed=False)
+    median = Series(
+        name,
+        x,
+        np.median(values, axis=0),
+        color,
+        listed=False,
+    )
     return Panel(f"{name}: cost over the least", "", [*lines, median], 80.0, log=True)
 
 
@@ -99,7 +140,13 @@ def landscapes(found: Sequence[Rows]) -> list[str]:
             ("all", "all samples, mean", "agreeing"),
         ):
             squares = np.maximum(1e6 * np.array(row[key]), 1e-3)
-            cost = Series(title, scale * np.array(row["x"]), squares, color, listed=False)
+            cost = Series(
+                title,
+                scale * np.array(row["x"]),
+                squares,
+                color,
+                listed=False,
+            )
             panels.append(
                 Panel(
                     f"{title} (mrad\u00b2)", "mrad\u00b2", [cost], 110.0, verticals=true, log=True
@@ -146,7 +193,11 @@ def effects(found: Sequence[Rows]) -> list[str]:
         lines.append(
             [
                 amount,
-                over([1e3 * per * float(np.polyfit(x, each, 1)[0]) for each in errors], 1.0, 2),
+                over(
+                    [1e3 * per * float(np.polyfit(x, each, 1)[0]) for each in errors],
+                    1.0,
+                    2,
+                ),
             ]
         )
     panels = []
@@ -171,7 +222,10 @@ def effects(found: Sequence[Rows]) -> list[str]:
     ]
 
 
-def _errors(found: Sequence[Rows], effect: str) -> tuple[np.ndarray, np.ndarray]:
+def _errors(
+    found: Sequence[Rows],
+    effect: str,
+) -> tuple[np.ndarray, np.ndarray]:
     """Amounts (K,) and errors of the mass [kg], shape (seeds, K)."""
     errors = [[row["error"] for row in rows["rows"] if row["effect"] == effect] for rows in found]
     return np.array(
@@ -179,9 +233,19 @@ def _errors(found: Sequence[Rows], effect: str) -> tuple[np.ndarray, np.ndarray]
     ), np.array(errors)
 
 
-def _error_panel(x: np.ndarray, errors: np.ndarray, words: str = "") -> Panel:
+def _error_panel(
+    x: np.ndarray,
+    errors: np.ndarray,
+    words: str = "",
+) -> Panel:
     errors = 1e3 * errors
-    mean = Series("mean", x, errors.mean(axis=0), "answer", listed=False)
+    mean = Series(
+        "mean",
+        x,
+        errors.mean(axis=0),
+        "answer",
+        listed=False,
+    )
     return Panel(
         f"{words}error of the mass (g)", "g", [*_between(errors, x), mean], 130.0, rules=[0.0]
     )

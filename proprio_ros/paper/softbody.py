@@ -70,14 +70,28 @@ class SoftRun:
         return np.asarray(self.input_current_A, dtype=np.float64)[last]
 
 
-def _zeros(worlds: int, steps: int, nodes: int, cells: int) -> list[wp.array]:
+def _zeros(
+    worlds: int,
+    steps: int,
+    nodes: int,
+    cells: int,
+) -> list[wp.array]:
     """States of some steps (or their adjoints): q, w, x, v; and what the kernel sums up in every step."""
     shapes = [((steps + 1,), FLOAT)] * 2 + [((steps + 1, nodes), VEC3)] * 2
-    shapes += [((steps, cells), FLOAT), ((steps, nodes), VEC3), ((steps,), FLOAT)]
+    shapes += [
+        ((steps, cells), FLOAT),
+        ((steps, nodes), VEC3),
+        ((steps,), FLOAT),
+    ]
     return [wp.zeros((worlds, *shape), dtype=kind, device="cpu") for shape, kind in shapes]
 
 
-def _carry(source: list[wp.array], row: int, target: list[wp.array], to: int) -> None:
+def _carry(
+    source: list[wp.array],
+    row: int,
+    target: list[wp.array],
+    to: int,
+) -> None:
     """Copy one row of the states to another."""
     for before, after in zip(source[:_STATES], target, strict=False):
         after.numpy()[:, to] = before.numpy()[:, row]
@@ -93,7 +107,12 @@ class SoftBody:
     """
 
     def __init__(
-        self, mesh: TetMesh, mass: float, travel: float, law: str = "log", contact: str = "bonded"
+        self,
+        mesh: TetMesh,
+        mass: float,
+        travel: float,
+        law: str = "log",
+        contact: str = "bonded",
     ) -> None:
         if contact not in CONTACTS:
             raise SimulationError(
@@ -109,7 +128,10 @@ class SoftBody:
         self.elastic = Elastic(mesh, law)
         self.travel = travel
         density = mass / float(mesh.volumes.sum())
-        self.masses = np.bincount(mesh.tets.ravel(), np.repeat(0.25 * density * mesh.volumes, 4))
+        self.masses = np.bincount(
+            mesh.tets.ravel(),
+            np.repeat(0.25 * density * mesh.volumes, 4),
+        )
         self._points = mesh.points - np.array([mesh.low[0] + 0.5 * mesh.length, 0.0, 0.0])
         self._sides = np.zeros(len(mesh.points))
         self._sides[mesh.end(0, False)], self._sides[mesh.end(0, True)] = -1.0, 1.0
@@ -303,10 +325,20 @@ class SoftRollout:
 
     def _rows(self, steps: int) -> list[wp.array]:
         mesh = self._owner.mesh
-        return _zeros(len(self._given), steps, len(mesh.points), mesh.cell_count)
+        return _zeros(
+            len(self._given),
+            steps,
+            len(mesh.points),
+            mesh.cell_count,
+        )
 
     def _launch(self, segment: int, rows: list[wp.array], **adjoint: Any) -> None:
-        inputs = [*self._owner._block, self._constants, self._currents[segment], self._p]
+        inputs = [
+            *self._owner._block,
+            self._constants,
+            self._currents[segment],
+            self._p,
+        ]
         wp.launch(
             self._kernel, dim=len(self._given), inputs=inputs, outputs=rows, device="cpu", **adjoint
         )
@@ -340,7 +372,13 @@ class SoftRollout:
             _carry(later, 0, mine, steps)
             at_ends = weights[:, frame : frame + steps // run.substeps]
             mine[0].numpy()[:, run.substeps :: run.substeps] += at_ends
-            self._launch(segment, rows, adj_inputs=[*given, by_p], adj_outputs=mine, adjoint=True)
+            self._launch(
+                segment,
+                rows,
+                adj_inputs=[*given, by_p],
+                adj_outputs=mine,
+                adjoint=True,
+            )
             _carry(mine, 0, later, 0)
         gradient = by_p.numpy().copy()
         by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in later[:_STATES])

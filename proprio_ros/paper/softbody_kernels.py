@@ -56,7 +56,13 @@ def _law_functions(law: str) -> tuple[Any, Any]:
     linear, compat = law == "linear", law == "warp_compat"
 
     @wp.func
-    def change(e1: VEC3, e2: VEC3, e3: VEC3, volume: FLOAT, dm: MAT33):
+    def change(
+        e1: VEC3,
+        e2: VEC3,
+        e3: VEC3,
+        volume: FLOAT,
+        dm: MAT33,
+    ):
         if wp.static(linear):
             f = wp.matrix_from_cols(e1, e2, e3) * dm
             return f[0, 0] + f[1, 1] + f[2, 2] - FLOAT(2.0)
@@ -100,7 +106,11 @@ def _law_functions(law: str) -> tuple[Any, Any]:
             if wp.static(compat):
                 push = lam * (cell_j - one) - FLOAT(0.75) * mu
                 shear = mu * (one - one / (wp.ddot(d, d * gram) + one))
-            cofactor = wp.matrix_from_cols(c1, wp.cross(e3, e1), wp.cross(e1, e2))
+            cofactor = wp.matrix_from_cols(
+                c1,
+                wp.cross(e3, e1),
+                wp.cross(e1, e2),
+            )
             return (volume * (shear * d + eta * rates)) * gram + (push / FLOAT(6.0)) * cofactor
 
     return change, pull
@@ -163,14 +173,44 @@ def frame_kernel(law: str, bonded: bool) -> Any:
                 r1, r2, r3 = _edges(v, w, n, tets, t)
                 rates = wp.matrix_from_cols(r1, r2, r3)
                 j = cell_j[w, n, cells[t]]
-                inward = pull(e1, e2, e3, rates, j, volumes[t], inverses[t], grams[t], mu, lam, eta)
-                f1 = VEC3(inward[0, 0], inward[1, 0], inward[2, 0])
-                f2 = VEC3(inward[0, 1], inward[1, 1], inward[2, 1])
-                f3 = VEC3(inward[0, 2], inward[1, 2], inward[2, 2])
+                inward = pull(
+                    e1,
+                    e2,
+                    e3,
+                    rates,
+                    j,
+                    volumes[t],
+                    inverses[t],
+                    grams[t],
+                    mu,
+                    lam,
+                    eta,
+                )
+                f1 = VEC3(
+                    inward[0, 0],
+                    inward[1, 0],
+                    inward[2, 0],
+                )
+                f2 = VEC3(
+                    inward[0, 1],
+                    inward[1, 1],
+                    inward[2, 1],
+                )
+                f3 = VEC3(
+                    inward[0, 2],
+                    inward[1, 2],
+                    inward[2, 2],
+                )
                 wp.atomic_sub(force, w, n, tets[t, 1], f1)
                 wp.atomic_sub(force, w, n, tets[t, 2], f2)
                 wp.atomic_sub(force, w, n, tets[t, 3], f3)
-                wp.atomic_add(force, w, n, tets[t, 0], f1 + f2 + f3)
+                wp.atomic_add(
+                    force,
+                    w,
+                    n,
+                    tets[t, 0],
+                    f1 + f2 + f3,
+                )
             for k in range(end_nodes.shape[0]):
                 i = end_nodes[k]
                 outward = force[w, n, i]
@@ -197,11 +237,27 @@ def frame_kernel(law: str, bonded: bool) -> Any:
                         at = side * (half_length - half * squeeze)
                         along = -half * side * travel * u[w, n + 1]
                     if wp.static(bonded):
-                        v[w, n + 1, i] = VEC3(along, FLOAT(0.0), FLOAT(0.0))
-                        x[w, n + 1, i] = VEC3(at, place[1], place[2])
+                        v[w, n + 1, i] = VEC3(
+                            along,
+                            FLOAT(0.0),
+                            FLOAT(0.0),
+                        )
+                        x[w, n + 1, i] = VEC3(
+                            at,
+                            place[1],
+                            place[2],
+                        )
                     else:
-                        v[w, n + 1, i] = VEC3(along, speed[1], speed[2])
-                        x[w, n + 1, i] = VEC3(at, moved[1], moved[2])
+                        v[w, n + 1, i] = VEC3(
+                            along,
+                            speed[1],
+                            speed[2],
+                        )
+                        x[w, n + 1, i] = VEC3(
+                            at,
+                            moved[1],
+                            moved[2],
+                        )
                 else:
                     v[w, n + 1, i] = speed
                     x[w, n + 1, i] = moved

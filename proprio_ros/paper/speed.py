@@ -52,7 +52,10 @@ class _Case:
         if names != ["payload_mass", "q0", "v0"] or len(run.input_times_s) != 1:
             wanted = "the comparison wants one constant current, and a robot file without friction"
             raise ConfigurationError(f"{BAG}: {wanted}")
-        first = np.tile(self.problem.coordinates.prior_mean, (len(STARTS_KG), 1))
+        first = np.tile(
+            self.problem.coordinates.prior_mean,
+            (len(STARTS_KG), 1),
+        )
         first[:, 0] = STARTS_KG
         self.starts = self.problem.coordinates.internal(first)
 
@@ -64,7 +67,10 @@ class _Case:
 def speed(seed: int) -> dict[str, Any]:
     """The table; the recording is the same for every seed, and the times are taken again."""
     case = _Case()
-    whole = ours(partial(weigh, case.robot, [case.run], case.facts), "payload_mass")
+    whole = ours(
+        partial(weigh, case.robot, [case.run], case.facts),
+        "payload_mass",
+    )
     rows = [whole.row(way="ours: weighing with interval and verdict", truth=TRUE_KG)]
     for way, solve in (
         ("ours: the search alone", _ours),
@@ -83,9 +89,15 @@ def speed(seed: int) -> dict[str, Any]:
 
 
 def _row(
-    way: str, mass: float | None, seconds: float | None = None, why: str = ""
+    way: str,
+    mass: float | None,
+    seconds: float | None = None,
+    why: str = "",
 ) -> dict[str, Any]:
-    return Answer(mass, seconds=seconds, why=why).row(way=way, truth=TRUE_KG)
+    return Answer(mass, seconds=seconds, why=why).row(
+        way=way,
+        truth=TRUE_KG,
+    )
 
 
 def _ours(case: _Case) -> Callable[[], float]:
@@ -105,7 +117,10 @@ def _scipy(case: _Case) -> Callable[[], float]:
     prepared = case.prepared
     values = coordinates.prior_mean[None].copy()
     values[0, 0] = 0.0
-    p, dp = case.problem.parameters(case.problem.all_values(values), case.problem.free)
+    p, dp = case.problem.parameters(
+        case.problem.all_values(values),
+        case.problem.free,
+    )
     empty = p[0, 0]
     per_kg = dp[0, 0, :, 0]
     torque = empty[INDEX["torque_constant"]] * float(case.run.input_current_A[0])
@@ -124,7 +139,10 @@ def _scipy(case: _Case) -> Callable[[], float]:
             law, (0.0, float(times[-1])), now[1:], "DOP853", times, rtol=RTOL, atol=ATOL
         )
         off = (rolled.y[0] - prepared.position) / prepared.sigma
-        return np.append(off, ((now - coordinates.prior_mean) * weight)[1:])
+        return np.append(
+            off,
+            ((now - coordinates.prior_mean) * weight)[1:],
+        )
 
     def solve() -> float:
         ends = [
@@ -149,7 +167,10 @@ def _sysid_row(case: _Case) -> dict[str, Any]:
     return _row("mujoco.sysid", mass, seconds)
 
 
-def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, float]]:
+def sysid_search(
+    case: _Case,
+    step_s: float,
+) -> Callable[[], tuple[np.ndarray, float]]:
     """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, no resampling, RK4.
 
     Returns: A function that identifies from all starts and returns where they end, shape (5,), and the best of these [kg].
@@ -161,8 +182,18 @@ def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, f
     spec = welded(case, step_s)
     times = step_s * np.arange(int(np.ceil(prepared.times_s[-1] / step_s - 1e-9)) + 1)
     model = spec.compile()
-    control = sysid.TimeSeries(times, np.full((len(times), 1), case.run.input_current_A[0]))
-    encoder = sysid.TimeSeries.from_names(prepared.times_s, prepared.position[:, None], model)
+    control = sysid.TimeSeries(
+        times,
+        np.full(
+            (len(times), 1),
+            case.run.input_current_A[0],
+        ),
+    )
+    encoder = sysid.TimeSeries.from_names(
+        prepared.times_s,
+        prepared.position[:, None],
+        model,
+    )
     initial = sysid.create_initial_state(model, np.array([prepared.rest.value]))
     sequences = sysid.ModelSequences("arm", spec, "probe", initial, control, encoder)
 
@@ -190,7 +221,12 @@ def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, f
         )
 
     def whitened(
-        params: Any, predicted: Any, measured: Any, model: Any, everything: bool, state: Any
+        params: Any,
+        predicted: Any,
+        measured: Any,
+        model: Any,
+        everything: bool,
+        state: Any,
     ) -> Any:
         values = params.as_vector()
         seen = np.interp(
@@ -220,8 +256,20 @@ def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, f
             first.add(sysid.Parameter("mass", mass, 1e-4, 2.0, modifier=heavier))
             rest = prepared.rest.value
             first.add(sysid.Parameter("q0", rest, rest - 0.1, rest + 0.1))
-            first.add(sysid.Parameter("v0", coordinates.prior_mean[2], -1.0, 1.0))
-            found, _ = sysid.optimize(first, residual, verbose=False, output=io.StringIO())
+            first.add(
+                sysid.Parameter(
+                    "v0",
+                    coordinates.prior_mean[2],
+                    -1.0,
+                    1.0,
+                )
+            )
+            found, _ = sysid.optimize(
+                first,
+                residual,
+                verbose=False,
+                output=io.StringIO(),
+            )
             (end,), _, _ = residual(found.as_vector(), found)
             masses.append(float(found["mass"].value[0]))
             costs.append(float(end @ end))
@@ -261,7 +309,10 @@ def welded(case: _Case, step_s: float) -> Any:
             mujoco.mju_mulQuat(turned, np.array(body.quat), turn)
             body.quat = turned
         spec.delete(joint)
-    payload = spec.body(case.robot.payload_frame).add_body(name="payload", pos=case.facts.com)
+    payload = spec.body(case.robot.payload_frame).add_body(
+        name="payload",
+        pos=case.facts.com,
+    )
     payload.explicitinertial = True
     set_mass(payload, STARTS_KG[0], case)
     motor = spec.add_actuator(
@@ -270,7 +321,12 @@ def welded(case: _Case, step_s: float) -> Any:
     motor.gainprm[0] = case.prepared.drive.torque_constant.value
     sensor = mujoco.mjtSensor.mjSENS_JOINTPOS
     seen = mujoco.mjtObj.mjOBJ_JOINT
-    spec.add_sensor(name="encoder", type=sensor, objtype=seen, objname=case.run.joint)
+    spec.add_sensor(
+        name="encoder",
+        type=sensor,
+        objtype=seen,
+        objname=case.run.joint,
+    )
     spec.option.gravity, spec.option.timestep = case.robot.gravity, step_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     off = mujoco.mjtDisableBit
@@ -351,7 +407,11 @@ class NewtonArm:
 
         instants = np.maximum(prepared.times_s - case.robot.delay.value, 0.0) / step_s
         steps = math.ceil(instants[-1] - 1e-6)
-        self._row = np.clip(np.floor(instants).astype(int), 0, steps - 1)
+        self._row = np.clip(
+            np.floor(instants).astype(int),
+            0,
+            steps - 1,
+        )
         self._share = instants - self._row
         self._position, self._sigma = prepared.position, prepared.sigma
         self._states = [model.state() for _ in range(steps + 1)]
@@ -382,8 +442,16 @@ class NewtonArm:
         """Cost, half the sum of squares, and its gradient with respect to mass, position and velocity at the start, shape (3,)."""
         off = (self.positions(values) - self._position) / self._sigma
         slopes = np.zeros(len(self._states))
-        np.add.at(slopes, self._row, (1.0 - self._share) * off / self._sigma)
-        np.add.at(slopes, self._row + 1, self._share * off / self._sigma)
+        np.add.at(
+            slopes,
+            self._row,
+            (1.0 - self._share) * off / self._sigma,
+        )
+        np.add.at(
+            slopes,
+            self._row + 1,
+            self._share * off / self._sigma,
+        )
         for row, slope in self._slopes.items():
             slope.fill_(slopes[row])
         wp.capture_launch(self._backward)
@@ -407,7 +475,10 @@ class NewtonArm:
         self._states[0].joint_q.fill_(q0)
         self._states[0].joint_qd.fill_(v0)
         wp.capture_launch(self._forward)
-        way = np.array([state.joint_q.numpy()[0] for state in self._states], dtype=np.float64)
+        way = np.array(
+            [state.joint_q.numpy()[0] for state in self._states],
+            dtype=np.float64,
+        )
         return (1.0 - self._share) * way[self._row] + self._share * way[self._row + 1]
 
 
@@ -417,7 +488,10 @@ def newton_search(case: _Case, arm: NewtonArm) -> Callable[[], float]:
 
     coordinates = case.problem.coordinates
     low, high = (coordinates.internal(np.array([mass, 0.0, 0.0]))[0] for mass in (1e-4, 2.0))
-    bounds = Bounds([low, -np.inf, -np.inf], [high, np.inf, np.inf])
+    bounds = Bounds(
+        [low, -np.inf, -np.inf],
+        [high, np.inf, np.inf],
+    )
 
     def cost(scaled: np.ndarray) -> tuple[float, np.ndarray]:
         internal = scaled * coordinates.natural
@@ -436,4 +510,7 @@ def newton_search(case: _Case, arm: NewtonArm) -> Callable[[], float]:
 
 
 def _transform(matrix: np.ndarray) -> Any:
-    return wp.transform(wp.vec3(*matrix[:3, 3]), wp.quat_from_matrix(wp.mat33(matrix[:3, :3])))
+    return wp.transform(
+        wp.vec3(*matrix[:3, 3]),
+        wp.quat_from_matrix(wp.mat33(matrix[:3, :3])),
+    )

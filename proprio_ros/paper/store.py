@@ -108,7 +108,11 @@ def compute(task: Task) -> tuple[Task, Rows]:
 
 
 def run(
-    store: Store, names: Sequence[str], seeds: int, processes: int, tell: Callable[[str], Any]
+    store: Store,
+    names: Sequence[str],
+    seeds: int,
+    processes: int,
+    tell: Callable[[str], Any],
 ) -> dict[str, list[Rows]]:
     """All rows by experiment, in the order of the seeds; what is kept is not computed again.
 

@@ -56,7 +56,8 @@ class Answer:
 
 
 def timed(
-    function: Callable[[], _Answer], warm_up: Callable[[], object] | None = None
+    function: Callable[[], _Answer],
+    warm_up: Callable[[], object] | None = None,
 ) -> tuple[_Answer, float]:
     """The outcome of a function and its time on a processor [s]; a first call of it, or of ``warm_up``, loads and compiles."""
     (warm_up or function)()
@@ -124,7 +125,11 @@ class SphereLastFrame:
         prepared = prepare_run(robot, replace(run, held_position={}), None, facts.shell)
         kept = slice(0 if all_samples else prepared.used - 1, prepared.used)
         self.samples = kept.stop - kept.start
-        compared = replace(prepared.run, times_s=run.times_s[kept], position=run.position[kept])
+        compared = replace(
+            prepared.run,
+            times_s=run.times_s[kept],
+            position=run.position[kept],
+        )
         at_end: PreparedRun = replace(
             prepared, run=compared, used=self.samples, sigma=np.ones(self.samples)
         )
@@ -142,7 +147,10 @@ class SphereLastFrame:
             robot, [at_end], facts, [True], unknowns, "semi_implicit"
         )
 
-    def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self,
+        mass: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) [rad^2] and gradient (S, 1) at masses (S, 1)."""
         internal = self.problem.coordinates.internal(mass)
         cost, gradient, _ = self.problem.linearise(internal)
@@ -161,7 +169,14 @@ class SqueezeLastFrame:
     The cube has an edge and a mass [kg]; the fingers together close by the gap before they touch it.
     """
 
-    def __init__(self, robot: Robot, run: Run, edge_m: float, gap_m: float, mass: float) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        run: Run,
+        edge_m: float,
+        gap_m: float,
+        mass: float,
+    ) -> None:
         prepared = prepare_run(robot, run, KnownLoad(), past_fast=True)
         drive = prepared.drive
         times = prepared.times_s
@@ -182,7 +197,10 @@ class SqueezeLastFrame:
         }
         self._p = np.array([given.get(name, 0.0) for name in SOFT_PARAMETERS])
 
-    def __call__(self, logarithms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self,
+        logarithms: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) [rad^2] and gradient (S, 2) at logarithms of mu and lambda (S, 2)."""
         rows = [SOFT_INDEX["lame_mu"], SOFT_INDEX["lame_lambda"]]
         p = np.tile(self._p, (len(logarithms), 1))
@@ -195,7 +213,12 @@ class SqueezeLastFrame:
 
 
 def paper_cube(
-    robot: Robot, run: Run, edge_m: float, gap_m: float, mass: float, start_Pa: tuple[float, float]
+    robot: Robot,
+    run: Run,
+    edge_m: float,
+    gap_m: float,
+    mass: float,
+    start_Pa: tuple[float, float],
 ) -> Answer:
     """The paper's way for a soft cube, from one first guess of its Lame parameters; the answer is Young's modulus [Pa]."""
     started = time.process_time()

@@ -160,7 +160,13 @@ class Weighing(_Answered):
 
     def report(self, path: AnyPath, force: bool = False) -> Path:
         """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
-        write_report(self.estimate, Path(path), command=self.call, sources=self.bags, force=force)
+        write_report(
+            self.estimate,
+            Path(path),
+            command=self.call,
+            sources=self.bags,
+            force=force,
+        )
         return Path(path)
 
     def _repr_html_(self) -> str:
@@ -207,7 +213,10 @@ class CalibrationResult(_Answered, os.PathLike[str]):
     def as_json(self) -> dict[str, Any]:
         """What ``proprio calibrate --json`` prints."""
         kept = self.path if self._folder is None else None
-        return {**self.estimate.as_json(), "output": None if kept is None else str(kept)}
+        return {
+            **self.estimate.as_json(),
+            "output": None if kept is None else str(kept),
+        }
 
     def to_frame(self) -> pandas.DataFrame:
         """A table with one row per unknown of the robot: what its file says (prior), and what the runs say; needs pandas."""
@@ -220,7 +229,10 @@ class CalibrationResult(_Answered, os.PathLike[str]):
     def report(self, path: AnyPath, force: bool = False) -> Path:
         """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
         origin = self.estimate.origin
-        sources = [*origin["bags"], *(entry["bag"] for entry in origin["references"])]
+        sources = [
+            *origin["bags"],
+            *(entry["bag"] for entry in origin["references"]),
+        ]
         write_calibration_report(
             self.estimate, Path(path), command=self.call, sources=sources, force=force
         )
@@ -232,7 +244,12 @@ class CalibrationResult(_Answered, os.PathLike[str]):
 
     def _repr_html_(self) -> str:
         can = () if self.estimate.weighable is None else (self.estimate.weighable.sentence(),)
-        return card(f"calibration, {self._about}", self.estimate.verdict, (), (*self.reasons, *can))
+        return card(
+            f"calibration, {self._about}",
+            self.estimate.verdict,
+            (),
+            (*self.reasons, *can),
+        )
 
     @property
     def _about(self) -> str:
@@ -296,7 +313,10 @@ class Plans(Listed[ExcitationPlan]):
             "std_kg",
             "reason",
         )
-        return frame(keys, [tuple(getattr(plan, key) for key in keys) for plan in self])
+        return frame(
+            keys,
+            [tuple(getattr(plan, key) for key in keys) for plan in self],
+        )
 
     def plot(self) -> Figure:
         """Half of the 95 % interval that each promises."""
@@ -394,7 +414,11 @@ def weigh(
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
     given = read_arguments(locals())
-    return Weighing(replay(given["bags"], options_of(given)), given["bags"], _call("weigh", given))
+    return Weighing(
+        replay(given["bags"], options_of(given)),
+        given["bags"],
+        _call("weigh", given),
+    )
 
 
 def calibrate(
@@ -450,7 +474,13 @@ def plan(
     given = read_arguments(locals())
     asked = given["masses"]
     return Plans(
-        *plan_excitations(asked, options_of(given), given["count"], progress, given["seconds"]),
+        *plan_excitations(
+            asked,
+            options_of(given),
+            given["count"],
+            progress,
+            given["seconds"],
+        ),
         asked,
     )
 
@@ -623,7 +653,10 @@ def _ends(interval: Any) -> tuple[Any, Any]:
     return low, high
 
 
-def frame(columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> pandas.DataFrame:
+def frame(
+    columns: Sequence[str],
+    rows: Sequence[tuple[Any, ...]],
+) -> pandas.DataFrame:
     """A table; raises ConfigurationError: pandas is not installed."""
     try:
         import pandas

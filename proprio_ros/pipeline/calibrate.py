@@ -146,7 +146,11 @@ def calibrate_from_bags(
             estimate, calibration=replace(estimate.calibration, motors=motors, made=made)
         )
     if references:
-        estimate = _with_implied_scale(estimate, request.robot, bool(runs) and runs[0].run.free)
+        estimate = _with_implied_scale(
+            estimate,
+            request.robot,
+            bool(runs) and runs[0].run.free,
+        )
     used = {fit.name for fit in estimate.run_fits}
     unused = tuple(
         recorded_run(request.robot, each.run) for each in runs if each.run.name not in used
@@ -198,13 +202,21 @@ def refresh_from_bags(
     if (learnt := estimate.calibration) is not None:
         learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
         estimate = replace(estimate, calibration=learnt)
-    origin = {"bags": [str(path) for path in paths], "references": [], "refreshed": str(old)}
+    origin = {
+        "bags": [str(path) for path in paths],
+        "references": [],
+        "refreshed": str(old),
+    }
     return _written(
         estimate, output, replace(request, robot=robot), origin, read - started, Path(old)
     )
 
 
-def _check_given(paths: Sequence[str | Path], output: str | Path | None, force: bool) -> None:
+def _check_given(
+    paths: Sequence[str | Path],
+    output: str | Path | None,
+    force: bool,
+) -> None:
     """Raises: ConfigurationError: no recording is given, or the new file must not be written."""
     if output is not None:
         check_new_yaml(Path(output), force)
@@ -365,12 +377,21 @@ def plan_excitations(
         raise ConfigurationError(
             f"--set held.{name}: a plan says where every joint is; leave it out"
         )
-    return request.robot, plan(request.robot, masses_kg, request.facts, count, progress, seconds)
+    return request.robot, plan(
+        request.robot,
+        masses_kg,
+        request.facts,
+        count,
+        progress,
+        seconds,
+    )
 
 
 @solvable
 def _from_motions(
-    request: Request, motions: Sequence[tuple[Motion, float]], progress: Callable[[str], None]
+    request: Request,
+    motions: Sequence[tuple[Motion, float]],
+    progress: Callable[[str], None],
 ) -> CalibrationEstimate:
     """Of motions and the mass of the reference in each [kg]; 0: the hand was empty."""
     robot = request.robot
@@ -439,7 +460,9 @@ def write_calibration(
 
 
 def _with_learnt_delay(
-    request: Request, loads: Sequence[tuple[Path, KnownLoad]], progress: Callable[[str], None]
+    request: Request,
+    loads: Sequence[tuple[Path, KnownLoad]],
+    progress: Callable[[str], None],
 ) -> Request:
     """The same with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
 
@@ -471,7 +494,10 @@ def _with_learnt_delay(
         )
 
     delay = best_delay(left_over, robot.delay)
-    overrides = {**request.overrides, "delay_s": {"value": delay.value, "std": delay.std}}
+    overrides = {
+        **request.overrides,
+        "delay_s": {"value": delay.value, "std": delay.std},
+    }
     return replace(request, robot=replace(robot, delay=delay), overrides=overrides)
 
 

@@ -218,7 +218,11 @@ def _spacing(times_s: FloatArray) -> dict[str, Any]:
     }
 
 
-def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tuple[Finding, ...]:
+def _of_robot(
+    robot: Robot,
+    recording: Recording,
+    effort_unit: str | None,
+) -> tuple[Finding, ...]:
     """What the robot that was named leaves open."""
     recorded = recording.joints.names
     file = robot.source.name
@@ -282,7 +286,11 @@ def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> 
     )
 
 
-def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, ...]:
+def _advice(
+    robot: Robot,
+    recording: Recording,
+    check: BagCheck,
+) -> tuple[str, ...]:
     """What to record instead, or beside it."""
     advice = []
     free = any(run.free for run in check.runs)
@@ -309,7 +317,10 @@ def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, .
 
 
 def _input_of(
-    recording: Recording, runs: Sequence[RunCheck], types: dict[str, str], unit: str | None
+    recording: Recording,
+    runs: Sequence[RunCheck],
+    types: dict[str, str],
+    unit: str | None,
 ) -> tuple[str, str]:
     """Where the current would come from, and what its numbers are; empty where there is none."""
     inputs = recording.inputs
@@ -346,7 +357,15 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
     with suppress(RobotError):
         width_kg = None if problem or slides or run.free else mass_from_run(robot, run)
     driven = (run.duration_s, travel, "m" if slides else "rad", largest, len(run.times_s))
-    return RunCheck(run.name, run.joint, *driven, problem, notes, width_kg, run.free)
+    return RunCheck(
+        run.name,
+        run.joint,
+        *driven,
+        problem,
+        notes,
+        width_kg,
+        run.free,
+    )
 
 
 def _unusable_closing(run: PreparedRun) -> str:
@@ -377,5 +396,10 @@ def _text_check(request: Request, path: Path) -> BagCheck:
         "" if drive is not None else f"{request.robot.name} has no drive train for {text.joint}"
     )
     run = RunCheck(text.name, text.joint, *driven, problem)
-    check = BagCheck(str(path), (text.joint,), **_spacing(text.times_s), runs=(run,))
+    check = BagCheck(
+        str(path),
+        (text.joint,),
+        **_spacing(text.times_s),
+        runs=(run,),
+    )
     return replace(check, input="the torque in setting.json", input_unit="N m")

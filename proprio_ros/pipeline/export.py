@@ -75,7 +75,10 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
             _state_inertia(element, pseudo)
     stated = []
     for element in root.findall("joint"):
-        viscous, coulomb = friction.get(str(element.get("name")), (0.0, 0.0))
+        viscous, coulomb = friction.get(
+            str(element.get("name")),
+            (0.0, 0.0),
+        )
         if (viscous, coulomb) != (0.0, 0.0):
             stated.append(str(element.get("name")))
             dynamics = element.find("dynamics")

@@ -138,7 +138,12 @@ def _motion(recording: Recording, request: Request) -> Motion:
     }
     still = robot.motion_calibration is not None
     turning = turning_joints(robot)
-    motion = motion_of(recording, joints=turning, held={**taken, **locked}, standing=still)
+    motion = motion_of(
+        recording,
+        joints=turning,
+        held={**taken, **locked},
+        standing=still,
+    )
     if len(turning) == 1:  # of several the regression asks the clock
         refuse_pace_of_joint(recording, turning[0])
     notes = tuple(
@@ -219,7 +224,10 @@ def bag_recording(path: Path, request: Request) -> Recording:
     notes = recording.notes
     if episode is None:
         # a bag's folder is often called after its storage, so the folder above says which one it is
-        recording = replace(recording, name="/".join(path.resolve().parts[-2:]))
+        recording = replace(
+            recording,
+            name="/".join(path.resolve().parts[-2:]),
+        )
         notes += check_motors(path, robot, options.state_topic)
     if request.driver is not None:
         notes += _implausible_unit(recording, request)
@@ -289,7 +297,11 @@ def plausible_units(
     ) if per_torque else ()
 
 
-def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str, ...]:
+def check_motors(
+    path: Path,
+    robot: Robot,
+    state_topic: str | None,
+) -> tuple[str, ...]:
     """A note where a bag is of the motors that were calibrated, but these have other firmware now.
 
     Raises `RecordingError`: It is of another arm, as far as both say whose it is, or cannot be read.
@@ -324,13 +336,20 @@ def turning_joints(robot: Robot) -> list[str]:
     return [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
 
 
-def _noted(runs: Sequence[Run], recording: Recording, request: Request) -> tuple[Run, ...]:
+def _noted(
+    runs: Sequence[Run],
+    recording: Recording,
+    request: Request,
+) -> tuple[Run, ...]:
     """Each run with what was noted of the whole recording."""
     notes = recording.notes + unit_not_used(recording.inputs, request.options.effort_unit)
     return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
 
 
-def unit_not_used(inputs: InputRecord | None, effort_unit: str | None) -> tuple[str, ...]:
+def unit_not_used(
+    inputs: InputRecord | None,
+    effort_unit: str | None,
+) -> tuple[str, ...]:
     """A note where the user said what effort means, and nothing was made of it."""
     if inputs is None or inputs.measured or effort_unit is None:
         return ()

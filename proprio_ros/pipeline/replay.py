@@ -40,7 +40,10 @@ from proprio_ros.threads import one_blas_thread
 
 
 @one_blas_thread
-def replay(paths: str | Path | Sequence[str | Path], options: Options | None = None) -> Estimate:
+def replay(
+    paths: str | Path | Sequence[str | Path],
+    options: Options | None = None,
+) -> Estimate:
     """Identify what the probe names from one or more bags or text recordings of the same object.
 
     All runs in all of them give one estimate. One path may stand alone.
@@ -57,11 +60,18 @@ def replay(paths: str | Path | Sequence[str | Path], options: Options | None = N
     robot, recorded = read_for(request, paths)
     read = time.perf_counter()
     estimate = identify(request, robot, recorded, paths)
-    timing = {"load": loaded - started, "read": read - loaded, "solve": time.perf_counter() - read}
+    timing = {
+        "load": loaded - started,
+        "read": read - loaded,
+        "solve": time.perf_counter() - read,
+    }
     return replace(estimate, timing_s=timing)
 
 
-def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Recorded]:
+def read_for(
+    request: Request,
+    paths: Sequence[str | Path],
+) -> tuple[Robot, Recorded]:
     """Read recordings of one object, and the baseline of the options.
 
     Returns: The robot, which a text recording may change, with as much of its calibration as was left by then; and what was read.
@@ -110,7 +120,11 @@ def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Reco
     return request.robot, Recorded(runs, baseline, sources, text, motions, baseline_motions)
 
 
-def _refuse_unsuited(request: Request, runs: Sequence[Run], motions: Sequence[Motion]) -> None:
+def _refuse_unsuited(
+    request: Request,
+    runs: Sequence[Run],
+    motions: Sequence[Motion],
+) -> None:
     """Raises: RecordingError: runs and motions do not go together, or do not suit calibration or probe."""
     probe = request.probe
     robot = request.robot
@@ -161,7 +175,13 @@ def identify(
         if drifted := said(fresh, robot.drift, robot.calibration.made):
             notes += (drifted,)
     views = _held_views(request, robot, read.motions[0], estimate) if read.motions else ()
-    return replace(estimate, notes=notes, origin=origin, recorded=tuple(recorded), held_views=views)
+    return replace(
+        estimate,
+        notes=notes,
+        origin=origin,
+        recorded=tuple(recorded),
+        held_views=views,
+    )
 
 
 def _held_views(
@@ -188,7 +208,9 @@ def aged_robot(robot: Robot, now: Moment) -> Robot:
 
 
 def moment_of(
-    runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None
+    runs: Sequence[Run],
+    paths: Sequence[str | Path],
+    state_topic: str | None = None,
 ) -> Moment:
     """When runs were recorded, and how warm the motors were in the bags that say it."""
     heard: dict[str, list[float]] = {}
@@ -198,10 +220,16 @@ def moment_of(
         for joint, degrees in read_temperatures(path, state_topic).items():
             heard.setdefault(joint, []).append(degrees)
     warmth = {joint: float(np.mean(values)) for joint, values in heard.items()}
-    return Moment(1e-9 * float(np.mean([run.onset_ns for run in runs])), warmth)
+    return Moment(
+        1e-9 * float(np.mean([run.onset_ns for run in runs])),
+        warmth,
+    )
 
 
-def _guessed_frame(robot: Robot, settings: Mapping[str, Any]) -> tuple[str, ...]:
+def _guessed_frame(
+    robot: Robot,
+    settings: Mapping[str, Any],
+) -> tuple[str, ...]:
     """A note where nobody said which link holds the objects."""
     if not is_description(str(robot.source)) or not {
         "payload.frame",

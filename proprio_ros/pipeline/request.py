@@ -128,7 +128,10 @@ def read_request(
     return Request(robot, options, stated, locked, overrides, driver)
 
 
-def facts_of(facts: Callable[[Settings], Any], settings: Mapping[str, Any]) -> Any:
+def facts_of(
+    facts: Callable[[Settings], Any],
+    settings: Mapping[str, Any],
+) -> Any:
     """What is stated about an object, where no robot is asked for.
 
     Raises `ConfigurationError`: A setting is unknown, or of the wrong form.
@@ -235,7 +238,11 @@ def _configured(
     return robot, overrides
 
 
-def _calibrated(calibration: str | Path, name: str | None, overrides: Mapping[str, Any]) -> Robot:
+def _calibrated(
+    calibration: str | Path,
+    name: str | None,
+    overrides: Mapping[str, Any],
+) -> Robot:
     """The robot of a calibration, which must be the one that is named, if any is."""
     given = f"--calibration {calibration}"
     if Path(calibration).suffix not in (".yaml", ".yml"):

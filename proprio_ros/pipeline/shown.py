@@ -12,7 +12,11 @@ from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.report import bars_figure, small_table
 
 
-def plans_table(title: str, plans: Iterable[ExcitationPlan], masses_kg: Sequence[float]) -> str:
+def plans_table(
+    title: str,
+    plans: Iterable[ExcitationPlan],
+    masses_kg: Sequence[float],
+) -> str:
     """With half of the 95 % interval that each promises, by mass."""
     header = (
         "joint",
@@ -55,7 +59,14 @@ def _found(check: BagCheck) -> list[tuple[str, str, float, str]]:
             for run in check.runs
         ]
     if check.motion is not None:
-        return [(", ".join(check.motion.moved), "a motion", check.duration_s, check.problem)]
+        return [
+            (
+                ", ".join(check.motion.moved),
+                "a motion",
+                check.duration_s,
+                check.problem,
+            )
+        ]
     return [
         (
             ", ".join(check.joints),

@@ -150,7 +150,12 @@ class Probe(ABC, Generic[Facts]):
         add_kinds(cls.unknowns)
 
     @abstractmethod
-    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> Facts:
+    def facts(
+        self,
+        settings: Settings,
+        solver: str = "lm",
+        profile: str = "default",
+    ) -> Facts:
         """What the user says about the object and the search, over the defaults of the probe's file; read once per job.
 
         Raises `ConfigurationError`: A value of the wrong form or unit.
@@ -240,7 +245,11 @@ class ChoosesNext(Probe[Facts]):
 
     @abstractmethod
     def chooser(
-        self, robot: Robot, facts: Facts, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
+        self,
+        robot: Robot,
+        facts: Facts,
+        sequence: ExcitationSequence,
+        baseline: Sequence[Run] = (),
     ) -> Chooser:
         """Who chooses the pushes of a sequence that has `until`, with what is in the hand; the baseline is without it.
 
@@ -252,7 +261,12 @@ class EstimatesLive(Probe[Facts]):
     """There is an estimate while a run is under way."""
 
     @abstractmethod
-    def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: Facts) -> Estimate:
+    def identify_so_far(
+        self,
+        robot: Robot,
+        runs: Sequence[Run],
+        facts: Facts,
+    ) -> Estimate:
         """An early answer from runs of which the last is still under way."""
 
 
@@ -290,7 +304,12 @@ class Online(Carries[Facts]):
     """It says what the hand holds while the arm works, without runs of its own."""
 
     @abstractmethod
-    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> StandingEstimator:
+    def running(
+        self,
+        robot: Robot,
+        facts: Facts,
+        held: dict[str, float],
+    ) -> StandingEstimator:
         """An estimate that goes along with the arm's work; held: positions [rad or m] of joints without a calibration of motions.
 
         Raises `RobotError`: The calibration is of another arm.

@@ -83,7 +83,10 @@ def _in_bursts(short: BoolArray) -> BoolArray:
     return np.asarray(np.convolve(within, np.ones(width), "same") > 0.5)
 
 
-def _of_part(times_ns: TimeArray, short: BoolArray) -> tuple[TimeArray, FloatArray, int] | None:
+def _of_part(
+    times_ns: TimeArray,
+    short: BoolArray,
+) -> tuple[TimeArray, FloatArray, int] | None:
     """Of samples without a pause: when they were taken; the mean interval of each burst [s]; and how many came in bursts."""
     if len(times_ns) < FEWEST:
         return None
@@ -104,7 +107,10 @@ def _of_part(times_ns: TimeArray, short: BoolArray) -> tuple[TimeArray, FloatArr
     taken = since.copy()
     moved = 0
     for number in np.flatnonzero(of_burst):
-        rows = np.arange(lasts[number] - counts[number] + 1, lasts[number] + 1)
+        rows = np.arange(
+            lasts[number] - counts[number] + 1,
+            lasts[number] + 1,
+        )
         begin_s = ends_s[number - 1]
         each = (ends_s[number] - begin_s) / counts[number]
         if number == len(lasts) - 1:  # that one ends with the recording, before its time

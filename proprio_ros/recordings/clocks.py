@@ -75,7 +75,13 @@ class StampsStep:
         """The same with stamps as if nothing had happened."""
         after = (times.bag_ns >= self.at_ns) & (times.stamp_ns != 0)
         return Times(
-            times.bag_ns, np.where(after, times.stamp_ns - self.by_ns, times.stamp_ns), times.known
+            times.bag_ns,
+            np.where(
+                after,
+                times.stamp_ns - self.by_ns,
+                times.stamp_ns,
+            ),
+            times.known,
         )
 
 
@@ -101,7 +107,11 @@ class RecorderSteps:
     def mended(self, times: Times) -> Times:
         """The same, recorded as if nothing had happened; of messages without a stamp it may not be known when they were."""
         stamped = times.stamp_ns != 0
-        after = np.where(stamped, times.stamp_ns >= self.at_ns, self._after(times.bag_ns))
+        after = np.where(
+            stamped,
+            times.stamp_ns >= self.at_ns,
+            self._after(times.bag_ns),
+        )
         twice = self._twice_ns
         known = times.known
         if twice is not None:
@@ -184,7 +194,11 @@ def _moved(times: Times, rows: BoolArray, by_ns: int, known: BoolArray) -> Times
     """Times of which some rows, shape (M,), are earlier by so much."""
     stamped = rows & (times.stamp_ns != 0)
     bag_ns = np.where(rows, times.bag_ns - by_ns, times.bag_ns)
-    return Times(bag_ns, np.where(stamped, times.stamp_ns - by_ns, times.stamp_ns), known)
+    return Times(
+        bag_ns,
+        np.where(stamped, times.stamp_ns - by_ns, times.stamp_ns),
+        known,
+    )
 
 
 Fault = Unset | StampsStep | StampsCount | RecorderSteps | Overlap | Leap
@@ -215,7 +229,10 @@ class Clock:
 
     def then(self, other: Clock) -> Clock:
         """What is wrong by both, the other's in times that this one has mended."""
-        return Clock((*self.faults, *other.faults), (*self.notes, *other.notes))
+        return Clock(
+            (*self.faults, *other.faults),
+            (*self.notes, *other.notes),
+        )
 
     def times(self, bag_ns: TimeArray, stamp_ns: TimeArray) -> Times:
         """Times of messages by this clock, shape (M,) each [ns]."""
@@ -251,7 +268,10 @@ def clock_of(where: str, columns: JointColumns) -> Clock:
         found = fault_of(clock.mended(columns))
         if found:
             notes = (f"{where}: {note}" for _, note in found)
-            clock = Clock((*clock.faults, *(fault for fault, _ in found)), (*clock.notes, *notes))
+            clock = Clock(
+                (*clock.faults, *(fault for fault, _ in found)),
+                (*clock.notes, *notes),
+            )
     return clock
 
 
@@ -284,7 +304,11 @@ def in_order(
         )
         mended[row + 1 :] += CUT_NS - steps[row]
     for leap, note in _leaps(mended, mended, position):
-        times = Times(mended, np.zeros_like(mended), np.ones(len(mended), dtype=bool))
+        times = Times(
+            mended,
+            np.zeros_like(mended),
+            np.ones(len(mended), dtype=bool),
+        )
         mended = leap.mended(times).bag_ns
         notes.append(f"{where}: {note}")
     return mended, tuple(notes)
@@ -316,7 +340,12 @@ def _unstamped(columns: JointColumns) -> Found:
     if first < 3 or not stamped.any() or abs(columns.clock_ns()) < LEAST_STEP_NS:
         return ()
     note = f"{first} of {len(stamped)} messages have no stamp, before the first that has one; they were left out"
-    return [(Unset(int(columns.bag_ns[first]), stamps_too=True), note)]
+    return [
+        (
+            Unset(int(columns.bag_ns[first]), stamps_too=True),
+            note,
+        )
+    ]
 
 
 def _counted(columns: JointColumns) -> Found:
@@ -419,7 +448,10 @@ def _median(values: TimeArray) -> int:
 
 def _edge(ahead: TimeArray, row: int, middle: int, rises: bool) -> int:
     """The first row behind a step, near the one that the smoothed level shows."""
-    near = range(max(row - NEIGHBOURS, 1), min(row + NEIGHBOURS, len(ahead)))
+    near = range(
+        max(row - NEIGHBOURS, 1),
+        min(row + NEIGHBOURS, len(ahead)),
+    )
     for candidate in near:
         if (ahead[candidate] > middle) == rises and (ahead[candidate - 1] > middle) != rises:
             return candidate
@@ -445,7 +477,12 @@ def _steps_of_both(columns: JointColumns) -> Found:
 
 def _at_one_place(position: FloatArray) -> bool:
     """Whether positions come back to one and the same again and again, as where a second publisher says nothing else."""
-    _, which, counts = np.unique(position, axis=0, return_inverse=True, return_counts=True)
+    _, which, counts = np.unique(
+        position,
+        axis=0,
+        return_inverse=True,
+        return_counts=True,
+    )
     there = which.ravel() == counts.argmax()
     visits = int(np.sum(np.diff(there.astype(int)) > 0))
     moved = float(np.ptp(position, axis=0).max())
@@ -503,7 +540,11 @@ def _two_parts(position: FloatArray, first: int, last: int, near: int) -> bool:
 def _leaps(times: TimeArray, stamps: TimeArray, position: FloatArray) -> Found:
     """Times in which nothing was recorded and nothing happened: the joints move before and after, and stand where they stood."""
     steps = np.diff(times)
-    fast = np.percentile(np.abs(np.diff(position, axis=0)), 95, axis=0)
+    fast = np.percentile(
+        np.abs(np.diff(position, axis=0)),
+        95,
+        axis=0,
+    )
     long_ns = max(float(SURE_LEAP_NS), 20.0 * float(np.median(steps)))
     found: list[tuple[Fault, str]] = []
     # a recorder that was held up, or a simulation that paused, is one clock alone
@@ -524,7 +565,13 @@ def _leaps(times: TimeArray, stamps: TimeArray, position: FloatArray) -> Found:
             f"stamps and the recorder's clock step by {1e-9 * by_ns:+.3g} s after {1e-9 * since_ns:.1f} s, while the joints go "
             "on as if nothing had happened: the recording was cut there"
         )
-        leap = Leap(int(times[row]), int(times[row + 1]), int(times[0]), int(times[-1]), back)
+        leap = Leap(
+            int(times[row]),
+            int(times[row + 1]),
+            int(times[0]),
+            int(times[-1]),
+            back,
+        )
         found.append((leap, note))
     return found[::-1] if len(found) <= MOST_CUTS else ()
 

@@ -219,7 +219,13 @@ def array_columns(
             columns = [names.index(label) for label in named]
             values[row : row + len(part.bag_ns), columns] = _marked(part.values["data"])
         row += len(part.bag_ns)
-    return JointColumns(times_ns, np.zeros_like(times_ns), names, {"effort": values}, list(notes))
+    return JointColumns(
+        times_ns,
+        np.zeros_like(times_ns),
+        names,
+        {"effort": values},
+        list(notes),
+    )
 
 
 def _labels(

@@ -95,7 +95,10 @@ def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
     return {joint: motor for joint, motor in motors.items() if motor is not None}
 
 
-def read_temperatures(path: str | Path, state_topic: str | None = None) -> dict[str, float]:
+def read_temperatures(
+    path: str | Path,
+    state_topic: str | None = None,
+) -> dict[str, float]:
     """How warm the motors were on average, as the driver of the joint states said on ``motor_temperatures``, by joint [deg C]."""
     heard: dict[str, list[float]] = {}
     with open_bag(path) as bag:
@@ -107,7 +110,12 @@ def read_temperatures(path: str | Path, state_topic: str | None = None) -> dict[
     return {joint: float(np.mean(values)) for joint, values in heard.items()}
 
 
-def _beside_states(bag: Bag, state_topic: str | None, name: str, msgtype: str) -> list[Topic]:
+def _beside_states(
+    bag: Bag,
+    state_topic: str | None,
+    name: str,
+    msgtype: str,
+) -> list[Topic]:
     """A topic in the namespace of the joint states; none where it is not there, or where these cannot be chosen."""
     try:
         namespace = bag.topics.states(state_topic).namespace
@@ -142,7 +150,10 @@ def read_points(path: str | Path, topic: str, option: str) -> PointTrack:
         messages = [
             message for _, message in bag.messages(bag.topics.chosen(topic, [POINT], option))
         ]
-    stamps = np.array([stamp_ns(message) for message in messages], dtype=np.int64)
+    stamps = np.array(
+        [stamp_ns(message) for message in messages],
+        dtype=np.int64,
+    )
     if not stamps.all():
         raise RecordingError(
             f"{path}: {topic} holds points without a stamp: they cannot be laid beside the joint states"

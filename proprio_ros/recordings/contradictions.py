@@ -226,7 +226,11 @@ class Readings:
 
         def held_at(times_ns: TimeArray) -> FloatArray:
             at = np.searchsorted(inputs.times_ns, times_ns, side="right") - 1
-            held: FloatArray = np.where(at >= 0, command[at.clip(0)], 0.0)
+            held: FloatArray = np.where(
+                at >= 0,
+                command[at.clip(0)],
+                0.0,
+            )
             return held
 
         changed_ns = inputs.times_ns[np.flatnonzero(np.diff(command, prepend=0.0) != 0.0)]
@@ -267,7 +271,10 @@ class Readings:
         mean = float(reading.mean())
         # a motor follows a command that is not constant, or it does not: the smaller scatter is its own
         along = mean / commanded * self.given_A[used]
-        scatter = min(float(reading.std()), float((reading - along).std()))
+        scatter = min(
+            float(reading.std()),
+            float((reading - along).std()),
+        )
         late = commanded - float(self.earlier_A[used].mean())
         # readings that are all alike are whole counts, however many their unit has
         count = self.count_A * abs(mean / commanded)
@@ -306,7 +313,13 @@ def _effort_per_ampere(name: str, gain: Gain, effort: Effort) -> PerAmpere | Non
 
 
 def _refuse_gain(
-    where: str, source: str, name: str, gain: Gain, per_A: PerAmpere, effort: Effort, own: bool
+    where: str,
+    source: str,
+    name: str,
+    gain: Gain,
+    per_A: PerAmpere,
+    effort: Effort,
+    own: bool,
 ) -> None:
     """Raises RecordingError: effort and command differ by more than they may, and by more than chance."""
     ratio = gain.value / per_A.value

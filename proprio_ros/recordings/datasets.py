@@ -135,7 +135,10 @@ def _opened(folder: Path, _changed_ns: int) -> DataSet:
         )
 
 
-def _episodes_2(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Episode]]:
+def _episodes_2(
+    folder: Path,
+    info: Mapping[str, Any],
+) -> Iterator[tuple[int, Episode]]:
     pattern = str(info["data_path"])
     each = int(info.get("chunks_size", 1000))
     lines = text_of(folder / "meta" / "episodes.jsonl", RecordingError, _LONGEST_META).splitlines()
@@ -149,7 +152,10 @@ def _episodes_2(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Ep
         )
 
 
-def _episodes_3(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Episode]]:
+def _episodes_3(
+    folder: Path,
+    info: Mapping[str, Any],
+) -> Iterator[tuple[int, Episode]]:
     pattern = str(info["data_path"])
     columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
     for file in sorted((folder / "meta" / "episodes").glob("*/*.parquet")):
@@ -178,7 +184,10 @@ def _readable(what: object) -> Iterator[None]:
 
 
 @lru_cache(maxsize=4)
-def _groups(file: Path, _changed_ns: int) -> tuple[Any, records.FloatArray, records.FloatArray]:
+def _groups(
+    file: Path,
+    _changed_ns: int,
+) -> tuple[Any, records.FloatArray, records.FloatArray]:
     """The open file, and lowest and highest episode of each of its row groups."""
     opened = arrow().parquet.ParquetFile(file)
     leaf = next(
@@ -196,7 +205,10 @@ def _groups(file: Path, _changed_ns: int) -> tuple[Any, records.FloatArray, reco
 
 
 def read_columns(
-    data: DataSet, index: int, columns: Sequence[str], span: records.Span | None = None
+    data: DataSet,
+    index: int,
+    columns: Sequence[str],
+    span: records.Span | None = None,
 ) -> dict[str, records.FloatArray]:
     """Columns of one episode by name: numbers, shape (T,) or (T, K); one that the data set lacks is left out.
 
@@ -238,11 +250,17 @@ def _of_episode(
 ) -> tuple[dict[str, records.FloatArray], int]:
     """Columns of the rows that belong to an episode, and how many these are."""
     table = table.filter(arrow().compute.equal(table["episode_index"], index))
-    return {column: _numbers(table[column], len(table)) for column in columns}, len(table)
+    return {column: _numbers(table[column], len(table)) for column in columns}, len(
+        table,
+    )
 
 
 def _columns_within(
-    groups: Sequence[int], columns: Sequence[str], data: DataSet, index: int, span: records.Span
+    groups: Sequence[int],
+    columns: Sequence[str],
+    data: DataSet,
+    index: int,
+    span: records.Span,
 ) -> tuple[dict[str, records.FloatArray], int]:
     """Columns of a part of an episode, read some frames at a time; and how many frames the whole episode has."""
     parts: dict[str, list[records.FloatArray]] = {column: [] for column in columns}
@@ -270,7 +288,11 @@ def _columns_within(
     }, count
 
 
-def parts_of_episode(folder: str | Path, index: int, most: int) -> list[records.Span]:
+def parts_of_episode(
+    folder: str | Path,
+    index: int,
+    most: int,
+) -> list[records.Span]:
     """Parts of an episode with about as many frames each, of which none has more than ``most``; they leave no gap."""
     data = open_data_set(folder)
     count = -(-data.episodes[index].length // most) if index in data.episodes else 1
@@ -333,7 +355,12 @@ def read_episode(
     means = Effort(effort_unit, nominal_torque_constants)
     data = open_data_set(folder)
     called = f"{Path(folder).name}#{index}"
-    read = read_columns(data, index, [columns.position, columns.effort, columns.goal, *CLOCK], span)
+    read = read_columns(
+        data,
+        index,
+        [columns.position, columns.effort, columns.goal, *CLOCK],
+        span,
+    )
     if columns.position not in read:
         raise RecordingError(
             f"{called}: no column {columns.position}; there are: {', '.join(data.features)}"
@@ -342,7 +369,13 @@ def read_episode(
     position = _ending(states, "", "pos")
     measured = _ending(states, "torque", "effort", "current")
     if columns.effort in read:
-        measured = _effort(data, columns.effort, read[columns.effort], tuple(position), called)
+        measured = _effort(
+            data,
+            columns.effort,
+            read[columns.effort],
+            tuple(position),
+            called,
+        )
     goals = _by_name(data, columns.goal, read[columns.goal], called) if columns.goal in read else {}
 
     def in_si(by_name: Mapping[str, records.FloatArray]) -> dict[str, records.FloatArray]:
@@ -378,7 +411,13 @@ def read_episode(
     nothing = np.full(len(table), np.nan)
     effort = np.column_stack([measured.get(name, nothing) for name in position])
     times_ns = times_ns[whole]
-    record = means.record(times_ns, tuple(joints), table[whole], None, effort[whole])
+    record = means.record(
+        times_ns,
+        tuple(joints),
+        table[whole],
+        None,
+        effort[whole],
+    )
     signals = None
     if sent:
         goal_table = np.column_stack(list(sent.values()))
@@ -387,7 +426,14 @@ def read_episode(
         signals = records.DriveSignals(
             times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0)
         )
-    return records.Recording(called, record, means.measured(record), notes, (), signals)
+    return records.Recording(
+        called,
+        record,
+        means.measured(record),
+        notes,
+        (),
+        signals,
+    )
 
 
 def _by_the_clock(
@@ -472,7 +518,11 @@ def _by_name(
 
 
 def _effort(
-    data: DataSet, column: str, values: records.FloatArray, joints: tuple[str, ...], called: str
+    data: DataSet,
+    column: str,
+    values: records.FloatArray,
+    joints: tuple[str, ...],
+    called: str,
 ) -> dict[str, records.FloatArray]:
     """Measured effort by joint, in the data set's names."""
     if not data.names(column) and values.reshape(len(values), -1).shape[1] == len(joints):
@@ -501,8 +551,14 @@ def _times(
         since_s = np.where(last >= 0, stamps_s[last] - first, -1e-9)
         return np.asarray(np.rint(1e9 * since_s), dtype=np.int64)
     count = len(next(iter(read.values())))
-    frames = read.get("frame_index", before + np.arange(count, dtype=np.float64))
-    return np.asarray(np.rint(1e9 * frames / data.rate_hz), dtype=np.int64)
+    frames = read.get(
+        "frame_index",
+        before + np.arange(count, dtype=np.float64),
+    )
+    return np.asarray(
+        np.rint(1e9 * frames / data.rate_hz),
+        dtype=np.int64,
+    )
 
 
 def _first(read: Mapping[str, records.FloatArray]) -> dict[str, records.FloatArray]:

@@ -9,7 +9,10 @@ from typing import Any
 from proprio_ros.robot import Robot, load_robot
 
 
-def robot_named(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Robot:
+def robot_named(
+    name_or_path: str | Path,
+    overrides: Mapping[str, Any] | None = None,
+) -> Robot:
     """As `load_robot`, where the file may name a bag that holds ``/robot_description``; Raises as that, and as `description_of`."""
     return load_robot(name_or_path, overrides, description_of)
 

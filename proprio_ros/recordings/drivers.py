@@ -102,7 +102,12 @@ def _input(value: Any) -> InputTopic:
     joints = given.get("joints", ())
     if len(set(joints)) != len(joints):
         raise FormError("joints: a joint is named twice")
-    return InputTopic(given["topic"], _TYPES[given["type"]], given["unit"], joints)
+    return InputTopic(
+        given["topic"],
+        _TYPES[given["type"]],
+        given["unit"],
+        joints,
+    )
 
 
 COLUMNS: dict[str, Form] = {

@@ -25,8 +25,19 @@ def ampere(unit: str, per_count_A: float = CURRENT_PER_COUNT_A) -> float:
 def held(values: FloatArray) -> FloatArray:
     """Each column keeps its last finite value; zero before the first."""
     known = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], -1), axis=0)
-    return np.where(last < 0, 0.0, np.take_along_axis(values, np.maximum(last, 0), axis=0))
+    last = np.maximum.accumulate(
+        np.where(
+            known,
+            np.arange(len(values))[:, None],
+            -1,
+        ),
+        axis=0,
+    )
+    return np.where(
+        last < 0,
+        0.0,
+        np.take_along_axis(values, np.maximum(last, 0), axis=0),
+    )
 
 
 def known_or_none(values: FloatArray) -> FloatArray | None:

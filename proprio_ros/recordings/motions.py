@@ -147,7 +147,11 @@ def motion_of(
     return motion
 
 
-def _without_repeats(recording: Recording, joints: Sequence[str], notes: list[str]) -> Recording:
+def _without_repeats(
+    recording: Recording,
+    joints: Sequence[str],
+    notes: list[str],
+) -> Recording:
     """The same without joint states that only repeat the one before."""
     record = recording.joints
     everywhere = np.ones(len(record.times_ns), dtype=bool)
@@ -187,7 +191,11 @@ def _current(
         raise RecordingError(
             f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
         )
-    row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
+    row = np.clip(
+        np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1,
+        0,
+        None,
+    )
     notes.append(
         f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
         "and what flows differ by some percent (state --effort-unit if the effort is a measured one)"
@@ -280,7 +288,11 @@ def _unwrapped(
     return position
 
 
-def _repeats_command(recording: Recording, joints: Sequence[str], source: str) -> tuple[str, ...]:
+def _repeats_command(
+    recording: Recording,
+    joints: Sequence[str],
+    source: str,
+) -> tuple[str, ...]:
     """A note on joints whose measured current is the command, as simulators and some drivers publish it."""
     record = recording.joints
     inputs = recording.inputs

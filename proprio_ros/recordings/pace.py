@@ -96,7 +96,10 @@ def pace_by_velocities(recording: Recording) -> Pace | None:
         return None
     scatter = float(np.std(scales)) if len(scales) > 1 else ALIKE * middle
     register = REGISTER_STD * middle
-    pace = Pace(middle, float(np.sqrt(np.median(stds) ** 2 + scatter**2 + register**2)))
+    pace = Pace(
+        middle,
+        float(np.sqrt(np.median(stds) ** 2 + scatter**2 + register**2)),
+    )
     return None if pace.is_off and len(found) < 2 else pace
 
 
@@ -138,7 +141,11 @@ def _scale_of_run(recording: Recording, run: Run) -> VelocityScale | None:
     if _made_of_differences(position, velocity):
         return None
     whole = _slopes(since_s[inside], position, velocity)
-    coarse = _slopes(since_s[inside][::2], position[::2], velocity[::2])
+    coarse = _slopes(
+        since_s[inside][::2],
+        position[::2],
+        velocity[::2],
+    )
     if whole is None or coarse is None:
         return None
     # the rule that integrates between samples is off by a third of what it is worse over two of them; nobody's push is smooth
@@ -170,7 +177,11 @@ def _slopes(
     if slopes[0] <= 0.0 or squares > UNEXPLAINED**2 * float(travelled @ travelled):
         return None
     variance = squares / (len(velocity) - 3) * np.linalg.inv(product)[0, 0]
-    return VelocityScale(float(slopes[0]), float(np.sqrt(variance)), float(slopes[1] / slopes[0]))
+    return VelocityScale(
+        float(slopes[0]),
+        float(np.sqrt(variance)),
+        float(slopes[1] / slopes[0]),
+    )
 
 
 def refuse_pace_of_runs(recording: Recording, runs: Sequence[Run]) -> None:

@@ -60,7 +60,10 @@ class EffortUnit:
     as_json = asdict
 
 
-def moving(record: JointRecord, slides: Sequence[str] = ()) -> tuple[str, ...]:
+def moving(
+    record: JointRecord,
+    slides: Sequence[str] = (),
+) -> tuple[str, ...]:
     """The joints that do not stand still."""
     spans = np.ptp(record.position, axis=0)
     least = [MOVED_M if name in slides else MOVED_RAD for name in record.names]
@@ -69,7 +72,10 @@ def moving(record: JointRecord, slides: Sequence[str] = ()) -> tuple[str, ...]:
     )
 
 
-def findings(recording: Recording, slides: Sequence[str] = ()) -> tuple[Finding, ...]:
+def findings(
+    recording: Recording,
+    slides: Sequence[str] = (),
+) -> tuple[Finding, ...]:
     """All that a recording shows of itself without a robot, efforts in whatever unit the publisher used."""
     record = recording.joints
     moved = moving(record, slides)
@@ -87,7 +93,12 @@ def findings(recording: Recording, slides: Sequence[str] = ()) -> tuple[Finding,
 
 def _time_scale(pace: Pace, moved: Sequence[str]) -> Finding:
     """A time axis that is stretched, by joints that moved."""
-    return Finding("time_scale", pace.sentence, tuple(moved), dict.fromkeys(moved, pace.scale))
+    return Finding(
+        "time_scale",
+        pace.sentence,
+        tuple(moved),
+        dict.fromkeys(moved, pace.scale),
+    )
 
 
 def _held(recording: Recording, moved: Sequence[str]) -> Iterator[Finding]:
@@ -129,11 +140,22 @@ def _still_columns(record: JointRecord, moved: Sequence[str]) -> Iterator[Findin
 def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Times, shape (T,), and values, shape (T, ...), at equal distances, by interpolation; between gaps the longest stretch."""
     period_s = float(np.median(np.diff(times_s)))
-    cuts = [0, *(np.flatnonzero(np.diff(times_s) > max(0.1, 5.0 * period_s)) + 1), len(times_s)]
-    start, end = max(itertools.pairwise(cuts), key=lambda part: part[1] - part[0])
+    cuts = [
+        0,
+        *(np.flatnonzero(np.diff(times_s) > max(0.1, 5.0 * period_s)) + 1),
+        len(times_s),
+    ]
+    start, end = max(
+        itertools.pairwise(cuts),
+        key=lambda part: part[1] - part[0],
+    )
     own = times_s[start:end]
     inside = values[start:end].reshape(end - start, -1)
-    even = np.arange(own[0], own[-1] + 0.5 * period_s, period_s)
+    even = np.arange(
+        own[0],
+        own[-1] + 0.5 * period_s,
+        period_s,
+    )
     columns = np.column_stack([np.interp(even, own, column) for column in inside.T])
     return even, columns.reshape(len(even), *values.shape[1:])
 
@@ -151,7 +173,11 @@ def velocity_lag_s(
     # both are smoothed alike, so that counts of the encoder do not decide
     width = max(3, round(0.05 / period_s) | 1)
     smooth = np.ones(width) / width
-    derivative = np.convolve(np.gradient(both[:, 0], period_s), smooth, "same")
+    derivative = np.convolve(
+        np.gradient(both[:, 0], period_s),
+        smooth,
+        "same",
+    )
     reported = np.convolve(both[:, 1], smooth, "same")
     if most < 1 or len(even) < 8 * most + 2 * width or not derivative.any() or not reported.any():
         return None
@@ -182,7 +208,11 @@ def _times_s(record: JointRecord) -> FloatArray:
     return 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
 
 
-def _velocity(record: JointRecord, moved: Sequence[str], stretched: bool) -> Iterator[Finding]:
+def _velocity(
+    record: JointRecord,
+    moved: Sequence[str],
+    stretched: bool,
+) -> Iterator[Finding]:
     """Velocities that lag, or of another unit; of a stretched time axis they have none of their own to be blamed for."""
     if record.velocity is None:
         return
@@ -311,7 +341,11 @@ def _command_as_effort(recording: Recording) -> Iterator[Finding]:
     inputs = recording.inputs
     if inputs is None or inputs.measured or record.reported_effort is None:
         return
-    row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
+    row = np.clip(
+        np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1,
+        0,
+        None,
+    )
     same = []
     for name in record.names:
         if name not in inputs.names:
@@ -359,9 +393,16 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
         for name in slides
         if name in record.names
     }
-    model = robot.model.lock(turning, {**dict.fromkeys(slides, 0.0), **held}, robot.gravity)
+    model = robot.model.lock(
+        turning,
+        {**dict.fromkeys(slides, 0.0), **held},
+        robot.gravity,
+    )
     columns = [record.column(name) for name in model.joint_names]
-    values = np.stack([record.position[:, columns], record.reported_effort[:, columns]], axis=2)
+    values = np.stack(
+        [record.position[:, columns], record.reported_effort[:, columns]],
+        axis=2,
+    )
     known = np.isfinite(values).all(axis=(1, 2))
     if known.sum() < 50:
         return {}
@@ -417,5 +458,11 @@ def effort_units(
             }
         if ratio:
             middle = float(np.median(list(ratio.values())))
-            result.append(EffortUnit(unit, ratio, PLAUSIBLE[0] <= middle <= PLAUSIBLE[1]))
+            result.append(
+                EffortUnit(
+                    unit,
+                    ratio,
+                    PLAUSIBLE[0] <= middle <= PLAUSIBLE[1],
+                )
+            )
     return tuple(result)

@@ -35,11 +35,18 @@ def published_robot(robot: Robot, text: TextRecording) -> Robot:
         {f"joints.{text.joint}.drive_train.{key}": entry for key, entry in stated.items()}
     )
     if "gravity_m_s2" in text.setting:
-        robot = replace(robot, gravity=np.array([0.0, 0.0, -float(text.setting["gravity_m_s2"])]))
+        robot = replace(
+            robot,
+            gravity=np.array([0.0, 0.0, -float(text.setting["gravity_m_s2"])]),
+        )
     return robot
 
 
-def published_run(robot: Robot, text: TextRecording, held: Mapping[str, float]) -> Run:
+def published_run(
+    robot: Robot,
+    text: TextRecording,
+    held: Mapping[str, float],
+) -> Run:
     """The run, in the pose that its setting states; ``held`` overrules that."""
     pose = {name: float(value) for name, value in text.setting["start_pose_rad"].items()}
     start = pose.pop(text.joint)

@@ -134,7 +134,11 @@ def _twice(columns: JointColumns, position: FloatArray) -> BoolArray:
     stamped = columns.stamp_ns != 0
     rows = np.column_stack([columns.stamp_ns.astype(np.float64), position])
     # NaN differs from itself
-    _, first = np.unique(np.nan_to_num(rows, nan=np.inf), axis=0, return_index=True)
+    _, first = np.unique(
+        np.nan_to_num(rows, nan=np.inf),
+        axis=0,
+        return_index=True,
+    )
     again = np.ones(len(rows), dtype=bool)
     again[first] = False
     again &= stamped
@@ -163,7 +167,12 @@ def _repeated(position: FloatArray) -> BoolArray:
 def _copies(position: FloatArray) -> np.ndarray:
     """Numbers of those messages, of some with the same joints, shape (M, K)."""
     none = np.empty(0, dtype=np.int64)
-    _, first, which = np.unique(position, axis=0, return_index=True, return_inverse=True)
+    _, first, which = np.unique(
+        position,
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+    )
     first = first[which.ravel()]
     again = np.asarray(first < np.arange(len(position)))
     own = np.flatnonzero(~again)
@@ -189,7 +198,10 @@ def _refuse_contradiction(where: str, names: Sequence[str], position: FloatArray
         place = track.position
         if len(place) < FEWEST or np.abs(place).max() > LARGEST:
             continue
-        off = np.minimum(np.abs(place[1:-1] - place[:-2]), np.abs(place[1:-1] - place[2:]))
+        off = np.minimum(
+            np.abs(place[1:-1] - place[:-2]),
+            np.abs(place[1:-1] - place[2:]),
+        )
         apart = np.abs(place[2:] - place[:-2])
         jumps = off > JUMP_TIMES * apart + JUMP_RAD
         if jumps.sum() >= FEWEST and jumps.mean() > TWO_SHARE:

@@ -52,7 +52,11 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
                     unpacked(file, folder) if file.name.endswith(COMPRESSED) else file
                     for file in files
                 ]
-            yield Bag(path, files, [stack.enter_context(Reader(file)) for file in files])
+            yield Bag(
+                path,
+                files,
+                [stack.enter_context(Reader(file)) for file in files],
+            )
     except (RecordingError, MemoryError):
         raise
     # rosbags lets sqlite, zstd, struct, YAML, KeyError and AssertionError through, depending on which byte is wrong
@@ -76,7 +80,12 @@ class Bag:
         topics: What the files hold.
     """
 
-    def __init__(self, path: Path, files: Sequence[Path], readers: list[Reader]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        files: Sequence[Path],
+        readers: list[Reader],
+    ) -> None:
         self.path = path
         self.notes: list[str] = []
         self._readers = readers
@@ -152,7 +161,11 @@ class Bag:
         ends = sorted({begin_ns - begins[0] for begin_ns in begins})
         return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
 
-    def messages(self, topic: Topic, most: int | None = None) -> list[tuple[int, Any]]:
+    def messages(
+        self,
+        topic: Topic,
+        most: int | None = None,
+    ) -> list[tuple[int, Any]]:
         """Recorder's time [ns] and message, of at most so many bytes each, in the order of time (see `_limited`)."""
         return [
             (time_ns, deserialised(raw, topic.msgtype)) for time_ns, raw in self._raw(topic, most)
@@ -170,7 +183,10 @@ class Bag:
             )
         return found
 
-    def _wanted(self, topic: Topic) -> Iterator[tuple[Reader, list[Connection]]]:
+    def _wanted(
+        self,
+        topic: Topic,
+    ) -> Iterator[tuple[Reader, list[Connection]]]:
         """The files that have a topic, with its connections."""
         for reader in self._readers:
             wanted = [
@@ -200,7 +216,11 @@ class Bag:
             ):
                 yield time_ns, bytes(raw)
 
-    def _limited(self, topic: Topic, most: int | None = None) -> Iterator[tuple[int, bytes]]:
+    def _limited(
+        self,
+        topic: Topic,
+        most: int | None = None,
+    ) -> Iterator[tuple[int, bytes]]:
         """The same, of at most so many bytes each; refuses more than is read, and none, unless the bag was cut."""
         most = most or MOST_BYTES_OF_ONE
         size = 0
@@ -226,7 +246,11 @@ class Bag:
                 f"{topic.name}: the bag promises {topic.size} messages but holds {count}."
             )
 
-    def _raw(self, topic: Topic, most: int | None = None) -> list[tuple[int, bytes]]:
+    def _raw(
+        self,
+        topic: Topic,
+        most: int | None = None,
+    ) -> list[tuple[int, bytes]]:
         """All of them in the order of time."""
         return sorted(self._limited(topic, most), key=lambda message: message[0])
 
@@ -254,7 +278,10 @@ class Rows(NamedTuple):
     values: dict[str, FloatArray]  # (M, length of the field)
 
 
-def _in_rows(messages: Iterable[tuple[int, bytes]], msgtype: str) -> Iterator[Rows]:
+def _in_rows(
+    messages: Iterable[tuple[int, bytes]],
+    msgtype: str,
+) -> Iterator[Rows]:
     """Numbers of messages in the order of time; no more than `_TOGETHER` messages are held as they were recorded."""
     coming = iter(messages)
     waiting = list[tuple[int, bytes]]()
@@ -273,7 +300,10 @@ def _in_rows(messages: Iterable[tuple[int, bytes]], msgtype: str) -> Iterator[Ro
             count, stamps, values = layout.read([raw for _, raw in waiting])
         elif hasattr(first, "header"):
             stamps = np.array([stamp_ns(first)])
-        times = np.array([time_ns for time_ns, _ in waiting[:count]], dtype=np.int64)
+        times = np.array(
+            [time_ns for time_ns, _ in waiting[:count]],
+            dtype=np.int64,
+        )
         yield Rows(times, np.zeros_like(times) if stamps is None else stamps, first, values)
         del waiting[:count]
 
@@ -284,11 +314,17 @@ class _Layout(NamedTuple):
     stamp: int | None
     numbers: dict[str, tuple[int, int, str]]  # offset, length in bytes, type
 
-    def read(self, raws: Sequence[bytes]) -> tuple[int, TimeArray | None, dict[str, FloatArray]]:
+    def read(
+        self,
+        raws: Sequence[bytes],
+    ) -> tuple[int, TimeArray | None, dict[str, FloatArray]]:
         """How many of the messages from the first on differ only in their numbers; their stamps and their numbers."""
         length = len(raws[0])
         count = next((n for n, raw in enumerate(raws) if len(raw) != length), len(raws))
-        table = np.frombuffer(b"".join(raws[:count]), np.uint8).reshape(count, length)
+        table = np.frombuffer(b"".join(raws[:count]), np.uint8).reshape(
+            count,
+            length,
+        )
         same = np.ones(length, dtype=bool)
         for offset, size, _ in self.numbers.values():
             same[offset : offset + size] = False
@@ -313,7 +349,11 @@ class _Layout(NamedTuple):
         return len(table), stamps, values
 
 
-def _layout(raw: bytes, message: Any, numbers: Mapping[str, Any]) -> _Layout | None:
+def _layout(
+    raw: bytes,
+    message: Any,
+    numbers: Mapping[str, Any],
+) -> _Layout | None:
     """Where the numbers of a message lie; None where that is not what the deserialiser says."""
     if raw[:2] != b"\0\1":
         return None

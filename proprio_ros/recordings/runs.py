@@ -74,7 +74,10 @@ class _Interval(NamedTuple):
 
 
 def cut_runs(
-    recording: Recording, *, held: Mapping[str, float] | None = None, joints: Sequence[str]
+    recording: Recording,
+    *,
+    held: Mapping[str, float] | None = None,
+    joints: Sequence[str],
 ) -> tuple[Run, ...]:
     """Cut the runs out of a recording, in the order in which they happened, of joints that have a motor.
 
@@ -113,7 +116,17 @@ def cut_runs(
             continue
         end_ns, next_ns = _between_cuts(recording, interval, end_ns, next_ns)
         try:
-            runs.append(_run(name, record, inputs, interval, end_ns, next_ns, dict(held or {})))
+            runs.append(
+                _run(
+                    name,
+                    record,
+                    inputs,
+                    interval,
+                    end_ns,
+                    next_ns,
+                    dict(held or {}),
+                )
+            )
         except RecordingError as error:
             too_short.append(str(error))
     return _without(too_short, runs)
@@ -138,7 +151,10 @@ def _between_cuts(
     return max(latest, default=None), min(soonest, default=None)
 
 
-def _without(left_out: Sequence[str], runs: Sequence[Run]) -> tuple[Run, ...]:
+def _without(
+    left_out: Sequence[str],
+    runs: Sequence[Run],
+) -> tuple[Run, ...]:
     """An excitation that was broken off at once says nothing, and must not cost the others; raises where there are none."""
     if not runs:
         raise RecordingError(left_out[0])
@@ -215,7 +231,11 @@ def _free_responses(
 
 
 def _free_response(
-    name: str, record: JointRecord, joint: str, inside: BoolArray, held: dict[str, float]
+    name: str,
+    record: JointRecord,
+    joint: str,
+    inside: BoolArray,
+    held: dict[str, float],
 ) -> Run:
     """One free response, until the joint hangs still: then friction alone decides where."""
     column = record.column(joint)
@@ -254,7 +274,10 @@ def _free_response(
 
 
 def _others(
-    record: JointRecord, rows: NDArray[Any], joint: str, held: Mapping[str, float]
+    record: JointRecord,
+    rows: NDArray[Any],
+    joint: str,
+    held: Mapping[str, float],
 ) -> dict[str, Any]:
     """What a `Run` says of all joints but that which moves, by name."""
     positions = {
@@ -410,11 +433,25 @@ def _intervals_of_joint(
         if inputs.measured:
             onset_ns, end_ns, note = _between_samples(times, int(first), int(last), end_ns)
             notes.append(note)
-        intervals.append(_Interval(joint, int(first), int(last), onset_ns, end_ns, tuple(notes)))
+        intervals.append(
+            _Interval(
+                joint,
+                int(first),
+                int(last),
+                onset_ns,
+                end_ns,
+                tuple(notes),
+            )
+        )
     return intervals
 
 
-def _between_samples(times: TimeArray, first: int, last: int, end_ns: int) -> tuple[int, int, str]:
+def _between_samples(
+    times: TimeArray,
+    first: int,
+    last: int,
+    end_ns: int,
+) -> tuple[int, int, str]:
     """A measured current began after the last quiet sample and before the first loud one.
 
     Drivers read the joint states and then write the current, so it began right after the quiet sample and ended right after

@@ -170,7 +170,11 @@ def _cuts(
     return tuple((begin_ns + ahead_ns, end_ns + ahead_ns) for begin_ns, end_ns in cuts)
 
 
-def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) -> None:
+def refuse_prefix(
+    path: Path,
+    recorded: Sequence[str],
+    joints: Sequence[str],
+) -> None:
     """Raise RecordingError: the recorded names are those of the robot's joints with one prefix before all of them."""
     if set(recorded) & set(joints):
         return
@@ -195,7 +199,10 @@ def _joint_record(
 ) -> records.JointRecord:
     driven: list[str] = []
     if inputs is not None:
-        used = np.any(np.abs(inputs.current_A) > records.ZERO_CURRENT_A, axis=0)
+        used = np.any(
+            np.abs(inputs.current_A) > records.ZERO_CURRENT_A,
+            axis=0,
+        )
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
     expected = [*asked.joint_order, *driven]
     times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
@@ -257,7 +264,10 @@ def _torque_off(
     return tuple((off_ns, on_ns) for (off_ns, on), (on_ns, _) in pairwise(changes) if not on)
 
 
-def _at_times(messages: Sequence[tuple[int, Any]], clock: Clock) -> list[tuple[int, Any]]:
+def _at_times(
+    messages: Sequence[tuple[int, Any]],
+    clock: Clock,
+) -> list[tuple[int, Any]]:
     """Messages without a stamp at when they were recorded, as far as that is known."""
     recorded_ns = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
     times = clock.times(recorded_ns, np.zeros_like(recorded_ns))
@@ -272,13 +282,22 @@ def _of(mask: records.BoolArray) -> str:
     return f"{int(mask.sum())} of {mask.size}"
 
 
-def _note(notes: list[str], topic: Topic, mask: records.BoolArray, what: str) -> None:
+def _note(
+    notes: list[str],
+    topic: Topic,
+    mask: records.BoolArray,
+    what: str,
+) -> None:
     """Say how many of a topic's rows were repaired or left out, where there are any."""
     if mask.any():
         notes.append(f"{topic.name}: {_of(mask)} {what}.")
 
 
-def _times(columns: JointColumns, topic: Topic, notes: list[str]) -> records.TimeArray:
+def _times(
+    columns: JointColumns,
+    topic: Topic,
+    notes: list[str],
+) -> records.TimeArray:
     """Header stamps; where there are none, the recorder's time on the same clock."""
     missing = columns.stamp_ns == 0
     _note(notes, topic, missing, "messages have no header stamp; their time of recording was used")
@@ -307,7 +326,11 @@ def _spread(
     return arrivals.times_ns
 
 
-def _sorted(times: records.TimeArray, topic: Topic, notes: list[str]) -> records.TimeArray:
+def _sorted(
+    times: records.TimeArray,
+    topic: Topic,
+    notes: list[str],
+) -> records.TimeArray:
     """Order of the rows in time."""
     late = np.diff(times, prepend=times[:1]) < 0
     _note(notes, topic, late, "stamps go back in time; the messages were sorted")
@@ -403,7 +426,10 @@ def _garbage(
 
 
 def _check_positions(
-    path: Path, names: Sequence[str], position: records.FloatArray, expected: Sequence[str]
+    path: Path,
+    names: Sequence[str],
+    position: records.FloatArray,
+    expected: Sequence[str],
 ) -> None:
     for name, values in zip(names, position.T, strict=True):
         # joints that are not the robot's may be wheels, which do turn that far
@@ -416,7 +442,12 @@ def _check_positions(
 
 
 def _commands(
-    bag: Bag, topic: Topic, means: InputTopic, states: JointColumns, asked: _Asked, notes: list[str]
+    bag: Bag,
+    topic: Topic,
+    means: InputTopic,
+    states: JointColumns,
+    asked: _Asked,
+    notes: list[str],
 ) -> records.InputRecord:
     """Input from a command topic, on the clock of the joint states."""
     if topic.msgtype == JOINT_STATE:
@@ -536,7 +567,13 @@ def read_drive_signals(
         goal = found(JOINT_COMMAND, JOINT_STATE)
         battery = found(BATTERY_STATE, BATTERY)
         if goal is None and battery is None:
-            return records.DriveSignals(_NO_TIMES, (), np.empty((0, 0)), _NO_TIMES, np.empty(0))
+            return records.DriveSignals(
+                _NO_TIMES,
+                (),
+                np.empty((0, 0)),
+                _NO_TIMES,
+                np.empty(0),
+            )
         states = joint_state_columns(bag, state, ["position"], conventions)
         clock = clock_of(state.name, states)
         ahead_ns = clock.mended(states).clock_ns()
@@ -562,7 +599,14 @@ def read_drive_signals(
     volts.sort(key=lambda sample: sample[0])
     voltage_ns = np.array([time_ns for time_ns, _ in volts], dtype=np.int64)
     return records.DriveSignals(
-        goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64)
+        goal_ns,
+        names,
+        goals,
+        voltage_ns,
+        np.array(
+            [volt for _, volt in volts],
+            dtype=np.float64,
+        ),
     )
 
 
@@ -600,4 +644,8 @@ def without_jumps(recording: records.Recording, joints: Sequence[str]) -> record
             "publish joint states"
         )
     note = f"{jumps}; they were left out: is the file damaged?"
-    return replace(recording, joints=record.kept(kept), notes=(*recording.notes, note))
+    return replace(
+        recording,
+        joints=record.kept(kept),
+        notes=(*recording.notes, note),
+    )

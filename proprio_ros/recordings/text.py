@@ -75,7 +75,13 @@ def read_text_recording(path: str | Path) -> TextRecording:
         what = "holds row numbers" if numbers else f"goes by {period_s:.3g} a row: is it in ms?"
         raise RecordingError(f"{file}: time_s {what}; it must be in seconds, of a clock")
     table.setflags(write=False)
-    return TextRecording(path.resolve().name, joint, table[:, 0], table[:, 1], setting)
+    return TextRecording(
+        path.resolve().name,
+        joint,
+        table[:, 0],
+        table[:, 1],
+        setting,
+    )
 
 
 _SETTING_NUMBERS = {
@@ -139,7 +145,10 @@ def read_point_file(path: str | Path) -> PointTrack:
     if header != ["stamp_ns", "x", "y", "z"]:
         raise RecordingError(f"{path}: the header must be stamp_ns,x,y,z, got {','.join(header)}")
     try:
-        stamps = np.array([int(row[0]) for row in table], dtype=np.int64)
+        stamps = np.array(
+            [int(row[0]) for row in table],
+            dtype=np.int64,
+        )
         points = np.array([[float(cell) for cell in row[1:]] for row in table]).reshape(-1, 3)
     except (ValueError, OverflowError) as error:
         raise RecordingError(
@@ -148,7 +157,10 @@ def read_point_file(path: str | Path) -> PointTrack:
     return PointTrack.of_seen(stamps, points)
 
 
-def _csv_table(file: Path, form: str) -> tuple[list[str], list[list[str]]]:
+def _csv_table(
+    file: Path,
+    form: str,
+) -> tuple[list[str], list[list[str]]]:
     """Header and rows of a CSV file, all cells as text."""
     text = text_of(file, RecordingError, LONGEST_TABLE)
     try:

@@ -107,7 +107,12 @@ class Topics:
         """Those of some types that hold messages."""
         return [topic for topic in self.all if topic.size and topic.msgtype in msgtypes]
 
-    def called(self, name: str, msgtypes: Sequence[str], namespace: str = "") -> list[Topic]:
+    def called(
+        self,
+        name: str,
+        msgtypes: Sequence[str],
+        namespace: str = "",
+    ) -> list[Topic]:
         """Filled ones of this name: that in the namespace, else that at the root, else those of any namespace."""
         filled = self.filled(*msgtypes)
         for full_name in (f"{namespace}/{name}", f"/{name}"):
@@ -116,7 +121,12 @@ class Topics:
                 return exact
         return [topic for topic in filled if topic.name.endswith(f"/{name}")]
 
-    def chosen(self, name: str, msgtypes: Sequence[str], option: str) -> Topic:
+    def chosen(
+        self,
+        name: str,
+        msgtypes: Sequence[str],
+        option: str,
+    ) -> Topic:
         """The topic that the user named with an option; refuses one that is not there, of another type, or empty."""
         found = [topic for topic in self.all if topic.name in (name, f"/{name}")]
         fitting = [topic for topic in found if topic.msgtype in msgtypes]

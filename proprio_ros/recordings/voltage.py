@@ -91,7 +91,13 @@ def _stall_current(
             f"motor in {robot.source.name}"
         )
     goal = Goal(1e-9 * (goal_ns - zero_ns).astype(np.float64), goals) if len(goals) else None
-    duty = driven_by.duty(times_s, record.position[:, column], effort, goal, robot.delay.value)
+    duty = driven_by.duty(
+        times_s,
+        record.position[:, column],
+        effort,
+        goal,
+        robot.delay.value,
+    )
     return duty * voltage_V / drive.resistance_ohm, words
 
 

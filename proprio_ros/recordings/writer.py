@@ -16,7 +16,11 @@ _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _MCAP_CHUNK = 6
 
 
-def write_messages(path: str | Path, messages: Sequence[RawMessage], storage: str = "mcap") -> None:
+def write_messages(
+    path: str | Path,
+    messages: Sequence[RawMessage],
+    storage: str = "mcap",
+) -> None:
     """Write messages to a new bag ('mcap' or 'sqlite3') as they came, byte by byte, in the order of time.
 
     The folder must not exist; nothing is left of it when writing fails.

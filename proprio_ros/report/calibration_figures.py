@@ -23,7 +23,10 @@ MOST_CORRELATED = 30
 RUNS_A_ROW = 4
 
 
-def joints_of(unknowns: tuple[UnknownRow, ...], of_runs: bool = False) -> list[str]:
+def joints_of(
+    unknowns: tuple[UnknownRow, ...],
+    of_runs: bool = False,
+) -> list[str]:
     """Joints whose drive trains are among the unknowns; ``of_runs``: only where runs said so, and not motions."""
     kinds = {"torque_constant"} if of_runs else {"torque_constant", "torque_share"}
     return [str(row.scope) for row in unknowns if row.kind in kinds]
@@ -34,7 +37,13 @@ def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
     rows = {row.key: row for row in unknowns}
     joints = joints_of(unknowns)
     terms = TERMS if ("torque_constant", joints[0]) in rows else OF_MOTIONS
-    with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (
+    with drawn(
+        9.2,
+        1.1 + 2 * (0.55 + 0.28 * len(joints)),
+        nrows=2,
+        ncols=3,
+        sharey=True,
+    ) as (
         figure,
         axes,
     ):
@@ -89,7 +98,14 @@ def correlation_figure(calibration: Calibration) -> str:
     with drawn(size + 1.0, size) as (figure, axis):
         shown = calibration.correlation[np.ix_(chosen, chosen)]
         edges = np.arange(len(names) + 1) - 0.5
-        picture = axis.pcolormesh(edges, edges, shown, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+        picture = axis.pcolormesh(
+            edges,
+            edges,
+            shown,
+            cmap="RdBu_r",
+            vmin=-1.0,
+            vmax=1.0,
+        )
         axis.invert_yaxis()
         axis.set_aspect("equal")
         axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7.5)
@@ -128,10 +144,21 @@ def residuals_figure(fits: tuple[RunFit, ...]) -> str:
             )
             axis.axhline(0.0, color=MUTED, linewidth=0.7)
             residual = 1e3 * (fit.measured - fit.simulated)
-            axis.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=2, linewidth=0.7)
+            axis.plot(
+                fit.times_s,
+                residual,
+                "o-",
+                color=SIMULATED,
+                markersize=2,
+                linewidth=0.7,
+            )
             for left_out in fit.left_out_times_s:
                 axis.axvline(left_out, color=MUTED, linewidth=0.8, linestyle=":")
-            axis.set_title(plain(_short(fit.name, 32)), fontsize=7.5, loc="left")
+            axis.set_title(
+                plain(_short(fit.name, 32)),
+                fontsize=7.5,
+                loc="left",
+            )
         figure.supxlabel(TIME[fits[0].source == TORQUE_OFF], fontsize=9.5)
         figure.supylabel("residual (mrad)", fontsize=9.5)
         return svg(figure, "Residuals of every run over time, with two standard deviations")
@@ -142,15 +169,30 @@ def held_out_figure(held_out: tuple[HeldOutRun, ...]) -> str:
     from matplotlib.ticker import LogLocator
 
     names = [plain(_short(run.name, 64)) for run in held_out][::-1]
-    with drawn(9.2, 0.9 + 0.24 * len(names), ncols=2, sharey=True) as (figure, (left, right)):
+    with drawn(
+        9.2,
+        0.9 + 0.24 * len(names),
+        ncols=2,
+        sharey=True,
+    ) as (figure, (left, right)):
         places = range(len(names))  # shortened names may be alike
-        left.barh(places, [1e3 * run.rms for run in held_out][::-1], color=ACCENT, height=0.6)
+        left.barh(
+            places,
+            [1e3 * run.rms for run in held_out][::-1],
+            color=ACCENT,
+            height=0.6,
+        )
         left.set_xscale("log")
         left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         left.xaxis.set_major_formatter("{x:g}")
         left.xaxis.set_minor_formatter("")
         left.set_xlabel("measured less predicted, rms (mrad)")
-        right.barh(places, [run.reduced_chi2 for run in held_out][::-1], color=ACCENT, height=0.6)
+        right.barh(
+            places,
+            [run.reduced_chi2 for run in held_out][::-1],
+            color=ACCENT,
+            height=0.6,
+        )
         right.axvline(1.0, color=SIMULATED, linewidth=1.0)
         right.set_xlabel("reduced chi-square (1: as promised)")
         for axis in (left, right):

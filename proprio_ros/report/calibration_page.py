@@ -139,12 +139,22 @@ def _weighed(estimate: CalibrationEstimate) -> list[str]:
             ]
         )
     title = "<h3>Each motion, weighed by the calibration of the others</h3>"
-    return [title, table(["", "held", "weighs", "95 %"], rows, numbers=(1, 2, 3))]
+    return [
+        title,
+        table(
+            ["", "held", "weighs", "95 %"],
+            rows,
+            numbers=(1, 2, 3),
+        ),
+    ]
 
 
 def _headline(estimate: CalibrationEstimate) -> list[str]:
     used = f"{estimate.used} of {estimate.runs} runs used"
-    verdict = _WORDS.get(estimate.verdict, estimate.verdict.value.replace("_", " "))
+    verdict = _WORDS.get(
+        estimate.verdict,
+        estimate.verdict.value.replace("_", " "),
+    )
     parts = titled(f"calibration of {estimate.robot}, {used}", estimate.verdict.value, verdict)
     if estimate.weighable is not None:
         parts.append(f'<p class="value beside">{escape(estimate.weighable.sentence())}</p>')
@@ -201,6 +211,17 @@ def _unknowns(estimate: CalibrationEstimate) -> list[str]:
         left = f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-"
         prior = within(row.prior, row.prior_std)
         now = within(row.value, row.std)
-        rows.append([row.label, prior, now, left, row.unit.replace("^2", "²")])
+        rows.append(
+            [
+                row.label,
+                prior,
+                now,
+                left,
+                row.unit.replace("^2", "²"),
+            ]
+        )
     header = ["unknown", "robot file", "now", "left of its uncertainty", "unit"]
-    return ["<h2>Every shared unknown</h2>", table(header, rows, numbers=(1, 2, 3), labels=1)]
+    return [
+        "<h2>Every shared unknown</h2>",
+        table(header, rows, numbers=(1, 2, 3), labels=1),
+    ]

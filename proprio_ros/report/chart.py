@@ -92,7 +92,13 @@ def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
     )
 
 
-def _panel(panel: Panel, axis: Axis, x0: float, x1: float, top: float) -> str:
+def _panel(
+    panel: Panel,
+    axis: Axis,
+    x0: float,
+    x1: float,
+    top: float,
+) -> str:
     seen = [_of(s.y, panel.log) for s in panel.series]
     seen += [
         _of(np.array(panel.rules), panel.log),
@@ -195,13 +201,22 @@ def _reach(values: np.ndarray, margin: float) -> tuple[float, float]:
 
 
 def _ticks(
-    low: float, high: float, log: bool, most: float = 7.0, whole: bool = False
+    low: float,
+    high: float,
+    log: bool,
+    most: float = 7.0,
+    whole: bool = False,
 ) -> list[tuple[float, str]]:
     """Places on the axis and what stands there: round numbers."""
     if log:
         digits_shown = (1,) if high - low > 1.5 else (1, 2, 5)
         decades = range(
-            math.floor(low), math.ceil(high) + 1, max(1, math.ceil((high - low) / most))
+            math.floor(low),
+            math.ceil(high) + 1,
+            max(
+                1,
+                math.ceil((high - low) / most),
+            ),
         )
         values = [digit * 10.0**decade for decade in decades for digit in digits_shown]
         return [
@@ -217,7 +232,10 @@ def _ticks(
         step = max(step, 1.0)
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     digits += round(step * 10.0**digits, 6) % 1.0 > 0.0
-    places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    places = range(
+        math.ceil(low / step - 1e-9),
+        math.floor(high / step + 1e-9) + 1,
+    )
     return [(place * step, _signed(f"{place * step:.{digits}f}")) for place in places]
 
 

@@ -27,7 +27,12 @@ class Choice:
     decided_s: float  # what it took
 
 
-def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path: Path) -> None:
+def write_choices(
+    choices: Sequence[Choice],
+    sought: Sought,
+    target: float,
+    path: Path,
+) -> None:
     """Write the page of choices, the last of which says why it ended; an older one of that name is replaced in one step.
 
     The target is the half interval that was asked for. Raises `ConfigurationError`: The file cannot be written.
@@ -51,7 +56,16 @@ def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path
         known = sought.said(choice.half) if number > 1 else ""
         promised = sought.said(choice.promised) if number < len(choices) else ""
         took = f"{1e3 * choice.decided_s:.0f} ms"
-        rows.append([str(number), known, choice.chosen, promised, "; ".join(choice.others), took])
+        rows.append(
+            [
+                str(number),
+                known,
+                choice.chosen,
+                promised,
+                "; ".join(choice.others),
+                took,
+            ]
+        )
     header = ["", "known before", "chosen", "promises", "not chosen", "decided in"]
     parts += [
         "<h2>What was chosen, and what was not</h2>",
@@ -74,7 +88,12 @@ def _figure(choices: Sequence[Choice], sought: Sought, target: float) -> str:
     halves = [promised, Series("reached", pushes, half, "measured")]
     rules = [as_shown * target]
     panels = [
-        Panel(f"{name} ({unit})", unit, [known], band=(pushes, value - width, value + width)),
+        Panel(
+            f"{name} ({unit})",
+            unit,
+            [known],
+            band=(pushes, value - width, value + width),
+        ),
         Panel(f"half 95 % interval ({unit_of_half})", unit_of_half, halves, rules=rules, log=True),
     ]
     about = f"{name} and 95 % interval after each push. Below: half of it, what the push promised, what was asked for."

@@ -82,8 +82,16 @@ def svg(figure: Any, description: str) -> str:
     # groups have names that nothing points to; what is pointed to is named by its place
     used = sorted(set(re.findall(r'(?:href="#|url\(#)([^")]+)', text)))
     names = {name: f"{prefix}{place}" for place, name in enumerate(used)}
-    text = re.sub(r' id="([^"]+)"', lambda m: f' id="{names[m[1]]}"' if m[1] in names else "", text)
-    text = re.sub(r'(href="#|url\(#)([^")]+)', lambda m: m[1] + names[m[2]], text)
+    text = re.sub(
+        r' id="([^"]+)"',
+        lambda m: f' id="{names[m[1]]}"' if m[1] in names else "",
+        text,
+    )
+    text = re.sub(
+        r'(href="#|url\(#)([^")]+)',
+        lambda m: m[1] + names[m[2]],
+        text,
+    )
     return themed(text).replace(
         "<svg", f'<svg class="words" role="img" aria-label="{escape(description)}"', 1
     )
@@ -124,7 +132,13 @@ def motions_figure(fits: Sequence[JointFit]) -> Any:
         for fit, above, below in zip(fits, axes[::2, 0], axes[1::2, 0], strict=True):
             below.sharex(above)
             above.set_title(plain(f"{fit.name}: {fit.joint}"), loc="left", fontsize=9.5)
-            above.plot(fit.times_s, fit.measured, color=MEASURED, linewidth=1.6, label="measured")
+            above.plot(
+                fit.times_s,
+                fit.measured,
+                color=MEASURED,
+                linewidth=1.6,
+                label="measured",
+            )
             above.plot(
                 fit.times_s, fit.explained, color=SIMULATED, linewidth=1.6, label="explained"
             )
@@ -141,7 +155,12 @@ def motions_figure(fits: Sequence[JointFit]) -> Any:
                 below.axhspan(
                     -2.0 * fit.usual, 2.0 * fit.usual, color=ACCENT, alpha=0.15, linewidth=0
                 )
-            below.plot(fit.times_s, fit.explained - fit.measured, color=SIMULATED, linewidth=0.8)
+            below.plot(
+                fit.times_s,
+                fit.explained - fit.measured,
+                color=SIMULATED,
+                linewidth=0.8,
+            )
             below.set_ylabel("residual (N m)")
             below.set_xlabel(
                 "time (s); band: two standard deviations of what stays unexplained where the load is known"
@@ -154,8 +173,21 @@ def _draw_run(above: Any, below: Any, fit: RunFit) -> None:
     above.set_title(
         plain(f"{fit.name}: {fit.joint}, {fit.current_A:+.3f} A"), loc="left", fontsize=9.5
     )
-    above.plot(fit.times_s, fit.simulated, color=SIMULATED, linewidth=1.6, label="simulated")
-    above.plot(fit.times_s, fit.measured, "o", color=MEASURED, markersize=3.4, label="measured")
+    above.plot(
+        fit.times_s,
+        fit.simulated,
+        color=SIMULATED,
+        linewidth=1.6,
+        label="simulated",
+    )
+    above.plot(
+        fit.times_s,
+        fit.measured,
+        "o",
+        color=MEASURED,
+        markersize=3.4,
+        label="measured",
+    )
     if len(fit.left_out_times_s):
         above.plot(
             fit.left_out_times_s,
@@ -173,7 +205,14 @@ def _draw_run(above: Any, below: Any, fit: RunFit) -> None:
         fit.times_s, -2e3 * fit.sigma, 2e3 * fit.sigma, color=ACCENT, alpha=0.15, linewidth=0
     )
     below.axhline(0.0, color=MUTED, linewidth=0.8)
-    below.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=3.0, linewidth=0.8)
+    below.plot(
+        fit.times_s,
+        residual,
+        "o-",
+        color=SIMULATED,
+        markersize=3.0,
+        linewidth=0.8,
+    )
     below.set_ylabel("residual (mrad)")
     below.set_xlabel(
         f"{TIME[fit.source == TORQUE_OFF]}; band: two standard deviations of the encoder"

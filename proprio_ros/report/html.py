@@ -42,7 +42,11 @@ class Own:
     script: str = ""
 
 
-def document(title: str, parts: Sequence[str], own: Own | None = None) -> str:
+def document(
+    title: str,
+    parts: Sequence[str],
+    own: Own | None = None,
+) -> str:
     """One page that needs nothing from elsewhere."""
     own = own or Own()
     scripts = [SCRIPT, own.script] if own.script else [SCRIPT]
@@ -73,7 +77,11 @@ def write_document(
     write_in_one_step(path, document(title, parts, own), option)
 
 
-def provenance(command: str, sources: Sequence[str], timing_s: Mapping[str, float]) -> list[str]:
+def provenance(
+    command: str,
+    sources: Sequence[str],
+    timing_s: Mapping[str, float],
+) -> list[str]:
     """How to get this result again."""
     parts = ["<h2>To get this again</h2>"]
     if command:

@@ -47,10 +47,16 @@ def arm_and_payload(views: Sequence[HeldView]) -> list[str]:
 
 def held_figure(view: HeldView, alone: bool = False, closer: bool = False) -> str:
     """Arm and payload in one plane; ``alone``: of the arm only what moves; ``closer``: only what is near the payload."""
-    outlines = [view.hand[None], *(each for each in (view.within, view.body) if each is not None)]
+    outlines = [
+        view.hand[None],
+        *(each for each in (view.within, view.body) if each is not None),
+    ]
     moves = np.ptp(view.arm, axis=0).max(axis=(1, 2)) > (0.0 if alone else -1.0)
     arm = [] if closer else [view.arm[:, moves].reshape(-1, 2)]
-    picture = ArmPicture.around(np.concatenate([*arm, *outlines]), closer or alone)
+    picture = ArmPicture.around(
+        np.concatenate([*arm, *outlines]),
+        closer or alone,
+    )
     if not (alone or closer or view.side == "from above"):
         picture.ground()
     for links in view.arm[: 0 if closer else -1]:
@@ -110,7 +116,11 @@ def _strip(shares: np.ndarray) -> str:
     )
 
 
-def torques(fits: Sequence[JointFit], weighed: bool, learnt: bool = False) -> list[str]:
+def torques(
+    fits: Sequence[JointFit],
+    weighed: bool,
+    learnt: bool = False,
+) -> list[str]:
     """Measured and explained torque of each joint; ``weighed``: there is a payload's, too; ``learnt``: it calibrates the arm."""
     if not fits:
         return []
@@ -128,7 +138,10 @@ def torques(fits: Sequence[JointFit], weighed: bool, learnt: bool = False) -> li
     several = len({fit.name for fit in fits}) > 1
     if not learnt:  # what told most comes first
         told = [fit.joint for fit in sorted(fits, key=lambda fit: -float(fit.told.sum()))]
-        fits = sorted(fits, key=lambda fit: (fit.name, told.index(fit.joint)))
+        fits = sorted(
+            fits,
+            key=lambda fit: (fit.name, told.index(fit.joint)),
+        )
     for fit in fits:
         title = f"{fit.name}: {fit.joint}" if several else fit.joint
         left_over, known = (

@@ -17,7 +17,10 @@ MOST_ROWS = 40  # of a table or of bars; what there is more is counted
 
 
 def small_table(
-    title: str, header: Sequence[str], rows: Sequence[Sequence[str]], after: Iterable[str] = ()
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    after: Iterable[str] = (),
 ) -> str:
     """A title, a table without the notebook's own style, and sentences."""
     cell = "padding:.15em .8em .15em 0;text-align:left;vertical-align:top"
@@ -39,17 +42,30 @@ def words_figure(title: str, sentences: Sequence[str]) -> Any:
     with drawn(7.4, 0.7 + 0.24 * len(lines)) as (figure, axis):
         axis.set_axis_off()
         axis.set_title(plain(title), loc="left", fontsize=10.5, fontweight="bold")
-        axis.text(0.0, 1.0, plain("\n".join(lines)), va="top", transform=axis.transAxes)
+        axis.text(
+            0.0,
+            1.0,
+            plain("\n".join(lines)),
+            va="top",
+            transform=axis.transAxes,
+        )
         return figure
 
 
-def bars_figure(title: str, unit: str, bars: Sequence[tuple[str, float, bool]]) -> Any:
+def bars_figure(
+    title: str,
+    unit: str,
+    bars: Sequence[tuple[str, float, bool]],
+) -> Any:
     """Named bars from above; those that are not good are grey. A matplotlib ``Figure``."""
     if not bars:
         return words_figure(title, ["there is nothing to show"])
     shown = list(bars[:MOST_ROWS])
     names = [plain(textwrap.fill(name, 56, max_lines=3, placeholder=" ...")) for name, *_ in shown]
-    with drawn(7.4, 0.9 + sum(0.12 + 0.14 * (1 + name.count("\n")) for name in names)) as (
+    with drawn(
+        7.4,
+        0.9 + sum(0.12 + 0.14 * (1 + name.count("\n")) for name in names),
+    ) as (
         figure,
         axis,
     ):
@@ -71,7 +87,10 @@ def bars_figure(title: str, unit: str, bars: Sequence[tuple[str, float, bool]]) 
 
 
 def series_figure(
-    title: str, places: Sequence[str], unit: str, lines: Sequence[tuple[str, Any, Any]]
+    title: str,
+    places: Sequence[str],
+    unit: str,
+    lines: Sequence[tuple[str, Any, Any]],
 ) -> Any:
     """Named values with half of their intervals, one of each line at every place. A matplotlib ``Figure``."""
     with drawn(7.4, 3.6) as (figure, axis):
@@ -88,9 +107,19 @@ def series_figure(
                 capsize=2,
                 label=plain(name),
             )
-        axis.set_xticks(range(len(places)), places, rotation=30, ha="right", fontsize=8.0)
+        axis.set_xticks(
+            range(len(places)),
+            places,
+            rotation=30,
+            ha="right",
+            fontsize=8.0,
+        )
         axis.set_ylabel(unit)
-        axis.set_title(textwrap.fill(plain(title), 90), loc="left", fontsize=9.5)
+        axis.set_title(
+            textwrap.fill(plain(title), 90),
+            loc="left",
+            fontsize=9.5,
+        )
         axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.0)
         return figure
 
@@ -110,7 +139,14 @@ def calibration_figure(estimate: CalibrationEstimate) -> Any:
             1e3 * np.array(each)
             for each in zip(*((w.mass_kg, w.half_width) for w in weighed), strict=True)
         )
-        axis.errorbar(grams, range(len(weighed)), xerr=half, fmt="o", color=ACCENT, capsize=3)
+        axis.errorbar(
+            grams,
+            range(len(weighed)),
+            xerr=half,
+            fmt="o",
+            color=ACCENT,
+            capsize=3,
+        )
         axis.axvline(0.0, color=INK, linewidth=0.8)
         axis.set_yticks(
             range(len(weighed)),

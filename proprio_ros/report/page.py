@@ -251,7 +251,10 @@ def _convergence(estimate: Estimate) -> list[str]:
     header = [*["fit"] * refined, f"start ({unit})", *stops, end, "cost"]
     # one digit more than the answer has, to see how well they agree
     std = estimate.values[0].std
-    digits = spec_for(estimate.values[0].unit, 0.1 * std if isinstance(std, float) else None)
+    digits = spec_for(
+        estimate.values[0].unit,
+        0.1 * std if isinstance(std, float) else None,
+    )
     rows = []
     for stage, paths in (("robot as stated", solver.paths), ("all open", solver.refined)):
         for path in paths:
@@ -276,9 +279,20 @@ def _values(estimate: Estimate) -> list[str]:
         interval = (
             "-" if each.ci95 is None else " to ".join(number(end, each.std) for end in each.ci95)
         )
-        numbers = [number(each.value, each.std), number(each.std, each.std), interval]
+        numbers = [
+            number(each.value, each.std),
+            number(each.std, each.std),
+            interval,
+        ]
         numbers = numbers if each.known else ["-"] * 3
-        rows.append([each.label, *numbers, each.unit.replace("^2", "²"), each.reason])
+        rows.append(
+            [
+                each.label,
+                *numbers,
+                each.unit.replace("^2", "²"),
+                each.reason,
+            ]
+        )
     header = [
         "estimate",
         "value",
@@ -287,7 +301,14 @@ def _values(estimate: Estimate) -> list[str]:
         "unit",
         *[""] * any(row[-1] for row in rows),
     ]
-    parts.append(table(header, [row[: len(header)] for row in rows], numbers=(1, 2, 3), labels=1))
+    parts.append(
+        table(
+            header,
+            [row[: len(header)] for row in rows],
+            numbers=(1, 2, 3),
+            labels=1,
+        )
+    )
     if estimate.unknowns:
         parts.append(
             "<h3>Every unknown: what the robot file says, and what the recording adds</h3>"
@@ -309,7 +330,14 @@ def _values(estimate: Estimate) -> list[str]:
                 ]
             )
         header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
-        parts.append(table(header, rows, numbers=(2, 3, 4), labels=1))
+        parts.append(
+            table(
+                header,
+                rows,
+                numbers=(2, 3, 4),
+                labels=1,
+            )
+        )
     if (fit := estimate.fit) is not None:
         expected = (
             "where the load is known" if estimate.joint_fits else "expected from encoder and stamps"

@@ -43,13 +43,30 @@ def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) ->
         recorded.source if recorded is not None else "",
     )
     if recorded is not None and not free:
-        panels.append(Panel("input current (A)", "A", [_current(recorded)], 70.0, rules=[0.0]))
+        panels.append(
+            Panel(
+                "input current (A)",
+                "A",
+                [_current(recorded)],
+                70.0,
+                rules=[0.0],
+            )
+        )
     if fit is not None:
         residual = 1e3 * (fit.simulated - fit.measured)
         sigma = 2e3 * fit.sigma
         off = Series("simulated less measured", fit.times_s, residual, "simulated", listed=False)
         title = "residual (mrad); band: two standard deviations"
-        panels.append(Panel(title, "mrad", [off], 90.0, (fit.times_s, -sigma, sigma), rules=[0.0]))
+        panels.append(
+            Panel(
+                title,
+                "mrad",
+                [off],
+                90.0,
+                (fit.times_s, -sigma, sigma),
+                rules=[0.0],
+            )
+        )
     fitted = "measured and simulated position, input current and residual"
     alone = "recorded position and input current"
     return chart(
@@ -95,7 +112,11 @@ class ArmPicture:
         if not closer:
             low = np.minimum(low, 0.0)
             high = np.maximum(high, 0.0)
-        return cls(low, high, (cls.WIDTH - 2.0 * cls.MARGIN) / max(float((high - low).max()), 0.03))
+        return cls(
+            low,
+            high,
+            (cls.WIDTH - 2.0 * cls.MARGIN) / max(float((high - low).max()), 0.03),
+        )
 
     def ground(self) -> None:
         """The floor, at the height of the base."""
@@ -113,7 +134,12 @@ class ArmPicture:
         down = self.scale * (self.high[1] - point[1])
         return f"{left + across:.1f},{self.MARGIN + down:.1f}"
 
-    def links(self, links: np.ndarray, style: str, joint: np.ndarray | None = None) -> None:
+    def links(
+        self,
+        links: np.ndarray,
+        style: str,
+        joint: np.ndarray | None = None,
+    ) -> None:
         """Lines from joint to joint, shape (L, 2, 2), and a ring about one joint."""
         lines = dict.fromkeys(
             f"M{a}L{b}"
@@ -164,9 +190,21 @@ def convergence_figure(estimate: Estimate) -> str:
     solver = estimate.solver
     assert solver is not None
 
-    def curve(path: StartPath, begin: int, name: str, color: str, listed: bool) -> Series:
+    def curve(
+        path: StartPath,
+        begin: int,
+        name: str,
+        color: str,
+        listed: bool,
+    ) -> Series:
         values = factor * np.maximum(path.values, 1e-6)
-        return Series(name, begin + np.arange(len(values)), values, color, listed=listed)
+        return Series(
+            name,
+            begin + np.arange(len(values)),
+            values,
+            color,
+            listed=listed,
+        )
 
     first = [path.agrees for path in solver.paths].index(True) if solver.starts_agreeing else -1
     series = [
@@ -189,7 +227,13 @@ def convergence_figure(estimate: Estimate) -> str:
     verticals = [begin] if solver.refined else []
     stops = [path.scheduled for path in solver.paths if path.scheduled is not None]
     if stops:
-        at, values = np.full(len(stops), solver.iterations), factor * np.array(stops)
+        at, values = (
+            np.full(
+                len(stops),
+                solver.iterations,
+            ),
+            factor * np.array(stops),
+        )
         series.append(Series("where the schedule stops", at, values, "answer", "dots"))
         verticals = [solver.iterations]
     answer = estimate.values[0].value
@@ -225,7 +269,18 @@ def scan_figure(estimate: Estimate) -> str:
     cost = np.maximum(scan.cost, 1e-4) if log else scan.cost
     series = [Series(scan.measure, x, cost, "measured", listed=False)]
     rules, highest = ([], np.inf) if scan.level is None else ([scan.level], HIGHEST_CHI2)
-    panel = Panel(scan.measure, "", series, 190.0, None, spans, rules, verticals, log, highest)
+    panel = Panel(
+        scan.measure,
+        "",
+        series,
+        190.0,
+        None,
+        spans,
+        rules,
+        verticals,
+        log,
+        highest,
+    )
     axis = Axis(f"{value.label} ({unit})", unit, log=log)
     return chart([panel], axis, f"Misfit of the simulation over the {value.label}")
 

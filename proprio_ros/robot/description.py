@@ -33,7 +33,10 @@ def is_bag(path: Path) -> bool:
     return path.suffix in _BAGS or path.is_dir()
 
 
-def read_model(source: str, of_bag: Callable[[Path], str] | None = None) -> RobotModel:
+def read_model(
+    source: str,
+    of_bag: Callable[[Path], str] | None = None,
+) -> RobotModel:
     """The tree of links that a source, a path or ``robot_descriptions:NAME``, describes.
 
     What takes a description out of a bag raises what it likes; without it, a bag is refused.
@@ -122,7 +125,10 @@ def hand_link(model: RobotModel) -> str:
     hand = model.root
     before = 0
     while moving[hand]:
-        joint = max(moving[hand], key=lambda each: each.independent + beyond[each.child])
+        joint = max(
+            moving[hand],
+            key=lambda each: each.independent + beyond[each.child],
+        )
         branches = len(moving[hand]) > 1 and before >= beyond[hand]
         finger = (
             _FINGER.search(joint.child)

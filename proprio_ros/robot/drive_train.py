@@ -35,7 +35,10 @@ class FingerTravel:
 
         Two measurements give a line, three or four a parabola, more a cubic.
         """
-        degree = {2: 1, 3: 2, 4: 2}.get(len(self.at_rad), 3)
+        degree = {2: 1, 3: 2, 4: 2}.get(
+            len(self.at_rad),
+            3,
+        )
         fitted = np.polynomial.Polynomial.fit(self.at_rad, self.open_m, degree).convert().coef
         slopes = [*map(float, fitted[1:]), 0.0, 0.0]
         return slopes[0], slopes[1], slopes[2]

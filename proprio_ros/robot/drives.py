@@ -57,7 +57,11 @@ class Goal:
         return np.interp(times_s, steps_s, limited)
 
     def _rows(self, times_s: FloatArray) -> np.ndarray:
-        return np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, None)
+        return np.clip(
+            np.searchsorted(self.times_s, times_s, side="right") - 1,
+            0,
+            None,
+        )
 
 
 @dataclass(frozen=True)

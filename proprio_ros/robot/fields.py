@@ -81,7 +81,10 @@ def _drift(value: Any) -> Drift:
 def _held(value: Any) -> dict[str, float]:
     return section(
         value,
-        dict.fromkeys(mapping(value), Field(Number(unit="rad or m", lowest=-100.0, highest=100.0))),
+        dict.fromkeys(
+            mapping(value),
+            Field(Number(unit="rad or m", lowest=-100.0, highest=100.0)),
+        ),
     )
 
 
@@ -94,7 +97,11 @@ class Uncertain(Form):
     def read(self, value: Any) -> Quantity:
         if not isinstance(value, Mapping):
             return Quantity(self.of.read(value), 0.0)
-        std = Number(unit=self.of.unit, lowest=0.0, highest=self.of.highest)
+        std = Number(
+            unit=self.of.unit,
+            lowest=0.0,
+            highest=self.of.highest,
+        )
         return Quantity(**section(value, {"value": Field(self.of), "std": Field(std, 0.0)}))
 
     def described(self) -> str:
@@ -238,7 +245,10 @@ ROBOT: dict[str, Field] = {
         None,
     ),
 }
-ELSEWHERE = dict.fromkeys(("urdf", "joints", "extends"), Field(Text(longest=LONGEST_PATH), None))
+ELSEWHERE = dict.fromkeys(
+    ("urdf", "joints", "extends"),
+    Field(Text(longest=LONGEST_PATH), None),
+)
 """Keys that are read before the others."""
 CALIBRATIONS = ("calibration", "motion_calibration", "joint_calibration")
 _FILE_ONLY = ("model_fingerprint", *CALIBRATIONS)  # no --set
@@ -267,7 +277,10 @@ def override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return {".".join(path): path for path in paths}
 
 
-def nested_settings(joints: Sequence[str], overrides: Mapping[str, Any]) -> dict[str, Any]:
+def nested_settings(
+    joints: Sequence[str],
+    overrides: Mapping[str, Any],
+) -> dict[str, Any]:
     """Dotted settings as the robot file nests them. Raises `RobotError`: A key is unknown."""
     paths = override_paths(joints)
     settings: dict[str, Any] = {}

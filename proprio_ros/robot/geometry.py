@@ -60,7 +60,10 @@ def motion(kind: str, axis: ArrayLike, position: float | FloatArray) -> FloatArr
     The axis is in the joint's own frame.
     """
     if kind == "prismatic":
-        return transform(np.eye(3), np.multiply.outer(position, np.asarray(axis, dtype=np.float64)))
+        return transform(
+            np.eye(3),
+            np.multiply.outer(position, np.asarray(axis, dtype=np.float64)),
+        )
     if kind == "fixed":
         return np.eye(4)
     return transform(rotation_about(axis, position), np.zeros(3))

@@ -63,7 +63,11 @@ def side_view(
     return links_in(robot, plane, poses), np.array(driven)
 
 
-def side_plane(robot: Robot, joint: str, pose: Mapping[str, float]) -> np.ndarray:
+def side_plane(
+    robot: Robot,
+    joint: str,
+    pose: Mapping[str, float],
+) -> np.ndarray:
     """Unit vectors to the right and up of `side_view` in the frame of the root link, shape (2, 3).
 
     Raises `RobotError`: A position is missing.
@@ -78,12 +82,19 @@ def side_plane(robot: Robot, joint: str, pose: Mapping[str, float]) -> np.ndarra
     if driven.kind == "prismatic" or np.linalg.norm(level) < _LEVEL:
         right = reach - up * (up @ reach)
     if np.linalg.norm(right) < _STILL_M:
-        right = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+        right = np.cross(
+            up,
+            np.eye(3)[int(np.abs(up).argmin())],
+        )
     right *= (1.0 if right @ reach >= 0.0 else -1.0) / np.linalg.norm(right)
     return np.array([right, up])
 
 
-def links_in(robot: Robot, plane: np.ndarray, poses: Sequence[Mapping[str, float]]) -> np.ndarray:
+def links_in(
+    robot: Robot,
+    plane: np.ndarray,
+    poses: Sequence[Mapping[str, float]],
+) -> np.ndarray:
     """Both ends of the links in every pose, along the unit vectors of a plane [m], shape (P, L, 2, 2); as `side_view`."""
     model = robot.model
     frames = [
@@ -99,7 +110,11 @@ def links_in(robot: Robot, plane: np.ndarray, poses: Sequence[Mapping[str, float
 
 
 def hand_path(
-    robot: Robot, joint: str, start: Mapping[str, float], travel: float, points: int = 20
+    robot: Robot,
+    joint: str,
+    start: Mapping[str, float],
+    travel: float,
+    points: int = 20,
 ) -> np.ndarray:
     """Where the hand is while one joint moves by a signed travel [rad or m]: [m], in the frame of the root link, shape (points, 3).
 
@@ -122,13 +137,20 @@ def bent_pose(robot: Robot) -> dict[str, float]:
     }
 
 
-def zero_pose(robot: Robot, joints: Sequence[str] | None = None) -> dict[str, float]:
+def zero_pose(
+    robot: Robot,
+    joints: Sequence[str] | None = None,
+) -> dict[str, float]:
     """Joints, all independent ones where none are named, at zero, or at the limit nearest to it [rad or m]."""
     places = map(robot.model.joint, robot.model.independent_joints if joints is None else joints)
     return {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in places}
 
 
-def _lowest(up: Vector, steps: tuple[_Step, ...], pose: Mapping[str, float]) -> float:
+def _lowest(
+    up: Vector,
+    steps: tuple[_Step, ...],
+    pose: Mapping[str, float],
+) -> float:
     # only heights are wanted: carry the vertical into each frame instead of the frame into the base
     passed: list[tuple[Vector, float]] = []
     lowest = math.inf
@@ -146,7 +168,11 @@ def _lowest(up: Vector, steps: tuple[_Step, ...], pose: Mapping[str, float]) -> 
             if step.kind == "prismatic":
                 height += position * _dot((x, y, z), step.axis)
             else:
-                x, y, z = _turned((x, y, z), step.axis, -position)
+                x, y, z = _turned(
+                    (x, y, z),
+                    step.axis,
+                    -position,
+                )
         passed.append(((x, y, z), height))
         if step.counts:
             lowest = min(lowest, height)

@@ -54,10 +54,17 @@ class Loads:
             frames[joint.child] = body, place
             if body >= 0:
                 self._pseudo[body] = self._pseudo[body] + place @ inertias[joint.child] @ place.T
-        body, place = frames.get(robot.payload_frame, (-1, np.eye(4)))
+        body, place = frames.get(
+            robot.payload_frame,
+            (-1, np.eye(4)),
+        )
         self._hand, self._held_at = body, place[:, 3]
 
-    def at(self, pose: Mapping[str, float], held_kg: float = 0.0) -> Load:
+    def at(
+        self,
+        pose: Mapping[str, float],
+        held_kg: float = 0.0,
+    ) -> Load:
         """Efforts and inertias in a pose of all independent joints [rad or m]. A joint that others follow moves them, too."""
         places: list[FloatArray] = []
         # velocity of the points beyond, as a matrix on their coordinates
@@ -115,6 +122,10 @@ def _velocity(kind: str, frame: FloatArray, axis: FloatArray) -> FloatArray:
     if kind == "prismatic":
         velocity[:3, 3] = (x, y, z)
     else:
-        velocity[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        velocity[:3, :3] = [
+            [0.0, -z, y],
+            [z, 0.0, -x],
+            [-y, x, 0.0],
+        ]
         velocity[:3, 3] = -velocity[:3, :3] @ frame[:3, 3]
     return velocity

@@ -68,7 +68,14 @@ def new_robot_file(
         if key in _WRITTEN_BY_CALIBRATE:
             continue
         words = {"payload_frame": f"{CHECK}, a guess: "}.get(key, "") + _words(entry)
-        lines.append(_line(0, key, values.get(key, _default(entry, model)), words))
+        lines.append(
+            _line(
+                0,
+                key,
+                values.get(key, _default(entry, model)),
+                words,
+            )
+        )
         if key == "name":
             words = "its description: a .urdf file, a bag, robot_descriptions:NAME"
             lines.append(_line(0, "urdf", _way(source, output), words))
@@ -88,7 +95,14 @@ def new_robot_file(
         if model.joint(name).kind == "prismatic":
             to_state.append(f"joints.{name}.transmission_m_per_rad")
     unlimited = tuple(name for name in joints if math.isinf(model.joint(name).effort_limit))
-    return NewFile(model.name, "\n".join(lines) + "\n", joints, frame, tuple(to_state), unlimited)
+    return NewFile(
+        model.name,
+        "\n".join(lines) + "\n",
+        joints,
+        frame,
+        tuple(to_state),
+        unlimited,
+    )
 
 
 def _head(name: str, torque_recorded: bool) -> list[str]:
@@ -104,14 +118,30 @@ def _head(name: str, torque_recorded: bool) -> list[str]:
     return [*(f"# {line}" for line in textwrap.wrap(words, 118)), ""]
 
 
-def _joint(model: RobotModel, name: str, explained: bool, torque_recorded: bool) -> list[str]:
+def _joint(
+    model: RobotModel,
+    name: str,
+    explained: bool,
+    torque_recorded: bool,
+) -> list[str]:
     """All keys of one joint; what they are for stands at the first joint only."""
     joint = model.joint(name)
     slides = joint.kind == "prismatic"
 
-    def line(indent: int, key: str, entry: Field, value: Any = ..., mark: str = "") -> str:
+    def line(
+        indent: int,
+        key: str,
+        entry: Field,
+        value: Any = ...,
+        mark: str = "",
+    ) -> str:
         words = mark + _words(entry) if explained or mark else ""
-        return _line(indent, key, _default(entry, model, name) if value is ... else value, words)
+        return _line(
+            indent,
+            key,
+            _default(entry, model, name) if value is ... else value,
+            words,
+        )
 
     limits = f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
     if math.isinf(joint.effort_limit):
@@ -150,7 +180,15 @@ def _joint(model: RobotModel, name: str, explained: bool, torque_recorded: bool)
         # what is a part of something not yet stated is left to the reader of the file
         later = isinstance(entry.default, Wide) and (slides or entry.default.of == "nominal")
         mark = f"null: {entry.default.described()}; " if later else ""
-        lines.append(line(6, key, entry, None if later else ..., mark if explained else ""))
+        lines.append(
+            line(
+                6,
+                key,
+                entry,
+                None if later else ...,
+                mark if explained else "",
+            )
+        )
     for key, entry in JOINT.items():
         if slides or key == "usable_velocity_rad_s":
             mark = f"{STATE}: " if key == "transmission_m_per_rad" else ""

@@ -63,7 +63,9 @@ class Kinematics:
         turn = self.rotation[:, :, body, None]
         place = self.origin[:, body, None]
         linear = screws[3:] + cross_product(screws[:3], place)
-        return (turn * screws[:3]).sum(1), (turn * linear).sum(1)
+        return (turn * screws[:3]).sum(1), (turn * linear).sum(
+            1,
+        )
 
 
 def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) -> Kinematics:
@@ -86,7 +88,11 @@ def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) 
         columns = place[:, :3] @ np.column_stack(
             [np.eye(3), cross, cross @ cross, model.axes[body]]
         )
-        seen = np.tensordot(np.hstack([columns, place[:, 3:]]), turn, (0, 0))
+        seen = np.tensordot(
+            np.hstack([columns, place[:, 3:]]),
+            turn,
+            (0, 0),
+        )
         rotation[:, :, body] = seen[:3] + sine[body] * seen[3:6] + versine[body] * seen[6:9]
         origin[:, body] = seen[10] + (0.0 if parent < 0 else origin[:, parent])
         axis[:3, body], axis[3:, body] = seen[9], cross_product(origin[:, body], seen[9])
@@ -118,9 +124,17 @@ def carriers(model: ReducedModel, body: int) -> list[int]:
 
 def gravity_along(model: ReducedModel, motion: Kinematics, body: int) -> FloatArray:
     """Gravity's force on a body along each joint that carries it, per unit of its parameters, shape (10, joints, T)."""
-    force, _ = motion.seen_by(body, np.append(model.gravity, np.zeros(3))[:, None, None])
+    force, _ = motion.seen_by(
+        body,
+        np.append(model.gravity, np.zeros(3))[:, None, None],
+    )
     return momentum_along(
-        *motion.seen_by(body, motion.axis[:, carriers(model, body)]), 0.0 * force, force
+        *motion.seen_by(
+            body,
+            motion.axis[:, carriers(model, body)],
+        ),
+        0.0 * force,
+        force,
     )
 
 

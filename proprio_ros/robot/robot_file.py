@@ -201,7 +201,10 @@ _PATH = Text(longest=LONGEST_PATH)
 _CONSTANT = "torque_constant_N_m_per_A"
 
 
-def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
+def _read_settings(
+    path: Path,
+    below: tuple[Path, ...] = (),
+) -> dict[str, Any]:
     """One YAML file with all that it extends merged in, and the path of its URDF made absolute."""
     if path in below:
         raise RobotError(
@@ -224,7 +227,10 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     if settings.get("urdf") is not None:
         settings["urdf"] = _urdf_source(settings["urdf"], path)
     if "extends" in settings:
-        base = _read_settings(_located(settings.pop("extends"), path.parent), (*below, path))
+        base = _read_settings(
+            _located(settings.pop("extends"), path.parent),
+            (*below, path),
+        )
         for kind in CALIBRATIONS:
             if kind in settings:
                 base.pop(kind, None)  # a newer calibration replaces an older one as a whole
@@ -310,7 +316,11 @@ def _part(settings: Any, key: str) -> Mapping[str, Any]:
     return part if isinstance(part, Mapping) else {}
 
 
-def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) -> None:
+def _check_stated(
+    settings: Mapping[str, Any],
+    source: Path,
+    model: RobotModel,
+) -> None:
     """Raises: FormError: Keys are mistyped, which comes first, or missing; it names all at once."""
     refuse_unknown(settings, ROBOT | ELSEWHERE)
     for name, joint in _part(settings, "joints").items():
@@ -355,7 +365,11 @@ def _few(names: Sequence[str], longest: int = 60) -> str:
     )
 
 
-def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = None) -> Robot:
+def _robot(
+    settings: dict[str, Any],
+    source: Path,
+    model: RobotModel | None = None,
+) -> Robot:
     """A robot from merged settings; None: they name no URDF. Refuses what is wrong, or of another URDF."""
     settings = _stated(settings)
     try:
@@ -397,7 +411,11 @@ def _check_digests(settings: Mapping[str, Any]) -> None:
                 check_digest(settings[key])
 
 
-def _check_model(given: Mapping[str, Any], model: RobotModel, urdf: Any) -> None:
+def _check_model(
+    given: Mapping[str, Any],
+    model: RobotModel,
+    urdf: Any,
+) -> None:
     """Raises: FormError: Calibrations are of another URDF than the file's, or it lacks the link in which objects are held."""
     expected = given["model_fingerprint"]
     if expected is None and any(given[key] is not None for key in CALIBRATIONS):
@@ -419,7 +437,10 @@ def _check_model(given: Mapping[str, Any], model: RobotModel, urdf: Any) -> None
         )
 
 
-def _drive_trains(joints: Any, model: RobotModel) -> tuple[dict[str, DriveTrain], dict[str, Motor]]:
+def _drive_trains(
+    joints: Any,
+    model: RobotModel,
+) -> tuple[dict[str, DriveTrain], dict[str, Motor]]:
     """Drive trains and motors by joint."""
     drive_trains = {}
     motors = {}
@@ -492,11 +513,18 @@ def _assembled(
     )
 
 
-def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrain, Motor]:
+def _drive_train(
+    settings: Any,
+    model: RobotModel,
+    name: str,
+) -> tuple[DriveTrain, Motor]:
     joint = model.joint(name)
     fields = {
         "motor": Field(Part(by=lambda value: section(value, MOTOR))),
-        "drive_train": Field(Part(by=lambda value: section(value, DRIVE_TRAIN)), {}),
+        "drive_train": Field(
+            Part(by=lambda value: section(value, DRIVE_TRAIN)),
+            {},
+        ),
     }
     settings = mapping(settings)
     stated = _part(settings, "drive_train").get(_CONSTANT)
@@ -592,7 +620,10 @@ def load_robot(
     )
 
 
-def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
+def with_recorded_torque(
+    name_or_path: str | Path,
+    overrides: Mapping[str, Any],
+) -> dict[str, Any]:
     """Overrides for a robot whose motors' torque was recorded, so that no torque constant is needed.
 
     Torque then counts as current of 1 N m/A, known to a tenth, at joints whose torque constant nobody states, or only as that 1.

@@ -123,9 +123,21 @@ class UrdfReader:
         root = self._root(links, joints)
         ordered = self._ordered(root, joints)
         name = one_line(self._robot.get("name") or "robot", LONGEST_NAME)
-        return name, (links[root], *(links[joint.child] for joint in ordered)), tuple(ordered), root
+        return (
+            name,
+            (
+                links[root],
+                *(links[joint.child] for joint in ordered),
+            ),
+            tuple(ordered),
+            root,
+        )
 
-    def _unique(self, tag: str, read: Callable[[ElementTree.Element], Any]) -> dict[str, Any]:
+    def _unique(
+        self,
+        tag: str,
+        read: Callable[[ElementTree.Element], Any],
+    ) -> dict[str, Any]:
         items = [read(element) for element in self._robot.findall(tag)]
         result = {item.name: item for item in items}
         for name, count in Counter(item.name for item in items).items():
@@ -174,7 +186,11 @@ class UrdfReader:
         return values
 
     def _number(
-        self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None
+        self,
+        element: ElementTree.Element,
+        attribute: str,
+        where: str,
+        default: str | None = None,
     ) -> float:
         return self._numbers(element, attribute, where, default, 1)[0]
 
@@ -330,7 +346,11 @@ class UrdfReader:
                 seen.append(source)
                 mimic = joints[source].mimic
 
-    def _root(self, links: Mapping[str, Link], joints: Mapping[str, Joint]) -> str:
+    def _root(
+        self,
+        links: Mapping[str, Link],
+        joints: Mapping[str, Joint],
+    ) -> str:
         carrier: dict[str, str] = {}
         for joint in joints.values():
             if joint.child in carrier:
@@ -350,7 +370,11 @@ class UrdfReader:
             )
         return roots[0]
 
-    def _ordered(self, root: str, joints: Mapping[str, Joint]) -> list[Joint]:
+    def _ordered(
+        self,
+        root: str,
+        joints: Mapping[str, Joint],
+    ) -> list[Joint]:
         children: dict[str, list[Joint]] = defaultdict(list)
         for joint in reversed(list(joints.values())):
             children[joint.parent].append(joint)

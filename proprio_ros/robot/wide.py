@@ -61,7 +61,10 @@ def largest_torque(model: RobotModel, name: str, transmission: float = 1.0) -> f
     load = 0.0
     for link in model.links:
         if link.name in behind:
-            first_moment = math.dist(link.pseudo_inertia[:3, 3], (0.0, 0.0, 0.0))
+            first_moment = math.dist(
+                link.pseudo_inertia[:3, 3],
+                (0.0, 0.0, 0.0),
+            )
             mass = float(link.pseudo_inertia[3, 3])
             load += 9.81 * (mass if slides else mass * behind[link.name] + first_moment)
     limit = joint.effort_limit

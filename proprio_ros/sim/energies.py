@@ -71,12 +71,20 @@ def young(mu: float, lam: float) -> tuple[float, float]:
     return mu * (3.0 * lam + 2.0 * mu) / (lam + mu), lam / (2.0 * (lam + mu))
 
 
-def small_strain_lame(law: str, mu: float, lam: float) -> tuple[float, float]:
+def small_strain_lame(
+    law: str,
+    mu: float,
+    lam: float,
+) -> tuple[float, float]:
     """The Lamé parameters of Hooke's law that a law with these parameters starts with [Pa]."""
     return (0.75 * mu, lam - 0.625 * mu) if law == "warp_compat" else (mu, lam)
 
 
-def lame_of_small_strain(law: str, mu: float, lam: float) -> tuple[float, float]:
+def lame_of_small_strain(
+    law: str,
+    mu: float,
+    lam: float,
+) -> tuple[float, float]:
     """The parameters with which a law starts as Hooke's law does with these: ``small_strain_lame`` the other way round [Pa]."""
     return (mu / 0.75, lam + 0.625 / 0.75 * mu) if law == "warp_compat" else (mu, lam)
 
@@ -99,7 +107,10 @@ def log_j(j: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.log(safe) + below - 0.5 * below**2, first, -1.0 / safe**2
 
 
-def shear_energy(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def shear_energy(
+    law: str,
+    f: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """w of the law and its derivatives: (M,), (M, 9), (M, 9, 9)."""
     flat = f.reshape(-1, 9)
     if law == "linear":
@@ -107,7 +118,10 @@ def shear_energy(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
         return (
             (strain**2).sum(axis=1),
             2.0 * strain,
-            np.broadcast_to(np.eye(9) + _TRANSPOSE, (len(flat), 9, 9)),
+            np.broadcast_to(
+                np.eye(9) + _TRANSPOSE,
+                (len(flat), 9, 9),
+            ),
         )
     ic = (flat**2).sum(axis=1)
     j, by_f, curvature = _determinant(f)
@@ -134,16 +148,25 @@ def shear_energy(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     return w, 2.0 * by_ic[:, None] * flat + by_j[:, None] * by_f, hessian
 
 
-def volume(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def volume(
+    law: str,
+    f: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """j of the law, its change of volume, and derivatives: (M,), (M, 9), (M, 9, 9)."""
     if law != "linear":
         return _determinant(f)
     by_f = np.broadcast_to(_ONE, (len(f), 9))
-    by_ff = np.broadcast_to(np.zeros((9, 9)), (len(f), 9, 9))
+    by_ff = np.broadcast_to(
+        np.zeros((9, 9)),
+        (len(f), 9, 9),
+    )
     return np.trace(f, axis1=1, axis2=2) - 2.0, by_f, by_ff
 
 
-def bulk_energy(law: str, j: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bulk_energy(
+    law: str,
+    j: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """u of the law and two derivatives, each (C,)."""
     if law == "log":
         value, first, second = log_j(j)

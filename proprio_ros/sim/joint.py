@@ -84,10 +84,16 @@ class JointSimulator:
             )
         self.runs = tuple(runs)
         self.integrator = integrator
-        self.sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
+        self.sample_counts = np.array(
+            [len(run.sample_times_s) for run in runs],
+            dtype=np.int32,
+        )
         self.sample_counts.setflags(write=False)
         self._width = int(self.sample_counts.max())
-        input_counts = np.array([len(run.input_times_s) for run in runs], dtype=np.int32)
+        input_counts = np.array(
+            [len(run.input_times_s) for run in runs],
+            dtype=np.int32,
+        )
         samples = np.zeros((len(runs), self._width))
         switch_times = np.zeros((len(runs), int(input_counts.max())))
         inputs = np.zeros((*switch_times.shape, 3))
@@ -110,7 +116,11 @@ class JointSimulator:
         self._launches: dict[tuple[int, int, bool], _Launch] = {}
 
     def _array(self, values: np.ndarray) -> wp.array:
-        return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=FLOAT, device="cpu")
+        return wp.array(
+            np.ascontiguousarray(values, dtype=np.float64),
+            dtype=FLOAT,
+            device="cpu",
+        )
 
     def _zeros(self, shape: int | tuple[int, ...], kind: Any = FLOAT, **options: bool) -> wp.array:
         return wp.zeros(shape, dtype=kind, device="cpu", **options)
@@ -125,10 +135,17 @@ class JointSimulator:
             )
             for run in self.runs
         ]
-        return np.minimum(np.maximum(np.array(counts, dtype=np.int32), 3), self.sample_counts)
+        return np.minimum(
+            np.maximum(np.array(counts, dtype=np.int32), 3),
+            self.sample_counts,
+        )
 
     def jacobian(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None = None
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions and velocities at the sample instants with exact forward sensitivities.
 
@@ -147,7 +164,11 @@ class JointSimulator:
         return q, v, dq[:, :, : dp.shape[2]]
 
     def _launch(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray | None,
     ) -> tuple[np.ndarray, ...]:
         """All outputs of the tangent kernel; its directions are padded to one of ``tangent_sizes``."""
         worlds, _, directions = dp.shape
@@ -178,15 +199,31 @@ class JointSimulator:
         """What every kernel knows about the runs, in its order."""
         times = self._switch_times
         inputs = self._inputs
-        return [self._samples, counts, times, inputs, self._input_counts, self._steps, self._data()]
+        return [
+            self._samples,
+            counts,
+            times,
+            inputs,
+            self._input_counts,
+            self._steps,
+            self._data(),
+        ]
 
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
         vec = wp.types.vector(length=size, dtype=FLOAT)
         return [self._zeros((worlds, self._width), kind) for kind in (FLOAT, FLOAT, vec)]
 
-    def rollout(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rollout(
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at the sample instants, shapes (W, T); arguments as in ``jacobian``."""
-        q, v, _ = self.jacobian(world_run, p, np.zeros((*p.shape, 1)))
+        q, v, _ = self.jacobian(
+            world_run,
+            p,
+            np.zeros((*p.shape, 1)),
+        )
         return q.copy(), v.copy()
 
 
@@ -202,7 +239,10 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     )
 
 
-def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]:
+def kinds_of_kernel(
+    sizes: Sequence[int],
+    rises: bool,
+) -> list[tuple[int, bool]]:
     """Size, and whether friction rises towards standstill, of each kernel that fits may need; the last size has all parameters."""
     # all parameters at once are more than some fits have unknowns, and the rise is one of them on every robot
     return [
@@ -215,7 +255,10 @@ def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]
 
 def plain_kernel(directions: int, integrator: str) -> Any:
     """The joint's own kernel for runs with an empty hand among those of another law, which has more parameters."""
-    return rollout(joint_law(_size_of(min(directions, len(PARAMETERS))), True), integrator)
+    return rollout(
+        joint_law(_size_of(min(directions, len(PARAMETERS))), True),
+        integrator,
+    )
 
 
 def _size_of(directions: int) -> int:
@@ -225,7 +268,13 @@ def _size_of(directions: int) -> int:
 class _Launch:
     """Buffers and recorded launch for one batch shape: a recorded launch costs a fifth of a fresh one."""
 
-    def __init__(self, owner: JointSimulator, worlds: int, size: int, stribeck: bool) -> None:
+    def __init__(
+        self,
+        owner: JointSimulator,
+        worlds: int,
+        size: int,
+        stribeck: bool,
+    ) -> None:
         vec = wp.types.vector(length=size, dtype=FLOAT)
         shape = (worlds, len(owner.parameters))
         counts = wp.clone(owner._full_counts)
@@ -247,7 +296,11 @@ class _Launch:
         self._results = tuple(output.numpy() for output in self._outputs)
 
     def __call__(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray,
     ) -> tuple[np.ndarray, ...]:
         for at, values in enumerate((world_run, counts, p, dp)):
             self._put(at, values)

@@ -48,7 +48,13 @@ class JointData:
 
 
 @wp.func
-def limited_current(command: FLOAT, v: FLOAT, volt: FLOAT, emf: FLOAT, ohm: FLOAT):
+def limited_current(
+    command: FLOAT,
+    v: FLOAT,
+    volt: FLOAT,
+    emf: FLOAT,
+    ohm: FLOAT,
+):
     """The current that flows, and its derivative by the velocity."""
     i = command
     slope = FLOAT(0.0)
@@ -181,7 +187,13 @@ def standstill(state: Any, data_type: Any) -> Any:
     """Whether a joint is, or may come within a step, near standstill, as a Warp function of a state that begins with q and v."""
 
     @wp.func
-    def still(y: state, k: state, data: data_type, r: wp.int32, step: FLOAT):
+    def still(
+        y: state,
+        k: state,
+        data: data_type,
+        r: wp.int32,
+        step: FLOAT,
+    ):
         return (
             wp.abs(y[1]) < FLOAT(20.0) * data.constants[r, FRICTION_VELOCITY] + wp.abs(k[1]) * step
         )
@@ -201,15 +213,44 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
         dq: wp.array2d(dtype=vec)
 
     @wp.func
-    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: data_type, r: wp.int32):
-        return VEC2(p[w, Q0], p[w, V0]), wp.matrix_from_rows(dp[w, Q0], dp[w, V0])
+    def start(
+        p: FLOATS,
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: data_type,
+        r: wp.int32,
+    ):
+        return VEC2(p[w, Q0], p[w, V0]), wp.matrix_from_rows(
+            dp[w, Q0],
+            dp[w, V0],
+        )
 
     @wp.func
-    def moved(y: VEC2, dy: mat, z: VEC2, dz: mat, k: VEC2, dk: mat, data: data_type, r: wp.int32):
-        return VEC2(z[1], k[1]), wp.matrix_from_rows(dz[1], dk[1])
+    def moved(
+        y: VEC2,
+        dy: mat,
+        z: VEC2,
+        dz: mat,
+        k: VEC2,
+        dk: mat,
+        data: data_type,
+        r: wp.int32,
+    ):
+        return VEC2(z[1], k[1]), wp.matrix_from_rows(
+            dz[1],
+            dk[1],
+        )
 
     @wp.func
-    def record(out: Out, w: wp.int32, k: wp.int32, y: VEC2, dy: mat, lead: FLOAT, d_lead: vec):
+    def record(
+        out: Out,
+        w: wp.int32,
+        k: wp.int32,
+        y: VEC2,
+        dy: mat,
+        lead: FLOAT,
+        d_lead: vec,
+    ):
         out.v[w, k] = y[1]
         if lead < FLOAT(0.0):
             out.q[w, k] = y[0] + y[1] * lead

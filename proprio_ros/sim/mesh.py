@@ -80,7 +80,10 @@ class TetMesh:
                 "a face of the mesh belongs to more than two tetrahedra: tetrahedra overlap"
             )
         edges = tets[:, [0, 1, 2]].ravel(), tets[:, [1, 2, 3]].ravel()
-        graph = coo_matrix((np.ones(len(edges[0])), edges), shape=(len(points), len(points)))
+        graph = coo_matrix(
+            (np.ones(len(edges[0])), edges),
+            shape=(len(points), len(points)),
+        )
         pieces = connected_components(graph, directed=False)[0]
         if pieces > 1:
             raise ConfigurationError(f"the mesh is in {pieces} pieces: the block must be one")
@@ -90,7 +93,10 @@ class TetMesh:
         """Of the four linear shape functions of each tetrahedron [1/m], shape (M, 4, 3); F = sum of x_k (x) gradient k."""
         corners = self.points[self.tets]
         inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
-        return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+        return np.concatenate(
+            [-inverse.sum(axis=1, keepdims=True), inverse],
+            axis=1,
+        )
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -171,7 +177,11 @@ def _oriented(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return tets
 
 
-def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None = None) -> TetMesh:
+def box(
+    size: np.ndarray,
+    cells: tuple[int, int, int],
+    corner: np.ndarray | None = None,
+) -> TetMesh:
     """A box of cells, each split into five tetrahedra with alternating parity.
 
     Args:
@@ -197,7 +207,10 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
     strides = np.array([nodes[1] * nodes[2], nodes[2], 1])
 
     corners = np.array(list(product((0, 1), repeat=3)))
-    tets = np.empty((len(origins), 5, 4), dtype=np.int64)
+    tets = np.empty(
+        (len(origins), 5, 4),
+        dtype=np.int64,
+    )
     for parity in (0, 1):
         mine = origins.sum(axis=1) % 2 == parity
         even = corners.sum(axis=1) % 2 == parity
@@ -253,7 +266,11 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
     points = scale * np.asarray(found.points, dtype=np.float64)[used]
     corners = numbers.reshape(corners.shape)
     try:
-        mesh = TetMesh(points, _oriented(points, corners), np.arange(len(corners)))
+        mesh = TetMesh(
+            points,
+            _oriented(points, corners),
+            np.arange(len(corners)),
+        )
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
     for high, name in ((False, "lowest"), (True, "highest")):

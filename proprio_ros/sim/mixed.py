@@ -49,7 +49,11 @@ class MixedSimulator(Generic[_Special]):
         return counts
 
     def jacobian(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None = None
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As ``JointSimulator.jacobian``."""
         if self.plain is None:

@@ -37,7 +37,11 @@ class PayloadShape:
     description: str  # the words it was made from, for the report
 
     @classmethod
-    def of(cls, shape: str, size: float | Sequence[float] | None) -> PayloadShape:
+    def of(
+        cls,
+        shape: str,
+        size: float | Sequence[float] | None,
+    ) -> PayloadShape:
         """Uniform solid of one of ``SHAPES`` and the given outer size [m]; a cylinder's axis is along z, a point has no size.
 
         Raises `ConfigurationError`: Unknown shape, or a size that does not fit it.
@@ -68,7 +72,10 @@ class PayloadShape:
                 [numbers[0] ** 2 / 16.0, numbers[0] ** 2 / 16.0, numbers[1] ** 2 / 12.0]
             )
         else:
-            spread = np.full(3, numbers[0] ** 2 / (20.0 if shape == "sphere" else 12.0))
+            spread = np.full(
+                3,
+                numbers[0] ** 2 / (20.0 if shape == "sphere" else 12.0),
+            )
         text = " x ".join(f"{1e3 * n:g}" for n in numbers)
         return cls(np.diag(spread), f"a solid {shape}, {text} mm")
 

@@ -66,12 +66,18 @@ class Elastic:
             .swapaxes(3, 4)
             .reshape(count, 9, 12)
         )
-        self._rows = (3 * tets[:, :, None] + np.arange(3)).reshape(count, 12)
+        self._rows = (3 * tets[:, :, None] + np.arange(3)).reshape(
+            count,
+            12,
+        )
         pairs = np.repeat(self._rows, 12, axis=1) * self._unknowns + np.tile(self._rows, (1, 12))
         unique, self._slots = np.unique(pairs, return_inverse=True)
         self._slots = self._slots.reshape(-1)
         # symmetric: rows and columns may change places
-        self._pointers = np.searchsorted(unique // self._unknowns, np.arange(self._unknowns + 1))
+        self._pointers = np.searchsorted(
+            unique // self._unknowns,
+            np.arange(self._unknowns + 1),
+        )
         self._indices = unique % self._unknowns
         self._cell_rows = np.repeat(mesh.cells, 12)
 
@@ -109,7 +115,11 @@ class Elastic:
         force = self._gather(volumes * (mu * by_f + push[:, None] * j_by_f))
         local = volumes[:, :, None] * (mu * tangent + push[:, None, None] * j_curvature)
         blocks = np.swapaxes(self._by_corner, 1, 2) @ local @ self._by_corner
-        values = np.bincount(self._slots, blocks.ravel(), minlength=len(self._indices))
+        values = np.bincount(
+            self._slots,
+            blocks.ravel(),
+            minlength=len(self._indices),
+        )
         shape = (self._unknowns, self._unknowns)
         stiffness = csc_matrix((values, self._indices, self._pointers), shape=shape)
         # and lambda V_c u'' grad j_c (x) grad j_c of the cells
@@ -158,7 +168,11 @@ class QuasiStatic:
     """
 
     def __init__(
-        self, mesh: TetMesh, law: str = "log", contact: str = "bonded", octant: bool = False
+        self,
+        mesh: TetMesh,
+        law: str = "log",
+        contact: str = "bonded",
+        octant: bool = False,
     ) -> None:
         if contact not in CONTACTS:
             raise SimulationError(
@@ -186,7 +200,12 @@ class QuasiStatic:
         self._by_squeeze[high, 0] = -1.0
         self._length = mesh.length / self._travel
 
-    def curve(self, squeeze: Sequence[float] | np.ndarray, mu: float, lam: float) -> SqueezeCurve:
+    def curve(
+        self,
+        squeeze: Sequence[float] | np.ndarray,
+        mu: float,
+        lam: float,
+    ) -> SqueezeCurve:
         """Equilibria at squeezes (K,) [m] for Lamé parameters [Pa], reached from rest one after the other.
 
         Raises `SimulationError`: No such solid, a squeeze of the whole length, or no equilibrium found.
@@ -292,9 +311,12 @@ class QuasiStatic:
         answer[free] = _factor(stiffness[free][:, free]).solve(pull[free])
         by_theta = self.elastic.forces(points).reshape(2, -1) @ (g - answer)
         by_d = float(g @ pull - answer @ pull)
-        return (float(g @ force.ravel()), by_d, float(by_theta[0]), float(by_theta[1])), (
-            g - answer
-        ).reshape(-1, 3)
+        return (
+            float(g @ force.ravel()),
+            by_d,
+            float(by_theta[0]),
+            float(by_theta[1]),
+        ), (g - answer).reshape(-1, 3)
 
 
 def _factor(stiffness: csc_matrix) -> splu:

@@ -95,17 +95,36 @@ class Response:
             slope_nu + both * beyond_s,
         )
 
-    def _place(self, value: np.ndarray, axis: int) -> tuple[list, np.ndarray, list, np.ndarray]:
+    def _place(
+        self,
+        value: np.ndarray,
+        axis: int,
+    ) -> tuple[list, np.ndarray, list, np.ndarray]:
         first, step = self.grid[2 * axis : 2 * axis + 2]
         last = self.nodes.shape[axis] - 1
         inside = np.clip(value, first, first + last * step)
-        cell = np.minimum(((inside - first) / step).astype(np.int64), last - 1)
+        cell = np.minimum(
+            ((inside - first) / step).astype(np.int64),
+            last - 1,
+        )
         t = (inside - first) / step - cell
         basis = [
-            [(1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2],
-            [t**2 * (3 - 2 * t), t**2 * (t - 1)],
+            [
+                (1 + 2 * t) * (1 - t) ** 2,
+                t * (1 - t) ** 2,
+            ],
+            [
+                t**2 * (3 - 2 * t),
+                t**2 * (t - 1),
+            ],
         ]
-        by_t = [[6 * t * (t - 1), (1 - t) * (1 - 3 * t)], [6 * t * (1 - t), t * (3 * t - 2)]]
+        by_t = [
+            [
+                6 * t * (t - 1),
+                (1 - t) * (1 - 3 * t),
+            ],
+            [6 * t * (1 - t), t * (3 * t - 2)],
+        ]
         return basis, cell, [[part / step for part in pair] for pair in by_t], value - inside
 
 
@@ -128,7 +147,11 @@ def build(
     made_of = _made_of(size, law, contact, cells, far)
     settings = json.loads(made_of)
     edges = np.array([1.0, *settings["sides"]])
-    mesh = box(0.5 * edges, tuple(settings["cells"]), corner=np.zeros(3))
+    mesh = box(
+        0.5 * edges,
+        tuple(settings["cells"]),
+        corner=np.zeros(3),
+    )
     return _tabulate(
         QuasiStatic(mesh, law, contact, octant=True), float(edges[1] * edges[2]), 1.0, made_of
     )
@@ -140,13 +163,23 @@ def _tabulate(solver: QuasiStatic, area: float, length: float, made_of: str) -> 
     ratio = np.linspace(*RATIOS)
     nodes = np.zeros((len(squeeze), len(ratio), 4))
     for column, nu in enumerate(ratio):
-        curve = solver.curve(length * squeeze, *lame_of_small_strain(law, *lame(1.0, nu)))
+        curve = solver.curve(
+            length * squeeze,
+            *lame_of_small_strain(law, *lame(1.0, nu)),
+        )
         by_mu, by_lambda = lame_of_small_strain(law, *lame_by_poissons_ratio(nu))
         by_nu = curve.by_mu * by_mu + curve.by_lambda * by_lambda
         nodes[:, column, :3] = (
             np.stack([curve.force, length * curve.by_squeeze, by_nu], axis=1) / area
         )
-    nodes[..., 3] = CubicSpline(ratio, nodes[..., 1], axis=1)(ratio, 1)
+    nodes[..., 3] = CubicSpline(
+        ratio,
+        nodes[..., 1],
+        axis=1,
+    )(
+        ratio,
+        1,
+    )
     nodes *= np.array([1.0, squeeze[1], ratio[1] - ratio[0], squeeze[1] * (ratio[1] - ratio[0])])
     return Response(made_of, squeeze, ratio, nodes)
 
@@ -171,9 +204,17 @@ def response_of_mesh(
     content = b"".join(
         np.ascontiguousarray(part).tobytes() for part in (mesh.points, mesh.tets, mesh.cells)
     )
-    settings = {"law": law, "contact": contact, "mesh": hashlib.sha256(content).hexdigest()}
+    settings = {
+        "law": law,
+        "contact": contact,
+        "mesh": hashlib.sha256(content).hexdigest(),
+    }
     made_of = json.dumps(settings | _common(SQUEEZES[law]), sort_keys=True)
-    return _kept(made_of, rebuild, lambda: _tabulate(solver, mesh.area, mesh.length, made_of))
+    return _kept(
+        made_of,
+        rebuild,
+        lambda: _tabulate(solver, mesh.area, mesh.length, made_of),
+    )
 
 
 def kept_at(made_of: str) -> Path:
@@ -181,7 +222,11 @@ def kept_at(made_of: str) -> Path:
     return cache_folder() / f"response-{hashlib.sha256(made_of.encode()).hexdigest()[:16]}.npz"
 
 
-def _kept(made_of: str, rebuild: bool, make: Callable[[], Response]) -> Response:
+def _kept(
+    made_of: str,
+    rebuild: bool,
+    make: Callable[[], Response],
+) -> Response:
     path = kept_at(made_of)
     table = None if rebuild else _load(path, made_of)
     if table is None:
@@ -194,7 +239,13 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "proprio_ros"
 
 
-def _made_of(size: np.ndarray, law: str, contact: str, cells: int, far: bool) -> str:
+def _made_of(
+    size: np.ndarray,
+    law: str,
+    contact: str,
+    cells: int,
+    far: bool,
+) -> str:
     check_law(law)
     if contact not in CONTACTS:
         raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")

@@ -15,7 +15,12 @@ def _basis(t: FLOAT):
     one = FLOAT(1.0)
     two = FLOAT(2.0)
     r = one - t
-    return VEC4((one + two * t) * r * r, t * r * r, t * t * (FLOAT(3.0) - two * t), -t * t * r)
+    return VEC4(
+        (one + two * t) * r * r,
+        t * r * r,
+        t * t * (FLOAT(3.0) - two * t),
+        -t * t * r,
+    )
 
 
 @wp.func
@@ -24,19 +29,36 @@ def _basis_slope(t: FLOAT):
     six = FLOAT(6.0)
     three = FLOAT(3.0)
     r = one - t
-    return VEC4(-six * t * r, r * (one - three * t), six * t * r, t * (three * t - FLOAT(2.0)))
+    return VEC4(
+        -six * t * r,
+        r * (one - three * t),
+        six * t * r,
+        t * (three * t - FLOAT(2.0)),
+    )
 
 
 @wp.func
 def tabulated(
-    s: FLOAT, nu: FLOAT, table: wp.int32, grid: wp.array(dtype=FLOAT), nodes: wp.array3d(dtype=VEC4)
+    s: FLOAT,
+    nu: FLOAT,
+    table: wp.int32,
+    grid: wp.array(dtype=FLOAT),
+    nodes: wp.array3d(dtype=VEC4),
 ):
     """phi, dphi/ds and dphi/dnu of one of several tables over the same grid: ``Response.__call__`` for kernels."""
     rows = nodes.shape[1] - 1
     columns = nodes.shape[2] - 1
     zero = FLOAT(0.0)
-    u = wp.clamp((s - grid[0]) / grid[1], zero, FLOAT(rows))
-    w = wp.clamp((nu - grid[2]) / grid[3], zero, FLOAT(columns))
+    u = wp.clamp(
+        (s - grid[0]) / grid[1],
+        zero,
+        FLOAT(rows),
+    )
+    w = wp.clamp(
+        (nu - grid[2]) / grid[3],
+        zero,
+        FLOAT(columns),
+    )
     i = wp.min(wp.int32(u), rows - 1)
     j = wp.min(wp.int32(w), columns - 1)
     beyond_s = s - grid[0] - u * grid[1]

@@ -174,6 +174,14 @@ def rollout(law: Law, integrator: str) -> Any:
                     if arrived == 0:
                         segment = segment + 1
                         u = inputs[r, segment]
-            record(out, w, k, y, dy, wp.min(goal, FLOAT(0.0)), d_goal)
+            record(
+                out,
+                w,
+                k,
+                y,
+                dy,
+                wp.min(goal, FLOAT(0.0)),
+                d_goal,
+            )
 
     return kernel

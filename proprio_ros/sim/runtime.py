@@ -61,7 +61,10 @@ def load(kernels: Sequence[Any], device: Any) -> None:
     check()
     missing = [kernel.module for kernel in kernels if not _is_kept(kernel.module, device)]
     with ThreadPoolExecutor(COMPILERS) as pool:
-        loaded = (pool.map if COMPILERS > 1 else map)(partial(_load, device=device), missing)
+        loaded = (pool.map if COMPILERS > 1 else map)(
+            partial(_load, device=device),
+            missing,
+        )
         for number in range(1, len(missing) + 1):
             progress.say(f"compiling {number} of {len(missing)}, once on this computer")
             next(loaded)

@@ -53,7 +53,12 @@ class SloshData:
 
 
 @wp.func
-def _gravity(geometry: FLOATS, r: wp.int32, at: wp.int32, angle: FLOAT):
+def _gravity(
+    geometry: FLOATS,
+    r: wp.int32,
+    at: wp.int32,
+    angle: FLOAT,
+):
     """A component of gravity in the container's frame, and its change with the angle."""
     c = wp.cos(angle)
     s = wp.sin(angle)
@@ -77,9 +82,25 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         dx: wp.array2d(dtype=vec)
 
     @wp.func
-    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SloshData, r: wp.int32):
-        gs, gs_by = _gravity(data.geometry, r, G_S, p[w, Q0] + p[w, TILT])
-        gz, gz_by = _gravity(data.geometry, r, G_Z, p[w, Q0] + p[w, TILT])
+    def start(
+        p: FLOATS,
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: SloshData,
+        r: wp.int32,
+    ):
+        gs, gs_by = _gravity(
+            data.geometry,
+            r,
+            G_S,
+            p[w, Q0] + p[w, TILT],
+        )
+        gz, gz_by = _gravity(
+            data.geometry,
+            r,
+            G_Z,
+            p[w, Q0] + p[w, TILT],
+        )
         gz = wp.min(gz, FLOAT(-1.0))  # a container that stands nowhere near upright
         slope = -gs / gz
         radius = FLOAT(GRAVITY) / p[w, STIFFNESS]
@@ -87,8 +108,18 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         dx = (-(gs_by + slope * gz_by) / gz * p[w, SETTLED] * radius) * (dp[w, Q0] + dp[w, TILT])
         dx = dx + (slope * radius) * dp[w, SETTLED] - (x / p[w, STIFFNESS]) * dp[w, STIFFNESS]
         return (
-            VEC4(p[w, Q0], p[w, V0], x, FLOAT(0.0)),
-            wp.matrix_from_rows(dp[w, Q0], dp[w, V0], dx, vec()),
+            VEC4(
+                p[w, Q0],
+                p[w, V0],
+                x,
+                FLOAT(0.0),
+            ),
+            wp.matrix_from_rows(
+                dp[w, Q0],
+                dp[w, V0],
+                dx,
+                vec(),
+            ),
         )
 
     @wp.func
@@ -118,8 +149,18 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         high = data.geometry[r, BOTTOM] + p[w, HEIGHT] + FLOAT(0.5) * slope * y[2]
         d_high = dp[w, HEIGHT] + FLOAT(0.5) * (y[2] * d_slope + slope * dy[2])
         turned = dy[0] + dp[w, TILT]
-        gs, gs_by = _gravity(data.geometry, r, G_S, y[0] + p[w, TILT])
-        gz, gz_by = _gravity(data.geometry, r, G_Z, y[0] + p[w, TILT])
+        gs, gs_by = _gravity(
+            data.geometry,
+            r,
+            G_S,
+            y[0] + p[w, TILT],
+        )
+        gz, gz_by = _gravity(
+            data.geometry,
+            r,
+            G_Z,
+            y[0] + p[w, TILT],
+        )
         side = wp.tanh(s / FLOAT(FRICTION_SPEED))
         rub = p[w, DAMPING] * s + p[w, FRICTION] * side  # F of ``slosh.py``; E, N, P and Q below
         loss = p[w, DAMPING] + p[w, FRICTION] * (FLOAT(1.0) - side * side) / FLOAT(FRICTION_SPEED)
@@ -175,14 +216,46 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         db = db / (p[w, INERTIA] + inertia)
         k = (along - b * over) / wide
         dk = (d_along - b * d_over - over * db - k * d_wide) / wide
-        return VEC4(v, b, s, k), wp.matrix_from_rows(dy[1], db, dy[3], dk)
+        return VEC4(v, b, s, k), wp.matrix_from_rows(
+            dy[1],
+            db,
+            dy[3],
+            dk,
+        )
 
     @wp.func
-    def moved(y: VEC4, dy: mat, z: VEC4, dz: mat, k: VEC4, dk: mat, data: SloshData, r: wp.int32):
-        return VEC4(z[1], k[1], z[3], k[3]), wp.matrix_from_rows(dz[1], dk[1], dz[3], dk[3])
+    def moved(
+        y: VEC4,
+        dy: mat,
+        z: VEC4,
+        dz: mat,
+        k: VEC4,
+        dk: mat,
+        data: SloshData,
+        r: wp.int32,
+    ):
+        return VEC4(
+            z[1],
+            k[1],
+            z[3],
+            k[3],
+        ), wp.matrix_from_rows(
+            dz[1],
+            dk[1],
+            dz[3],
+            dk[3],
+        )
 
     @wp.func
-    def record(out: Out, w: wp.int32, k: wp.int32, y: VEC4, dy: mat, lead: FLOAT, d_lead: vec):
+    def record(
+        out: Out,
+        w: wp.int32,
+        k: wp.int32,
+        y: VEC4,
+        dy: mat,
+        lead: FLOAT,
+        d_lead: vec,
+    ):
         out.v[w, k] = y[1]
         out.q[w, k] = y[0] + y[1] * lead
         out.dq[w, k] = dy[0] + lead * dy[1]

@@ -89,7 +89,11 @@ class Contact:
 
 
 def paper_contact(
-    mass: float, k_e: float = 1000.0, k_d: float = 1.0, k_f: float = 1.0, friction: float = 0.3
+    mass: float,
+    k_e: float = 1000.0,
+    k_d: float = 1.0,
+    k_f: float = 1.0,
+    friction: float = 0.3,
 ) -> "Contact":
     """The paper's constants [N/m, N s/m, N s/m, 1] for a sphere of ``mass`` [kg]."""
     return Contact(k_e / mass, k_d / mass, k_f / mass, friction)
@@ -151,7 +155,10 @@ class SphereSimulator(JointSimulator):
         self.enclosure = enclosure
         self.law = law
         sphere = [enclosure.radius, enclosure.inertia_factor, enclosure.ramp_depth]
-        inside = [*(0.5 * np.asarray(enclosure.inner_size, dtype=np.float64)), *sphere]
+        inside = [
+            *(0.5 * np.asarray(enclosure.inner_size, dtype=np.float64)),
+            *sphere,
+        ]
         places = [
             [*run.axis, *run.joint_origin, run.kind == "revolute", *np.ravel(run.gravity_terms())]
             for run in runs
@@ -170,12 +177,21 @@ class SphereSimulator(JointSimulator):
 
         Returns: x (W, T, 3) [m], dx (W, T, 3, D), copies.
         """
-        self._launch(np.asarray(world_run, dtype=np.int32), p, dp, None)
+        self._launch(
+            np.asarray(world_run, dtype=np.int32),
+            p,
+            dp,
+            None,
+        )
         x, dx = self.last_path(dp.shape[2])
         return x.copy(), dx.copy()
 
     def _launch(
-        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray | None,
     ) -> tuple[np.ndarray, ...]:
         most = self.tangent_sizes[-1]
         if dp.shape[2] <= most:
@@ -204,11 +220,19 @@ class SphereSimulator(JointSimulator):
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
         mat = wp.types.matrix(shape=(3, size), dtype=FLOAT)
         shape = (worlds, self._width)
-        return [*super()._outputs(worlds, size), self._zeros(shape, VEC3), self._zeros(shape, mat)]
+        return [
+            *super()._outputs(worlds, size),
+            self._zeros(shape, VEC3),
+            self._zeros(shape, mat),
+        ]
 
 
 def compile_kernels(
-    shape: str = "box", law: str = "ramped", integrator: str = "rk4", *, rises: bool = True
+    shape: str = "box",
+    law: str = "ramped",
+    integrator: str = "rk4",
+    *,
+    rises: bool = True,
 ) -> None:
     """As ``joint.compile_kernels``, for fits with a sphere in a container of one shape and a law of contact."""
     # of the two launches with all directions either may have that of the rise

@@ -54,8 +54,26 @@ STATE = wp.types.vector(length=11, dtype=FLOAT)
 
 
 @wp.func
-def joined_state(q: FLOAT, v: FLOAT, x: VEC3, u: VEC3, s: VEC3):
-    return STATE(q, v, x[0], x[1], x[2], u[0], u[1], u[2], s[0], s[1], s[2])
+def joined_state(
+    q: FLOAT,
+    v: FLOAT,
+    x: VEC3,
+    u: VEC3,
+    s: VEC3,
+):
+    return STATE(
+        q,
+        v,
+        x[0],
+        x[1],
+        x[2],
+        u[0],
+        u[1],
+        u[2],
+        s[0],
+        s[1],
+        s[2],
+    )
 
 
 @wp.func
@@ -73,14 +91,28 @@ class SphereData:
 
 @wp.func
 def triple(table: FLOATS, row: wp.int32, column: wp.int32):
-    return VEC3(table[row, column], table[row, column + 1], table[row, column + 2])
+    return VEC3(
+        table[row, column],
+        table[row, column + 1],
+        table[row, column + 2],
+    )
 
 
 @wp.func
 def _cross_of(a: VEC3):
     """The matrix that takes b to a x b."""
     zero = FLOAT(0.0)
-    return MAT33(zero, -a[2], a[1], a[2], zero, -a[0], -a[1], a[0], zero)
+    return MAT33(
+        zero,
+        -a[2],
+        a[1],
+        a[2],
+        zero,
+        -a[0],
+        -a[1],
+        a[0],
+        zero,
+    )
 
 
 @wp.func
@@ -118,7 +150,11 @@ def wall_of(shape: str) -> Any:
                 out = wp.sqrt(x[0] * x[0] + x[1] * x[1])
                 depth = out - (half[0] - radius)
                 if out > FLOAT(0.0):
-                    n = VEC3(-x[0] / out, -x[1] / out, FLOAT(0.0))
+                    n = VEC3(
+                        -x[0] / out,
+                        -x[1] / out,
+                        FLOAT(0.0),
+                    )
             else:
                 side = FLOAT(1.0) - FLOAT(2.0) * FLOAT(face - 1)
                 n = VEC3(FLOAT(0.0), FLOAT(0.0), side)
@@ -140,7 +176,12 @@ def wall_of(shape: str) -> Any:
 
 
 @wp.func
-def start_of(p: FLOATS, world: wp.int32, geometry: FLOATS, run: wp.int32):
+def start_of(
+    p: FLOATS,
+    world: wp.int32,
+    geometry: FLOATS,
+    run: wp.int32,
+):
     """Position, velocity and spin of a sphere that moves with the container."""
     x = triple(p, world, START_X)
     axis = triple(geometry, run, AXIS)
@@ -287,27 +328,57 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         dx: wp.array2d(dtype=mat)
 
     @wp.func
-    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SphereData, r: wp.int32):
+    def start(
+        p: FLOATS,
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: SphereData,
+        r: wp.int32,
+    ):
         x, u, s = start_of(p, w, data.geometry, r)
         axis = triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
         dv = dp[w, V0]
-        dx = wp.matrix_from_rows(dp[w, START_X], dp[w, START_Y], dp[w, START_Z])
+        dx = wp.matrix_from_rows(
+            dp[w, START_X],
+            dp[w, START_Y],
+            dp[w, START_Z],
+        )
         lever = container_velocity(x, axis, triple(data.geometry, r, ORIGIN), turn)
         du = wp.outer(lever, dv) + (turn * p[w, V0] * _cross_of(axis)) @ dx
-        return joined_state(p[w, Q0], p[w, V0], x, u, s), joined(
-            dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv)
+        return joined_state(
+            p[w, Q0],
+            p[w, V0],
+            x,
+            u,
+            s,
+        ), joined(
+            dp[w, Q0],
+            dv,
+            dx,
+            du,
+            wp.outer(turn * axis, dv),
         )
 
     @wp.func
-    def joined(dq: vec, dv: vec, dx: mat, du: mat, ds: mat):
+    def joined(
+        dq: vec,
+        dv: vec,
+        dx: mat,
+        du: mat,
+        ds: mat,
+    ):
         return wp.matrix_from_rows(
             dq, dv, dx[0], dx[1], dx[2], du[0], du[1], du[2], ds[0], ds[1], ds[2]
         )
 
     @wp.func
     def three(dy: whole, row: wp.int32):
-        return wp.matrix_from_rows(dy[row], dy[row + 1], dy[row + 2])
+        return wp.matrix_from_rows(
+            dy[row],
+            dy[row + 1],
+            dy[row + 2],
+        )
 
     @wp.func
     def rates(
@@ -384,19 +455,51 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
 
     @wp.func
     def moved(
-        y: STATE, dy: whole, z: STATE, dz: whole, k: STATE, dk: whole, data: SphereData, r: wp.int32
+        y: STATE,
+        dy: whole,
+        z: STATE,
+        dz: whole,
+        k: STATE,
+        dk: whole,
+        data: SphereData,
+        r: wp.int32,
     ):
         axis = triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
-        lever = container_velocity(part(y, 2), axis, triple(data.geometry, r, ORIGIN), turn)
+        lever = container_velocity(
+            part(y, 2),
+            axis,
+            triple(data.geometry, r, ORIGIN),
+            turn,
+        )
         dx = three(dz, 5) - wp.outer(lever, dz[1]) - (turn * z[1] * _cross_of(axis)) @ three(dy, 2)
         return (
-            joined_state(z[1], k[1], part(z, 5) - z[1] * lever, part(k, 5), part(k, 8)),
-            joined(dz[1], dk[1], dx, three(dk, 5), three(dk, 8)),
+            joined_state(
+                z[1],
+                k[1],
+                part(z, 5) - z[1] * lever,
+                part(k, 5),
+                part(k, 8),
+            ),
+            joined(
+                dz[1],
+                dk[1],
+                dx,
+                three(dk, 5),
+                three(dk, 8),
+            ),
         )
 
     @wp.func
-    def record(out: Out, w: wp.int32, k: wp.int32, y: STATE, dy: whole, lead: FLOAT, d_lead: vec):
+    def record(
+        out: Out,
+        w: wp.int32,
+        k: wp.int32,
+        y: STATE,
+        dy: whole,
+        lead: FLOAT,
+        d_lead: vec,
+    ):
         out.v[w, k] = y[1]
         if lead < FLOAT(0.0):
             out.q[w, k] = y[0] + y[1] * lead

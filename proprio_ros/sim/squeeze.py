@@ -97,7 +97,12 @@ class SqueezeSimulator(JointSimulator):
             np.stack([table.nodes for table in tables]), dtype=VEC4, device="cpu"
         )
 
-    def squeeze(self, world_run: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    def squeeze(
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        q: np.ndarray,
+    ) -> np.ndarray:
         """Squeeze relative to the block's length at joint positions q (W, T): (W, T), below 0 where the block is not touched.
 
         Where it is beyond the table's reach, the law is a guess.

@@ -42,7 +42,12 @@ class SqueezeData:
 
 @wp.func
 def excitation_of_block(
-    q: FLOAT, v: FLOAT, p: FLOATS, world: wp.int32, data: SqueezeData, run: wp.int32
+    q: FLOAT,
+    v: FLOAT,
+    p: FLOATS,
+    world: wp.int32,
+    data: SqueezeData,
+    run: wp.int32,
 ):
     """Load of the block on the joint, and its derivatives: by q and v, and by E, nu, eta and gap."""
     zero = FLOAT(0.0)
@@ -104,7 +109,14 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
         data: SqueezeData,
         r: wp.int32,
     ):
-        load, by_q, by_v, by_p = excitation_of_block(y[0], y[1], p, w, data, r)
+        load, by_q, by_v, by_p = excitation_of_block(
+            y[0],
+            y[1],
+            p,
+            w,
+            data,
+            r,
+        )
         d_load = by_q * dy[0] + by_v * dy[1]
         d_load = d_load + by_p[0] * dp[w, YOUNGS_MODULUS] + by_p[1] * dp[w, POISSONS_RATIO]
         d_load = d_load + by_p[2] * dp[w, BLOCK_VISCOSITY] + by_p[3] * dp[w, GAP]

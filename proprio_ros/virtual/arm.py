@@ -265,8 +265,14 @@ class VirtualArm:
         links = {link.name: link for link in robot.model.links}
         bodies = {robot.model.root: spec.worldbody.add_body(name=robot.model.root)}
         for joint in robot.model.joints:
-            body = bodies[joint.parent].add_body(name=joint.child, pos=joint.origin[:3, 3])
-            mujoco.mju_mat2Quat(body.quat, np.ascontiguousarray(joint.origin[:3, :3]).ravel())
+            body = bodies[joint.parent].add_body(
+                name=joint.child,
+                pos=joint.origin[:3, 3],
+            )
+            mujoco.mju_mat2Quat(
+                body.quat,
+                np.ascontiguousarray(joint.origin[:3, :3]).ravel(),
+            )
             bodies[joint.child] = body
             self._add_inertia(
                 body,
@@ -331,7 +337,11 @@ class VirtualArm:
         made.solref_friction, made.solimp_friction = STICKING_SOLREF, STICKING_SOLIMP
         if joint.mimic is not None:
             source, multiplier, offset = joint.mimic
-            tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=joint.name, name2=source)
+            tie = spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                name1=joint.name,
+                name2=source,
+            )
             tie.objtype = mujoco.mjtObj.mjOBJ_JOINT
             tie.data[:5] = (offset, multiplier, 0.0, 0.0, 0.0)
             tie.solref, tie.solimp = STICKING_SOLREF, STICKING_SOLIMP

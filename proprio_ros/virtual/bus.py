@@ -108,7 +108,10 @@ class VirtualBus:
             self.advance(now_s)
             listeners = [servo for servo in self.servos if self._hears(servo, now_s)]
             parts = list(self._handle(packet, {servo.id: servo for servo in listeners}, now_s))
-            elapsed_s += self._bits_s(packet.size, parts[0].speakers[0] if parts else None)
+            elapsed_s += self._bits_s(
+                packet.size,
+                parts[0].speakers[0] if parts else None,
+            )
             for part in parts:
                 if self.wire_time:
                     elapsed_s += sum(servo.return_delay_s for servo in part.speakers)
@@ -168,10 +171,19 @@ class VirtualBus:
                 list(_addressed(packet, servo, now_s))
 
 
-def _answer(servo: VirtualServo, error: int, data: bytes = b"", *, level: int) -> Iterator[_Part]:
+def _answer(
+    servo: VirtualServo,
+    error: int,
+    data: bytes = b"",
+    *,
+    level: int,
+) -> Iterator[_Part]:
     """Status packet, if the servo's Status Return Level is at least this."""
     if servo["status_return_level"] >= level:
-        yield _Part((servo,), protocol.encode_status(servo.id, servo.status_error(error), data))
+        yield _Part(
+            (servo,),
+            protocol.encode_status(servo.id, servo.status_error(error), data),
+        )
 
 
 def _ping(servo: VirtualServo) -> Iterator[_Part]:
@@ -183,7 +195,11 @@ def _ping(servo: VirtualServo) -> Iterator[_Part]:
     )
 
 
-def _addressed(packet: protocol.Instruction, servo: VirtualServo, now_s: float) -> Iterator[_Part]:
+def _addressed(
+    packet: protocol.Instruction,
+    servo: VirtualServo,
+    now_s: float,
+) -> Iterator[_Part]:
     """A packet for one servo."""
     params = packet.params
     if packet.code == protocol.Code.PING:

@@ -147,7 +147,11 @@ def _pair(text: str) -> tuple[str, str]:
     return key.strip(), value
 
 
-def _numbers(key: str, text: str, count: int) -> float | tuple[float, ...]:
+def _numbers(
+    key: str,
+    text: str,
+    count: int,
+) -> float | tuple[float, ...]:
     """One number, or a bracketed list of several."""
     try:
         parsed = json.loads(text)
@@ -168,7 +172,11 @@ def check_mass(what: str, mass_kg: float) -> None:
         )
 
 
-def check_lengths(what: str, lengths_m: tuple[float, ...], least_m: float) -> None:
+def check_lengths(
+    what: str,
+    lengths_m: tuple[float, ...],
+    least_m: float,
+) -> None:
     """Raises: ConfigurationError: One of them is none in metres, or less than the least."""
     if not all(least_m <= length <= LONGEST_M for length in lengths_m):
         shown = ", ".join(f"{length:g}" for length in lengths_m)

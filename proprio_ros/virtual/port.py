@@ -35,7 +35,10 @@ class Outbox:
         """Send replies, each to arrive after its delay."""
         for reply in replies:
             self._count += 1  # keeps the order of replies that are due together
-            heapq.heappush(self._waiting, (now_s + reply.delay_s, self._count, reply.data))
+            heapq.heappush(
+                self._waiting,
+                (now_s + reply.delay_s, self._count, reply.data),
+            )
 
     def take(self, now_s: float) -> bytes:
         """Everything that has arrived by now."""
@@ -65,7 +68,10 @@ class PtyPort:
     """
 
     def __init__(
-        self, bus: VirtualBus, link: Path | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        bus: VirtualBus,
+        link: Path | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if link is not None and link.exists() and not link.is_symlink():
             raise ConfigurationError(

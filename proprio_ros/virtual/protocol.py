@@ -99,7 +99,10 @@ def encode_status(servo_id: int, error: int, params: bytes = b"") -> bytes:
     return encode_instruction(servo_id, Code.STATUS, bytes([error]) + params)
 
 
-def encode_fast_status(parts: Sequence[tuple[int, int, bytes]], servos: int) -> bytes:
+def encode_fast_status(
+    parts: Sequence[tuple[int, int, bytes]],
+    servos: int,
+) -> bytes:
     """Joint answer to a Fast Sync Read.
 
     Args:
@@ -156,4 +159,11 @@ class Parser:
                 continue
             self._buffer = self._buffer[size:]
             body = unstuff(packet[_BEFORE_BODY:-2])
-            packets.append(Instruction(packet[4], body[0], body[1:], size))
+            packets.append(
+                Instruction(
+                    packet[4],
+                    body[0],
+                    body[1:],
+                    size,
+                )
+            )

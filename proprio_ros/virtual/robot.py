@@ -40,7 +40,12 @@ class VirtualRobot:
     control_period_s = CONTROL_PERIOD_S  # of each servo
 
     def __init__(
-        self, robot: Robot, truth: Truth, *, link: Path | None = None, seed: int = 0
+        self,
+        robot: Robot,
+        truth: Truth,
+        *,
+        link: Path | None = None,
+        seed: int = 0,
     ) -> None:
         self.arm = VirtualArm(
             robot, truth, position=parked(robot), seed=seed, control_period_s=self.control_period_s

@@ -143,7 +143,10 @@ class VirtualServo:
             self._measure()
         found = bytearray()
         while len(found) < length:
-            name, index = self._bytes.get(address + len(found), ("", 0))
+            name, index = self._bytes.get(
+                address + len(found),
+                ("", 0),
+            )
             found += self._registers[name].encode(self._values[name])[index:] if name else b"\0"
         return Error.NONE, bytes(found[:length])
 
@@ -169,7 +172,11 @@ class VirtualServo:
         self._overloaded_s = 0.0
         self._reset_mode()
 
-    def _parsed(self, address: int, data: bytes) -> tuple[dict[str, int], Error]:
+    def _parsed(
+        self,
+        address: int,
+        data: bytes,
+    ) -> tuple[dict[str, int], Error]:
         """Registers that a write means, and why it is refused."""
         values: dict[str, int] = {}
         position = address

@@ -70,7 +70,14 @@ class Truth:
         return cls(joints, max(robot.delay.value, 0.0), robot.arm_scale.value)
 
     @classmethod
-    def draw(cls, robot: Robot, seed: int, *, links: bool = False, stribeck: bool = False) -> Truth:
+    def draw(
+        cls,
+        robot: Robot,
+        seed: int,
+        *,
+        links: bool = False,
+        stribeck: bool = False,
+    ) -> Truth:
         """Draw a robot from what its file leaves open.
 
         Friction that the file gives as zero with a standard deviation is one-sided: it is drawn uniformly from a part
@@ -86,7 +93,12 @@ class Truth:
         joints = {}
         for name, drive in robot.drive_trains.items():
 
-            def friction(term: str, low: float, high: float, drive: DriveTrain = drive) -> float:
+            def friction(
+                term: str,
+                low: float,
+                high: float,
+                drive: DriveTrain = drive,
+            ) -> float:
                 quantity = getattr(drive, term)
                 if quantity.value > 0.0:
                     return max(float(motors.normal(quantity.value, quantity.std)), 0.0)
@@ -103,7 +115,10 @@ class Truth:
             if drive.driven_by is not None:
                 mean, std = max(mean + OFF_TOGETHER * together * std, 0.5 * mean), ALIKE * mean
             joints[name] = JointTruth(
-                torque_constant=max(float(motors.normal(mean, std)), 0.5 * constant.value),
+                torque_constant=max(
+                    float(motors.normal(mean, std)),
+                    0.5 * constant.value,
+                ),
                 coulomb=friction("coulomb", 0.3, 0.9),
                 viscous=friction("viscous", 0.1, 0.6),
                 load_friction=friction("load_friction", 0.0, 0.6),
@@ -120,7 +135,10 @@ class Truth:
         latency_s = float(motors.uniform(FASTEST_LATENCY_S, SLOWEST_LATENCY_S))
         if not links:
             return cls(joints, latency_s, robot.arm_scale.value)
-        scale = max(float(bodies.normal(robot.arm_scale.value, robot.arm_scale.std)), 0.5)
+        scale = max(
+            float(bodies.normal(robot.arm_scale.value, robot.arm_scale.std)),
+            0.5,
+        )
         departures = {}
         for link in robot.model.links:
             if link.pseudo_inertia[3, 3] > 0.0:

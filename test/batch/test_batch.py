@@ -96,10 +96,16 @@ def table(out: Path) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = (
         dataset.dataset(out / "rows", partitioning="hive").to_table().to_pylist()
     )
-    return sorted(rows, key=lambda row: (row["source"], row["episode"], row["segment"]))
+    return sorted(
+        rows,
+        key=lambda row: (row["source"], row["episode"], row["segment"]),
+    )
 
 
-def same(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> bool:
+def same(
+    one: list[dict[str, Any]],
+    other: list[dict[str, Any]],
+) -> bool:
     """Bit for bit, but for how long it took."""
     return [{**row, "elapsed_s": 0.0} for row in one] == [
         {**row, "elapsed_s": 0.0} for row in other
@@ -162,7 +168,10 @@ def test_a_span_is_that_part_of_the_whole(fleet: Path, source: str) -> None:
     rows = (whole.times_s >= 3.0 - 1e-9) & (whole.times_s < 9.0 - 1e-9)
     assert 299 <= len(part.times_s) <= 301 and np.array_equal(part.position, whole.position[rows])
     assert np.array_equal(part.current_A, whole.current_A[rows])
-    behind = replace(prepared, options=replace(asked(fleet), span=(10**12, None)))
+    behind = replace(
+        prepared,
+        options=replace(asked(fleet), span=(10**12, None)),
+    )
     with pytest.raises(
         RecordingError, match=r"no joint states between 1000 s and its end|no frames in this part"
     ):
@@ -184,7 +193,14 @@ def test_rows_are_those_of_replay_bit_for_bit_whatever_the_engine(
     fleet: Path, tmp_path: Path
 ) -> None:
     job = Job(asked(fleet))
-    outcome = run_batch([fleet / "data"], job, tmp_path, lambda words: None, processes=2, chunk=2)
+    outcome = run_batch(
+        [fleet / "data"],
+        job,
+        tmp_path,
+        lambda words: None,
+        processes=2,
+        chunk=2,
+    )
     rows = table(tmp_path)
     outcome.plot().savefig(tmp_path / "verdicts.svg")
     assert "<td" in outcome._repr_html_() and "batch.html" in outcome._repr_html_()
@@ -237,7 +253,10 @@ def test_a_killed_job_goes_on_with_no_row_twice_and_none_lost(fleet: Path, tmp_p
     for out, upto in ((whole, len(episodes)), (part, 5)):
         store = Store(out, job)
         for number, group in enumerate(chunks_of(episodes[:upto], 2)):
-            store.write([row for episode in group for row in rows_of(episode, job)], f"{number}")
+            store.write(
+                [row for episode in group for row in rows_of(episode, job)],
+                f"{number}",
+            )
         store.close()
     store = Store(part, job)
     first, second = store.files()[:2]
@@ -246,7 +265,13 @@ def test_a_killed_job_goes_on_with_no_row_twice_and_none_lost(fleet: Path, tmp_p
     done = store.done()
     assert not first.exists() and len(done) < 5 and not list(part.rglob("*.tmp"))
     store.close()
-    outcome = run_batch([fleet / "data"], job, part, lambda words: None, processes=1)
+    outcome = run_batch(
+        [fleet / "data"],
+        job,
+        part,
+        lambda words: None,
+        processes=1,
+    )
     assert outcome.before == len(done) and same(table(part), table(whole))
     # once more: nothing is left to do, and no process is started
     assert run_batch([fleet / "data"], job, part, lambda words: None, processes=0).before == 10
@@ -273,7 +298,13 @@ def test_files_that_no_job_wrote_stay(fleet: Path, tmp_path: Path) -> None:
         before = path.read_bytes()
         out = path.parents[len(Path(name).parts) - 1]
         with pytest.raises(ConfigurationError, match="is no "):
-            run_batch([fleet / "data" / "bags"], job, out, lambda words: None, processes=1)
+            run_batch(
+                [fleet / "data" / "bags"],
+                job,
+                out,
+                lambda words: None,
+                processes=1,
+            )
         assert path.read_bytes() == before
     (tmp_path / "drift.csv").write_text("day,what I saw\n")
     with pytest.raises(
@@ -351,13 +382,24 @@ def test_what_the_computer_could_not_do_is_no_row_and_is_asked_again(
 
 def test_rows_that_cannot_be_written_are_asked_again(fleet: Path, tmp_path: Path) -> None:
     first = episodes_of([fleet / "data" / "bags"])[0]
-    done = local.compute([first], Job(asked(fleet)), str(tmp_path / "not there"))
+    done = local.compute(
+        [first],
+        Job(asked(fleet)),
+        str(tmp_path / "not there"),
+    )
     assert done.machine == {"rows cannot be written: No such file or directory"}
 
 
 def batch_of(fleet: Path, out: Path) -> list[str]:
     """The command that asks for four bags."""
-    words = ["batch", str(fleet / "data" / "bags"), "--out", str(out), "--jobs", "2"]
+    words = [
+        "batch",
+        str(fleet / "data" / "bags"),
+        "--out",
+        str(out),
+        "--jobs",
+        "2",
+    ]
     words += ["--calibration", str(fleet / "arm.yaml"), "--effort-unit", "N.m", "--reports", "0"]
     return words + ["--probe", "payload"] + [f"--set={key}={at}" for key, at in SETTINGS.items()]
 
@@ -437,7 +479,13 @@ def test_what_the_gripper_did_tells_what_was_put_down_from_what_fell(fleet: Path
     prepared = request_of(asked(fleet))
     closed = np.interp(motion.times_s, (7.8, 8.0), (0.04, 0.01))
     opened = np.where(
-        motion.times_s < 12.0, closed, np.interp(motion.times_s, (15.8, 16.0), (0.01, 0.04))
+        motion.times_s < 12.0,
+        closed,
+        np.interp(
+            motion.times_s,
+            (15.8, 16.0),
+            (0.01, 0.04),
+        ),
     )
     for beside, codes in (
         ({"left_finger": opened}, ["empty", "held", "released"]),
@@ -489,7 +537,10 @@ def test_a_long_motion_is_answered_in_parts_that_replay_answers_alike(
         )
         for row in parts:
             assert row["low"] - 0.001 <= 0.1 <= row["high"] + 0.001
-            options = replace(asked(fleet), span=span_of({**row, "kind": "part"}))
+            options = replace(
+                asked(fleet),
+                span=span_of({**row, "kind": "part"}),
+            )
             value = replay(episode.path, options).values[0]
             assert (row["value"], row["std"], [row["low"], row["high"]]) == (
                 value.value,
@@ -553,11 +604,20 @@ def test_what_a_calibration_carries_counts_in_a_batch(bags: Path, tmp_path: Path
     names = tuple(record.names[column] for column in columns)
     write_recording(
         tmp_path / "ball",
-        replace(whole, joints=JointRecord(record.times_ns, names, record.position[:, columns])),
+        replace(
+            whole,
+            joints=JointRecord(record.times_ns, names, record.position[:, columns]),
+        ),
     )
     place = {"payload.com": [0.0, 0.0, 0.0]}
     asked = Options(calibration=carrying, settings=place)
-    run_batch([tmp_path / "ball"], Job(asked), tmp_path / "out", lambda words: None, processes=1)
+    run_batch(
+        [tmp_path / "ball"],
+        Job(asked),
+        tmp_path / "out",
+        lambda words: None,
+        processes=1,
+    )
     (row,) = table(tmp_path / "out")
     each_time = replay(
         tmp_path / "ball", Options(calibration=plain, settings={**stated, **place})
@@ -581,7 +641,12 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(
     masses = (0.05, 0.1, 0.15, 0.2, 0.05, 0.1, 0.15, 0.2)
     for n, mass in enumerate(masses):
         arm = Arm(3, drift=1.8 if n >= 4 else 1.0)
-        motion = arm.record(200 + n, 24.0, 0.0, changes=((6.0, mass),))
+        motion = arm.record(
+            200 + n,
+            24.0,
+            0.0,
+            changes=((6.0, mass),),
+        )
         write_bag(tmp_path / "bags" / f"{n}", motion, BEGIN_NS + (n // 2) * week_ns)
     options = Options(robot=str(robot), effort_unit="N.m", settings=SETTINGS)
     out = tmp_path / "out"
@@ -696,7 +761,13 @@ def test_an_arm_calibrates_itself_with_the_episodes_that_are_known_to_be_empty(
     options = Options(robot=str(robot), driver=tmp_path / "units.yaml", settings=SETTINGS)
     said: list[str] = []
     given: dict[str, Any] = {"processes": 1, "empty": "hand_empty"}
-    outcome = run_batch([tmp_path / "set"], Job(options), tmp_path / "out", said.append, **given)
+    outcome = run_batch(
+        [tmp_path / "set"],
+        Job(options),
+        tmp_path / "out",
+        said.append,
+        **given,
+    )
     assert outcome.verdicts == {"accepted": 3} and any("2 of 2 episodes" in words for words in said)
     weighed = {row["episode_index"]: row for row in table(tmp_path / "out")}
     assert (

@@ -28,7 +28,10 @@ HOUR_NS = 3600 * 10**9
 EMPTY: dict[str, Any] = {"text": "", "texts": [], "integer": None, "number": None}
 
 
-def rows_like(count: int, seed: int = 1) -> list[dict[str, Any]]:
+def rows_like(
+    count: int,
+    seed: int = 1,
+) -> list[dict[str, Any]]:
     """Rows of weeks of work: most accepted, some far off, some of each way to be refused."""
     rng = np.random.default_rng(seed)
     rows = []
@@ -172,7 +175,10 @@ def test_dark_and_on_paper(page: Path, look: Look) -> None:
 
 @pytest.mark.long
 def test_what_scrolls_casts_a_shadow_and_printed_headers_stay_whole(page: Path, look: Look) -> None:
-    narrow, paper = look.frames(READABLE, [(page, 400, str), (page, PAPER_PX, on_paper)])
+    narrow, paper = look.frames(
+        READABLE,
+        [(page, 400, str), (page, PAPER_PX, on_paper)],
+    )
     assert narrow["unsigned"] == [] and paper["broken"] == []
 
 

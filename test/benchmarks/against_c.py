@@ -33,7 +33,13 @@ class CPass:
         folder: where the library is built.
     """
 
-    def __init__(self, run: JointRun, p: np.ndarray, dp: np.ndarray, folder: str) -> None:
+    def __init__(
+        self,
+        run: JointRun,
+        p: np.ndarray,
+        dp: np.ndarray,
+        folder: str,
+    ) -> None:
         library = Path(folder) / f"joint_pass_{dp.shape[2]}.so"
         if not library.exists():
             command = [
@@ -89,7 +95,10 @@ def hard_run(run: JointRun) -> JointRun:
     )
 
 
-def hard_parameters(p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def hard_parameters(
+    p: np.ndarray,
+    dp: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """Friction and a delay, and a direction along the delay."""
     p = p.copy()
     dp = dp.copy()
@@ -112,9 +121,17 @@ def difference(ours: Arrays, theirs: Arrays) -> float:
     )
 
 
-def launcher(simulator: JointSimulator, p: np.ndarray, dp: np.ndarray) -> Callable[[], object]:
+def launcher(
+    simulator: JointSimulator,
+    p: np.ndarray,
+    dp: np.ndarray,
+) -> Callable[[], object]:
     """The bare kernel launch on arguments that are already in place."""
-    simulator.jacobian(np.zeros(len(p), dtype=np.int32), p, dp)
+    simulator.jacobian(
+        np.zeros(len(p), dtype=np.int32),
+        p,
+        dp,
+    )
     (launch,) = simulator._launches.values()
     return launch._command.launch
 
@@ -137,7 +154,13 @@ def rows(case: Case) -> list[Row]:
         ]
 
 
-def _pair(name: str, run: JointRun, p: np.ndarray, dp: np.ndarray, folder: str) -> list[Row]:
+def _pair(
+    name: str,
+    run: JointRun,
+    p: np.ndarray,
+    dp: np.ndarray,
+    folder: str,
+) -> list[Row]:
     worlds = np.zeros(len(p), dtype=np.int32)
     simulator = JointSimulator([run])
 

@@ -21,7 +21,10 @@ RTOL = 1e-8
 ATOL = 1e-10
 
 
-def identify(case: Case, method: str = "DOP853") -> Callable[[], tuple[np.ndarray, float]]:
+def identify(
+    case: Case,
+    method: str = "DOP853",
+) -> Callable[[], tuple[np.ndarray, float]]:
     """A function that identifies from five starts and returns where they end and the best [kg]."""
     prepared = case.prepared
     coordinates = case.problem.coordinates
@@ -45,11 +48,22 @@ def identify(case: Case, method: str = "DOP853") -> Callable[[], tuple[np.ndarra
             q, v = y.tolist()
             return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
 
-        rolled = solve_ivp(law, (0.0, end), (q0, v0), method, times, rtol=RTOL, atol=ATOL)
+        rolled = solve_ivp(
+            law,
+            (0.0, end),
+            (q0, v0),
+            method,
+            times,
+            rtol=RTOL,
+            atol=ATOL,
+        )
         prior = (np.array([mass, q0, v0]) - coordinates.prior_mean) * np.sqrt(
             np.diag(coordinates.prior_precision)
         )
-        return np.append((rolled.y[0] - prepared.position) / prepared.sigma, prior[1:])
+        return np.append(
+            (rolled.y[0] - prepared.position) / prepared.sigma,
+            prior[1:],
+        )
 
     def solve() -> tuple[np.ndarray, float]:
         ends = [

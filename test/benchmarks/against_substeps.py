@@ -56,7 +56,11 @@ def _step(
 
 
 @wp.kernel(module="unique")
-def _squared_error(target: FLOAT, q: wp.array(dtype=FLOAT), loss: wp.array(dtype=FLOAT)):
+def _squared_error(
+    target: FLOAT,
+    q: wp.array(dtype=FLOAT),
+    loss: wp.array(dtype=FLOAT),
+):
     w = wp.tid()
     error = q[w] - target
     wp.atomic_add(loss, 0, error * error)
@@ -72,13 +76,27 @@ class PerSubstep:
         substeps: steps of a frame.
     """
 
-    def __init__(self, case: Case, frames: int, target: float, substeps: int) -> None:
+    def __init__(
+        self,
+        case: Case,
+        frames: int,
+        target: float,
+        substeps: int,
+    ) -> None:
         p, dp = case.parameters(np.array([0.0]))
         worlds = len(STARTS_KG)
         self._target = target
         self._torque = float(p[0, INDEX["torque_constant"]] * case.run.input_current_A[0])
-        self._empty = wp.array(p[0, :4], dtype=FLOAT, device="cpu")
-        self._per_kg = wp.array(dp[0, :4, 0], dtype=FLOAT, device="cpu")
+        self._empty = wp.array(
+            p[0, :4],
+            dtype=FLOAT,
+            device="cpu",
+        )
+        self._per_kg = wp.array(
+            dp[0, :4, 0],
+            dtype=FLOAT,
+            device="cpu",
+        )
         self.mass = wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True)
         steps = frames * substeps
         self._step_s = FRAME_S / substeps
@@ -93,7 +111,10 @@ class PerSubstep:
         self._q[0].fill_(float(p[0, INDEX["q0"]]))
         self._loss = wp.zeros(1, dtype=FLOAT, device="cpu", requires_grad=True)
 
-    def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self,
+        mass: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) and gradient (S, 1) at masses (S, 1)."""
         self.mass.assign(mass[:, 0])
         self._loss.zero_()
@@ -131,7 +152,13 @@ class PerSubstep:
 class OneLaunch:
     """The same loss and gradient from our tangent kernel with the same substeps."""
 
-    def __init__(self, case: Case, frames: int, target: float, substeps: int) -> None:
+    def __init__(
+        self,
+        case: Case,
+        frames: int,
+        target: float,
+        substeps: int,
+    ) -> None:
         run = case.problem.simulator.runs[0]
         step = FRAME_S / substeps
         last = JointRun(
@@ -150,7 +177,10 @@ class OneLaunch:
         self._dp = np.ascontiguousarray(self._dp[:, :, :1])
         self._worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
 
-    def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self,
+        mass: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) and gradient (S, 1) at masses (S, 1)."""
         q, _, dq = self._simulator.jacobian(
             self._worlds, self._p + mass * self._dp[:, :, 0], self._dp
@@ -159,9 +189,18 @@ class OneLaunch:
         return error[:, 0] ** 2, 2.0 * error * dq[:, 0]
 
 
-def adam(loss: PerSubstep | OneLaunch, iterations: int) -> tuple[np.ndarray, float]:
+def adam(
+    loss: PerSubstep | OneLaunch,
+    iterations: int,
+) -> tuple[np.ndarray, float]:
     """Masses of all starts [kg], and that of the least error."""
-    end = adam_descent(loss, np.array(STARTS_KG)[:, None], RATE_KG, iterations, lower=1e-6)
+    end = adam_descent(
+        loss,
+        np.array(STARTS_KG)[:, None],
+        RATE_KG,
+        iterations,
+        lower=1e-6,
+    )
     return end.internal[:, 0], float(end.internal[end.best, 0])
 
 

@@ -181,7 +181,11 @@ def write(path: Path, roots: list[Path]) -> None:
 
 
 def differences(
-    old: Any, new: Any, where: str, unshared: set[str], left_out: set[str]
+    old: Any,
+    new: Any,
+    where: str,
+    unshared: set[str],
+    left_out: set[str],
 ) -> Iterator[str]:
     """Where two answers differ; keys that only one of them has go to ``unshared``."""
     if isinstance(old, dict) and isinstance(new, dict):

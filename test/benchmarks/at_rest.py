@@ -60,7 +60,15 @@ class Sticky(Arm):
             goals_at += [there_s, there_s + HELD_S]
             goals += [MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))] * 2
         dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
-        rows = self.followed(load_kg, random, RATE_HZ, goals_at[-1], dry, goals_at, goals)
+        rows = self.followed(
+            load_kg,
+            random,
+            RATE_HZ,
+            goals_at[-1],
+            dry,
+            goals_at,
+            goals,
+        )
         of_poses = [
             (rows["t"] >= there_s - ARRIVES_S) & (rows["t"] <= there_s + HELD_S)
             for there_s in goals_at[1::2]
@@ -128,10 +136,23 @@ def weighed(
             ask(STANDS, kg, *of_poses)
             ask(WHOLE, kg, whole)
             found.append(
-                (STILL, kg, put_in(arm, kg, np.random.default_rng([seed, round(1e3 * kg)]), output))
+                (
+                    STILL,
+                    kg,
+                    put_in(
+                        arm,
+                        kg,
+                        np.random.default_rng([seed, round(1e3 * kg)]),
+                        output,
+                    ),
+                )
             )
         arm.gain = 2.0 * GAIN
-        ask(STIFFER, asked_kg[-1], *arm.stood(asked_kg[-1], random)[1])
+        ask(
+            STIFFER,
+            asked_kg[-1],
+            *arm.stood(asked_kg[-1], random)[1],
+        )
     return found
 
 
@@ -178,7 +199,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for kg in dict.fromkeys(kg for kg, _ in mine)
         ]
         for held, kgs in (*groups, *([("all", set(options.masses))] if len(groups) > 1 else [])):
-            row(results, what, held, [(kg, answer) for kg, answer in mine if kg in kgs])
+            row(
+                results,
+                what,
+                held,
+                [(kg, answer) for kg, answer in mine if kg in kgs],
+            )
     results.keep()
 
 

@@ -70,7 +70,12 @@ def asked(folder: Path) -> Options:
     )
 
 
-def make(folder: Path, count: int, jobs: int, seconds: float = SECONDS) -> None:
+def make(
+    folder: Path,
+    count: int,
+    jobs: int,
+    seconds: float = SECONDS,
+) -> None:
     """Generate everything, with so many processes, each a data set of its own."""
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "data" / "bags").mkdir(parents=True)
@@ -178,7 +183,15 @@ def cluster(workers: int) -> Iterator[str]:
 def batch(folder: Path, sources: list[str], out: Path, *more: str) -> subprocess.Popen[bytes]:
     """Start the command."""
     return subprocess.Popen(
-        [*COMMAND, *sources, "--out", str(out), *options(folder), *more], cwd=folder
+        [
+            *COMMAND,
+            *sources,
+            "--out",
+            str(out),
+            *options(folder),
+            *more,
+        ],
+        cwd=folder,
     )
 
 
@@ -230,7 +243,15 @@ def run_ray(folder: Path) -> None:
     shutil.rmtree(out, ignore_errors=True)
     with cluster(2) as address:
         begun = time.monotonic()
-        job = batch(folder, [str(folder / "data")], out, "--engine", "ray", "--address", address)
+        job = batch(
+            folder,
+            [str(folder / "data")],
+            out,
+            "--engine",
+            "ray",
+            "--address",
+            address,
+        )
         with open(folder / "truth.csv") as stream:
             files = (sum(1 for _ in stream) - 1) / 64
         for at in (0.15 * files, 0.35 * files):
@@ -336,7 +357,10 @@ def cost(folder: Path) -> None:
         )
 
 
-def memory(folder: Path, sizes: Sequence[int] = (1_000, 10_000, 100_000, 1_000_000)) -> None:
+def memory(
+    folder: Path,
+    sizes: Sequence[int] = (1_000, 10_000, 100_000, 1_000_000),
+) -> None:
     """Largest memory of any process, and time, of `proprio batch` with one process on one bag, against its samples."""
     print("| samples | minutes at 50 Hz | rows | s of a processor | MB at most |")
     print("|---|---|---|---|---|")
@@ -345,7 +369,10 @@ def memory(folder: Path, sizes: Sequence[int] = (1_000, 10_000, 100_000, 1_000_0
         out = folder / f"out_long_{samples}"
         for old in (path, out):
             shutil.rmtree(old, ignore_errors=True)
-        made = multiprocessing.get_context("spawn").Process(target=write_long, args=(path, samples))
+        made = multiprocessing.get_context("spawn").Process(
+            target=write_long,
+            args=(path, samples),
+        )
         made.start()
         made.join()
         job = batch(folder, [str(path)], out, "--jobs", "1")
@@ -397,7 +424,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif given.part == "cost":
         cost(folder)
     else:
-        memory(folder, [given.samples] if given.samples else (1_000, 10_000, 100_000, 1_000_000))
+        memory(
+            folder,
+            [given.samples] if given.samples else (1_000, 10_000, 100_000, 1_000_000),
+        )
 
 
 if __name__ == "__main__":

@@ -122,23 +122,48 @@ class Answer:
         return Z95 * abs(self.value - self.truth) / max(half, 1e-12)
 
 
-def said(row: str, truth: float, ask: Callable[[], Estimate], asked: str = "") -> Answer:
+def said(
+    row: str,
+    truth: float,
+    ask: Callable[[], Estimate],
+    asked: str = "",
+) -> Answer:
     """An answer, or why there is none."""
     try:
         estimate = ask()
     except ProprioError as error:
         code = "calibration refused" if type(error) is ProprioError else type(error).__name__
-        return Answer(row, truth, None, np.nan, np.nan, "error", code, f"{asked}: {error}")
+        return Answer(
+            row,
+            truth,
+            None,
+            np.nan,
+            np.nan,
+            "error",
+            code,
+            f"{asked}: {error}",
+        )
     mass = estimate.values[0]
     code = getattr(estimate.reasons[0], "code", "other") if estimate.reasons else ""
     low, high = mass.ci95 if isinstance(mass.value, float) else (np.nan, np.nan)
     value = mass.value if isinstance(mass.value, float) else None
     words = f"{asked}: {'; '.join(estimate.reasons)}" if estimate.reasons else asked
-    return Answer(row, truth, value, low, high, estimate.verdict.value, code, words)
+    return Answer(
+        row,
+        truth,
+        value,
+        low,
+        high,
+        estimate.verdict.value,
+        code,
+        words,
+    )
 
 
 def _learnt(
-    robot: Robot, empty: Sequence[Motion], known: Sequence[tuple[Motion, float]] = ()
+    robot: Robot,
+    empty: Sequence[Motion],
+    known: Sequence[tuple[Motion, float]] = (),
 ) -> Robot:
     """The robot with a calibration.
 
@@ -185,7 +210,10 @@ def arm_answers(seed: int) -> list[Answer]:
             answers.append(
                 said(f"arm, {name}{words}", truth, _of_motion(calibrated, motion), f"arm {seed}")
             )
-    alike = [arm.recorded("before", alike=True), arm.recorded("later", load, alike=True)]
+    alike = [
+        arm.recorded("before", alike=True),
+        arm.recorded("later", load, alike=True),
+    ]
     for by in WARMER:
         row = f"arm, as a minute later, efforts {by:g} times"
         answers.append(
@@ -280,7 +308,10 @@ def servo_answers(seed: int) -> list[Answer]:
 
 
 def _calibrated(
-    known: Mapping[Path, float], options: Options, output: Path, empty: Sequence[Path] = ()
+    known: Mapping[Path, float],
+    options: Options,
+    output: Path,
+    empty: Sequence[Path] = (),
 ) -> Path | str:
     """The file, or why there is none."""
     if output.is_file():
@@ -344,7 +375,11 @@ def pendulum_answers(seed: int) -> list[Answer]:
 
 
 def bent(
-    bag: Path, folder: Path, effort: float = 1.0, zero_rad: float = 0.0, joint: str = ""
+    bag: Path,
+    folder: Path,
+    effort: float = 1.0,
+    zero_rad: float = 0.0,
+    joint: str = "",
 ) -> Path:
     """A bag with every effort so many times as large, and positions so much larger: every one, or those of a joint."""
     if folder.is_dir():
@@ -367,7 +402,11 @@ def bent(
     return folder
 
 
-def real_swings(real: Path, folder: Path, every: int = 1) -> Iterator[Answer]:
+def real_swings(
+    real: Path,
+    folder: Path,
+    every: int = 1,
+) -> Iterator[Answer]:
     """``every``: which sets of known loads are taken: each, every second."""
     drive = "torque_constant_N_m_per_A: {value: 1.0, std: 0.5}"
     machines = {
@@ -394,7 +433,12 @@ def real_swings(real: Path, folder: Path, every: int = 1) -> Iterator[Answer]:
                 ("real STS3250 let go", other, other),
             ):
                 bag = real / f"{asked}_{kg:.3f}kg"
-                yield said(row, kg, _of_bag(learnt(by, known), bag, DISC), f"{kg} by {known}")
+                yield said(
+                    row,
+                    kg,
+                    _of_bag(learnt(by, known), bag, DISC),
+                    f"{kg} by {known}",
+                )
     known = STS_KG[:1] + STS_KG[3:]
     for kg in STS_KG[1:3]:
         for by, asked in ((first, other), (other, first)):
@@ -450,7 +494,12 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
                 yield said(row, UR10E_KG, baseline(wrong, by), f"{k} by {n}, {joint} {zero:+g}")
         for k, other in ((14, 15), (15, 14)):
             file = folder / f"ur10e_{n}_{k}.yaml"
-            learnt = _calibrated({loaded[k]: UR10E_KG}, Options(robot=robot, **unit), file, [by])  # type: ignore[arg-type]
+            learnt = _calibrated(
+                {loaded[k]: UR10E_KG},
+                Options(robot=robot, **unit),
+                file,
+                [by],
+            )  # type: ignore[arg-type]
             for bag in (loaded[other], *pieces[other]):
                 row = "real UR10e, 1 empty, 1 load"
                 yield said(

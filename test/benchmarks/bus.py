@@ -95,7 +95,11 @@ def paced(port: Path, rate_Hz: float, duration_s: float) -> Row:
     share = float(np.mean(late > LATE_S))
     return Row(
         f"driver loop at {rate_Hz:g} Hz for {duration_s:g} s",
-        Timing(float(np.median(spent)), min(spent), len(spent)),
+        Timing(
+            float(np.median(spent)),
+            min(spent),
+            len(spent),
+        ),
         f"{100 * share:.2f} % late (goal <= {100 * GOAL_LATE:g} %)",
         share <= GOAL_LATE,
         f"late by more than {1e3 * LATE_S:g} ms; median {1e3 * float(np.median(late)):.2f}, 99.9 % "
@@ -103,7 +107,10 @@ def paced(port: Path, rate_Hz: float, duration_s: float) -> Row:
     )
 
 
-def rows(case: Case | None = None, duration_s: float = DURATION_S) -> list[Row]:
+def rows(
+    case: Case | None = None,
+    duration_s: float = DURATION_S,
+) -> list[Row]:
     """All of it, about two minutes; nothing here needs the recording."""
     with tempfile.TemporaryDirectory() as folder:
         port = Path(folder) / "arm"

@@ -39,12 +39,20 @@ def empty_runs(robot: Robot) -> list[LoadedRun]:
 def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
     """Time [s] and end cost of scipy's trust region on our residuals, Jacobian by its forward differences, from one start."""
     runs = [prepare_run(robot, loaded.run, KnownLoad()) for loaded in known]
-    problem = Problem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
+    problem = Problem(
+        robot,
+        runs,
+        PayloadFacts(),
+        robot_unknowns(robot, runs, Role.FREE),
+    )
     coordinates = problem.coordinates
     seen = problem.weight > 0.0
 
     def residual(x: np.ndarray) -> np.ndarray:
-        q, _, _ = problem.simulate(problem.all_values(x[None]), problem.free[:1])
+        q, _, _ = problem.simulate(
+            problem.all_values(x[None]),
+            problem.free[:1],
+        )
         left = ((q[0] - problem.measured) * problem.weight)[seen]
         return np.append(left, (x - coordinates.prior_mean) / coordinates.natural)
 
@@ -75,14 +83,22 @@ def rows(case: Case) -> list[Row]:
     robot = load_robot(DEFAULT_ROBOT)
     known = empty_runs(robot)
     ours = measure(lambda: calibrate(robot, known), repeats=5, warm_up=1)
-    whole = measure(lambda: with_advice(robot, calibrate(robot, known)), repeats=3, warm_up=0)
+    whole = measure(
+        lambda: with_advice(robot, calibrate(robot, known)),
+        repeats=3,
+        warm_up=0,
+    )
     estimate = calibrate(robot, known)
     assert estimate.calibration is not None
     calibrated = robot.with_calibration(estimate.calibration)
     (run,) = bag_runs(
         BAGS / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot)
     )
-    weighing = measure(lambda: weigh(calibrated, [run]), repeats=20, warm_up=2)
+    weighing = measure(
+        lambda: weigh(calibrated, [run]),
+        repeats=20,
+        warm_up=2,
+    )
     prepared = [prepare_run(robot, loaded.run, loaded.load) for loaded in known]
     once = measure(lambda: fit(robot, prepared), repeats=3, warm_up=0)
     seconds, cost = scipy_cost(robot, known)

@@ -53,7 +53,10 @@ class Timing:
 
 
 def measure(
-    function: Callable[[], Any], repeats: int = REPEATS, calls: int = 1, warm_up: int = 1
+    function: Callable[[], Any],
+    repeats: int = REPEATS,
+    calls: int = 1,
+    warm_up: int = 1,
 ) -> Timing:
     """Time a function.
 
@@ -89,7 +92,10 @@ class Kept:
 
 
 def measure_in_turn(
-    functions: Sequence[Callable[[], Any]], repeats: int, calls: Sequence[int], warm_up: int = 1
+    functions: Sequence[Callable[[], Any]],
+    repeats: int,
+    calls: Sequence[int],
+    warm_up: int = 1,
 ) -> list[Timing]:
     """Time functions by turns, so that whatever else the machine does slows all of them alike.
 
@@ -167,11 +173,20 @@ class Case:
         """Masses [kg] of solver coordinates (S, 3)."""
         return self.problem.coordinates.physical(internal)[:, 0]
 
-    def parameters(self, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def parameters(
+        self,
+        masses: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Simulator parameters (S, P) and their derivative by the three unknowns (S, P, 3), each start at its prior."""
-        values = np.tile(self.problem.coordinates.prior_mean, (len(masses), 1))
+        values = np.tile(
+            self.problem.coordinates.prior_mean,
+            (len(masses), 1),
+        )
         values[:, 0] = masses
-        p, dp = self.problem.parameters(self.problem.all_values(values), self.problem.free)
+        p, dp = self.problem.parameters(
+            self.problem.all_values(values),
+            self.problem.free,
+        )
         return np.ascontiguousarray(p[:, 0]), np.ascontiguousarray(dp[:, 0])
 
 
@@ -197,7 +212,16 @@ def load() -> Case:
             f"{BAG}: the comparison wants one constant current, and a robot file without friction"
         )
     problem = Problem(
-        robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05)
+        robot,
+        [prepared],
+        facts,
+        load_unknowns(
+            robot,
+            [prepared],
+            facts,
+            Role.FROZEN,
+            0.05,
+        ),
     )
     names = [problem.unknowns[row].name for row in problem.free]
     if names != ["payload_mass", "q0[0]", "v0[0]"]:
@@ -225,7 +249,12 @@ def compare(
         goal: how many times as long as ours it should take.
     """
     kept = Kept(solve)
-    theirs, ours = measure_in_turn((kept, case.solve), repeats, (1, 10), warm_up=0)
+    theirs, ours = measure_in_turn(
+        (kept, case.solve),
+        repeats,
+        (1, 10),
+        warm_up=0,
+    )
     masses, best = kept.answer
     off = best - case.mass
     found = f"found {1e3 * best:.2f} g ({1e3 * off:+.2f} g), starts {', '.join(f'{1e3 * mass:.2f}' for mass in masses)}"

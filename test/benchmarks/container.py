@@ -223,7 +223,10 @@ class Boxed:
         """Masses of the sphere [kg] of solver coordinates (S, F)."""
         return self.problem.coordinates.physical(internal)[:, self.names.index("sphere_mass")]
 
-    def parameters(self, masses: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    def parameters(
+        self,
+        masses: Sequence[float],
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Simulator parameters (S, P) and their derivative by the unknowns (S, P, F), the rest at its prior."""
         values = np.tile(self.problem.base, (len(masses), 1))
         values[:, self.problem.index["sphere_mass"]] = masses
@@ -243,7 +246,11 @@ def facts_of_the_box() -> ContainerFacts:
     )
 
 
-def _recorded(times_s: np.ndarray, position: np.ndarray, before: np.ndarray) -> Run:
+def _recorded(
+    times_s: np.ndarray,
+    position: np.ndarray,
+    before: np.ndarray,
+) -> Run:
     return Run(
         name="sphere in a box",
         joint=JOINT,
@@ -261,11 +268,27 @@ def _recorded(times_s: np.ndarray, position: np.ndarray, before: np.ndarray) -> 
     )
 
 
-def _pose(robot: Robot, facts: ContainerFacts, run: Run, mass_alone: bool = False) -> Boxed:
+def _pose(
+    robot: Robot,
+    facts: ContainerFacts,
+    run: Run,
+    mass_alone: bool = False,
+) -> Boxed:
     prepared = prepare_run(robot, run, None, facts.shell)
     nothing = JointRun(prepared.times_s, run.input_times_s, run.input_current_A)
-    prior = start_prior(sphere_run(robot, prepared, facts, nothing), facts, prepared.rest.value)
-    unknowns = container_unknowns(robot, [prepared], [True], facts, [prior], Role.FROZEN)
+    prior = start_prior(
+        sphere_run(robot, prepared, facts, nothing),
+        facts,
+        prepared.rest.value,
+    )
+    unknowns = container_unknowns(
+        robot,
+        [prepared],
+        [True],
+        facts,
+        [prior],
+        Role.FROZEN,
+    )
     if mass_alone:
         unknowns = [u if u.name == "sphere_mass" else u.at_role(Role.FROZEN) for u in unknowns]
     options = ContainerOptions()
@@ -298,7 +321,11 @@ def pose(
     facts = facts_of_the_box()
     times_s = np.arange(round(DURATION_S * RATE_HZ) + 1) / RATE_HZ
     before = np.full(10, START_RAD)
-    blank = _pose(robot, facts, _recorded(times_s, np.full(len(times_s), START_RAD), before))
+    blank = _pose(
+        robot,
+        facts,
+        _recorded(times_s, np.full(len(times_s), START_RAD), before),
+    )
     if record is None:
         return blank
     drive = robot.drive_trains[JOINT]
@@ -309,7 +336,14 @@ def pose(
         return drive.encoder_resolution * np.rint(noisy / drive.encoder_resolution)
 
     return _pose(
-        robot, facts, _recorded(times_s, read(record(blank, times_s)), read(before)), mass_alone
+        robot,
+        facts,
+        _recorded(
+            times_s,
+            read(record(blank, times_s)),
+            read(before),
+        ),
+        mass_alone,
     )
 
 
@@ -385,7 +419,16 @@ class SpherePass:
         library = Path(folder) / "sphere_pass.so"
         if not library.exists():
             subprocess.run(
-                ["gcc", *FLAGS, "-shared", "-fPIC", str(SOURCE), "-o", str(library), "-lm"],
+                [
+                    "gcc",
+                    *FLAGS,
+                    "-shared",
+                    "-fPIC",
+                    str(SOURCE),
+                    "-o",
+                    str(library),
+                    "-lm",
+                ],
                 check=True,
             )
         self._function = ctypes.CDLL(str(library)).sphere_pass
@@ -452,7 +495,10 @@ def easy_and_hard(box: Boxed) -> list[tuple[str, SphereRun, np.ndarray]]:
     ]
 
 
-def apart(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray]) -> float:
+def apart(
+    ours: Sequence[np.ndarray],
+    theirs: Sequence[np.ndarray],
+) -> float:
     """Largest difference, relative to the largest number of each array."""
     return max(
         float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(ours, theirs, strict=True)
@@ -473,7 +519,10 @@ FINE_STEP_S = 1e-5
 
 
 def moved_run(
-    box: Boxed, probe: tuple[float, tuple[float, ...], float], contact: Contact, mass: float
+    box: Boxed,
+    probe: tuple[float, tuple[float, ...], float],
+    contact: Contact,
+    mass: float,
 ) -> tuple[SphereRun, np.ndarray]:
     """The run and the parameters (P,) of a motion, the sphere at rest in a corner when it begins."""
     start_rad, currents, lasting_s = probe
@@ -489,7 +538,12 @@ def moved_run(
     gravity = run.gravity_at(start_rad)
     start = np.sign(gravity) * (box.facts.enclosure.room + np.abs(gravity) / contact.stiffness)
     start[np.abs(gravity) < 1e-9] = 0.0
-    told = {"q0": start_rad, "start_x": start[0], "start_y": start[1], "start_z": start[2]}
+    told = {
+        "q0": start_rad,
+        "start_x": start[0],
+        "start_y": start[1],
+        "start_z": start[2],
+    }
     told |= {
         name: getattr(contact, name) for name in ("stiffness", "damping", "traction", "friction")
     }
@@ -511,7 +565,12 @@ def bias_of_steps(
 
     def stepped(integrator: str, step_s: float) -> SphereSimulator:
         joint = replace(run.joint, step_s=step_s, fine_step_s=step_s)
-        return SphereSimulator([replace(run, joint=joint)], box.facts.enclosure, law, integrator)
+        return SphereSimulator(
+            [replace(run, joint=joint)],
+            box.facts.enclosure,
+            law,
+            integrator,
+        )
 
     world = np.zeros(1, dtype=np.int32)
     row = SPHERE_INDEX["sphere_mass"]
@@ -535,7 +594,11 @@ def _forward_rows(box: Boxed) -> list[Row]:
     rows = []
     for name, run, p in easy_and_hard(box):
         simulator = SphereSimulator([run], box.facts.enclosure)
-        states, launch = record_forward(simulator, np.zeros(len(p), dtype=np.int32), p)
+        states, launch = record_forward(
+            simulator,
+            np.zeros(len(p), dtype=np.int32),
+            p,
+        )
         launch.launch()
         with tempfile.TemporaryDirectory() as folder:
             plain = SpherePass(simulator, p, folder)
@@ -590,7 +653,11 @@ def _tangent_rows(box: Boxed) -> list[Row]:
     ]
 
 
-def _fit_rows(what: str, mass_alone: bool, fuller: Timing | None = None) -> list[Row]:
+def _fit_rows(
+    what: str,
+    mass_alone: bool,
+    fuller: Timing | None = None,
+) -> list[Row]:
     """Our fit and MuJoCo's, of the same unknowns; ``fuller`` is the time of our fit of more of them."""
     import mujoco
 
@@ -649,7 +716,10 @@ def _whole_rows() -> list[Row]:
     robot = robot.with_calibration(calibrated)
     facts = container_facts(Settings({}), probe_file("container"))
     (run,), baseline = runs("container_sphere_12g_joint4_*"), runs("container_no_sphere_*")
-    timing = measure(lambda: find_sphere(robot, [run], facts, None, baseline), repeats=REPEATS)
+    timing = measure(
+        lambda: find_sphere(robot, [run], facts, None, baseline),
+        repeats=REPEATS,
+    )
     estimate = find_sphere(robot, [run], facts, None, baseline)
     value = estimate.value("sphere_mass")
     found = (
@@ -708,5 +778,8 @@ def rows(case: Case) -> list[Row]:
         )
     else:
         full = _fit_rows("mass, place, q0 and v0", mass_alone=False)
-        found += [*full, *_fit_rows("mass alone", mass_alone=True, fuller=full[0].timing)]
+        found += [
+            *full,
+            *_fit_rows("mass alone", mass_alone=True, fuller=full[0].timing),
+        ]
     return [*found, *_whole_rows()]

@@ -111,7 +111,11 @@ def one_case(
             found[len(runs)] = find_sphere(robot, runs, FACTS, options, baseline)
         return found[len(runs)]
 
-    bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass), 2]))
+    bench = Bench(
+        hidden,
+        sequence,
+        np.random.default_rng([seed, round(1e6 * mass), 2]),
+    )
     chooser = SphereUntilSure(
         robot, FACTS, options, sequence, baseline, lambda runs: half_of(find(runs))
     )
@@ -127,7 +131,11 @@ def one_case(
     estimate = find(runs)
     error, half = answer_of(estimate, mass)
     # the fixed sequence, again and again
-    other = Bench(hidden, fixed, np.random.default_rng([seed, round(1e6 * mass), 3]))
+    other = Bench(
+        hidden,
+        fixed,
+        np.random.default_rng([seed, round(1e6 * mass), 3]),
+    )
     follower = SphereUntilSure(robot, FACTS, options, sequence, baseline)
     made: list[Run] = []
     reached = False
@@ -221,7 +229,11 @@ def row(results: Results, name: str, cases: Sequence[Case]) -> None:
     )  # fmt: skip
 
 
-def table(results: Results, cases: Sequence[Case], references: Sequence[str]) -> None:
+def table(
+    results: Results,
+    cases: Sequence[Case],
+    references: Sequence[str],
+) -> None:
     results.table("container_until", COLUMNS)
     for reference in references:
         mine = [case for case in cases if case.reference == reference]

@@ -89,7 +89,11 @@ class Answer:
         return None if share is None or SAID > share > 1.0 - SAID else share >= SAID
 
 
-def answers(root: Path, most: int | None, jobs: int) -> Iterator[Answer]:
+def answers(
+    root: Path,
+    most: int | None,
+    jobs: int,
+) -> Iterator[Answer]:
     """Every recording of the folder, asked by so many processes."""
     folders = sorted(path.parent for path in root.glob("[!.]*/truth.json"))[:most]
     truths = [json.loads((folder / "truth.json").read_text()) for folder in folders]
@@ -127,7 +131,11 @@ def answer(folder: Path, truth: dict[str, Any]) -> Answer:
     )
 
 
-def allowed(bags: Sequence[Path], options: Options, truth: dict[str, Any]) -> float:
+def allowed(
+    bags: Sequence[Path],
+    options: Options,
+    truth: dict[str, Any],
+) -> float:
     """How many nats the best rigid thing falls short of the liquid that is in the container, at best."""
     request = request_of(options.for_recordings(bags))
     robot, recorded = read_for(request, bags)
@@ -263,7 +271,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     if options.folder is not None:
-        made = [*cases()[: options.make], *dummies(options.rigid, options.first)]
+        made = [
+            *cases()[: options.make],
+            *dummies(options.rigid, options.first),
+        ]
         for truth in all_recorded(options.folder, options.first, made):
             print(f"made {truth['name']}", flush=True)
         found = []

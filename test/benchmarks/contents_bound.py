@@ -79,7 +79,11 @@ def open_manipulator() -> Arm:
         names = ("joint2", "joint3", "joint4")
         return Push(
             joint,
-            {"joint1": 0.0, "gripper_left_joint": 0.0, **dict(zip(names, three, strict=True))},
+            {
+                "joint1": 0.0,
+                "gripper_left_joint": 0.0,
+                **dict(zip(names, three, strict=True)),
+            },
             *rest,
         )
 
@@ -141,7 +145,12 @@ def bare(arm: Arm, push: Push, hz: float, current_A: float) -> Run:
     )  # fmt: skip
 
 
-def truth_of(problem: ContentsProblem, kg: float, fill: float, facts: ContentsFacts) -> np.ndarray:
+def truth_of(
+    problem: ContentsProblem,
+    kg: float,
+    fill: float,
+    facts: ContentsFacts,
+) -> np.ndarray:
     """Values of all unknowns: water, as the theory has it."""
     values = problem.base.copy()
     values[problem.index["contents_mass"]] = kg
@@ -159,7 +168,12 @@ def driven(
     period_s = shake_period_s(hz) if push.shake_A else 1e-3
     for _ in range(22):
         current = 0.5 * (low + high)
-        run = prepare_run(arm.robot, bare(arm, push, hz, current), None, facts.shell)
+        run = prepare_run(
+            arm.robot,
+            bare(arm, push, hz, current),
+            None,
+            facts.shell,
+        )
         problem = ContentsProblem(arm.robot, [run], facts, [True], "liquid")
         shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.free[:1])[0][
             0, 0
@@ -172,19 +186,38 @@ def driven(
         low, high = (current, high) if moved < push.travel else (low, current)
     if abs(moved - push.travel) > 0.25:
         return None
-    whole = replace(run.run, position=shown[: run.used], times_s=run.times_s)
+    whole = replace(
+        run.run,
+        position=shown[: run.used],
+        times_s=run.times_s,
+    )
     return prepare_run(arm.robot, whole, None, facts.shell)
 
 
-def bound(arm: Arm, pushes: Sequence[Push], radius: float, kg: float) -> dict[str, object] | None:
+def bound(
+    arm: Arm,
+    pushes: Sequence[Push],
+    radius: float,
+    kg: float,
+) -> dict[str, object] | None:
     """What the pushes tell, with an empty container known to 1 g; None where the arm cannot make them."""
     fill = kg / (1000.0 * np.pi * radius**2)
-    facts = replace(facts_of(arm, pushes[0], radius, fill), mass=0.05, mass_std=0.001)
+    facts = replace(
+        facts_of(arm, pushes[0], radius, fill),
+        mass=0.05,
+        mass_std=0.001,
+    )
     runs = [driven(arm, push, facts, kg, fill) for push in pushes]
     if any(run is None for run in runs):
         return None
     made = [run for run in runs if run is not None]
-    problem = ContentsProblem(arm.robot, made, facts, [True] * len(made), "liquid")
+    problem = ContentsProblem(
+        arm.robot,
+        made,
+        facts,
+        [True] * len(made),
+        "liquid",
+    )
     values = truth_of(problem, kg, fill, facts)
     found = Posterior(problem, values)
     names = ("contents_density", "slosh_tuning", "slosh_damping_log")

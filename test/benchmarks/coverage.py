@@ -121,7 +121,12 @@ class Answer:
     holds: bool
 
 
-def run_of(probe: Probe, hidden: HiddenRobot, load: Load | None, rng: np.random.Generator) -> Run:
+def run_of(
+    probe: Probe,
+    hidden: HiddenRobot,
+    load: Load | None,
+    rng: np.random.Generator,
+) -> Run:
     recording = record(
         hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, rng
     )
@@ -163,7 +168,11 @@ def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarra
             values[row] = mass
         elif kind == "delay":
             values[row] = hidden.delay_s
-    return np.clip(values, [u.lower for u in problem.unknowns], [u.upper for u in problem.unknowns])
+    return np.clip(
+        values,
+        [u.lower for u in problem.unknowns],
+        [u.upper for u in problem.unknowns],
+    )
 
 
 def cramer_rao(
@@ -177,10 +186,18 @@ def cramer_rao(
     """Smallest standard deviation that any unbiased use of these runs and priors can have [kg]."""
     facts = facts_of(load)
     runs = [*known, prepare_run(robot, run, None, facts)]
-    problem = Problem(robot, runs, facts, load_unknowns(robot, runs, facts, Role.FREE, load.mass))
+    problem = Problem(
+        robot,
+        runs,
+        facts,
+        load_unknowns(robot, runs, facts, Role.FREE, load.mass),
+    )
     values = true_values(hidden, problem, load.mass)
     _, v, dq = problem.simulate(values[None], problem.free)
-    reading = np.hypot(runs[0].drive.encoder_resolution / np.sqrt(12.0), hidden.encoder_noise)
+    reading = np.hypot(
+        runs[0].drive.encoder_resolution / np.sqrt(12.0),
+        hidden.encoder_noise,
+    )
     sigma = np.hypot(reading, v[0] * jitter_s)
     rows = (dq[0] / sigma[..., None])[problem.weight > 0.0]
     information = rows.T @ rows + problem.coordinates.prior_precision
@@ -246,7 +263,12 @@ def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], i
 
 
 def survey(
-    results: Results, name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread
+    results: Results,
+    name: str,
+    seeds: range,
+    effects: Collection[str],
+    jobs: int,
+    spread: Spread,
 ) -> list[Answer]:
     """Weigh with many robots; one row on all of them."""
     with Pool(jobs) as pool:
@@ -268,7 +290,12 @@ def survey(
     return answers
 
 
-def row(results: Results, name: str, answers: Sequence[Answer], asked: int | None = None) -> None:
+def row(
+    results: Results,
+    name: str,
+    answers: Sequence[Answer],
+    asked: int | None = None,
+) -> None:
     """One row of the table; none without answers."""
     if not answers:
         return

@@ -112,7 +112,11 @@ def suited(bend: Bend, base: Base) -> bool:
 
 
 def draw(
-    number: int, first: int, bends: dict[str, Bend], among: Sequence[Base], made: Path
+    number: int,
+    first: int,
+    bends: dict[str, Bend],
+    among: Sequence[Base],
+    made: Path,
 ) -> Drawn:
     """One question, by seed and number.
 
@@ -152,7 +156,12 @@ def answer(question: Drawn, first: int, made: Path) -> Answered:
         for number, name in enumerate(question.of):
             seed = 100_000 * first + 10 * question.number + number
             made_of = [(bend, question.parameters)]
-            files[name] = bent_bag(files[name], Path(folder) / name, made_of, seed)
+            files[name] = bent_bag(
+                files[name],
+                Path(folder) / name,
+                made_of,
+                seed,
+            )
         outcome = asked(base.command, files, base.estimate)
     right = bend.right if "empty" in question.of else bend.right_alone
     in_words = bool(right.cause) and re.search(right.cause, outcome.said) is not None
@@ -290,7 +299,12 @@ def printed(each: Answered) -> str:
     return f"{marks or 'right'} | {each.drawn} | {each.truth:.4g} | {outcome.verdict}{number} | {codes} | {outcome.said[:600]}"
 
 
-def asked_all(questions: Sequence[Drawn], first: int, made: Path, jobs: int) -> Iterator[Answered]:
+def asked_all(
+    questions: Sequence[Drawn],
+    first: int,
+    made: Path,
+    jobs: int,
+) -> Iterator[Answered]:
     """Every answer, in the order of the questions."""
     ask = partial(answer, first=first, made=made)
     if jobs == 1:

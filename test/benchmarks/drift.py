@@ -87,7 +87,10 @@ def drifted(
 
 
 def weighings(
-    hidden: HiddenRobot, robots: dict[str, Robot], masses: Sequence[float], seed: int
+    hidden: HiddenRobot,
+    robots: dict[str, Robot],
+    masses: Sequence[float],
+    seed: int,
 ) -> list[Case]:
     """Objects weighed by the same pushes with several states of the calibration."""
     cases = []
@@ -96,7 +99,11 @@ def weighings(
         facts = facts_of(load)
         robot = next(iter(robots.values()))
         sequence = load_sequence("payload", robot)
-        bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass)]))
+        bench = Bench(
+            hidden,
+            sequence,
+            np.random.default_rng([seed, round(1e6 * mass)]),
+        )
         runs: list[Run] = [run for probe in sequence.runs for run in bench.push(probe, load)]
         for way, known in robots.items():
             value = weigh(known, runs, facts).value("payload_mass")
@@ -104,7 +111,14 @@ def weighings(
                 cases.append(Case(way, float("nan"), float("nan"), False))
                 continue
             low, high = value.ci95
-            cases.append(Case(way, value.value - mass, Z95 * value.std, bool(low <= mass <= high)))
+            cases.append(
+                Case(
+                    way,
+                    value.value - mass,
+                    Z95 * value.std,
+                    bool(low <= mass <= high),
+                )
+            )
     return cases
 
 

@@ -71,7 +71,11 @@ def one_robot(job: tuple[int, Until, Sequence[float]]) -> list[Case]:
     for mass in masses:
         load = ball(mass, DIAMETER_M)
         sequence = replace(load_sequence("payload", robot), runs=(), until=until)
-        bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass)]))
+        bench = Bench(
+            hidden,
+            sequence,
+            np.random.default_rng([seed, round(1e6 * mass)]),
+        )
         chooser = UntilSure(robot, facts_of(load), sequence)
         runs: list[Run] = []
         states = [chooser.known]
@@ -93,12 +97,28 @@ def one_robot(job: tuple[int, Until, Sequence[float]]) -> list[Case]:
             last = runs[ends[number] - 1]
             best = 0.0
             for end_s in np.arange(EARLIEST_S, last.duration_s - 1e-6, STEP_S):
-                shorter = [*runs[: ends[number] - 1], cut(last, float(end_s))]
+                shorter = [
+                    *runs[: ends[number] - 1],
+                    cut(last, float(end_s)),
+                ]
                 std = chooser.catalogue.known(shorter).std
-                lost = max(float(np.log(std / states[number + 1].std)), 0.0)
-                best = max(best, float(last.duration_s - end_s) - lost / max(rate, 1e-6))
+                lost = max(
+                    float(np.log(std / states[number + 1].std)),
+                    0.0,
+                )
+                best = max(
+                    best,
+                    float(last.duration_s - end_s) - lost / max(rate, 1e-6),
+                )
             saved += best
-        cases.append(Case(bench.time_s, sum(run.duration_s for run in runs), saved, len(ends)))
+        cases.append(
+            Case(
+                bench.time_s,
+                sum(run.duration_s for run in runs),
+                saved,
+                len(ends),
+            )
+        )
     return cases
 
 

@@ -139,7 +139,13 @@ def poured(case: Case, tilt: float = 0.0) -> Contents | None:
     if case.kind == "granular":
         diameter = GRAINS_M[case.container][0]
         return Grains(container.cylinder, case.fill, diameter, GRAIN_KG_M3[case.container], 0.4)
-    return Liquid(container.cylinder, case.fill, case.viscosity or 0.0, container.layers, tilt)
+    return Liquid(
+        container.cylinder,
+        case.fill,
+        case.viscosity or 0.0,
+        container.layers,
+        tilt,
+    )
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,12 @@ class Filled(Load):
             turn = data.body("load").xmat.reshape(3, 3)
             down = turn.T @ [0.0, 0.0, -1.0]
             contents = self.pour(float(np.arctan(down[0] / -down[2])))
-            self.state.update(contents=contents, step=0, told=[np.zeros(6)] * 2, last=None)
+            self.state.update(
+                contents=contents,
+                step=0,
+                told=[np.zeros(6)] * 2,
+                last=None,
+            )
         return np.zeros(4)
 
     def couple(self, model: Any, data: Any) -> None:
@@ -189,7 +200,10 @@ class Filled(Load):
         if state["last"] is not None:
             told = state["told"]
             before = state["last"]
-            told[:] = [told[1], self._beside_frozen(before, (turn, omega, velocity))]
+            told[:] = [
+                told[1],
+                self._beside_frozen(before, (turn, omega, velocity)),
+            ]
             wrench = 2.0 * told[1] - told[0]
             force = turn @ wrench[:3]
             moment = turn @ wrench[3:]
@@ -206,7 +220,13 @@ class Filled(Load):
         gravity = back @ [0.0, 0.0, -9.81]
         acceleration, angular = (back @ ((now[n] - before[n]) / self.exchange_s) for n in (2, 1))
         omega = back @ (0.5 * (before[1] + now[1]))
-        wrench = self.state["contents"].step(gravity, acceleration, angular, omega, self.exchange_s)
+        wrench = self.state["contents"].step(
+            gravity,
+            acceleration,
+            angular,
+            omega,
+            self.exchange_s,
+        )
         mass, centre, inertia = self.frozen
         pull = gravity - acceleration
         force = mass * (pull - np.cross(angular, centre) - np.cross(omega, np.cross(omega, centre)))
@@ -264,10 +284,16 @@ PUSHES = (
 
 
 def probe_of(
-    push: Push, hidden: HiddenRobot, load: Load, shake: tuple[float, float] = (0.0, 1.0)
+    push: Push,
+    hidden: HiddenRobot,
+    load: Load,
+    shake: tuple[float, float] = (0.0, 1.0),
 ) -> Probe:
     """The run, with the current that a person finds by trying."""
-    start = {**dict(zip(JOINTS, (0.0, *push.start), strict=True)), GRIPPER: 0.0}
+    start = {
+        **dict(zip(JOINTS, (0.0, *push.start), strict=True)),
+        GRIPPER: 0.0,
+    }
     column = JOINTS.index(push.joint)
 
     def travel(current: float) -> float:
@@ -292,7 +318,10 @@ def probe_of(
 
 
 def recorded(
-    folder: Path, case: Case, seed: int, rings: dict[str, tuple[float, float]]
+    folder: Path,
+    case: Case,
+    seed: int,
+    rings: dict[str, tuple[float, float]],
 ) -> dict[str, Any]:
     """Make one folder: ``empty_NN`` (bare hand), ``baseline_N`` (empty container), ``run_N`` and ``truth.json``."""
     rng = np.random.default_rng([seed, 3131])
@@ -302,7 +331,11 @@ def recorded(
     folder.mkdir(parents=True)
 
     def write(
-        name: str, probe: Probe, held: Load | None, shake: tuple[float, float], after: float
+        name: str,
+        probe: Probe,
+        held: Load | None,
+        shake: tuple[float, float],
+        after: float,
     ) -> dict[str, Any]:
         made = record(
             hidden,
@@ -342,20 +375,27 @@ def recorded(
             runs[f"{kind}_{n}"] = write(f"{kind}_{n}", probe, held, shake, AFTER_S)
     truth = {
         "kind": case.kind, "name": case.name, "seed": seed,
-        "container": {"radius": container.radius, "height": container.height, "bottom": container.bottom, "mass": container.mass},
+        "container": {"radius": container.radius, "height": container.height, "bottom": container.bottom, "mass": container.mass,},
         "contents": _truth(case, rings), "runs": runs, "robot": asdict(hidden),
     }  # fmt: skip
     (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     return truth
 
 
-def _truth(case: Case, rings: dict[str, tuple[float, float]]) -> dict[str, Any]:
+def _truth(
+    case: Case,
+    rings: dict[str, tuple[float, float]],
+) -> dict[str, Any]:
     contents = poured(case)
     if contents is None:
         return {"mass": 0.0, "fill": 0.0}
     found: dict[str, Any] = {"mass": contents.kg, "fill": case.fill}
     if isinstance(contents, Grains):
-        found |= {"fill": contents.fill, "grains": len(contents.x), "diameter": contents.diameter}
+        found |= {
+            "fill": contents.fill,
+            "grains": len(contents.x),
+            "diameter": contents.diameter,
+        }
     elif case.kind == "liquid":
         container = CONTAINERS[case.container]
         if case.name not in rings:
@@ -377,7 +417,11 @@ def dummies(count: int, seed: int) -> list[Case]:
     ]
 
 
-def all_recorded(root: Path, first_seed: int, made: Sequence[Case]) -> Iterator[dict[str, Any]]:
+def all_recorded(
+    root: Path,
+    first_seed: int,
+    made: Sequence[Case],
+) -> Iterator[dict[str, Any]]:
     """Make those that are not there yet; a folder has its name when it is whole."""
     rings: dict[str, tuple[float, float]] = {}
     for number, case in enumerate(made):

@@ -84,7 +84,12 @@ def main() -> int:
                 **both,
                 disk_mb=megabytes(own),
             )
-        demo = [str(own / "bin" / "proprio"), "demo", "--output", str(folder / "demo")]
+        demo = [
+            str(own / "bin" / "proprio"),
+            "demo",
+            "--output",
+            str(folder / "demo"),
+        ]
         cache = folder / "kernels"
         for words in ("the first `proprio demo`, nothing compiled", "the next one"):
             spent = timed(demo, PYTHONPATH="", WARP_CACHE_PATH=str(cache))

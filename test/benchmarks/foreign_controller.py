@@ -37,7 +37,11 @@ def asked(
         return known, count
 
     learnt, count = often("robot", 0.0)
-    told: dict[str, Any] = {"robot": learnt, "asked": count, "masses": []}
+    told: dict[str, Any] = {
+        "robot": learnt,
+        "asked": count,
+        "masses": [],
+    }
     for kg in masses_kg if learnt else ():
         known, count = often("payload", kg)
         one: dict[str, Any] = {"kg": kg, "asked": count, "known": known}
@@ -54,7 +58,12 @@ def asked(
     return told
 
 
-def about(seed: int, goals: bool, rate_hz: float, busy: Any) -> dict[str, Any]:
+def about(
+    seed: int,
+    goals: bool,
+    rate_hz: float,
+    busy: Any,
+) -> dict[str, Any]:
     """Which arm, and how its computer is busy (`support.foreign_arm.Busy`)."""
     delays_ms = {"delay_ms": 1e3 * busy.delay_s, "jitter_ms": 1e3 * busy.jitter_s}
     return {"seed": seed, "goals": goals, "rate_hz": rate_hz, **delays_ms}
@@ -115,7 +124,10 @@ def held(known: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def tell(
-    found: Sequence[dict[str, Any]], script: str, kept: Path | None, arguments: Sequence[str] | None
+    found: Sequence[dict[str, Any]],
+    script: str,
+    kept: Path | None,
+    arguments: Sequence[str] | None,
 ) -> None:
     """Tables of what came of some arms."""
     results = Results(script, kept, arguments)
@@ -165,8 +177,20 @@ def logged(paths: Sequence[Path]) -> list[dict[str, Any]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "COUNT"))
-    parser.add_argument("--masses", type=float, nargs="+", default=list(MASSES_KG), metavar="KG")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        nargs=2,
+        default=(0, 20),
+        metavar=("FIRST", "COUNT"),
+    )
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="+",
+        default=list(MASSES_KG),
+        metavar="KG",
+    )
     parser.add_argument("--goals", action="store_true")
     parser.add_argument("--rate", type=float, default=500.0)
     parser.add_argument("--data", type=Path)
@@ -176,7 +200,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
         folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
         folder.mkdir(parents=True, exist_ok=True)
-        found.append(weighed(seed, folder, given.goals, given.rate, given.masses))
+        found.append(
+            weighed(
+                seed,
+                folder,
+                given.goals,
+                given.rate,
+                given.masses,
+            )
+        )
         print(json.dumps(found[-1]), flush=True)
     tell(found, __file__, given.json, arguments)
     return 0

@@ -38,7 +38,12 @@ def busy(count: int) -> Iterator[None]:
 
 
 def weighed(
-    seed: int, folder: Path, load: int, goals: bool, rate_hz: float, masses_kg: Sequence[float]
+    seed: int,
+    folder: Path,
+    load: int,
+    goals: bool,
+    rate_hz: float,
+    masses_kg: Sequence[float],
 ) -> dict[str, Any]:
     """As `foreign_controller.weighed`, in real time."""
     from std_msgs.msg import Float64
@@ -48,7 +53,13 @@ def weighed(
 
     begun = time.monotonic()
     nodes = nodes_of(folder, goals, data_directory=folder / "data", report=False)
-    words = ["--seed", str(seed), "--rate", str(rate_hz), *(["--goals"] if goals else [])]
+    words = [
+        "--seed",
+        str(seed),
+        "--rate",
+        str(rate_hz),
+        *(["--goals"] if goals else []),
+    ]
     with contextlib.ExitStack() as ends:
         arm = subprocess.Popen(
             [sys.executable, str(Path(__file__).with_name("foreign_process.py")), *words]
@@ -86,8 +97,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--data", type=Path)
     parser.add_argument("--told", type=Path, nargs="+", metavar="LOG")
-    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 4), metavar=("FIRST", "COUNT"))
-    parser.add_argument("--masses", type=float, nargs="+", default=list(MASSES_KG), metavar="KG")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        nargs=2,
+        default=(0, 4),
+        metavar=("FIRST", "COUNT"),
+    )
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="+",
+        default=list(MASSES_KG),
+        metavar="KG",
+    )
     parser.add_argument("--load", type=int, default=8)
     parser.add_argument("--goals", action="store_true")
     parser.add_argument("--rate", type=float, default=500.0)
@@ -97,7 +120,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
         folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
         folder.mkdir(parents=True, exist_ok=True)
-        found.append(weighed(seed, folder, given.load, given.goals, given.rate, given.masses))
+        found.append(
+            weighed(
+                seed,
+                folder,
+                given.load,
+                given.goals,
+                given.rate,
+                given.masses,
+            )
+        )
         print(json.dumps(found[-1]), flush=True)
     tell(found, __file__, given.json, arguments)
     return 0

@@ -50,7 +50,10 @@ def main() -> None:
     def say() -> None:
         next_s = time.monotonic()
         while rclpy.ok():
-            next_s = max(next_s + 1.0 / given.rate, time.monotonic() - 1.0 / given.rate)
+            next_s = max(
+                next_s + 1.0 / given.rate,
+                time.monotonic() - 1.0 / given.rate,
+            )
             time.sleep(max(0.0, next_s - time.monotonic()))
             time.sleep(max(0.0, arm.stalled(time.monotonic(), "states") - time.monotonic()))
             with lock:

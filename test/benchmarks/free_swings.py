@@ -41,7 +41,15 @@ def recorded(seed: int) -> tuple[virtual.Hand, Recording]:
     edges = np.flatnonzero(np.diff([False, *limp, False])).reshape(-1, 2).tolist()
     off = tuple((stamps[begin], stamps[end]) for begin, end in edges)
     return arm, Recording(
-        f"arm {seed}", JointRecord(np.array(stamps), virtual.JOINTS, np.array(rows)), None, (), off
+        f"arm {seed}",
+        JointRecord(
+            np.array(stamps),
+            virtual.JOINTS,
+            np.array(rows),
+        ),
+        None,
+        (),
+        off,
     )
 
 

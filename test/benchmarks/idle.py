@@ -38,7 +38,10 @@ def main() -> None:
     results.table("start", {"all four are ready after": "{ready_s:.1f} s"})
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.monotonic()
-        with running(Path(folder), driver={"rate": given.rate}) as (graph, _):
+        with running(
+            Path(folder),
+            driver={"rate": given.rate},
+        ) as (graph, _):
             ready_s = time.monotonic() - began_s
             time.sleep(3.0)
             before = {

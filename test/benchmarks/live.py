@@ -79,7 +79,11 @@ WAYS = {
 }
 
 
-def weighed(way: Way, seed: int, folder: Path) -> dict[str, Any]:
+def weighed(
+    way: Way,
+    seed: int,
+    folder: Path,
+) -> dict[str, Any]:
     """What came of one arm, as `foreign_controller.asked` has it."""
     from support.simulated_live import running
 
@@ -101,7 +105,12 @@ def weighed(way: Way, seed: int, folder: Path) -> dict[str, Any]:
         return asked(once, lambda: client.estimates[-1], way.masses_kg)
 
 
-def row(results: Results, way: str, mass: str, asked_for: Sequence[dict[str, Any]]) -> None:
+def row(
+    results: Results,
+    way: str,
+    mass: str,
+    asked_for: Sequence[dict[str, Any]],
+) -> None:
     """Figures of some answers, each with its truth."""
     known = [one for one in asked_for if one["known"]]
     off_g = 1e3 * np.array([one["value"] - one["kg"] for one in known] or [math.nan])
@@ -114,8 +123,20 @@ def row(results: Results, way: str, mass: str, asked_for: Sequence[dict[str, Any
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(1, 3), metavar=("FIRST", "COUNT"))
-    parser.add_argument("--ways", nargs="+", default=list(WAYS), choices=WAYS, metavar="WAY")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        nargs=2,
+        default=(1, 3),
+        metavar=("FIRST", "COUNT"),
+    )
+    parser.add_argument(
+        "--ways",
+        nargs="+",
+        default=list(WAYS),
+        choices=WAYS,
+        metavar="WAY",
+    )
     given = parser.parse_args(arguments)
     results = Results(__file__, given.json, arguments)
     first, count = given.seeds

@@ -68,11 +68,19 @@ class Mistake:
     everywhere: tuple[bool, ...] = (False, True)
 
 
-def columns(quantity: str, factor: float, only: bool = False) -> Callable[[Question], Bend]:
+def columns(
+    quantity: str,
+    factor: float,
+    only: bool = False,
+) -> Callable[[Question], Bend]:
     """Of joint states; commands are effort, too."""
 
     def of(question: Question) -> Bend:
-        def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+        def bend(
+            topic: str,
+            time_ns: int,
+            message: Any,
+        ) -> tuple[int, Any]:
             if hasattr(message, "name") and len(getattr(message, quantity)):
                 column = np.array([not only or name == question.joint for name in message.name])
                 setattr(
@@ -92,7 +100,11 @@ def columns(quantity: str, factor: float, only: bool = False) -> Callable[[Quest
 
 
 def renamed(_: Question) -> Bend:
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         if hasattr(message, "name"):
             message.name = [f"left_{name}" for name in message.name]
         for dim in getattr(getattr(message, "layout", None), "dim", ()):
@@ -104,11 +116,18 @@ def renamed(_: Question) -> Bend:
     return bend
 
 
-def stamped(factor: float, recorder: bool = False) -> Callable[[Question], Bend]:
+def stamped(
+    factor: float,
+    recorder: bool = False,
+) -> Callable[[Question], Bend]:
     def of(_: Question) -> Bend:
         first: list[int] = []
 
-        def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+        def bend(
+            topic: str,
+            time_ns: int,
+            message: Any,
+        ) -> tuple[int, Any]:
             first.append(time_ns)
             if hasattr(message, "header"):
                 stamp = message.header.stamp
@@ -134,7 +153,11 @@ def rolled(question: Question, folder: Path) -> Question:
 
 def other_arm(question: Question, folder: Path) -> Question | None:
     """The file of another arm whose joints are called alike."""
-    others = {None: "omx_f", "ur5e": "ur10e", str(URDFS / "ur5e.urdf"): str(URDFS / "ur10e.urdf")}
+    others = {
+        None: "omx_f",
+        "ur5e": "ur10e",
+        str(URDFS / "ur5e.urdf"): str(URDFS / "ur10e.urdf"),
+    }
     return replace(question, robot=others[question.robot]) if question.robot in others else None
 
 
@@ -263,7 +286,13 @@ def answer(
     return verdict, value.get("value"), value.get("ci95"), text
 
 
-def judged(mistake: Mistake, truth_kg: float, verdict: str, interval: Any, text: str) -> str:
+def judged(
+    mistake: Mistake,
+    truth_kg: float,
+    verdict: str,
+    interval: Any,
+    text: str,
+) -> str:
     named = bool(mistake.cause) and re.search(mistake.cause, text) is not None
     if verdict == "accepted":
         holds = interval is not None and interval[0] <= truth_kg <= interval[1]
@@ -273,7 +302,12 @@ def judged(mistake: Mistake, truth_kg: float, verdict: str, interval: Any, text:
     return "cause" if named else "other"
 
 
-def made(question: Question, mistake: Mistake, everywhere: bool, folder: Path) -> Question | None:
+def made(
+    question: Question,
+    mistake: Mistake,
+    everywhere: bool,
+    folder: Path,
+) -> Question | None:
     """The question with the mistake in it."""
     if mistake.asked is not None:
         return mistake.asked(question, folder)
@@ -405,7 +439,10 @@ def swings(shared: Path, folder: Path) -> Iterator[Question]:
         )
 
 
-def asked_of(arms: str, options: argparse.Namespace) -> list[tuple[str, str]]:
+def asked_of(
+    arms: str,
+    options: argparse.Namespace,
+) -> list[tuple[str, str]]:
     """What each mistake came to, on all recordings of some kind."""
     found = []
     with tempfile.TemporaryDirectory() as made_in:
@@ -460,7 +497,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = Results(__file__, options.json, arguments)
     results.table(
         "mistakes",
-        {"mistake": "{mistake}", **{title: f"{{{key}}}" for key, title in OUTCOMES.items()}},
+        {
+            "mistake": "{mistake}",
+            **{title: f"{{{key}}}" for key, title in OUTCOMES.items()},
+        },
     )
     counts = {mistake.name: dict.fromkeys(OUTCOMES, 0) for mistake in MISTAKES}
     with ProcessPoolExecutor(min(options.jobs, len(options.arms))) as pool:

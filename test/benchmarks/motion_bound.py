@@ -109,7 +109,11 @@ def torque_of_bodies(
     return result
 
 
-def parameters(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+def parameters(
+    mass: float,
+    centre: np.ndarray,
+    inertia: np.ndarray,
+) -> np.ndarray:
     """The ten parameters of a body whose inertia about its centre is diagonal, shape (3,)."""
     about = np.diag(inertia) + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     return np.concatenate([[mass], mass * centre, about[np.triu_indices(3)]])
@@ -152,7 +156,10 @@ class Model:
     def bodies(self, unknowns: np.ndarray) -> np.ndarray:
         """Parameters of payload and links, shape (10 (1 + n),)."""
         arm = self.arm
-        off = unknowns[10 : 10 + 5 * self.joints].reshape(self.joints, 5)
+        off = unknowns[10 : 10 + 5 * self.joints].reshape(
+            self.joints,
+            5,
+        )
         links = [
             parameters(
                 arm.masses[n] * (1.0 + o[0]), arm.coms[n] + o[1:4], arm.inertias[n] * (1.0 + o[4])
@@ -162,10 +169,19 @@ class Model:
         return np.concatenate([unknowns[:10], *links])
 
     def _by_joint(self, unknowns: np.ndarray) -> dict[str, np.ndarray]:
-        rest = unknowns[10 + 5 * self.joints :].reshape(-1, self.joints)
-        return {**dict(zip(JOINT_KINDS, rest, strict=False)), "coulomb": rest[len(JOINT_KINDS) :]}
+        rest = unknowns[10 + 5 * self.joints :].reshape(
+            -1,
+            self.joints,
+        )
+        return {
+            **dict(zip(JOINT_KINDS, rest, strict=False)),
+            "coulomb": rest[len(JOINT_KINDS) :],
+        }
 
-    def _motors(self, unknowns: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
+    def _motors(
+        self,
+        unknowns: np.ndarray,
+    ) -> Iterator[tuple[np.ndarray, ...]]:
         """Of each motion: torque that passes the gears, by how much it follows what bodies need, and slip."""
         of = self._by_joint(unknowns)
         bodies = self.bodies(unknowns)
@@ -234,7 +250,10 @@ class Model:
         """Inverse covariance of the unknowns before any motion, shape (U, U)."""
         joints = self.joints
         build = self.arm.build
-        links = np.tile([build.link_share, *[build.shift_m] * 3, 0.1], joints)
+        links = np.tile(
+            [build.link_share, *[build.shift_m] * 3, 0.1],
+            joints,
+        )
         # load friction, rotor and viscous friction as `write_robot` states them, place as `Twin` draws it
         by_joint = {
             "armature": 0.2,
@@ -296,7 +315,10 @@ class Model:
         result: np.ndarray = solveh_banded(band, rows, lower=True)
         return result
 
-    def covariance(self, positions: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def covariance(
+        self,
+        positions: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Of the unknowns after all motions, whose square roots are the bounds, and the priors' precision, both (U, U).
 
         Args:
@@ -333,7 +355,14 @@ def bound(
     more: Sequence[Truth] = (),
 ) -> float:
     """Smallest standard deviation of the mass [kg] that motions of an arm allow, one with a ball in the hand, the others empty."""
-    ball = parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2))
-    motions = [(loaded, True), *((motion, False) for motion in (without, *more))]
+    ball = parameters(
+        mass,
+        centre,
+        np.full(3, 0.4 * mass * 0.05**2),
+    )
+    motions = [
+        (loaded, True),
+        *((motion, False) for motion in (without, *more)),
+    ]
     covariance, _ = Model(arm, motions, ball).covariance(positions)
     return float(np.sqrt(covariance[0, 0]))

@@ -81,12 +81,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
             loaded = arm.record("empty again", loaded_s)
         more = [arm.record("baseline", loaded_s)] if options.baseline else []
         begun_s = time.process_time()
-        fit = fit_payload(robot, [loaded], fit_empty(robot, [empty]), empty=more)
+        fit = fit_payload(
+            robot,
+            [loaded],
+            fit_empty(robot, [empty]),
+            empty=more,
+        )
         seconds.append(time.process_time() - begun_s)
         error = float(fit.values[0]) - mass
         half = fit.quantile * float(fit.std[0])
         truths = [arm.truths[motion.name] for motion in (empty, loaded, *more)]
-        least = bound(arm, truths[0], truths[1], mass, centre, more=truths[2:])
+        least = bound(
+            arm,
+            truths[0],
+            truths[1],
+            mass,
+            centre,
+            more=truths[2:],
+        )
         rows.append((mass, error, half, least))
         print(
             f"{seed}: {1e3 * mass:6.0f} g, error {1e3 * error:+6.1f} g, half interval {1e3 * half:5.1f} g, "

@@ -105,7 +105,12 @@ def drawn_arm(seed: int) -> Arm | None:
         weight = ball(REFERENCE_KG, 0.04)
         load = KnownLoad(REFERENCE_KG, facts_of(weight))
         for each in (LOADED_PROBES[1], LOADED_PROBES[2], LOADED_PROBES[5]):
-            known.append(LoadedRun(_run(file, _recorded(hidden, each, weight, random)), load))
+            known.append(
+                LoadedRun(
+                    _run(file, _recorded(hidden, each, weight, random)),
+                    load,
+                )
+            )
     learnt = calibrate(file, known)
     if learnt.calibration is None or learnt.verdict.value != "accepted":
         return None
@@ -122,7 +127,11 @@ def drawn_arm(seed: int) -> Arm | None:
         probe = LOADED_PROBES[int(random.integers(len(LOADED_PROBES)))]
         kg = signed(random, 0.005, 0.05)
         factor = random.uniform(1.3, 3.0)
-        return pushed(probe, abs(kg), random), pushed(probe, factor * abs(kg), random)
+        return pushed(probe, abs(kg), random), pushed(
+            probe,
+            factor * abs(kg),
+            random,
+        )
 
     return Arm(file.with_calibration(learnt.calibration), push, pair)
 
@@ -167,7 +176,15 @@ def recorded_arm(level: str, reference: bool) -> Arm:
 def _recorded(
     hidden: HiddenRobot, probe: Probe, load: Load | None, random: np.random.Generator
 ) -> Recording:
-    return record(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, random)
+    return record(
+        hidden,
+        probe.joint,
+        probe.start,
+        probe.current_A,
+        probe.duration_s,
+        load,
+        random,
+    )
 
 
 def _run(robot: Robot, recording: Recording) -> Run:
@@ -205,33 +222,61 @@ def held_of(push: Push, random: np.random.Generator) -> str:
 def of_recording(
     bend: Callable[[Push, np.random.Generator], Recording],
 ) -> Callable[[Arm, np.random.Generator], tuple[Asked, Push]]:
-    def asked(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+    def asked(
+        arm: Arm,
+        random: np.random.Generator,
+    ) -> tuple[Asked, Push]:
         push = arm.pushes(random)
-        return Asked(arm.robot, runs_of(arm.robot, bend(push, random))), push
+        return Asked(
+            arm.robot,
+            runs_of(arm.robot, bend(push, random)),
+        ), push
 
     return asked
 
 
 def zero_of_driven(push: Push, random: np.random.Generator) -> Recording:
-    return bends.zero_off(push.recording, driven_of(push), signed(random, 0.005, 0.1))
+    return bends.zero_off(
+        push.recording,
+        driven_of(push),
+        signed(random, 0.005, 0.1),
+    )
 
 
 def zero_of_held(push: Push, random: np.random.Generator) -> Recording:
-    return bends.zero_off(push.recording, held_of(push, random), signed(random, 0.005, 0.1))
+    return bends.zero_off(
+        push.recording,
+        held_of(push, random),
+        signed(random, 0.005, 0.1),
+    )
 
 
 def held_elsewhere(push: Push, random: np.random.Generator) -> Recording:
-    return bends.zero_off(push.recording, held_of(push, random), signed(random, 0.2, 1.5))
+    return bends.zero_off(
+        push.recording,
+        held_of(push, random),
+        signed(random, 0.2, 1.5),
+    )
 
 
 def step_of_driven(push: Push, random: np.random.Generator) -> Recording:
     at_s = random.uniform(0.05, 0.55)
-    return bends.step(push.recording, driven_of(push), signed(random, 0.005, 0.05), at_s)
+    return bends.step(
+        push.recording,
+        driven_of(push),
+        signed(random, 0.005, 0.05),
+        at_s,
+    )
 
 
 def step_of_held(push: Push, random: np.random.Generator) -> Recording:
     at_s = random.uniform(0.05, 0.55)
-    return bends.step(push.recording, held_of(push, random), signed(random, 0.005, 0.05), at_s)
+    return bends.step(
+        push.recording,
+        held_of(push, random),
+        signed(random, 0.005, 0.05),
+        at_s,
+    )
 
 
 def scaled(push: Push, random: np.random.Generator) -> Recording:
@@ -264,7 +309,10 @@ def no_finger(push: Push, random: np.random.Generator) -> Recording:
     return bends.without_joint(push.recording, GRIPPER)
 
 
-def merged(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+def merged(
+    arm: Arm,
+    random: np.random.Generator,
+) -> tuple[Asked, Push]:
     """All that the calibration knows of one joint, or of two, is another arm's, by its file."""
     asked, push = merged_in_memory(arm, random)
     assert arm.robot.calibration is not None and asked.robot.calibration is not None
@@ -281,7 +329,10 @@ def merged(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
         return replace(asked, robot=load_robot(file)), push
 
 
-def merged_in_memory(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+def merged_in_memory(
+    arm: Arm,
+    random: np.random.Generator,
+) -> tuple[Asked, Push]:
     """The same where no file says what was written."""
     other = None
     while other is None:
@@ -296,7 +347,10 @@ def merged_in_memory(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push
     return Asked(robot, runs_of(robot, push.recording)), push
 
 
-def two_objects(arm: Arm, random: np.random.Generator) -> tuple[Asked, Push]:
+def two_objects(
+    arm: Arm,
+    random: np.random.Generator,
+) -> tuple[Asked, Push]:
     """Two runs of one bag, each of another object: no answer is right of both, and the nearer counts."""
     one, other = arm.pair(random)
     runs = tuple(
@@ -357,7 +411,10 @@ class Tally:
         return float(off)
 
     def row(self, kind: str) -> dict[str, object]:
-        codes = sorted((self.codes or {}).items(), key=lambda entry: -entry[1])
+        codes = sorted(
+            (self.codes or {}).items(),
+            key=lambda entry: -entry[1],
+        )
         refused = ", ".join(f"{code} {count}" for code, count in codes)
         return {
             "kind": kind, "asked": self.asked, "accepted": self.accepted, "hold": self.hold,
@@ -400,7 +457,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--count", type=int, default=600, help="of mutated pushes")
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--only", nargs="+", choices=list(KINDS), default=list(KINDS)[:-1])
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=list(KINDS),
+        default=list(KINDS)[:-1],
+    )
     parser.add_argument("--show", action="store_true", help="print every answer that is far off")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
@@ -418,7 +480,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         random.bit_generator.state = state
         if kind != "two objects":
             push = push if kind.startswith("merged") and push else arm.pushes(random)
-            plain = answer(Asked(arm.robot, runs_of(arm.robot, push.recording)), push.facts)
+            plain = answer(
+                Asked(arm.robot, runs_of(arm.robot, push.recording)),
+                push.facts,
+            )
             if unmutated.add(plain, push.truth_kg) is not None:
                 low, high = plain.values[0].ci95
                 halves.append(0.5e3 * (high - low))
@@ -448,7 +513,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         whole.farthest = max(whole.farthest, tally.farthest)
     results.row("mutated pushes", **whole.row("all"))
     plain_row = unmutated.row("nothing")
-    results.row("mutated pushes", **plain_row, half_g=float(np.median(halves or [np.nan])))
+    results.row(
+        "mutated pushes",
+        **plain_row,
+        half_g=float(np.median(halves or [np.nan])),
+    )
     print(f"median half interval of the pushes as they were: {np.median(halves or [np.nan]):.2f} g")
     results.keep()
 

@@ -143,7 +143,13 @@ def play(file: Path) -> None:
     begun_s = time.monotonic()
     for row, at_s in enumerate(times_s):
         time.sleep(max(0.0, begun_s + at_s - time.monotonic()))
-        state = joint_state(time.time_ns(), names, position[row], [], effort[row])
+        state = joint_state(
+            time.time_ns(),
+            names,
+            position[row],
+            [],
+            effort[row],
+        )
         publisher.publish(state)
     print("end", flush=True)
 
@@ -205,7 +211,11 @@ class Listener:
         self.said.append(said)
 
 
-def seen_s(said: list[Said], work: Work, first_s: float) -> tuple[list[float], int]:
+def seen_s(
+    said: list[Said],
+    work: Work,
+    first_s: float,
+) -> tuple[list[float], int]:
     """How late each change was seen in step, in seconds in which the arm moved; and how many were seen, in step or not."""
     found = []
     seen = 0
@@ -224,7 +234,12 @@ def seen_s(said: list[Said], work: Work, first_s: float) -> tuple[list[float], i
     return found, seen
 
 
-def figures(said: list[Said], work: Work, first_s: float, ends_s: float) -> dict[str, float]:
+def figures(
+    said: list[Said],
+    work: Work,
+    first_s: float,
+    ends_s: float,
+) -> dict[str, float]:
     """What they heard, as numbers."""
     known = [each for each in said if each.determined]
     ages_s = np.array([each.at_s - each.stamp_s for each in known])
@@ -264,7 +279,12 @@ def process(words: list[str]) -> Iterator[subprocess.Popen[bytes]]:
         program.wait()
 
 
-def soak(folder: Path, work: Work, load: int, ordinary: bool) -> dict[str, float]:
+def soak(
+    folder: Path,
+    work: Work,
+    load: int,
+    ordinary: bool,
+) -> dict[str, float]:
     """The whole of it, in real time."""
     from proprio_ros.clock import run_in_real_time
 

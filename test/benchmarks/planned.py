@@ -76,7 +76,15 @@ def _searches(robot: str, words: str) -> list[Row]:
             "first plan" if first else f"--seconds {seconds:g}"
         )
         note = f"{plan['joint']} {plan['kind']}, +-{1e3 * Z95 * plan['std_kg'][0]:.1f} g at 50 g"
-        found.append(Row(what, timing, goal, cpu_s <= GOAL_S if first else None, note))
+        found.append(
+            Row(
+                what,
+                timing,
+                goal,
+                cpu_s <= GOAL_S if first else None,
+                note,
+            )
+        )
     return found
 
 

@@ -189,7 +189,10 @@ def draw_robot(
     def uniform(ends: tuple[float, float]) -> tuple[float, ...]:
         return tuple(rng.uniform(*ends, 4).tolist())
 
-    def scales(common_and_own: tuple[float, float], count: int) -> tuple[float, ...]:
+    def scales(
+        common_and_own: tuple[float, float],
+        count: int,
+    ) -> tuple[float, ...]:
         common, own = common_and_own
         return tuple((1.0 + common * _gaussian(rng, 1)[0] + own * _gaussian(rng, count)).tolist())
 
@@ -264,14 +267,20 @@ class Load:
 
 
 def ball(
-    mass: float, diameter: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass: float,
+    diameter: float,
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Load:
     """A solid ball [kg, m]."""
     inertia = 0.1 * mass * diameter**2
     return Load(mass, offset, (inertia, inertia, inertia, 0.0, 0.0, 0.0))
 
 
-def cube(mass: float, edge: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Load:
+def cube(
+    mass: float,
+    edge: float,
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Load:
     """A solid cube [kg, m]."""
     inertia = mass * edge**2 / 6.0
     return Load(mass, offset, (inertia, inertia, inertia, 0.0, 0.0, 0.0))
@@ -336,7 +345,10 @@ def _model(
     return spec.compile()
 
 
-def _servo(robot: HiddenRobot, index: int) -> tuple[float, tuple[float, float, float]]:
+def _servo(
+    robot: HiddenRobot,
+    index: int,
+) -> tuple[float, tuple[float, float, float]]:
     """Gain and bias of the holding servo: torque = gain * target + bias . (1, q, v)."""
     stiffness = robot.torque_constant[index] * HOLD_A_PER_RAD
     return stiffness, (0.0, -stiffness, -robot.torque_constant[index] * HOLD_A_S_PER_RAD)
@@ -433,7 +445,12 @@ def simulate(
     low, high = model.jnt_range[:4].T
     touched = ((probed < low) | (probed > high)).any(axis=0)
     hit = tuple(name for name, touches in zip(JOINTS, touched, strict=True) if touches)
-    return Motion(step_s * np.arange(steps + 1, dtype=np.float64), positions, currents, hit)
+    return Motion(
+        step_s * np.arange(steps + 1, dtype=np.float64),
+        positions,
+        currents,
+        hit,
+    )
 
 
 def record(
@@ -491,7 +508,12 @@ def record(
     shafts += robot.encoder_noise * rng.standard_normal(shafts.shape)
     currents = np.zeros_like(shafts)
     column = JOINTS.index(joint)
-    currents[:, column] = np.interp(since_torque_s, motion.times_s, motion.current_A, left=0.0)
+    currents[:, column] = np.interp(
+        since_torque_s,
+        motion.times_s,
+        motion.current_A,
+        left=0.0,
+    )
     if robot.quantised:
         shafts = COUNT_RAD * np.round(shafts / COUNT_RAD)
         currents = COUNT_A * np.round(currents / COUNT_A)
@@ -533,7 +555,13 @@ class Probe:
     duration_s: float = 0.6
 
 
-def _probe(joint: str, joint2: float, joint3: float, joint4: float, current_A: float) -> Probe:
+def _probe(
+    joint: str,
+    joint2: float,
+    joint3: float,
+    joint4: float,
+    current_A: float,
+) -> Probe:
     return Probe(
         joint,
         {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0},
@@ -606,7 +634,14 @@ def main(robots: int = 5) -> None:
         f"median {np.median(costs):.0f} ms, slowest {max(costs):.0f} ms; at most {worst:.4f} mrad apart"
     )
     sticky = HiddenRobot(coulomb=(0.5,) * 4, compliance=True)  # holds the arm without current
-    stuck = simulate(sticky, "joint3", LOADED_PROBES[0].start, 0.0, 0.6, ball(0.05, 0.043))
+    stuck = simulate(
+        sticky,
+        "joint3",
+        LOADED_PROBES[0].start,
+        0.0,
+        0.6,
+        ball(0.05, 0.043),
+    )
     print(f"a stuck joint creeps {1e3 * np.ptp(stuck.position, axis=0).max():.4f} mrad")
 
 

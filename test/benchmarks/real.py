@@ -91,7 +91,11 @@ def said(words: Sequence[str]) -> dict[str, Any]:
 
 
 def asked(
-    row: str, question: str, truth: float, words: Sequence[str], name: str = "payload_mass"
+    row: str,
+    question: str,
+    truth: float,
+    words: Sequence[str],
+    name: str = "payload_mass",
 ) -> Answer:
     answer = said(["replay", *words, "--probe", "payload"])
     value = next(
@@ -101,7 +105,16 @@ def asked(
     told = name != "payload_mass" and value["value"] is not None
     verdict = "accepted" if told else answer.get("verdict") or f"exit {answer['exit']}"
     low, high = value.get("ci95") or (None, None)
-    return Answer(row, question, truth, value["value"], value.get("std"), low, high, verdict)
+    return Answer(
+        row,
+        question,
+        truth,
+        value["value"],
+        value.get("std"),
+        low,
+        high,
+        verdict,
+    )
 
 
 def cut(bag: Path, folder: Path, begin_s: float, end_s: float) -> Path:
@@ -124,7 +137,12 @@ def seconds_of(bag: Path) -> float:
 
 
 def pendulum(
-    folder: Path, name: str, rod_kg: float, length_m: float, drive: str, nominal: float = 1.0
+    folder: Path,
+    name: str,
+    rod_kg: float,
+    length_m: float,
+    drive: str,
+    nominal: float = 1.0,
 ) -> Path:
     pendulum_urdf(folder, name, rod_kg, length_m)
     path = folder / f"{name}.yaml"

@@ -107,7 +107,10 @@ def _rounded(value: Any) -> Any:
 
 def _run(script: str, arguments: Sequence[str]) -> dict[str, Any]:
     """Command line (without where it keeps its results), commit, date, and machine."""
-    words = ["python", Path(script).resolve().relative_to(REPOSITORY).as_posix()]
+    words = [
+        "python",
+        Path(script).resolve().relative_to(REPOSITORY).as_posix(),
+    ]
     given = iter(arguments)
     for word in given:
         if word == "--json":

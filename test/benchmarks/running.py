@@ -54,7 +54,10 @@ def work(robot: Robot, seed: int) -> Day:
     return empty, [(mass, arm.work(PART_S + rng.uniform(0.0, 1.0), mass)) for mass in masses]
 
 
-def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
+def watch(
+    robot: Robot,
+    day: Day,
+) -> tuple[np.ndarray, list[float], int, float]:
     """Mass, error and half interval [kg] in rows; how late each change was noticed [s]; false changes; CPU per second of data."""
     empty, parts = day
     weight = OnlineEstimator(robot, fit_empty(robot, empty), held={"gripper_left_joint": 0.0})
@@ -174,7 +177,11 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
         arm = SensingArm(Path(name), joints, seed, rate_Hz)
         shown.bound_s.append(bound_s(arm))
         weight = OnlineEstimator(
-            robot, fit_empty(robot, [arm.work(30.0, name=f"empty {n}") for n in range(2)])
+            robot,
+            fit_empty(
+                robot,
+                [arm.work(30.0, name=f"empty {n}") for n in range(2)],
+            ),
         )
         begun_s = 0.0
         cpu_s = 0.0
@@ -188,8 +195,19 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
         parts = [
             (arm.work(stays_s * 22, schedule), schedule, shown.later),
             (arm.work(0.5 * rest_s), [], shown.later),
-            (arm.work(0.5 * rest_s, [(0.0, one := arm.load(1.0))]), [(0.0, one)], shown.later),
-            (arm.work(30.0, [(0.0, one)], elsewhere=ELSEWHERE_RAD), [(0.0, one)], shown.elsewhere),
+            (
+                arm.work(
+                    0.5 * rest_s,
+                    [(0.0, one := arm.load(1.0))],
+                ),
+                [(0.0, one)],
+                shown.later,
+            ),
+            (
+                arm.work(30.0, [(0.0, one)], elsewhere=ELSEWHERE_RAD),
+                [(0.0, one)],
+                shown.elsewhere,
+            ),
         ]
         for motion, changes, rows in parts:
             began = time.process_time()

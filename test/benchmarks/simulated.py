@@ -52,7 +52,13 @@ class Answers:
         self.errors: list[float] = []
         self.halves: list[float] = []
 
-    def add(self, estimate: Estimate, name: str, truth: float, scale: float = 1e3) -> None:
+    def add(
+        self,
+        estimate: Estimate,
+        name: str,
+        truth: float,
+        scale: float = 1e3,
+    ) -> None:
         """Count an answer, or that there is none."""
         self.asked += 1
         value = estimate.value(name)
@@ -83,7 +89,11 @@ def calibrated_on(runs: list[LoadedRun]) -> Robot:
     return ROBOT.with_calibration(learnt.calibration)
 
 
-def weighed(folders: Iterable[Any], robot: Robot | None = None, known: bool = False) -> Answers:
+def weighed(
+    folders: Iterable[Any],
+    robot: Robot | None = None,
+    known: bool = False,
+) -> Answers:
     """Masses by a calibrated robot; without one by the robot file, or by the simulator's own drive train."""
     answers = Answers()
     for folder in folders:
@@ -216,7 +226,11 @@ def blocks(results: Results, levels: Sequence[str]) -> None:
                 _, modulus, ratio = simulated.cube_of(folder)
                 # the truth is each finger's; both together close by twice as much
                 gap = Quantity(2.0 * simulated.truth_of(folder)["cube"]["gap"], 1e-5)
-                estimate = simulated.squeezed(robot, folder, **({"gap": gap} if stated else {}))
+                estimate = simulated.squeezed(
+                    robot,
+                    folder,
+                    **({"gap": gap} if stated else {}),
+                )
                 answers.add(estimate, "youngs_modulus", modulus, 100.0 / modulus)
                 ratios.add(estimate, "poissons_ratio", ratio, 1.0)
             results.row(
@@ -248,7 +262,12 @@ def paper(results: Results, levels: Sequence[str]) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     tables = {"weighing": weighing, "container": container, "blocks": blocks, "paper": paper}
     parser = parser_of(__doc__)
-    parser.add_argument("tables", nargs="*", default=list(tables), help=", ".join(tables))
+    parser.add_argument(
+        "tables",
+        nargs="*",
+        default=list(tables),
+        help=", ".join(tables),
+    )
     parser.add_argument(
         "--robots", nargs="+", default=list(LEVELS), choices=list(LEVELS), help="default: all"
     )

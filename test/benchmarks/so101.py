@@ -51,7 +51,11 @@ class Arm:
     def __init__(self, random: np.random.Generator) -> None:
         n = len(JOINTS)
         self.torque_constant = 1.21 * random.normal(1.0, 0.1) * random.normal(1.0, 0.03, n)
-        self.coulomb = np.clip(random.normal(0.052, 0.015, n), 0.02, None)
+        self.coulomb = np.clip(
+            random.normal(0.052, 0.015, n),
+            0.02,
+            None,
+        )
         self.lost = random.uniform(0.0, 0.15, n)
         self.viscous = random.uniform(0.0, 0.03, n)
         self.armature = random.uniform(0.02, 0.036, n)
@@ -119,8 +123,15 @@ class Arm:
 
         def goal_at(t: float) -> np.ndarray:
             """Smooth ways between the poses."""
-            k = min(int(np.searchsorted(goals_at, t, side="right")) - 1, len(goals) - 2)
-            share = np.clip((t - goals_at[k]) / (goals_at[k + 1] - goals_at[k]), 0.0, 1.0)
+            k = min(
+                int(np.searchsorted(goals_at, t, side="right")) - 1,
+                len(goals) - 2,
+            )
+            share = np.clip(
+                (t - goals_at[k]) / (goals_at[k + 1] - goals_at[k]),
+                0.0,
+                1.0,
+            )
             return goals[k] + (goals[k + 1] - goals[k]) * (
                 10 * share**3 - 15 * share**4 + 6 * share**5
             )
@@ -166,9 +177,18 @@ def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
     messages = []
     for row, t in enumerate(rows["t"]):
         time_ns = 10**9 + round(1e9 * t)
-        stamp = header(stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9), frame_id="")
+        stamp = header(
+            stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9),
+            frame_id="",
+        )
         for topic, name in (("/joint_states", "position"), ("/joint_command", "goal")):
-            message = state(stamp, list(JOINTS), rows[name][row], nothing, nothing)
+            message = state(
+                stamp,
+                list(JOINTS),
+                rows[name][row],
+                nothing,
+                nothing,
+            )
             messages.append(
                 RawMessage(
                     topic, JOINT_STATE, time_ns, bytes(types.serialize_cdr(message, JOINT_STATE))
@@ -197,7 +217,13 @@ def weighed(
         output = folder / "calibrated.yaml"
         options = Options(robot="so101", settings=SETTINGS)
         learnt = calibrate_from_bags(
-            [bag("a", 0.0), bag("b", 0.0)], {bag("known", KNOWN_KG): KNOWN_KG}, options, output
+            [
+                bag("a", 0.0),
+                bag("b", 0.0),
+            ],
+            {bag("known", KNOWN_KG): KNOWN_KG},
+            options,
+            output,
         )
         if learnt.verdict is not Verdict.ACCEPTED:
             raise RecordingError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
@@ -253,7 +279,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         *((f"{1e3 * kg:.0f} g" if kg else "nothing", (kg,)) for kg in ASKED_KG),
         ("all", ASKED_KG),
     ):
-        of = np.array([answer for kg in kgs for answer in answers[kg]], dtype=float)
+        of = np.array(
+            [answer for kg in kgs for answer in answers[kg]],
+            dtype=float,
+        )
         if len(of):
             off, half, holds, pull = of.T
             results.row(

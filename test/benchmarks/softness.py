@@ -48,7 +48,11 @@ _change, _pull = _law_functions("log")
 
 
 @wp.func
-def _edges(x: wp.array(dtype=VEC3), tets: wp.array2d(dtype=wp.int32), t: wp.int32):
+def _edges(
+    x: wp.array(dtype=VEC3),
+    tets: wp.array2d(dtype=wp.int32),
+    t: wp.int32,
+):
     origin = x[tets[t, 0]]
     return x[tets[t, 1]] - origin, x[tets[t, 2]] - origin, x[tets[t, 3]] - origin
 
@@ -65,7 +69,11 @@ def _cell_kernel(
 ):
     t = wp.tid()
     e1, e2, e3 = _edges(x, tets, t)
-    wp.atomic_add(cell_j, cells[t], shares[t] * _change(e1, e2, e3, volumes[t], inverses[t]))
+    wp.atomic_add(
+        cell_j,
+        cells[t],
+        shares[t] * _change(e1, e2, e3, volumes[t], inverses[t]),
+    )
 
 
 @wp.kernel(module="unique")
@@ -89,9 +97,21 @@ def _force_kernel(
     rates = wp.matrix_from_cols(r1, r2, r3)
     j = cell_j[cells[t]]
     pull = -_pull(e1, e2, e3, rates, j, volumes[t], inverses[t], grams[t], p[7], p[8], p[9])
-    f1 = VEC3(pull[0, 0], pull[1, 0], pull[2, 0])
-    f2 = VEC3(pull[0, 1], pull[1, 1], pull[2, 1])
-    f3 = VEC3(pull[0, 2], pull[1, 2], pull[2, 2])
+    f1 = VEC3(
+        pull[0, 0],
+        pull[1, 0],
+        pull[2, 0],
+    )
+    f2 = VEC3(
+        pull[0, 1],
+        pull[1, 1],
+        pull[2, 1],
+    )
+    f3 = VEC3(
+        pull[0, 2],
+        pull[1, 2],
+        pull[2, 2],
+    )
     wp.atomic_add(force, tets[t, 1], f1)
     wp.atomic_add(force, tets[t, 2], f2)
     wp.atomic_add(force, tets[t, 3], f3)
@@ -137,7 +157,11 @@ def _node_kernel(
         x_out[i] = VEC3(
             sides[i] * (constants[0] - half * (travel * angle - p[6])), x[i][1], x[i][2]
         )
-        v_out[i] = VEC3(-half * sides[i] * travel * turn, FLOAT(0.0), FLOAT(0.0))
+        v_out[i] = VEC3(
+            -half * sides[i] * travel * turn,
+            FLOAT(0.0),
+            FLOAT(0.0),
+        )
 
 
 class PerSubstep:
@@ -171,7 +195,11 @@ class PerSubstep:
         substeps = self.run.substeps
         p0 = self._p.numpy()
         x, v = (wp.array(part[0], dtype=VEC3, requires_grad=True) for part in self._start)
-        q = wp.array(p0[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]], dtype=FLOAT, requires_grad=True)
+        q = wp.array(
+            p0[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]],
+            dtype=FLOAT,
+            requires_grad=True,
+        )
         tets = self._tets.shape[0]
         nodes = len(self.body.mesh.points)
         states = [q]
@@ -275,9 +303,16 @@ class OnePerSubstep:
         ].copy(), self._p.grad.numpy()[0].copy()
 
 
-def explicit_case(cells: int, frames: int = 60) -> tuple[SoftBody, SoftRun, np.ndarray]:
+def explicit_case(
+    cells: int,
+    frames: int = 60,
+) -> tuple[SoftBody, SoftRun, np.ndarray]:
     """A second of the paper's heavy cube under its motor, in touch from the start."""
-    body = SoftBody(box(np.full(3, EDGE), (cells, cells, cells)), MASS, TRAVEL)
+    body = SoftBody(
+        box(np.full(3, EDGE), (cells, cells, cells)),
+        MASS,
+        TRAVEL,
+    )
     values = {
         "inertia": 0.005,
         "torque_constant": 1.0,
@@ -288,16 +323,31 @@ def explicit_case(cells: int, frames: int = 60) -> tuple[SoftBody, SoftRun, np.n
     }
     values |= {"lame_mu": HEAVY[0], "lame_lambda": HEAVY[1]}
     p = np.array([[values.get(name, 0.0) for name in SOFT_PARAMETERS]])
-    return body, SoftRun(np.zeros(1), np.array([0.08]), frames), p
+    return (
+        body,
+        SoftRun(
+            np.zeros(1),
+            np.array([0.08]),
+            frames,
+        ),
+        p,
+    )
 
 
-def fused(body: SoftBody, run: SoftRun, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def fused(
+    body: SoftBody,
+    run: SoftRun,
+    p: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """Ours, as ``PerSubstep.__call__``."""
     result = body.rollout(run, p)
     return result.q[0], result.gradient(np.ones_like(result.q))[0]
 
 
-def difference(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> float:
+def difference(
+    ours: tuple[np.ndarray, np.ndarray],
+    theirs: tuple[np.ndarray, np.ndarray],
+) -> float:
     """Largest relative difference of positions and of the gradient by what both differentiate."""
     rows = [
         SOFT_INDEX[name]
@@ -323,7 +373,11 @@ class Fit:
 
     def __init__(self, cells: int = 2) -> None:
         self.table = build(np.full(3, EDGE), cells=cells)
-        mesh = box(np.full(3, 0.5 * EDGE), (cells, cells, cells), corner=np.zeros(3))
+        mesh = box(
+            np.full(3, 0.5 * EDGE),
+            (cells, cells, cells),
+            corner=np.zeros(3),
+        )
         self.solver = QuasiStatic(mesh, octant=True)
         self.simulator = self._simulator(self.table)
         self.rows = [SQUEEZE_INDEX[name] for name in self.names]
@@ -365,7 +419,11 @@ class Fit:
         damping = 1e-3
 
         def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            q, _, dq = self.simulator.jacobian(self.one, self._p(at), self.directions)
+            q, _, dq = self.simulator.jacobian(
+                self.one,
+                self._p(at),
+                self.directions,
+            )
             return q[0] - self.seen, dq[0] * np.array([at[0], 0.1, 1e-3])
 
         residual, jacobian = linearised(values)
@@ -402,7 +460,10 @@ class Fit:
 
         def residual(scaled: np.ndarray) -> np.ndarray:
             values = scaled * self.scale
-            curve = self.solver.curve(squeezes * EDGE, *lame(1.0, values[1]))
+            curve = self.solver.curve(
+                squeezes * EDGE,
+                *lame(1.0, values[1]),
+            )
             spline = CubicHermiteSpline(squeezes, curve.force / EDGE**2, curve.by_squeeze / EDGE)
             nodes = np.zeros((len(grid), 2, 4))
             nodes[:, :, 0] = spline(grid)[:, None]
@@ -467,11 +528,27 @@ def rows(_: Any = None) -> list[Row]:
         and np.abs(scipy_found / fit.truth - 1.0)[0] < 0.005
     )
     what = "softness: scipy, differences over the same finite elements"
-    lines.append(_compared(what, theirs, ours, FIT_GOAL, same, _found(scipy_found, fit)))
+    lines.append(
+        _compared(
+            what,
+            theirs,
+            ours,
+            FIT_GOAL,
+            same,
+            _found(scipy_found, fit),
+        )
+    )
     return lines
 
 
-def _compared(what: str, theirs: Timing, ours: Timing, goal: float, same: bool, note: str) -> Row:
+def _compared(
+    what: str,
+    theirs: Timing,
+    ours: Timing,
+    goal: float,
+    same: bool,
+    note: str,
+) -> Row:
     if not same:
         return Row(what, theirs, "void", False, note)
     ratio = theirs.median / ours.median

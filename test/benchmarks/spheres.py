@@ -146,7 +146,14 @@ class Boxed(Load):
         assert np.abs(data.qvel[4:7]).max() < STANDS_M_S, data.qvel
         data.qpos[:4], data.qvel[:], data.time = start, 0.0, 0.0
         lever = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, lever, None, data.body("sphere").xpos, model.body("load").id)
+        mujoco.mj_jac(
+            model,
+            data,
+            lever,
+            None,
+            data.body("sphere").xpos,
+            model.body("load").id,
+        )
         return lever[2, :4] * 9.81 * self.sphere_kg
 
 
@@ -164,7 +171,13 @@ def box(
     )  # fmt: skip
 
 
-def _probe(joint: str, joint2: float, joint3: float, joint4: float, current_A: float) -> Probe:
+def _probe(
+    joint: str,
+    joint2: float,
+    joint3: float,
+    joint4: float,
+    current_A: float,
+) -> Probe:
     return Probe(
         joint,
         {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0},
@@ -233,7 +246,11 @@ def calibrated(made: Recorded) -> tuple[Robot, list[PreparedRun]] | None:
     ]
 
 
-def cramer_rao(made: Recorded, known: Sequence[PreparedRun], rolling: Sequence[Run]) -> float:
+def cramer_rao(
+    made: Recorded,
+    known: Sequence[PreparedRun],
+    rolling: Sequence[Run],
+) -> float:
     """Smallest standard deviation that any unbiased use of these runs and priors can have [kg].
 
     Friction and damping of the touch are taken where the priors expect them: MuJoCo's law has others.
@@ -241,19 +258,41 @@ def cramer_rao(made: Recorded, known: Sequence[PreparedRun], rolling: Sequence[R
     robot = load_robot("open_manipulator_x")
     hidden = made.hidden
     inside = [prepare_run(robot, run, None, FACTS.shell) for run in rolling]
-    runs = [*inside, *(prepare_run(robot, run, None, FACTS.shell) for run in made.baseline), *known]
+    runs = [
+        *inside,
+        *(prepare_run(robot, run, None, FACTS.shell) for run in made.baseline),
+        *known,
+    ]
     rolls = [row < len(inside) for row in range(len(runs))]
-    nothing = JointRun(np.array([0.1]), np.zeros(1), np.zeros(1))
+    nothing = JointRun(
+        np.array([0.1]),
+        np.zeros(1),
+        np.zeros(1),
+    )
     priors = [
         start_prior(sphere_run(robot, run, FACTS, nothing), FACTS, run.rest.value) for run in inside
     ]
     problem = ContainerProblem(
-        robot, runs, FACTS, rolls, container_unknowns(robot, runs, rolls, FACTS, priors, Role.FREE)
+        robot,
+        runs,
+        FACTS,
+        rolls,
+        container_unknowns(
+            robot,
+            runs,
+            rolls,
+            FACTS,
+            priors,
+            Role.FREE,
+        ),
     )
     values = true_values(hidden, problem, SHELL_KG)
     values[problem.index["sphere_mass"]] = made.sphere.sphere_kg
     _, v, dq = problem.simulate(values[None], problem.free)
-    reading = np.hypot(runs[0].drive.encoder_resolution / np.sqrt(12.0), hidden.encoder_noise)
+    reading = np.hypot(
+        runs[0].drive.encoder_resolution / np.sqrt(12.0),
+        hidden.encoder_noise,
+    )
     sigma = np.hypot(reading, v[0] * hidden.stamp_jitter_s)
     rows = (dq[0] / sigma[..., None])[problem.weight > 0.0]
     information = rows.T @ rows + problem.coordinates.prior_precision
@@ -295,7 +334,14 @@ def answer_of(runs: int, mass: float, estimate: Estimate, bound: float) -> Answe
     # the difference between runs is in the interval and not in the budget
     shares["widening"] = shares.get("widening", 0.0) + 1.0 - sum(shares.values())
     low, high = value.ci95
-    return Answer(runs, value.value - mass, value.std, bound, bool(low <= mass <= high), shares)
+    return Answer(
+        runs,
+        value.value - mass,
+        value.std,
+        bound,
+        bool(low <= mass <= high),
+        shares,
+    )
 
 
 def one_robot(job: tuple[int, tuple[str, ...]]) -> tuple[list[Answer], list[str]]:
@@ -318,7 +364,12 @@ def one_robot(job: tuple[int, tuple[str, ...]]) -> tuple[list[Answer], list[str]
     return answers, refused
 
 
-def row(results: Results, name: str, answers: Sequence[Answer], asked: int) -> None:
+def row(
+    results: Results,
+    name: str,
+    answers: Sequence[Answer],
+    asked: int,
+) -> None:
     """One row of the table; none without answers."""
     if not answers:
         return
@@ -364,8 +415,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "over bound": "{over:.2f}",
         },
     )
-    row(results, "one", [a for a in answers if a.runs == 1], 3 * options.robots)
-    row(results, "three together", [a for a in answers if a.runs > 1], options.robots)
+    row(
+        results,
+        "one",
+        [a for a in answers if a.runs == 1],
+        3 * options.robots,
+    )
+    row(
+        results,
+        "three together",
+        [a for a in answers if a.runs > 1],
+        options.robots,
+    )
     shares: Counter[str] = Counter()
     for answer in answers:
         shares.update(answer.shares)

@@ -75,7 +75,10 @@ def facts() -> PayloadFacts:
 
 
 def released(
-    rng: np.random.Generator, masses: np.ndarray, machine: dict[str, Any], harsh: bool
+    rng: np.random.Generator,
+    masses: np.ndarray,
+    machine: dict[str, Any],
+    harsh: bool,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Stamps [s] and readings [rad] of one swing per mass; the servo holds until RELEASED_S."""
     count = len(masses)
@@ -94,8 +97,14 @@ def released(
     for _ in range(round(LASTS_S / STEP_S)):
         a1 = rate(q, v)
         a2 = rate(q + 0.5 * STEP_S * v, v + 0.5 * STEP_S * a1)
-        a3 = rate(q + 0.5 * STEP_S * (v + 0.5 * STEP_S * a1), v + 0.5 * STEP_S * a2)
-        a4 = rate(q + STEP_S * (v + 0.5 * STEP_S * a2), v + STEP_S * a3)
+        a3 = rate(
+            q + 0.5 * STEP_S * (v + 0.5 * STEP_S * a1),
+            v + 0.5 * STEP_S * a2,
+        )
+        a4 = rate(
+            q + STEP_S * (v + 0.5 * STEP_S * a2),
+            v + STEP_S * a3,
+        )
         q = q + STEP_S * v + STEP_S**2 / 6.0 * (a1 + a2 + a3)
         v = v + STEP_S / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         track.append(q)
@@ -107,7 +116,11 @@ def released(
         )
         # the register is renewed every 8 ms
         seen = AGE_S * np.floor(stamps / AGE_S + rng.uniform()) - RELEASED_S
-        row = np.clip(np.rint(seen / STEP_S).astype(int), 0, len(path) - 1)
+        row = np.clip(
+            np.rint(seen / STEP_S).astype(int),
+            0,
+            len(path) - 1,
+        )
         reading = path[row, column] + 5e-4 * rng.standard_normal(len(row))
         swings.append((stamps, COUNT_RAD * np.rint(reading / COUNT_RAD)))
     return swings
@@ -118,7 +131,15 @@ def as_run(name: str, stamps_s: np.ndarray, reading: np.ndarray) -> Run:
     times_ns = 1_000_000_000 + np.rint(1e9 * stamps_s).astype(np.int64)
     off = (int(1_000_000_000 + 1e9 * RELEASED_S), int(times_ns[-1]) + 1)
     recording = Recording(
-        name, JointRecord(times_ns, ("pivot",), reading[:, None]), None, (), (off,)
+        name,
+        JointRecord(
+            times_ns,
+            ("pivot",),
+            reading[:, None],
+        ),
+        None,
+        (),
+        (off,),
     )
     return cut_runs(recording, joints=["pivot"])[0]
 
@@ -167,7 +188,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 learnt = calibrate(robot, known)
                 if learnt.calibration is None or learnt.verdict.value != "accepted":
                     raise ProprioError("; ".join(learnt.reasons))
-                estimate = weigh(robot.with_calibration(learnt.calibration), runs[2:], facts())
+                estimate = weigh(
+                    robot.with_calibration(learnt.calibration),
+                    runs[2:],
+                    facts(),
+                )
             except ProprioError as error:
                 refused += 1
                 print(f"{number}: {error}", flush=True)

@@ -43,7 +43,11 @@ def test_plain_c_computes_our_numbers(case: Any, tmp_path: Path) -> None:
 
     run = hard_run(case.problem.simulator.runs[0])
     p, dp = hard_parameters(*case.parameters(np.array(STARTS_KG)))
-    ours = JointSimulator([run]).jacobian(np.zeros(len(p), dtype=np.int32), p, dp)
+    ours = JointSimulator([run]).jacobian(
+        np.zeros(len(p), dtype=np.int32),
+        p,
+        dp,
+    )
     assert difference(ours, CPass(run, p, dp, str(tmp_path))()) < EQUAL
 
 
@@ -59,7 +63,11 @@ def test_plain_c_computes_our_numbers_with_a_sphere(tmp_path: Path) -> None:
     box = pose()
     for _, run, p in easy_and_hard(box):
         simulator = SphereSimulator([run], box.facts.enclosure)
-        ours = states_of(simulator, np.zeros(len(p), dtype=np.int32), p)
+        ours = states_of(
+            simulator,
+            np.zeros(len(p), dtype=np.int32),
+            p,
+        )
         assert apart(ours, SpherePass(simulator, p, str(tmp_path))()) < EQUAL
         assert share_in_contact(simulator, p) > 0.9
 
@@ -73,7 +81,10 @@ def test_a_sphere_in_mujoco_is_ours() -> None:
     box = pose(by_mujoco, mass_alone=True)
     p, _ = box.parameters([SPHERE_KG])
     times_s = box.run.joint.sample_times_s
-    ours, _ = box.problem.simulator.special.rollout(np.zeros(1, dtype=np.int32), p)
+    ours, _ = box.problem.simulator.special.rollout(
+        np.zeros(1, dtype=np.int32),
+        p,
+    )
     assert np.abs(ours[0] - by_mujoco(box, times_s)).max() < 2e-3 < 0.01 * np.ptp(ours)
     answer = box.solve()
     masses, costs, _ = mujoco_fit(box, 2.5e-3, "RK4")()
@@ -85,9 +96,21 @@ def test_void_without_agreement(case: Any) -> None:
     from case import compare
     from run import figures
 
-    good = compare("x", lambda: (np.array([case.mass]), case.mass), 0.0, case, repeats=1)
+    good = compare(
+        "x",
+        lambda: (np.array([case.mass]), case.mass),
+        0.0,
+        case,
+        repeats=1,
+    )
     assert good.passed and figures(good)["goal"] == "met"
-    wrong = compare("x", lambda: (np.array([0.07]), 0.07), 0.0, case, repeats=1)
+    wrong = compare(
+        "x",
+        lambda: (np.array([0.07]), 0.07),
+        0.0,
+        case,
+        repeats=1,
+    )
     assert wrong.passed is False and wrong.ratio == "void" and figures(wrong)["goal"] == "missed"
 
 

@@ -44,7 +44,10 @@ def test_a_wave_is_as_fast_as_theory_says_and_a_finer_grid_agrees() -> None:
 def test_a_swirl_dies_as_stokes_says() -> None:
     """Azimuthal flow J1(3.8317 r/R) sin(pi z/2h): no slip at side and bottom, no stress on top, an exact solution."""
     liquid = Liquid(CYLINDER, FILL_M, 1.0, 20)
-    r = np.hypot(liquid.x[:, 0], liquid.x[:, 1])
+    r = np.hypot(
+        liquid.x[:, 0],
+        liquid.x[:, 1],
+    )
     angle = np.linspace(0.0, np.pi, 61)
     bessel = np.cos(angle - 3.8317 / 0.035 * r[:, None] * np.sin(angle)).mean(axis=1)
     size = 0.05 * bessel * np.sin(0.5 * np.pi * liquid.x[:, 2] / FILL_M) / r
@@ -76,7 +79,12 @@ def test_contents_weigh_what_they_weigh_and_follow_their_container() -> None:
         centre, _ = contents.moments()
         weight = contents.kg * DOWN
         np.testing.assert_allclose(
-            told, [*weight, *np.cross(centre, weight)], atol=2e-3 * contents.kg * 9.81
+            told,
+            [
+                *weight,
+                *np.cross(centre, weight),
+            ],
+            atol=2e-3 * contents.kg * 9.81,
         )
     push = np.array([1.0, 0.0, 0.0])
     share = -liquid.step(DOWN, push, NONE, NONE, EXCHANGE_S)[0] / liquid.kg
@@ -140,7 +148,10 @@ def test_the_law_turns_a_joint_as_the_particles_do(
                     gravity, drag, np.array([0.0, a, 0.0]), np.array([0.0, fast, 0.0]), step_s
                 )
                 free = weight(middle) - a * (inertia - joint)
-                more = [more[1], force[4] + low * force[0] - reach * force[2] - free]
+                more = [
+                    more[1],
+                    force[4] + low * force[0] - reach * force[2] - free,
+                ]
         return np.array(angles)
 
     slosh = Slosh.of(radius, np.array(fill))
@@ -245,9 +256,20 @@ class InMujoco(Filled):
 @pytest.mark.parametrize("period_s", [0.1, 0.2, 0.25, 0.3, 0.35])
 def test_a_shake_switches_when_its_command_says(period_s: float) -> None:
     """At some whole periods ``time % period`` is a hair below the period."""
-    shaken = simulate(HiddenRobot(), "joint3", {}, 0.0, 2.5, shake=(0.1, period_s))
+    shaken = simulate(
+        HiddenRobot(),
+        "joint3",
+        {},
+        0.0,
+        2.5,
+        shake=(0.1, period_s),
+    )
     half = round(0.5 * period_s / STEP_S)
-    says = np.where(np.arange(round(2.5 / STEP_S)) // half % 2 == 0, 0.1, -0.1)
+    says = np.where(
+        np.arange(round(2.5 / STEP_S)) // half % 2 == 0,
+        0.1,
+        -0.1,
+    )
     np.testing.assert_array_equal(shaken.current_A[: len(says)], says)
 
 
@@ -269,14 +291,21 @@ def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
         float(about[0, 2]),
         float(about[1, 2]),
     )
-    frozen = Filled(kg, tuple(both.tolist()), six, empty.bottom, None, (bob.kg, *bob.moments()))
+    frozen = Filled(
+        kg,
+        tuple(both.tolist()),
+        six,
+        empty.bottom,
+        None,
+        (bob.kg, *bob.moments()),
+    )
     hidden = HiddenRobot(
         coulomb=(0.02,) * 4, viscous=(0.01,) * 4, armature=(0.005,) * 4, compliance=True
     )
     for push in PUSHES[2:]:
         probe = probe_of(push, hidden, frozen)
         loads = (
-            InMujoco(empty.mass, empty.offset, empty.inertia, empty.bottom), replace(frozen, pour=lambda tilt: Bob()), frozen
+            InMujoco(empty.mass, empty.offset, empty.inertia, empty.bottom,), replace(frozen, pour=lambda tilt: Bob()), frozen
         )  # fmt: skip
         shake = (push.shake_A, 0.25) if push.shake_A else (0.0, 1.0)
         one, coupled, still = (

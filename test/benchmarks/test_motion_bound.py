@@ -46,7 +46,11 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
     std = FOUR.current_noise_A * np.array(FOUR.constants)
     errors = []
     for _ in range(400):
-        stated = rng.multivariate_normal(model.truth, np.linalg.inv(precision), method="cholesky")
+        stated = rng.multivariate_normal(
+            model.truth,
+            np.linalg.inv(precision),
+            method="cholesky",
+        )
         read = [torque + std * rng.standard_normal(torque.shape) for torque in clean]
         estimate = model.truth.copy()
         for _ in range(4):

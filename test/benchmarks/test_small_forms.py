@@ -132,7 +132,11 @@ def test_every_benchmark_has_a_small_form() -> None:
     assert names == SMALL.keys() | ELSEWHERE
 
 
-def ran(name: str, words: tuple[str, ...], file: Path) -> dict[str, Any]:
+def ran(
+    name: str,
+    words: tuple[str, ...],
+    file: Path,
+) -> dict[str, Any]:
     """What a benchmark keeps."""
     importlib.import_module(name).main([*words, "--json", str(file)])
     kept: dict[str, Any] = json.loads(file.read_text())

@@ -90,7 +90,12 @@ def bases(first: int, sets: int) -> Iterator[tuple[str, Base]]:
 def stretched(bag: Path, path: Path, factor: float) -> Path:
     """A bag whose clock ran so many times as slow."""
     bend = all_bends()[BEND]
-    return bent_bag(bag, path, [(bend, {"factor": factor, "velocity": "none"})], 0)
+    return bent_bag(
+        bag,
+        path,
+        [(bend, {"factor": factor, "velocity": "none"})],
+        0,
+    )
 
 
 def answer(question: Question, made: Path) -> Answer:
@@ -124,7 +129,10 @@ def _calibrated(files: Files, folder: Path, factor: float) -> Path | Outcome:
     known = stretched(beside / "known", folder / "known", factor)
     path = folder / "so101.yaml"
     words = ["calibrate", *empty, "--reference", f"{known}={KNOWN_KG}", "--robot", "so101"]
-    said = asked([*words, "--set", "payload.com=[0,0,0]", "--output", str(path)], {})
+    said = asked(
+        [*words, "--set", "payload.com=[0,0,0]", "--output", str(path)],
+        {},
+    )
     return path if path.exists() else said
 
 
@@ -139,7 +147,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--made", type=Path, help="where simulated recordings are kept")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    factors = np.round(np.arange(0.5, 2.0 + 1e-9, options.step), 3)
+    factors = np.round(
+        np.arange(0.5, 2.0 + 1e-9, options.step),
+        3,
+    )
     with tempfile.TemporaryDirectory() as folder:
         made = options.made or Path(folder)
         chosen = tuple(options.only or ("",))
@@ -190,7 +201,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def row(
-    results: Results, table: str, name: str, answers: Sequence[Answer], half: float | None = None
+    results: Results,
+    table: str,
+    name: str,
+    answers: Sequence[Answer],
+    half: float | None = None,
 ) -> None:
     """What became of some answers.
 

@@ -76,7 +76,10 @@ class Bench:
         """A push and its repetitions, as the excitation node would make them."""
         runs: list[Run] = []
         current: float | None = probe.current_A
-        start = {**self.pose, **{k: v for k, v in probe.start.items() if k != GRIPPER}}
+        start = {
+            **self.pose,
+            **{k: v for k, v in probe.start.items() if k != GRIPPER},
+        }
         while current is not None:
             way = max(abs(start[name] - self.pose[name]) for name in JOINTS)
             self.time_s += float(approach_s(way, self.sequence.approach_velocity))
@@ -90,7 +93,10 @@ class Bench:
                 )
             self.time_s += float(run.duration_s)
             runs.append(run)
-            self.pose = {**start, probe.joint: float(run.position[-1])}
+            self.pose = {
+                **start,
+                probe.joint: float(run.position[-1]),
+            }
             moved = float(np.abs(run.position - start[probe.joint]).max())
             current = probe.other_current(current) if moved < probe.min_travel else None
         return runs
@@ -136,7 +142,11 @@ class Case:
     decided_s: float
 
 
-def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) -> Robot | None:
+def calibrated(
+    hidden: HiddenRobot,
+    reference: str,
+    rng: np.random.Generator,
+) -> Robot | None:
     """After the shipped empty-hand sequence, and a reference as the shipped sequence has it or as it is chosen."""
     robot = load_robot("open_manipulator_x")
     sequence = load_sequence("empty_hand", robot)
@@ -171,13 +181,22 @@ def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) ->
 
 
 def one_case(
-    robot: Robot, hidden: HiddenRobot, mass: float, reference: str, until: Until, seed: int
+    robot: Robot,
+    hidden: HiddenRobot,
+    mass: float,
+    reference: str,
+    until: Until,
+    seed: int,
 ) -> Case:
     load = ball(mass, DIAMETER_M)
     facts = facts_of(load)
     fixed = load_sequence("payload", robot)
     sequence = replace(fixed, runs=(), until=until)
-    bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass)]))
+    bench = Bench(
+        hidden,
+        sequence,
+        np.random.default_rng([seed, round(1e6 * mass)]),
+    )
     runs: list[Run] = []
     decided = 0.0
 
@@ -220,14 +239,21 @@ def one_case(
     low, high = value.ci95
     half = Z95 * value.std
     # the fixed sequence, again and again
-    other = Bench(hidden, fixed, np.random.default_rng([seed, round(1e6 * mass), 1]))
+    other = Bench(
+        hidden,
+        fixed,
+        np.random.default_rng([seed, round(1e6 * mass), 1]),
+    )
     made: list[Run] = []
     after: list[tuple[int, float]] = []
     state, fixed_half = None, float("inf")
 
     def half_after(count: int) -> float:
         nonlocal state
-        state = chooser.catalogue.known(made[:count], state if count == len(made) else None)
+        state = chooser.catalogue.known(
+            made[:count],
+            state if count == len(made) else None,
+        )
         return Z95 * state.std
 
     while fixed_half > half and len(made) < FIXED_AT_MOST:

@@ -83,7 +83,12 @@ class Answer:
         return Z95 * abs(self.value_kg - self.truth_kg) / half
 
 
-def asked(row: str, right: bool, truth_kg: float, ask: Callable[[], Estimate]) -> Answer:
+def asked(
+    row: str,
+    right: bool,
+    truth_kg: float,
+    ask: Callable[[], Estimate],
+) -> Answer:
     """One question and what came out."""
     refused = (None, np.nan, np.nan)
     try:
@@ -106,7 +111,10 @@ def swung_calibration(robot: Robot, known: Sequence[tuple[Run, float]]) -> Robot
 
     Raises `RecordingError`: They are no calibration.
     """
-    learnt = calibrate(robot, [LoadedRun(run, KnownLoad(kg, DISC)) for run, kg in known])
+    learnt = calibrate(
+        robot,
+        [LoadedRun(run, KnownLoad(kg, DISC)) for run, kg in known],
+    )
     if learnt.calibration is None or learnt.verdict.value != "accepted":
         raise RecordingError("; ".join(learnt.reasons))
     return robot.with_calibration(learnt.calibration)
@@ -124,7 +132,10 @@ def real_swings(options: Any, folder: Path) -> Iterator[Answer]:
             (runs[rig, kg],) = bag_runs(options.recordings / f"{rig}_{kg:.3f}kg", request)
     sets = [known for count in (2, 3) for known in itertools.combinations(STS_KG, count)]
     for rig, known in itertools.product(LET_GO, sets[:: options.every]):
-        robot = swung_calibration(robots[rig], [(runs[rig, kg], kg) for kg in known])
+        robot = swung_calibration(
+            robots[rig],
+            [(runs[rig, kg], kg) for kg in known],
+        )
         for (asked_rig, kg), run in runs.items():
             if asked_rig == rig and kg in known:
                 continue
@@ -186,10 +197,19 @@ class Driven:
 
     def calibration(self, names: Sequence[str]) -> JointCalibration:
         """By some of them."""
-        motions, loads_kg = zip(*(self.motions[name] for name in names), strict=True)
+        motions, loads_kg = zip(
+            *(self.motions[name] for name in names),
+            strict=True,
+        )
         return learn_joint(self.robot, motions, loads_kg, self.facts)
 
-    def ask(self, row: str, right: bool, name: str, by: JointCalibration) -> Answer:
+    def ask(
+        self,
+        row: str,
+        right: bool,
+        name: str,
+        by: JointCalibration,
+    ) -> Answer:
         """One of them by a calibration."""
         motion, load_kg = self.motions[name]
         return asked(
@@ -216,7 +236,10 @@ def real_driven(options: Any, folder: Path) -> Iterator[Answer]:
     taken = {
         name: its for name, its in bags.items() if "release" not in name and "lift" not in name
     }
-    laws = {"xl330": (XL330_DRIVE, "0.0", POINT), "sts3215": (STS_DRIVE, "0.02", DISC)}
+    laws = {
+        "xl330": (XL330_DRIVE, "0.0", POINT),
+        "sts3215": (STS_DRIVE, "0.02", DISC),
+    }
     for gain, per_rad in XL330_GAINS.items():
         laws[f"xl330_{gain}"] = (
             f"{{kind: position_servo, gain_per_rad: {per_rad}}}",
@@ -269,7 +292,10 @@ def driven(options: Any, folder: Path) -> Iterator[Answer]:
     for seed in range(options.first, options.first + options.machines):
         rng = np.random.default_rng([seed, 57])
         servo = servos.Servo(rng)
-        late = replace(robot, delay=replace(robot.delay, value=servo.delay_s, std=0.0))
+        late = replace(
+            robot,
+            delay=replace(robot.delay, value=servo.delay_s, std=0.0),
+        )
         rows = {
             f"known {n}": (moved(servo, kg, rng), kg)
             for n, kg in enumerate((*servos.KNOWN_KG, *servos.KNOWN_KG))
@@ -294,7 +320,11 @@ def driven(options: Any, folder: Path) -> Iterator[Answer]:
         for other, (_, others) in enumerate(machines):
             if other != one:
                 its, kg = others["the same servo and gain"]
-                alien = Driven(late, POINT, {"": (motion(its, late), kg)})
+                alien = Driven(
+                    late,
+                    POINT,
+                    {"": (motion(its, late), kg)},
+                )
                 yield alien.ask("simulated, driven, another servo", False, "", by)
 
 
@@ -322,7 +352,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """One row for each kind of pair."""
     parser = parser_of(__doc__)
     parser.add_argument("--recordings", type=Path, default=REAL)
-    parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument(
+        "--parts",
+        nargs="+",
+        default=list(PARTS),
+        choices=list(PARTS),
+    )
     parser.add_argument("--machines", type=int, default=6, help="simulated ones of each kind")
     parser.add_argument("--first", type=int, default=900, help="first seed")
     parser.add_argument("--every", type=int, default=1, help="which sets of known loads are taken")

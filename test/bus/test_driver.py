@@ -57,7 +57,11 @@ class Rig:
 
     def new_driver(self, settings: DriverSettings) -> ArmDriver:
         name = str(self.virtual.port.path)
-        bus = DynamixelBus(name, servos_of(self.robot), connect=partial(Wire, self.clock, name))
+        bus = DynamixelBus(
+            name,
+            servos_of(self.robot),
+            connect=partial(Wire, self.clock, name),
+        )
         return ArmDriver(
             self.robot,
             bus,
@@ -73,7 +77,11 @@ class Rig:
         self.pacer.wait()
         return self.driver.cycle()
 
-    def run(self, duration_s: float, currents: dict[str, float] | None = None) -> list[ArmSample]:
+    def run(
+        self,
+        duration_s: float,
+        currents: dict[str, float] | None = None,
+    ) -> list[ArmSample]:
         """Cycles, with this command before each of them."""
         samples = []
         end_s = self.clock.now() + duration_s
@@ -85,7 +93,11 @@ class Rig:
                 samples.append(sample)
         return samples
 
-    def until(self, done: Callable[[], bool], limit_s: float = 30.0) -> None:
+    def until(
+        self,
+        done: Callable[[], bool],
+        limit_s: float = 30.0,
+    ) -> None:
         """Cycles until something is true."""
         end_s = self.clock.now() + limit_s
         while not done():
@@ -94,7 +106,12 @@ class Rig:
             )
             self.cycle()
 
-    def currents(self, joint: str, start_s: float, end_s: float = math.inf) -> np.ndarray:
+    def currents(
+        self,
+        joint: str,
+        start_s: float,
+        end_s: float = math.inf,
+    ) -> np.ndarray:
         """What flowed through a joint's motor, per millisecond [A]."""
         row = list(self.virtual.servos).index(joint)
         with self.virtual.port.lock:

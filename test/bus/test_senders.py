@@ -69,7 +69,10 @@ def test_all_of_one_publisher_in_any_order_is_of_one() -> None:
     """Shuffled within its places and doubled: what is obeyed only grows."""
     draw = random.Random(1)
     numbers = sorted(
-        [*range(1, 300), *draw.sample(range(1, 300), 60)],
+        [
+            *range(1, 300),
+            *draw.sample(range(1, 300), 60),
+        ],
         key=lambda number: number + draw.uniform(0, LATE - 1),
     )
     senders = Senders()

@@ -44,7 +44,10 @@ def calibration(made: Moment | None) -> Calibration:
     return Calibration(KEYS, values, correlation * stds[:, None] * stds, made=made)
 
 
-def growth(hours: float, warmer: dict[str, float] | None = None) -> np.ndarray:
+def growth(
+    hours: float,
+    warmer: dict[str, float] | None = None,
+) -> np.ndarray:
     """What a covariance grows by, in units of the values."""
     old = calibration(Moment(NOW_S, dict.fromkeys(warmer or {}, 30.0)))
     now = Moment(
@@ -81,10 +84,18 @@ def test_a_motor_that_is_warmer_widens_its_own_joint() -> None:
 def test_how_often_somebody_looks_does_not_matter() -> None:
     old = calibration(Moment(NOW_S))
     once = aged(old, DRIFT, Moment(NOW_S + 5 * DAY_S))
-    twice = aged(aged(old, DRIFT, Moment(NOW_S + DAY_S)), DRIFT, Moment(NOW_S + 5 * DAY_S))
+    twice = aged(
+        aged(old, DRIFT, Moment(NOW_S + DAY_S)),
+        DRIFT,
+        Moment(NOW_S + 5 * DAY_S),
+    )
     np.testing.assert_allclose(twice.covariance, once.covariance, rtol=1e-12)
     # recorded before it was calibrated
-    before = aged(calibration(Moment(NOW_S + 5 * DAY_S)), DRIFT, Moment(NOW_S))
+    before = aged(
+        calibration(Moment(NOW_S + 5 * DAY_S)),
+        DRIFT,
+        Moment(NOW_S),
+    )
     np.testing.assert_allclose(before.covariance, once.covariance, rtol=1e-12)
 
 
@@ -149,8 +160,17 @@ def temperatures(celsius: dict[str, float], namespace: str = "") -> RawMessage:
     dimension, layout = (
         types.types[f"std_msgs/msg/MultiArray{kind}"] for kind in ("Dimension", "Layout")
     )
-    dims = [dimension(",".join(celsius), len(celsius), len(celsius))]
-    message = types.types[FLOAT_ARRAYS[0]](layout(dims, 0), np.array(list(celsius.values())))
+    dims = [
+        dimension(
+            ",".join(celsius),
+            len(celsius),
+            len(celsius),
+        )
+    ]
+    message = types.types[FLOAT_ARRAYS[0]](
+        layout(dims, 0),
+        np.array(list(celsius.values())),
+    )
     return RawMessage(
         f"{namespace}/motor_temperatures",
         FLOAT_ARRAYS[0],
@@ -167,9 +187,18 @@ def states() -> list[RawMessage]:
     found = []
     for n in range(20):
         at = header(stamp(1_700_000_000, n * 10_000_000), "")
-        message = kind(at, ["joint2", "joint3"], *[np.array([0.1, 0.2])] * 3)
+        message = kind(
+            at,
+            ["joint2", "joint3"],
+            *[np.array([0.1, 0.2])] * 3,
+        )
         found.append(
-            RawMessage("/joint_states", names[0], n, bytes(types.serialize_cdr(message, names[0])))
+            RawMessage(
+                "/joint_states",
+                names[0],
+                n,
+                bytes(types.serialize_cdr(message, names[0])),
+            )
         )
     return found
 

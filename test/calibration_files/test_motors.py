@@ -59,7 +59,10 @@ def said(values: Mapping[str, str], namespace: str = "") -> RawMessage:
 
 
 def told(motors: Mapping[str, MotorIdentity], namespace: str = "") -> RawMessage:
-    return said({joint: motor.as_text() for joint, motor in motors.items()}, namespace)
+    return said(
+        {joint: motor.as_text() for joint, motor in motors.items()},
+        namespace,
+    )
 
 
 def bag(folder: Path, *messages: RawMessage) -> Path:
@@ -118,13 +121,21 @@ def test_another_arm_is_refused(
         check_motors(path, calibrated, None)
     assert "arm.yaml" in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(RecordingError, match=words):  # live, before anything moves
-        check_input(tmp_path / "session", [*states(), told(other)], Request(calibrated))
+        check_input(
+            tmp_path / "session",
+            [*states(), told(other)],
+            Request(calibrated),
+        )
     # nothing is claimed of any arm
     assert check_motors(path, load_robot("open_manipulator_x"), None) == ()
 
 
 def test_other_firmware_is_the_same_arm(tmp_path: Path, calibrated: Robot) -> None:
-    path = bag(tmp_path / "bag", *states(), told({**ARM, "joint3": replace(ELBOW, firmware=48)}))
+    path = bag(
+        tmp_path / "bag",
+        *states(),
+        told({**ARM, "joint3": replace(ELBOW, firmware=48)}),
+    )
     (note,) = check_motors(path, calibrated, None)
     assert "other firmware" in note and "joint3 48 (was 46)" in note
     assert other_firmware(ARM, ARM) == ""

@@ -88,8 +88,15 @@ def test_what_is_known_given_one_unknown_is_what_its_precision_says() -> None:
     kept = [row for row, key in enumerate(small().keys) if key != rise]
     assert given.keys == tuple(small().keys[row] for row in kept)
     precision = np.linalg.inv(small().covariance)[np.ix_(kept, kept)]
-    np.testing.assert_allclose(given.covariance @ precision, np.eye(len(kept)), atol=1e-6)
-    np.testing.assert_array_equal(small().given(set()).covariance, small().covariance)
+    np.testing.assert_allclose(
+        given.covariance @ precision,
+        np.eye(len(kept)),
+        atol=1e-6,
+    )
+    np.testing.assert_array_equal(
+        small().given(set()).covariance,
+        small().covariance,
+    )
 
 
 def test_a_calibration_that_knows_fewer_joints_under_current_does_not_take_its_place(
@@ -106,7 +113,14 @@ def test_a_calibration_that_knows_fewer_joints_under_current_does_not_take_its_p
         "full": small(),
         "other": replace(small(), keys=other),
         "swings": replace(
-            small(), swing_error=0.002, runs=({**small().runs[0], "current_A": 0.0},)
+            small(),
+            swing_error=0.002,
+            runs=(
+                {
+                    **small().runs[0],
+                    "current_A": 0.0,
+                },
+            ),
         ),
     }
     for name, calibration in files.items():
@@ -449,7 +463,11 @@ def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(
     assert runs_or_motion(without, now)[0].held[finger] == 0.005
     # what is brought up to date keeps it, and takes what is stated then
     newer = tmp_path / "newer.yaml"
-    refresh_from_bags(empty[4:], Options(calibration=path, settings={"held.joint1": 0.2}), newer)
+    refresh_from_bags(
+        empty[4:],
+        Options(calibration=path, settings={"held.joint1": 0.2}),
+        newer,
+    )
     brought = robot_of(Options(calibration=newer))
     assert brought.held == {finger: 0.01, "joint1": 0.2} and brought.payload_frame == "link5"
     path.write_text(path.read_text().replace(f"{finger}: 0.01", "thumb: 0.01"))
@@ -478,7 +496,11 @@ def test_the_same_numbers_from_the_same_bags(bags: Path) -> None:
     ],
 )
 def test_mistakes_get_one_line(
-    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+    bags: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    words: str,
 ) -> None:
     bag = str(bags / "realistic_s00_empty_03_joint3" / "bag_mcap")
     path = tmp_path / "arm.yaml"

@@ -21,7 +21,10 @@ class Joints:
     """Two coupled joints on which efforts act late, integrated in steps of 0.1 ms; a constant load pulls at both."""
 
     def __init__(
-        self, delay_s: float, count_rad: float = 0.0, load: tuple[float, float] = (0.0, 0.0)
+        self,
+        delay_s: float,
+        count_rad: float = 0.0,
+        load: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.delay, self.time_s = Delay(2), 1.795e9
         self._late_s, self._count_rad, self._load = delay_s, count_rad, np.array(load)
@@ -67,7 +70,11 @@ def test_a_nudge_shows_the_delay(delay_s: float, count_rad: float) -> None:
 
 
 def test_joints_that_were_not_asked_show_nothing() -> None:
-    joints = Joints(0.03, 2.0 * math.pi / 4096, load=(0.1, -0.02))
+    joints = Joints(
+        0.03,
+        2.0 * math.pi / 4096,
+        load=(0.1, -0.02),
+    )
     joints.run(1.0, np.zeros(2))
     assert joints.delay.delay_s is None
 

@@ -29,7 +29,10 @@ def held(
 
 
 def push(joint: str, current_A: float) -> Command:
-    return Command({name: q for name, q in POSE.items() if name != joint}, {joint: current_A})
+    return Command(
+        {name: q for name, q in POSE.items() if name != joint},
+        {joint: current_A},
+    )
 
 
 @pytest.mark.parametrize("joint", ["joint3", GRIPPER])
@@ -130,7 +133,11 @@ def test_what_cannot_be_made_is_refused() -> None:
         (("joint1",), "mA", "effort_unit='mA': choose one of N.m, A"),
     ],
 )
-def test_what_is_stated_wrong_is_named(joints: tuple[str, ...], unit: str, words: str) -> None:
+def test_what_is_stated_wrong_is_named(
+    joints: tuple[str, ...],
+    unit: str,
+    words: str,
+) -> None:
     with pytest.raises(ConfigurationError, match=words):
         EffortController(ROBOT, joints, unit)
 

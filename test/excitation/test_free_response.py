@@ -33,7 +33,11 @@ from proprio_ros.records import InputRecord, JointRecord, Recording
 
 WRIST = "joint4"
 SEQUENCE = load_sequence("free_swing", ROBOT)
-ONCE = replace(SEQUENCE, runs=(replace(SEQUENCE.runs[0], duration_s=1.5),), settle_s=0.3)
+ONCE = replace(
+    SEQUENCE,
+    runs=(replace(SEQUENCE.runs[0], duration_s=1.5),),
+    settle_s=0.3,
+)
 LOOSE_N_M = 0.01
 """Coulomb friction of an arm whose wrist swings to and fro for some seconds."""
 
@@ -105,11 +109,21 @@ def test_gravity_and_inertia_are_those_of_another_simulator() -> None:
     """Of a wrist without friction, from rest: its acceleration, and where it turns back."""
     hand = Hand(1, None, 0.0)
     truth = hand.arm.truth
-    joint = replace(truth.joints[WRIST], viscous=0.0, load_friction=0.0, stribeck=0.0)
+    joint = replace(
+        truth.joints[WRIST],
+        viscous=0.0,
+        load_friction=0.0,
+        stribeck=0.0,
+    )
     hand.arm.truth = truth = replace(
         truth, joints={**truth.joints, WRIST: joint}, links={}, arm_scale=ROBOT.arm_scale.value
     )
-    arm = type(hand.arm)(ROBOT, truth, position=SEQUENCE.runs[0].start, control_period_s=PERIOD_S)
+    arm = type(hand.arm)(
+        ROBOT,
+        truth,
+        position=SEQUENCE.runs[0].start,
+        control_period_s=PERIOD_S,
+    )
     start = SEQUENCE.runs[0].start[WRIST]
     swing = free_swing(
         ROBOT, WRIST, {name: arm.position()[name] for name in ROBOT.model.independent_joints}
@@ -141,7 +155,10 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
         run = ExcitationRun(joint, 0.0, 2.0, start)
         machine = ExcitationMachine(ROBOT, guards)
         with pytest.raises(ExcitationError, match=words):
-            machine.start(replace(ONCE, runs=(run,), **more), Hand(1, None).sample())
+            machine.start(
+                replace(ONCE, runs=(run,), **more),
+                Hand(1, None).sample(),
+            )
         assert machine.phase is Phase.IDLE and not machine.command.current_A
 
     high = {"joint2": 0.0, "joint3": 0.42}
@@ -162,7 +179,12 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
 
 
 def test_a_stronger_friction_that_is_known_is_refused_and_a_weaker_one_is_not() -> None:
-    run = ExcitationRun(WRIST, 0.0, 2.0, {"joint2": 0.0, "joint3": 0.42, WRIST: 0.9})
+    run = ExcitationRun(
+        WRIST,
+        0.0,
+        2.0,
+        {"joint2": 0.0, "joint3": 0.42, WRIST: 0.9},
+    )
     for coulomb, words in ((0.06, "friction is probably 0.06 N m"), (0.02, "")):
         robot = ROBOT.with_overrides(
             {f"joints.{WRIST}.drive_train.coulomb_N_m": {"value": coulomb, "std": 0.001}}
@@ -297,13 +319,21 @@ def test_a_joint_that_is_caught_too_late_is_held_at_its_limit(
     start = {"joint2": 0.0, "joint3": 0.42, WRIST: 0.1}
     run = replace(ONCE.runs[0], start=start)
     machine, ticks, _ = swung(
-        replace(ONCE, runs=(run,), approach_velocity=0.6), guards=Guards(limit_margin_rad=0.3)
+        replace(
+            ONCE,
+            runs=(run,),
+            approach_velocity=0.6,
+        ),
+        guards=Guards(limit_margin_rad=0.3),
     )
     assert machine.phase is Phase.ABORTED and machine.aborted_by == "limit"
     assert_held_at_last(machine, ticks)
 
 
-def at(seconds: float, phase: Phase = Phase.PROBE) -> Callable[[ExcitationMachine], bool]:
+def at(
+    seconds: float,
+    phase: Phase = Phase.PROBE,
+) -> Callable[[ExcitationMachine], bool]:
     """Once, so long after a phase began."""
     seen = [0]
 
@@ -320,7 +350,10 @@ def at(seconds: float, phase: Phase = Phase.PROBE) -> Callable[[ExcitationMachin
     ["abort", "jump", *(pytest.param(m, marks=LONG) for m in ("sample", "held joint", "clock"))],
 )
 def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, phase: Phase) -> None:
-    sequence = replace(ONCE, runs=(replace(ONCE.runs[0], duration_s=0.5),))
+    sequence = replace(
+        ONCE,
+        runs=(replace(ONCE.runs[0], duration_s=0.5),),
+    )
     due = at(0.4 if phase is Phase.PROBE else 0.05, phase)
     done: list[bool] = []
 
@@ -339,7 +372,11 @@ def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, pha
             "held joint": ("joint3", 0.2),
         }[mishap]
         return replace(
-            sample, position={**sample.position, change[0]: sample.position[change[0]] + change[1]}
+            sample,
+            position={
+                **sample.position,
+                change[0]: sample.position[change[0]] + change[1],
+            },
         )
 
     machine, ticks, _ = swung(sequence, meddle=meddle)
@@ -394,7 +431,11 @@ def test_a_pause_while_it_is_caught_holds_it_and_costs_nothing() -> None:
         return None if 0 < lost[0] <= 8 else sample
 
     machine, ticks, _ = swung(
-        replace(ONCE, runs=(replace(ONCE.runs[0], duration_s=0.5),)), meddle=meddle
+        replace(
+            ONCE,
+            runs=(replace(ONCE.runs[0], duration_s=0.5),),
+        ),
+        meddle=meddle,
     )
     assert machine.phase is Phase.DONE and [outcome.used for outcome in machine.outcomes] == [True]
     assert_held_at_last(machine, ticks)
@@ -420,7 +461,13 @@ def recorded(ticks: list[Tick]) -> Recording:
             off.append((begin, stamp))
             begin = None
     inputs = InputRecord(stamps, JOINTS, applied, "/applied_effort")
-    return Recording("bag", JointRecord(stamps, JOINTS, positions), inputs, (), tuple(off))
+    return Recording(
+        "bag",
+        JointRecord(stamps, JOINTS, positions),
+        inputs,
+        (),
+        tuple(off),
+    )
 
 
 def test_what_lets_go_and_what_catches_are_no_probes() -> None:
@@ -453,7 +500,10 @@ def test_swings_of_a_virtual_arm_tell_its_friction_and_its_rotor(seed: int) -> N
     """
     machine, ticks, hand = swung(SEQUENCE, coulomb=None, seed=seed)
     assert machine.phase is Phase.DONE and all(outcome.used for outcome in machine.outcomes)
-    learnt = calibrate(ROBOT, [LoadedRun(run) for run in cut_runs(recorded(ticks), joints=JOINTS)])
+    learnt = calibrate(
+        ROBOT,
+        [LoadedRun(run) for run in cut_runs(recorded(ticks), joints=JOINTS)],
+    )
     assert learnt.verdict.value == "accepted" and len(learnt.run_fits) == 4
     truth = hand.arm.truth.joints[WRIST]
     found = {row.kind: row for row in learnt.unknowns if row.scope == WRIST}

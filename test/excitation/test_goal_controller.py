@@ -160,7 +160,10 @@ def test_nothing_is_pushed_after_an_encoder_has_slipped(
     made.observe(2.1, POSE)  # half a second later: somebody may have moved it there
     made.observe(1.0, slipped)  # the clock was set
     # its driver counts turns anew
-    made.observe(1.005, {**slipped, "shoulder_pan": POSE["shoulder_pan"] + math.tau - 0.01})
+    made.observe(
+        1.005,
+        {**slipped, "shoulder_pan": POSE["shoulder_pan"] + math.tau - 0.01},
+    )
     assert not made.slipped
 
 
@@ -230,7 +233,12 @@ class Arm:
 
     def __init__(self, sequence: ExcitationSequence = QUICK, payload_kg: float = 0.0) -> None:
         pytest.importorskip("mujoco")
-        self.driver = PositionDriver(ROBOT, Truth.draw(ROBOT, 1), joints=ORDER, position=POSE)
+        self.driver = PositionDriver(
+            ROBOT,
+            Truth.draw(ROBOT, 1),
+            joints=ORDER,
+            position=POSE,
+        )
         if payload_kg:
             self.put_into_hand(payload_kg)
         self.machine, self.controller = ExcitationMachine(ROBOT), GoalController(ROBOT, ORDER)
@@ -248,7 +256,11 @@ class Arm:
         positions, _, _ = self.driver.states()
         self.read = dict(zip(self.driver.broadcast, positions, strict=True))
         self.controller.observe(self.time_s, self.read)
-        return self.states.add(self.time_s, list(self.read), list(self.read.values()))
+        return self.states.add(
+            self.time_s,
+            list(self.read),
+            list(self.read.values()),
+        )
 
     def tick(self, heard: bool = True) -> None:
         self.time_s += 1.0 / 30.0
@@ -359,7 +371,10 @@ def test_a_start_whose_goal_is_no_place_for_the_arm_is_refused_before_anything_m
         run = replace(PUSH, goal_step=step)
         sample = replace(arm.sample, position={**POSE, **start})
         with pytest.raises(ExcitationError, match=words):
-            arm.machine.start(replace(QUICK, runs=(run,), min_clearance_m=0.05), sample)
+            arm.machine.start(
+                replace(QUICK, runs=(run,), min_clearance_m=0.05),
+                sample,
+            )
 
 
 @pytest.mark.long

@@ -27,7 +27,12 @@ class HeldArm:
     """A virtual arm and what holds it, with one sample of delay between them."""
 
     def __init__(
-        self, rate_hz: float, *, seed: int = 0, coulomb: float = 0.01, sign: float = 1.0
+        self,
+        rate_hz: float,
+        *,
+        seed: int = 0,
+        coulomb: float = 0.01,
+        sign: float = 1.0,
     ) -> None:
         truth = Truth.draw(ROBOT, seed, links=True)
         # hardly any friction: it would hide a law that swings
@@ -110,7 +115,10 @@ def test_efforts_of_the_wrong_sign_end_in_zeros() -> None:
 
 
 def rest(
-    hold: Hold, position: dict[str, float], seconds: float = 0.2, time_s: float = 1.0
+    hold: Hold,
+    position: dict[str, float],
+    seconds: float = 0.2,
+    time_s: float = 1.0,
 ) -> float:
     for _ in range(round(seconds * 500)):
         time_s += 0.002

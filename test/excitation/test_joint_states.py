@@ -12,7 +12,12 @@ ARM = ("joint1", "joint2", "gripper")
 
 
 def test_what_the_driver_states_is_what_the_machine_gets() -> None:
-    sample = JointStates(ARM, 0.1).add(5.0, ARM, [0.1, 0.2, 0.3], [1.0, 2.0, 3.0])
+    sample = JointStates(ARM, 0.1).add(
+        5.0,
+        ARM,
+        [0.1, 0.2, 0.3],
+        [1.0, 2.0, 3.0],
+    )
     assert sample is not None and sample.time_s == 5.0
     assert sample.position == {"joint1": 0.1, "joint2": 0.2, "gripper": 0.3}
     assert sample.velocity == {"joint1": 1.0, "joint2": 2.0, "gripper": 3.0}
@@ -42,7 +47,12 @@ def test_a_position_that_is_no_number_is_passed_on() -> None:
 def test_other_joints_on_the_topic_change_nothing() -> None:
     states = JointStates(ARM, 0.1)
     assert states.add(0.0, ["wheel_left", "wheel_right"], [100.0, -100.0]) is None
-    first = states.add(0.01, ["wheel_left", *ARM], [100.0, 0.1, 0.2, 0.3], [9.0, 1.0, 2.0, 3.0])
+    first = states.add(
+        0.01,
+        ["wheel_left", *ARM],
+        [100.0, 0.1, 0.2, 0.3],
+        [9.0, 1.0, 2.0, 3.0],
+    )
     assert first is not None and set(first.position) == set(ARM) == set(first.velocity)
     assert states.add(0.02, ["wheel_left"], [math.nan]) is None
 

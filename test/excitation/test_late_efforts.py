@@ -46,7 +46,13 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 class Desk:
     """The arm, its computer, the state machine and the controller, a millisecond at a time; ``period_s``: of joint states."""
 
-    def __init__(self, robot: Robot, seed: int, busy: Busy, period_s: float = 2e-3) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        seed: int,
+        busy: Busy,
+        period_s: float = 2e-3,
+    ) -> None:
         self.robot, self.arm, self.time_s, self.period_s = (
             robot,
             ForeignArm(seed, busy=busy),
@@ -80,7 +86,11 @@ class Desk:
         self._heard.clear()
         self._drives.clear()
         return cut_runs(
-            Recording("late", JointRecord(np.array(stamps), BROADCAST, np.array(places)), drives),
+            Recording(
+                "late",
+                JointRecord(np.array(stamps), BROADCAST, np.array(places)),
+                drives,
+            ),
             joints=list(JOINTS),
         )
 
@@ -102,7 +112,11 @@ class Desk:
     def _hear(self) -> None:
         self.arm.advance(self.time_s)
         positions = dict(zip(BROADCAST, self.arm.positions(), strict=True))
-        self._sample = self._states.add(self.time_s, list(positions), list(positions.values()))
+        self._sample = self._states.add(
+            self.time_s,
+            list(positions),
+            list(positions.values()),
+        )
         if self.machine.busy:
             self.machine.pace = self.controller.pace
             self.controller.take(self.machine.tick(self.time_s, self._sample))
@@ -136,7 +150,12 @@ def test_an_arm_whose_efforts_come_late_makes_its_first_pushes_and_is_learnt(
     robot: Robot, delay_s: float, load_kg: float, period_s: float
 ) -> None:
     """With a hold that knew nothing of the delay it was let go from 30 ms on, in the first second."""
-    desk = Desk(robot, 1, Busy(delay_s, 0.2 * delay_s, every_s=1e3), period_s)
+    desk = Desk(
+        robot,
+        1,
+        Busy(delay_s, 0.2 * delay_s, every_s=1e3),
+        period_s,
+    )
     desk.run(0.5)
     desk.make("empty")
     assert desk.machine.phase is Phase.DONE, desk.machine.message
@@ -151,7 +170,13 @@ def test_an_arm_whose_efforts_come_late_makes_its_first_pushes_and_is_learnt(
     used = {outcome.run_number for outcome in desk.machine.outcomes if outcome.used}
     assert len(used) >= desk.machine.runs - 1
     held = KnownLoad(load_kg, PayloadFacts(com=np.zeros(3)))
-    learnt = calibrate(robot, [*runs, *(LoadedRun(run, held) for run in desk.recorded())])
+    learnt = calibrate(
+        robot,
+        [
+            *runs,
+            *(LoadedRun(run, held) for run in desk.recorded()),
+        ],
+    )
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
     for row in learnt.unknowns:
         if row.kind == "torque_constant":

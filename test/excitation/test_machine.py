@@ -63,7 +63,11 @@ class Arm:
     BACK_EMF_V_S = 2.49
     RESISTANCE_OHM = 5.22
 
-    def __init__(self, pose: dict[str, float], friction: float = FRICTION) -> None:
+    def __init__(
+        self,
+        pose: dict[str, float],
+        friction: float = FRICTION,
+    ) -> None:
         self.q = {name: pose[name] / (FINGER if name == GRIPPER else 1.0) for name in JOINTS}
         self.v = dict.fromkeys(JOINTS, 0.0)
         self.friction = friction
@@ -265,10 +269,22 @@ def test_a_run_that_moves_too_little_is_made_with_more_current_until_it_moves() 
 
 
 def test_raising_ends_at_the_largest_current_and_says_so() -> None:
-    stuck = ExcitationRun("joint4", -0.05, 0.2, {"joint4": 0.0}, 0.8, 0.3, 1.5, 0.1)
+    stuck = ExcitationRun(
+        "joint4",
+        -0.05,
+        0.2,
+        {"joint4": 0.0},
+        0.8,
+        0.3,
+        1.5,
+        0.1,
+    )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME, friction=0.8)
-    machine.start(replace(QUICK, runs=(stuck, ExcitationRun("joint1", 0.55, 0.3))), arm.sample())
+    machine.start(
+        replace(QUICK, runs=(stuck, ExcitationRun("joint1", 0.55, 0.3))),
+        arm.sample(),
+    )
     drive(machine, arm, 100.0)
     assert machine.phase is Phase.DONE
     first = [outcome for outcome in machine.outcomes if outcome.run_number == 1]
@@ -293,7 +309,18 @@ def test_a_lowering_run_is_eased() -> None:
     assert machine.outcomes[-1].used
 
 
-SHAKE = ExcitationRun("joint4", -0.08, 0.6, {}, 0.9, 0.0, 0.5, None, 0.12, 0.2)
+SHAKE = ExcitationRun(
+    "joint4",
+    -0.08,
+    0.6,
+    {},
+    0.9,
+    0.0,
+    0.5,
+    None,
+    0.12,
+    0.2,
+)
 
 
 def waves(ticks: list[Tick]) -> list[list[float]]:
@@ -310,7 +337,10 @@ def waves(ticks: list[Tick]) -> list[list[float]]:
 def test_a_shaken_joint_gets_a_square_wave_that_begins_with_its_first_half(sign: float) -> None:
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
-    machine.start(replace(QUICK, runs=(replace(SHAKE, shake_A=sign * 0.12),)), arm.sample())
+    machine.start(
+        replace(QUICK, runs=(replace(SHAKE, shake_A=sign * 0.12),)),
+        arm.sample(),
+    )
     ticks = drive(machine, arm, 40.0)
     high = [-0.08 + sign * 0.12] * 4
     low = [-0.08 - sign * 0.12] * 4
@@ -332,7 +362,12 @@ def test_halves_of_a_wave_are_equal_although_ticks_are_not() -> None:
 
 def test_a_pause_before_the_onset_is_no_part_of_the_wave() -> None:
     ready = bench(
-        Phase.SETTLE, replace(QUICK, runs=(replace(SHAKE, shake_period_s=0.08),), settle_s=1.0)
+        Phase.SETTLE,
+        replace(
+            QUICK,
+            runs=(replace(SHAKE, shake_period_s=0.08),),
+            settle_s=1.0,
+        ),
     )
     for _ in range(95):
         ready.tick()
@@ -365,7 +400,10 @@ def test_a_shaken_joint_is_guarded_like_a_pushed_one() -> None:
         ready = bench(Phase.PROBE, sequence)
         ready.tick()
         assert_stopped(ready, ready.tick(**change), ended_by, words)
-    ready = bench(Phase.PROBE, replace(QUICK, runs=(replace(SHAKE, max_travel=0.1),)))
+    ready = bench(
+        Phase.PROBE,
+        replace(QUICK, runs=(replace(SHAKE, max_travel=0.1),)),
+    )
     assert ready.tick(joint4=HOME["joint4"] + 0.09).current_A
     assert not ready.tick(joint4=HOME["joint4"] + 0.11).current_A
     assert ready.machine.outcomes[-1].ended_by == "travel" and ready.machine.outcomes[-1].used
@@ -396,7 +434,10 @@ def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
     second = replace(SHAKE, current_A=-0.06, shake_A=-0.14, shake_period_s=0.3)
-    machine.start(replace(QUICK, runs=(SHAKE, second)), arm.sample())
+    machine.start(
+        replace(QUICK, runs=(SHAKE, second)),
+        arm.sample(),
+    )
     recording = recorded(drive(machine, arm, rate_hz), topic)
     if topic == "/current_command":
         write_recording(tmp_path / "shaken", recording)
@@ -492,7 +533,10 @@ def assert_stopped(ready: Bench, command: Command, ended_by: str, words: str) ->
     )
 
 
-def pushed(sequence: ExcitationSequence = QUICK, pose: dict[str, float] = HOME) -> Bench:
+def pushed(
+    sequence: ExcitationSequence = QUICK,
+    pose: dict[str, float] = HOME,
+) -> Bench:
     ready = bench(Phase.PROBE, sequence, pose)
     assert ready.tick().current_A == {"joint3": -0.3}
     return ready
@@ -588,7 +632,12 @@ def test_samples_far_apart_lose_the_run_however_far_a_fast_joint_went_meanwhile(
     assert ready.machine.tick(ready.sample.time_s + 0.06, None).current_A
     position = {**ready.sample.position, "joint3": start - 0.44}
     late = JointSample(
-        ready.sample.time_s + 0.11, position, {**ready.sample.velocity, "joint3": -4.4}
+        ready.sample.time_s + 0.11,
+        position,
+        {
+            **ready.sample.velocity,
+            "joint3": -4.4,
+        },
     )
     command = ready.machine.tick(late.time_s, late)
     assert_lost(ready, command, "two samples are 0.11 s apart")
@@ -601,8 +650,15 @@ def test_samples_far_apart_lose_the_run_however_far_a_fast_joint_went_meanwhile(
 )
 def test_a_jump_is_what_no_joint_can_do(gap_s: float, jump: float, accepted: bool) -> None:
     ready = pushed()
-    moved = {**ready.sample.position, "joint3": ready.sample.position["joint3"] - jump}
-    sample = JointSample(ready.sample.time_s + gap_s, moved, dict.fromkeys(JOINTS, 0.0))
+    moved = {
+        **ready.sample.position,
+        "joint3": ready.sample.position["joint3"] - jump,
+    }
+    sample = JointSample(
+        ready.sample.time_s + gap_s,
+        moved,
+        dict.fromkeys(JOINTS, 0.0),
+    )
     assert bool(ready.machine.tick(sample.time_s, sample).current_A) is accepted
     assert accepted or ready.machine.outcomes[-1].ended_by == "jump"
     said = (
@@ -623,7 +679,11 @@ def test_a_sample_that_is_repeated_grows_stale() -> None:
 
 def test_a_sample_that_lacks_a_joint() -> None:
     ready = pushed()
-    sample = replace(ready.sample, time_s=ready.sample.time_s + 0.01, position={"joint3": 0.4})
+    sample = replace(
+        ready.sample,
+        time_s=ready.sample.time_s + 0.01,
+        position={"joint3": 0.4},
+    )
     assert_stopped(
         ready,
         ready.machine.tick(sample.time_s, sample),
@@ -792,7 +852,11 @@ def test_an_arm_that_is_pushed_and_one_that_is_limp() -> None:
     machine, limp = ExcitationMachine(ROBOT), Arm(HOME, friction=1.0)
     limp.STIFFNESS = limp.DAMPING = 0.0
     machine.start(
-        replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint1": 1.0}),)), limp.sample()
+        replace(
+            QUICK,
+            runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint1": 1.0}),),
+        ),
+        limp.sample(),
     )
     drive(machine, limp, 100.0)
     assert "joint1 does not follow" in machine.abort_reason and not machine.outcomes
@@ -831,8 +895,14 @@ def lowest_goal(sequence: ExcitationSequence, pose: dict[str, float]) -> float:
     """Lowest clearance of all goals of the approach."""
     ready = bench(Phase.SETTLE, sequence, pose)
     machine = ExcitationMachine(ROBOT)
-    machine.start(sequence, JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0)))
-    again = Bench(machine, JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0)))
+    machine.start(
+        sequence,
+        JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0)),
+    )
+    again = Bench(
+        machine,
+        JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0)),
+    )
     heights = []
     while machine.phase is Phase.APPROACH:
         heights.append(clearance(ROBOT, again.tick().position))
@@ -841,14 +911,23 @@ def lowest_goal(sequence: ExcitationSequence, pose: dict[str, float]) -> float:
 
 
 def test_the_way_leads_over_a_higher_pose_where_the_straight_one_dips() -> None:
-    before = {**HOME, "joint1": 0.0, "joint2": 0.3, "joint3": -0.1, "joint4": -1.0}
+    before = {
+        **HOME,
+        "joint1": 0.0,
+        "joint2": 0.3,
+        "joint3": -0.1,
+        "joint4": -1.0,
+    }
     after = {"joint2": -0.1, "joint3": 0.7, "joint4": 1.7}
     straight = [
         clearance(ROBOT, {**before, **{name: before[name] + n / 50 * (goal - before[name]) for name, goal in after.items()}})
         for n in range(51)
     ]  # fmt: skip
     assert min(straight) < 0.03 < min(straight[0], straight[-1])
-    sequence = replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, after),))
+    sequence = replace(
+        QUICK,
+        runs=(ExcitationRun("joint3", -0.3, 0.6, after),),
+    )
     assert lowest_goal(sequence, before) >= 0.029
 
 
@@ -857,12 +936,22 @@ def test_an_arm_that_lies_on_the_table_may_only_rise() -> None:
     assert clearance(ROBOT, lying) < 0.03
     rising = replace(
         QUICK,
-        runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint2": -0.5, "joint3": 0.5, "joint4": 0.0}),),
+        runs=(
+            ExcitationRun(
+                "joint3",
+                -0.3,
+                0.6,
+                {"joint2": -0.5, "joint3": 0.5, "joint4": 0.0},
+            ),
+        ),
     )
     assert lowest_goal(rising, lying) >= clearance(ROBOT, lying) - 1e-3
     staying = replace(QUICK, runs=(ExcitationRun(GRIPPER, -0.1, 0.5),))
     with pytest.raises(ExcitationError, match="higher pose by hand"):
-        ExcitationMachine(ROBOT).start(staying, JointSample(0.0, lying, dict.fromkeys(JOINTS, 0.0)))
+        ExcitationMachine(ROBOT).start(
+            staying,
+            JointSample(0.0, lying, dict.fromkeys(JOINTS, 0.0)),
+        )
 
 
 def test_the_same_inputs_give_the_same_commands() -> None:
@@ -951,11 +1040,17 @@ def test_another_robot() -> None:
     machine = ExcitationMachine(robot)
     sequence = ExcitationSequence("swing", "any", (run,), settle_s=0.3, min_clearance_m=0.0)
     assert sequence.runs[0].max_travel == 1.0
-    machine.start(sequence, JointSample(0.0, {joint: 0.0}, {joint: 0.0}))
+    machine.start(
+        sequence,
+        JointSample(0.0, {joint: 0.0}, {joint: 0.0}),
+    )
     now_s = 0.0
     command = machine.command
     while machine.busy and now_s < 20.0:
         now_s += 0.025
         place = command.position.get(joint, 0.5)
-        command = machine.tick(now_s, JointSample(now_s, {joint: place}, {joint: 0.0}))
+        command = machine.tick(
+            now_s,
+            JointSample(now_s, {joint: place}, {joint: 0.0}),
+        )
     assert machine.phase is Phase.DONE, machine.message

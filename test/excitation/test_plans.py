@@ -103,7 +103,13 @@ def test_a_squeeze_begins_where_the_fingers_stand_and_cannot_crush(robot: Robot)
     assert all(run.start == {"gripper_left_joint": 0.008} for run in begun.runs)
     assert begun.home == {"gripper_left_joint": 0.008}
     stated = replace(
-        sequence, runs=(replace(sequence.runs[0], start={"gripper_left_joint": 0.01}),)
+        sequence,
+        runs=(
+            replace(
+                sequence.runs[0],
+                start={"gripper_left_joint": 0.01},
+            ),
+        ),
     )
     assert stated.begun_at({"gripper_left_joint": 0.008}).runs[0].start == {
         "gripper_left_joint": 0.01

@@ -74,7 +74,11 @@ def test_a_missing_block_is_reported() -> None:
     assert "is it between the fingers" in estimate.reasons[0]
 
 
-def until_sure(robot: Robot, hand: Hand, until: Until) -> tuple[tuple[Run, ...], list[Decision]]:
+def until_sure(
+    robot: Robot,
+    hand: Hand,
+    until: Until,
+) -> tuple[tuple[Run, ...], list[Decision]]:
     """The runs of a block that is squeezed until sure, and what was decided after each."""
     sequence = replace(load_sequence("block_until", ROBOT), until=until)
     chooser = probe_named("softness").chooser(
@@ -85,10 +89,19 @@ def until_sure(robot: Robot, hand: Hand, until: Until) -> tuple[tuple[Run, ...],
     machine, runs, _ = made(replace(sequence, until=None), hand)
     assert machine.phase is Phase.DONE, machine.message
     while True:
-        decisions.append(chooser.next(runs, hand.sample().position, hand.time_s - began))
+        decisions.append(
+            chooser.next(
+                runs,
+                hand.sample().position,
+                hand.time_s - began,
+            )
+        )
         if decisions[-1].run is None:
             return runs, decisions
-        machine, more, closed = made(chooser.sequence_of(decisions[-1].run), hand)
+        machine, more, closed = made(
+            chooser.sequence_of(decisions[-1].run),
+            hand,
+        )
         assert machine.phase is Phase.DONE, machine.message
         assert 2.0 * (closed - GAP_M) / EDGE_M < 0.45, (
             "no squeeze goes farther than the sequence says"
@@ -100,7 +113,10 @@ def until_sure(robot: Robot, hand: Hand, until: Until) -> tuple[tuple[Run, ...],
 @pytest.mark.parametrize(("modulus", "half"), [(8e3, 0.2), (60e3, 0.12)])
 def test_a_block_is_squeezed_until_it_is_sure(modulus: float, half: float) -> None:
     robot = calibrated(2)
-    hand = Hand(2, SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=0.3, damping=0.5))
+    hand = Hand(
+        2,
+        SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=0.3, damping=0.5),
+    )
     began = hand.arm.position()[GRIPPER]
     runs, decisions = until_sure(robot, hand, Until(half, "1", 40.0))
     assert decisions[-1].ended_by == "target" and decisions[-1].reason.startswith("sure: +-"), (
@@ -120,7 +136,11 @@ def test_a_block_is_squeezed_until_it_is_sure(modulus: float, half: float) -> No
 @pytest.mark.long
 def test_without_a_block_no_squeeze_is_sure() -> None:
     robot = calibrated(1)
-    runs, decisions = until_sure(robot, Hand(1, None), Until(0.1, "1", 20.0))
+    runs, decisions = until_sure(
+        robot,
+        Hand(1, None),
+        Until(0.1, "1", 20.0),
+    )
     assert decisions[-1].ended_by in ("worth", "time", "nothing"), decisions[-1].reason
     assert (
         find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).verdict

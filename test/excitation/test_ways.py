@@ -25,7 +25,10 @@ def test_a_way_begins_and_ends_at_rest_and_its_peak_speed_is_the_one_that_was_as
     assert way.duration_s == pytest.approx(PEAK_OVER_MEAN * 1.2 / 0.8)
     assert way.at(0.0) == HIGH and way.at(way.duration_s) == after and way.at(99.0) == after
     times = np.linspace(0.0, way.duration_s, 2001)
-    speeds = np.gradient([way.at(time)["joint1"] for time in times], times)
+    speeds = np.gradient(
+        [way.at(time)["joint1"] for time in times],
+        times,
+    )
     assert speeds.max() == pytest.approx(0.8, rel=1e-4) and abs(speeds[[0, -1]]).max() < 1e-5
 
 

@@ -70,7 +70,12 @@ def test_every_current_moves_whatever_of_the_masses_it_carries(robot: Robot) -> 
 
 def test_open_friction_is_half_as_large_as_it_may_be(robot: Robot) -> None:
     run = prepare_run(robot, still_run("joint3", POSE, 0.01, 0.6), KnownLoad())
-    problem = Problem(robot, [run], PayloadFacts(), robot_unknowns(robot, [run], Role.FREE))
+    problem = Problem(
+        robot,
+        [run],
+        PayloadFacts(),
+        robot_unknowns(robot, [run], Role.FREE),
+    )
     coulomb = robot.drive_trains["joint3"].coulomb
     assert coulomb.value < coulomb.std
     assert expected_coulomb(problem, "joint3") == pytest.approx(coulomb.value + 0.5 * coulomb.std)

@@ -94,7 +94,10 @@ def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ExcitationPl
         for travel in entry.travel:
             assert abs(travel) >= LITTLE_TRAVEL
             assert limits.lower < entry.start[entry.joint] + travel < limits.upper
-            end = {**entry.start, entry.joint: entry.start[entry.joint] + travel}
+            end = {
+                **entry.start,
+                entry.joint: entry.start[entry.joint] + travel,
+            }
             assert clearance(calibrated, end) >= CLEARANCE_M - 1e-9
         assert 0.0 < abs(entry.current_A) <= calibrated.motors[entry.joint].current_limit_A
         assert (
@@ -131,7 +134,12 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[Excitat
     arm = robot.with_calibration(learnt)
     checked = 0
     for entry in plan(arm, [0.03], BALL, count=6, seconds=TO_ITS_END):
-        run = run_of(entry.joint, entry.start, entry.current_A, ball(0.03, 0.03))
+        run = run_of(
+            entry.joint,
+            entry.start,
+            entry.current_A,
+            ball(0.03, 0.03),
+        )
         estimate = weigh(arm, [run], BALL)
         value = estimate.value("payload_mass")
         assert value.std == pytest.approx(entry.std_kg[0], rel=0.2), entry
@@ -144,7 +152,13 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[Excitat
 
 @pytest.mark.long
 def test_a_calibration_makes_better_promises(plans: list[ExcitationPlan]) -> None:
-    (before, *_) = plan(load_robot("open_manipulator_x"), [0.03], BALL, count=1, seconds=TO_ITS_END)
+    (before, *_) = plan(
+        load_robot("open_manipulator_x"),
+        [0.03],
+        BALL,
+        count=1,
+        seconds=TO_ITS_END,
+    )
     assert min(entry.std_kg[MASSES.index(0.03)] for entry in plans) < 0.2 * before.std_kg[0]
 
 
@@ -255,8 +269,20 @@ def test_seven_joints_have_a_plan_at_once_and_better_ones_later(seven: Path) -> 
     said: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        (first,) = proprio_ros.plan(0.05, robot=seven, count=1, seconds=0.0, progress=said.append)
-        later = proprio_ros.plan(0.05, robot=seven, count=20, seconds=4.0, progress=said.append)
+        (first,) = proprio_ros.plan(
+            0.05,
+            robot=seven,
+            count=1,
+            seconds=0.0,
+            progress=said.append,
+        )
+        later = proprio_ros.plan(
+            0.05,
+            robot=seven,
+            count=20,
+            seconds=4.0,
+            progress=said.append,
+        )
     assert "trying start poses of joint2" in said[0] and any(
         "start poses tried in" in one for one in said
     )

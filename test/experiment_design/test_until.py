@@ -122,14 +122,22 @@ class Weighing(Hand):
         began = self.time_s
         decisions = []
         while not decisions or decisions[-1].run is not None:
-            decisions.append(chooser.next(self.runs, self.sample().position, self.time_s - began))
+            decisions.append(
+                chooser.next(
+                    self.runs,
+                    self.sample().position,
+                    self.time_s - began,
+                )
+            )
             if decisions[-1].run is not None:
                 self.make(chooser.sequence_of(decisions[-1].run))
         return chooser, decisions
 
 
 def hand(
-    mass_kg: float, position: Mapping[str, float] | None = None, coulomb: float | None = None
+    mass_kg: float,
+    position: Mapping[str, float] | None = None,
+    coulomb: float | None = None,
 ) -> Weighing:
     """A robot of which all is known, but perhaps not how much its joints really rub."""
     pytest.importorskip("mujoco")
@@ -161,7 +169,12 @@ def test_it_ends_when_it_is_sure(tmp_path: Path) -> None:
     # guesses and runs that differ count before the target does, and where there is no answer nothing is sure
     sequence = replace(load_sequence("payload_until", arm.robot), until=UNTIL)
     for answer, ended_by in ((1.5 * UNTIL.half_interval, ""), (None, "misfit")):
-        again = UntilSure(arm.robot, paper_hand_facts(), sequence, lambda runs, half=answer: half)
+        again = UntilSure(
+            arm.robot,
+            paper_hand_facts(),
+            sequence,
+            lambda runs, half=answer: half,
+        )
         assert again.next(arm.runs, arm.sample().position, 1.0).ended_by == ended_by
     from proprio_ros.report.choices_page import Choice, write_choices
 
@@ -191,7 +204,10 @@ def test_it_ends_when_it_is_sure(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_it_starts_near_a_limit_as_well() -> None:
     limit = ROBOT.model.joint("joint3").lower
-    arm = hand(0.03, {"joint2": -1.0, "joint3": limit + 0.02, "joint4": 0.4})
+    arm = hand(
+        0.03,
+        {"joint2": -1.0, "joint3": limit + 0.02, "joint4": 0.4},
+    )
     chooser, decisions = arm.weigh(UNTIL)
     assert decisions[-1].ended_by == "target" and abs(chooser.known.mass - 0.03) < 2e-3
 

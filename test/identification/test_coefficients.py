@@ -32,7 +32,12 @@ def test_the_arm_is_the_sum_of_its_links(robot: Robot) -> None:
         for key, row in zip(found.links, found.arm_by_link, strict=True)
         if key[0] == "link_mass"
     ]
-    np.testing.assert_allclose(np.sum(by_mass, axis=0), found.arm, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(
+        np.sum(by_mass, axis=0),
+        found.arm,
+        rtol=1e-3,
+        atol=1e-6,
+    )
     assert set(link_stds(robot)) == set(LINK_TERMS)
 
 
@@ -42,7 +47,12 @@ def test_a_locked_joint_that_stands_elsewhere(robot: Robot) -> None:
     found = arm_coefficients(robot, run, LOCKED)
     assert "joint4" in found.pose and "joint1" not in found.pose
     moved = arm_coefficients(
-        robot, replace(run, held={**run.held, "joint4": POSE["joint4"] + off}), LOCKED
+        robot,
+        replace(
+            run,
+            held={**run.held, "joint4": POSE["joint4"] + off},
+        ),
+        LOCKED,
     )
     at = found.pose.index("joint4")
     np.testing.assert_allclose(

@@ -75,10 +75,26 @@ class Weighed(Conclusion):
         yield "look twice"
 
     def solver(self) -> SolverSummary:
-        return summary(self.nominal, self.name, OPTIONS.starts_kg, 1.0, 1, OPTIONS, final=self.fit)
+        return summary(
+            self.nominal,
+            self.name,
+            OPTIONS.starts_kg,
+            1.0,
+            1,
+            OPTIONS,
+            final=self.fit,
+        )
 
     def values(self, withheld: str) -> tuple[Value, ...]:
-        return (positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld),)
+        return (
+            positive(
+                self.name,
+                "kg",
+                self.assessed.value,
+                self.assessed.std,
+                withheld,
+            ),
+        )
 
     def assumptions(self) -> tuple[str, ...]:
         return ("it is rigid",)

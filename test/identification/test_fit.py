@@ -46,7 +46,13 @@ def fit() -> FitResult:
     (run,) = bag_runs(
         BAGS / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot)
     )
-    solve = partial(solve_load, robot, [prepare_run(robot, run)], PayloadFacts(), OPTIONS)
+    solve = partial(
+        solve_load,
+        robot,
+        [prepare_run(robot, run)],
+        PayloadFacts(),
+        OPTIONS,
+    )
     return fit_both(solve, unexplained)[1]
 
 
@@ -136,7 +142,12 @@ def test_a_profile_is_least_at_the_fit_and_rises_to_both_sides(fit: FitResult) -
     assert below.sum() >= 3 and above.any()
     assert np.all(np.diff(scan.cost[below]) < 0.0) and np.all(np.diff(scan.cost[above]) > 0.0)
     off = (mass - scan.values[below]) / std
-    np.testing.assert_allclose(scan.cost[below], off**2, rtol=0.3, atol=0.05)
+    np.testing.assert_allclose(
+        scan.cost[below],
+        off**2,
+        rtol=0.3,
+        atol=0.05,
+    )
 
 
 def test_what_is_frozen_stays_where_the_file_has_it(fit: FitResult) -> None:

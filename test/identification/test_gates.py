@@ -76,7 +76,11 @@ def test_a_joint_that_stands_still_where_the_others_say_it_moves(
     calibrated: Robot, lift: Run, share: float, moves: bool
 ) -> None:
     """Beside the current that lifts and none at all, 0.7 of it is within friction of what holds 20 g."""
-    still = replace(shrunk(lift, 1e-3), name="still", input_current_A=share * lift.input_current_A)
+    still = replace(
+        shrunk(lift, 1e-3),
+        name="still",
+        input_current_A=share * lift.input_current_A,
+    )
     estimate = weigh(calibrated, [lift, still])
     said = [reason for reason in estimate.reasons if "still: joint3 stood still with" in reason]
     assert (estimate.verdict is Verdict.REJECTED, bool(said)) == (moves, moves)
@@ -208,7 +212,10 @@ def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
         run_of(bags, f"realistic_s00_fixed_reference_100g_{name}", robot)
         for name in ("joint2_x2", "joint2_x3", "joint3_x1")
     ]
-    weaker = [*runs[:2], replace(runs[2], input_current_A=1.01 * runs[2].input_current_A)]
+    weaker = [
+        *runs[:2],
+        replace(runs[2], input_current_A=1.01 * runs[2].input_current_A),
+    ]
     nearly = weigh(sure, weaker)
     (sentence,) = (reason for reason in nearly.reasons if "differs from the other runs" in reason)
     one, others = (
@@ -217,7 +224,10 @@ def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
     mass = nearly.value("payload_mass")
     assert nearly.verdict is Verdict.ACCEPTED and 2.0 < abs(one - others) < 5.0
     assert mass.std > 0.5e-3 * abs(one - others) and mass.ci95[0] < 0.1 < mass.ci95[1]
-    stronger = [replace(runs[0], input_current_A=1.03 * runs[0].input_current_A), *runs[1:]]
+    stronger = [
+        replace(runs[0], input_current_A=1.03 * runs[0].input_current_A),
+        *runs[1:],
+    ]
     other = weigh(sure, stronger)
     assert other.verdict is Verdict.REJECTED and "contradicts the other runs" in other.reasons[0]
 
@@ -248,7 +258,10 @@ def test_misfit(calibrated: Robot, lift: Run) -> None:
 def test_a_pause_is_named_where_the_recording_is_rejected(calibrated: Robot, lift: Run) -> None:
     first, second = np.array_split(lift.times_s, 2)
     apart = np.concatenate([0.8 * first, lift.duration_s - 0.8 * (lift.duration_s - second)])
-    estimate = weigh(calibrated, [replace(bumped(lift), name="paused", times_s=apart)])
+    estimate = weigh(
+        calibrated,
+        [replace(bumped(lift), name="paused", times_s=apart)],
+    )
     last = estimate.reasons[-1]
     assert estimate.verdict is Verdict.REJECTED and last.code == "paused"
     assert last.startswith("paused: the joint states pause for ")
@@ -279,11 +292,23 @@ def test_a_mass_on_the_bound_of_the_search() -> None:
     prepared = prepare_run(pendulum, still)
     facts = PayloadFacts()
     problem = Problem(
-        pendulum, [prepared], facts, load_unknowns(pendulum, [prepared], facts, Role.FREE, 1.0)
+        pendulum,
+        [prepared],
+        facts,
+        load_unknowns(
+            pendulum,
+            [prepared],
+            facts,
+            Role.FREE,
+            1.0,
+        ),
     )
     values = problem.base.copy()
     values[problem.index["payload_mass"]] = 50.0
-    swung = replace(still, position=problem.simulate(values[None], problem.free)[0][0, 0])
+    swung = replace(
+        still,
+        position=problem.simulate(values[None], problem.free)[0][0, 0],
+    )
     estimate = weigh(pendulum, [swung])
     assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
     assert estimate.reasons[0].startswith("the mass ended on a bound of the search (20 kg)")

@@ -20,7 +20,11 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 KG, PLACE, SIGMA = 0.3, (0.02, 0.0, -0.01), 2.0 * np.pi / 4096.0 / np.sqrt(12.0)
 LOAD = Load(KG, PLACE, (2e-4, 2e-4, 2e-4, 0.0, 0.0, 0.0))
-FACTS = PayloadFacts(np.array(PLACE), np.zeros(3), PayloadShape(np.eye(3) * 1e-4 / KG, "a lump"))
+FACTS = PayloadFacts(
+    np.array(PLACE),
+    np.zeros(3),
+    PayloadShape(np.eye(3) * 1e-4 / KG, "a lump"),
+)
 STIFFNESS, LAG_S = 1.78 * 10.6, 0.48 / 10.6
 """Of the simulated servo, as its current over an angle and over a speed."""
 
@@ -42,7 +46,10 @@ def calibrated(coulomb: float) -> Robot:
     )
 
 
-def shaken(seed: int, coulomb: float) -> tuple[Robot, Run, Followed, Followed]:
+def shaken(
+    seed: int,
+    coulomb: float,
+) -> tuple[Robot, Run, Followed, Followed]:
     """The elbow swings 0.3 kg at 3 Hz; robot, run, and the true motions of elbow and shoulder."""
     start = {
         "joint1": 0.0,
@@ -96,7 +103,13 @@ def off(motion: Followed, truth: Followed) -> float:
 @pytest.mark.parametrize("coulomb", [0.0, 0.02, 0.05])
 def test_a_shaken_shoulder(coulomb: float) -> None:
     robot, run, elbow, truth = shaken(1, coulomb)
-    (found,) = give_way(robot, [run], [elbow], FACTS, [KG])
+    (found,) = give_way(
+        robot,
+        [run],
+        [elbow],
+        FACTS,
+        [KG],
+    )
     away = found["joint2"].position - truth.position
     assert np.ptp(truth.position) > 5e-3
     assert np.std(away) < 2e-4, "an encoder's count is 1.5 mrad"

@@ -229,7 +229,11 @@ def test_a_quantity_ends_where_it_must_or_is_withheld() -> None:
 
 def test_guesses_are_named_with_what_they_cost_together() -> None:
     sentence = guessed(
-        [Guess("a.size", "30 mm", "3 mm", 0.003), Guess("b.place", "here", "5 mm", 0.004)], 0.05
+        [
+            Guess("a.size", "30 mm", "3 mm", 0.003),
+            Guess("b.place", "here", "5 mm", 0.004),
+        ],
+        0.05,
     )
     assert "a.size (30 mm, +- 3 mm), b.place (here, +- 5 mm)" in sentence
     assert (
@@ -264,6 +268,10 @@ def test_a_pause_is_said_before_uneven_stamps(robot: Robot, lift: Run) -> None:
     (scatters,) = unsteady([at_times(robot, lift, uneven)])
     assert scatters.code == "uneven" and f"scatter by {1e3 * 0.3 * step_s:.1f} ms" in scatters
     pause_s = 0.1
-    paused = np.where(np.arange(len(even)) < len(even) // 2, uneven, uneven + pause_s)
+    paused = np.where(
+        np.arange(len(even)) < len(even) // 2,
+        uneven,
+        uneven + pause_s,
+    )
     (pauses,) = unsteady([at_times(robot, lift, uneven), at_times(robot, lift, paused)])
     assert pauses.code == "paused" and f"pause for {1e3 * np.diff(paused).max():.0f} ms" in pauses

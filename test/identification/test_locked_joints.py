@@ -39,7 +39,12 @@ def test_a_known_motion_is_read_back() -> None:
     rng = np.random.default_rng(3)
     since = np.maximum(TIMES, 0.0)
     truth = 0.3 + 0.02 * (1.0 - np.exp(-((since / 0.25) ** 2)))
-    motion = smooth(TIMES, truth + SIGMA * rng.standard_normal(len(TIMES)), SIGMA, LOCKED_SCALES)
+    motion = smooth(
+        TIMES,
+        truth + SIGMA * rng.standard_normal(len(TIMES)),
+        SIGMA,
+        LOCKED_SCALES,
+    )
     assert motion.evidence > 100.0
     assert motion.start == pytest.approx(0.3, abs=0.5e-3)
     away, velocity, acceleration = motion.at(since)
@@ -128,7 +133,11 @@ def test_what_a_held_joint_did_before_it_came_to_rest_is_no_yielding() -> None:
     np.testing.assert_allclose(motion.start + away, yields[~before], atol=3e-4)
     assert np.abs(acceleration[5:-5] - 0.2).max() < 0.15  # 4 rad/s^2, if it had to jump
     still = fine(0.3 - np.where(FINE_TIMES < -0.5, 0.094, 0.0))
-    run = replace(run, held={"joint2": float(np.mean(still))}, held_position={"joint2": still})
+    run = replace(
+        run,
+        held={"joint2": float(np.mean(still))},
+        held_position={"joint2": still},
+    )
     stood, motions = locked_motions(robot, run, ("joint2",))
     assert not motions and stood["joint2"] == pytest.approx(0.3, abs=3e-4), (
         "where it was held, not the mean with what was before"
@@ -137,13 +146,29 @@ def test_what_a_held_joint_did_before_it_came_to_rest_is_no_yielding() -> None:
 
 def test_a_motion_is_consistent_with_itself() -> None:
     """Velocity and acceleration are the derivatives of the position, also at the first knot, and nothing moves before 0."""
-    motion = smooth(TIMES, 0.01 * np.maximum(TIMES, 0.0) ** 2, SIGMA, LOCKED_SCALES)
-    motion = replace(motion, acceleration=np.random.default_rng(1).normal(size=len(motion.knots_s)))
+    motion = smooth(
+        TIMES,
+        0.01 * np.maximum(TIMES, 0.0) ** 2,
+        SIGMA,
+        LOCKED_SCALES,
+    )
+    motion = replace(
+        motion,
+        acceleration=np.random.default_rng(1).normal(size=len(motion.knots_s)),
+    )
     times = np.linspace(0.0, 0.6, 60001)
     position, velocity, acceleration = motion.at(times)
-    np.testing.assert_allclose(np.gradient(position, times)[1:-1], velocity[1:-1], atol=2e-4)
+    np.testing.assert_allclose(
+        np.gradient(position, times)[1:-1],
+        velocity[1:-1],
+        atol=2e-4,
+    )
     middle = 0.5 * (acceleration[1:] + acceleration[:-1])
-    np.testing.assert_allclose(np.cumsum(middle) * (times[1] - times[0]), velocity[1:], atol=1e-9)
+    np.testing.assert_allclose(
+        np.cumsum(middle) * (times[1] - times[0]),
+        velocity[1:],
+        atol=1e-9,
+    )
     assert abs(position[0]) < 1e-15 and abs(velocity[0]) < 1e-15
     for part in motion.at(np.array([-0.2, -0.01])):
         np.testing.assert_array_equal(part, 0.0)
@@ -233,7 +258,13 @@ def test_the_torque_of_a_motion_of_all_joints(mujoco_arm, joint: str) -> None:
     total = joint_torque(model, motion, row, loaded[None])[:, 0]
     for t in range(len(q)):
         state = [dict(zip(arm_joints, values[t].tolist(), strict=True)) for values in (q, v, a)]
-        expected = inverse_dynamics(mujoco_arm, joint, {**state[0], **fingers}, state[1], state[2])
+        expected = inverse_dynamics(
+            mujoco_arm,
+            joint,
+            {**state[0], **fingers},
+            state[1],
+            state[2],
+        )
         assert total[t] == pytest.approx(expected, rel=1e-9, abs=1e-10)
         assert abs(total[t] - empty[t]) > 1e-5
 

@@ -30,7 +30,12 @@ def fitted(recordings: Path):
             prepare_run(robot, run, KnownLoad())
             for run in bag_runs(folder / "bag_mcap", Request(robot))
         ]
-    problem = Problem(robot, prepared, PayloadFacts(), robot_unknowns(robot, prepared, Role.FREE))
+    problem = Problem(
+        robot,
+        prepared,
+        PayloadFacts(),
+        robot_unknowns(robot, prepared, Role.FREE),
+    )
     start = problem.coordinates.internal(problem.base[problem.free])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
     return (
@@ -46,7 +51,12 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
     posterior = Posterior(problem, values)
     for out in (1, 4):
         others = [run for row, run in enumerate(prepared) if row != out]
-        small = Problem(robot, others, PayloadFacts(), robot_unknowns(robot, others, Role.FREE))
+        small = Problem(
+            robot,
+            others,
+            PayloadFacts(),
+            robot_unknowns(robot, others, Role.FREE),
+        )
         solution = solvers.levenberg_marquardt(
             small,
             small.coordinates.internal(_moved(problem, small, values, out)[small.free])[None],
@@ -96,7 +106,12 @@ def test_a_fit_that_ends_near_its_least_cost_predicts_runs_as_the_best_one_does(
         assert chi2 == pytest.approx(least, rel=0.1)
 
 
-def _moved(problem: Problem, small: Problem, values: np.ndarray, out: int) -> np.ndarray:
+def _moved(
+    problem: Problem,
+    small: Problem,
+    values: np.ndarray,
+    out: int,
+) -> np.ndarray:
     """Start values of the smaller problem: the larger one's, runs renumbered."""
     start = small.base.copy()
     for row, unknown in enumerate(small.unknowns):
@@ -111,7 +126,12 @@ def test_a_run_with_something_in_the_hand_is_predicted_badly(fitted, recordings:
     folder = recordings / "realistic_s00" / "fixed_heavy_cube_23g_joint3" / "bag_mcap"
     outlier = [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder, Request(robot))]
     runs = [*prepared, *outlier]
-    problem = Problem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
+    problem = Problem(
+        robot,
+        runs,
+        PayloadFacts(),
+        robot_unknowns(robot, runs, Role.FREE),
+    )
     start = problem.coordinates.internal(problem.base[problem.free])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
     values = problem.all_values(problem.coordinates.physical(solution.internal))[0]
@@ -126,7 +146,14 @@ def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted)
     stds = np.array([u.std for u in problem.unknowns])
     assert np.all(np.sqrt(np.diag(whole)) <= stds * (1.0 + 1e-9))
     one = Problem(
-        robot, prepared[:1], PayloadFacts(), robot_unknowns(robot, prepared[:1], Role.FREE)
+        robot,
+        prepared[:1],
+        PayloadFacts(),
+        robot_unknowns(
+            robot,
+            prepared[:1],
+            Role.FREE,
+        ),
     )
     single = Posterior(
         one, np.array([values[problem.index[key]] for key in one.index])

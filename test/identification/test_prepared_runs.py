@@ -89,7 +89,12 @@ def test_a_fast_sample_counts_where_the_motor_reports_the_commanded_current(robo
     )
     assert 0.2 < cut.times_s[-1] < 0.35
     told = prepare_run(
-        robot, replace(run, reported_effort=np.full(len(run.times_s), 0.1)), KnownLoad()
+        robot,
+        replace(
+            run,
+            reported_effort=np.full(len(run.times_s), 0.1),
+        ),
+        KnownLoad(),
     )
     assert told.cut_reason == "" and told.used > cut.used and not told.limited
     anyway = prepare_run(robot, run, KnownLoad(), past_fast=True)
@@ -102,7 +107,11 @@ def test_what_cannot_be_related_to_the_robot_is_said(robot: Robot) -> None:
         prepare_run(robot, replace(run, joint="elbow"))
     with pytest.raises(RecordingError, match=r"--set held\.joint2=VALUE"):
         prepare_run(
-            robot, replace(run, held={name: q for name, q in run.held.items() if name != "joint2"})
+            robot,
+            replace(
+                run,
+                held={name: q for name, q in run.held.items() if name != "joint2"},
+            ),
         )
     with pytest.raises(RecordingError, match="does not move"):
         prepare_run(robot, still_run("gripper_left_joint", POSE, 0.1, 0.6))
@@ -110,10 +119,17 @@ def test_what_cannot_be_related_to_the_robot_is_said(robot: Robot) -> None:
 
 def test_a_slide_is_seen_at_the_motors_shaft(robot: Robot) -> None:
     per_rad = robot.drive_trains["gripper_left_joint"].transmission
-    run = replace(moving(0.0, "gripper_left_joint"), position=per_rad * 0.1 * np.arange(24))
+    run = replace(
+        moving(0.0, "gripper_left_joint"),
+        position=per_rad * 0.1 * np.arange(24),
+    )
     run = replace(run, before_position=np.zeros_like(run.before_position))
     prepared = prepare_run(robot, run, KnownLoad())
-    np.testing.assert_allclose(prepared.position, 0.1 * np.arange(prepared.used), atol=1e-12)
+    np.testing.assert_allclose(
+        prepared.position,
+        0.1 * np.arange(prepared.used),
+        atol=1e-12,
+    )
     assert joints_of([prepared, prepared]) == ("gripper_left_joint",)
 
 

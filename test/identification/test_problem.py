@@ -54,14 +54,23 @@ def problem() -> Problem:
         *prepared(robot, root / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"),
         *prepared(robot, root / "quantised_s00_fixed_light_cube_10g_joint2" / "bag_mcap"),
     ]
-    return Problem(robot, runs, FACTS, load_unknowns(robot, runs, FACTS, Role.FREE, 0.05))
+    return Problem(
+        robot,
+        runs,
+        FACTS,
+        load_unknowns(robot, runs, FACTS, Role.FREE, 0.05),
+    )
 
 
 def points(problem: Problem, count: int) -> np.ndarray:
     rng = np.random.default_rng(5)
     stds = np.array([u.std if np.isfinite(u.std) else 0.02 for u in problem.unknowns])
     draw = problem.base + 0.5 * stds * rng.uniform(-1.0, 1.0, (count, len(problem.base)))
-    return np.clip(draw, [u.lower for u in problem.unknowns], [u.upper for u in problem.unknowns])
+    return np.clip(
+        draw,
+        [u.lower for u in problem.unknowns],
+        [u.upper for u in problem.unknowns],
+    )
 
 
 def test_everything_is_unknown_here(problem: Problem) -> None:
@@ -104,11 +113,25 @@ def test_jacobian_against_the_tape(problem: Problem) -> None:
         values[ripple] = 0.0
         _, _, exact = problem.simulate(values[None], columns)
         p, dp = problem.parameters(values[None], columns)
-        weights = np.where(problem.weight > 0.0, rng.normal(size=problem.weight.shape), 0.0)
-        taped = tape(problem.simulator, np.arange(len(problem.runs)), p[0])
+        weights = np.where(
+            problem.weight > 0.0,
+            rng.normal(size=problem.weight.shape),
+            0.0,
+        )
+        taped = tape(
+            problem.simulator,
+            np.arange(len(problem.runs)),
+            p[0],
+        )
         gradient = np.einsum("rp,rpn->n", taped.gradient(weights), dp[0])
         expected = np.einsum(
-            "rt,rtn->n", weights, np.where(problem.weight[..., None] > 0.0, exact[0], 0.0)
+            "rt,rtn->n",
+            weights,
+            np.where(
+                problem.weight[..., None] > 0.0,
+                exact[0],
+                0.0,
+            ),
         )
         np.testing.assert_allclose(
             gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max()
@@ -206,7 +229,12 @@ def pooled() -> Problem:
             for run in cut_runs(recording, joints=list(robot.drive_trains))
         ]
     assert len(runs) == 3 and runs[1].yielding_load is not None
-    return Problem(robot, runs, FACTS, load_unknowns(robot, runs, FACTS, Role.FREE, 0.03))
+    return Problem(
+        robot,
+        runs,
+        FACTS,
+        load_unknowns(robot, runs, FACTS, Role.FREE, 0.03),
+    )
 
 
 def test_jacobian_of_pooled_runs(pooled: Problem) -> None:

@@ -59,7 +59,10 @@ def arm(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def calibrated(bags: Path, arm: Path) -> Estimate:
     bag = bags / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
-    return replay([bag], Options(calibration=arm, settings={"payload.com": [0.0, 0.0, 0.0]}))
+    return replay(
+        [bag],
+        Options(calibration=arm, settings={"payload.com": [0.0, 0.0, 0.0]}),
+    )
 
 
 def profile_of(
@@ -92,7 +95,10 @@ def test_everything_else_is_fitted_again_at_each_mass(opened: FitResult) -> None
     values = np.tile(opened.values, (2, 1))
     values[:, 0] = masses[chosen]
     seen, _, _ = problem.simulate(values, problem.free[:1])
-    slice_ = np.einsum("srt,srt->s", *2 * [(seen - problem.measured) * problem.weight])
+    slice_ = np.einsum(
+        "srt,srt->s",
+        *2 * [(seen - problem.measured) * problem.weight],
+    )
     assert (slice_ > 100.0 * chi2[chosen]).all()
 
 

@@ -62,7 +62,16 @@ def weighings(
     for folder in sorted(level.glob("fixed_*")):
         mass = truth_of(folder)["payload"]["mass"]
         if 0.0099 <= mass <= 0.0501:
-            found.append((mass, weigh(calibrated, runs_of(folder, robot), facts_of(folder))))
+            found.append(
+                (
+                    mass,
+                    weigh(
+                        calibrated,
+                        runs_of(folder, robot),
+                        facts_of(folder),
+                    ),
+                )
+            )
     return found
 
 
@@ -196,7 +205,11 @@ def test_a_run_that_was_not_empty_is_named_and_left_out(
     known = empty_runs(recordings / level, robot)
     clean = quantised if level == "quantised_s00" else learnt[level, False]
     spoilt = calibrate(
-        robot, [*known, *(LoadedRun(run) for run in runs_of(recordings / level / intruder, robot))]
+        robot,
+        [
+            *known,
+            *(LoadedRun(run) for run in runs_of(recordings / level / intruder, robot)),
+        ],
     )
     assert spoilt.verdict is Verdict.ACCEPTED and intruder in spoilt.reasons[0]
     assert "contradicts the other runs and was left out" in spoilt.reasons[0]
@@ -328,13 +341,22 @@ def test_pooled_runs_with_a_calibration(
         weigh(calibrated, runs_of(folder, robot), facts).value("payload_mass").std
         for folder in folders
     ]
-    pooled = weigh(calibrated, [run for folder in folders for run in runs_of(folder, robot)], facts)
+    pooled = weigh(
+        calibrated,
+        [run for folder in folders for run in runs_of(folder, robot)],
+        facts,
+    )
     value = pooled.value("payload_mass")
     assert pooled.verdict is Verdict.ACCEPTED and len(pooled.run_fits) == 4
     assert value.std < min(alone) and value.ci95[0] <= 0.023 <= value.ci95[1]
     other = runs_of(level / "fixed_light_cube_10g_joint3", robot)
     mixed = weigh(
-        calibrated, [*(run for folder in folders for run in runs_of(folder, robot)), *other], facts
+        calibrated,
+        [
+            *(run for folder in folders for run in runs_of(folder, robot)),
+            *other,
+        ],
+        facts,
     )
     assert mixed.verdict is Verdict.REJECTED
     assert (

@@ -51,7 +51,10 @@ def test_a_frozen_robot_still_starts_where_it_starts(robot: Robot, runs: list[Pr
 def test_an_onset_that_is_only_measured_is_known_to_a_period(
     robot: Robot, runs: list[PreparedRun]
 ) -> None:
-    measured = replace(runs[0], run=replace(runs[0].run, source=MEASURED_EFFORT))
+    measured = replace(
+        runs[0],
+        run=replace(runs[0].run, source=MEASURED_EFFORT),
+    )
     period = float(np.median(np.diff(measured.run.times_s)))
     assert onset_std(robot, measured) == pytest.approx(
         float(np.hypot(onset_std(robot, runs[0]), 0.5 * period))
@@ -61,9 +64,18 @@ def test_an_onset_that_is_only_measured_is_known_to_a_period(
 def test_motors_of_one_kind_err_together_before_anything_is_learnt(
     robot: Robot, runs: list[PreparedRun]
 ) -> None:
-    problem = Problem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
+    problem = Problem(
+        robot,
+        runs,
+        PayloadFacts(),
+        robot_unknowns(robot, runs, Role.FREE),
+    )
     free = [problem.unknowns[row] for row in problem.free]
     own = [f for f, unknown in enumerate(free) if unknown.kind == "torque_constant"]
     prior = np.linalg.inv(problem.coordinates.prior_precision[np.ix_(own, own)])
     std = np.array([free[f].std for f in own])
-    np.testing.assert_allclose(prior / np.outer(std, std), [[1.0, 0.5], [0.5, 1.0]], atol=1e-9)
+    np.testing.assert_allclose(
+        prior / np.outer(std, std),
+        [[1.0, 0.5], [0.5, 1.0]],
+        atol=1e-9,
+    )

@@ -34,7 +34,12 @@ def test_a_joint_s_own_recordings_are_seldom_taken_for_another_s(count: int) -> 
 def test_friction_of_another_proportion_is_another_joint_s() -> None:
     rng = np.random.default_rng(5)
     known = drawn(rng, 3)
-    (refusal,) = another_joint("elbow", NAMES, known, shown(np.array([0.14, 0.08])))
+    (refusal,) = another_joint(
+        "elbow",
+        NAMES,
+        known,
+        shown(np.array([0.14, 0.08])),
+    )
     assert refusal.reasons[0].code == "another_joint"  # type: ignore[attr-defined]
     assert "elbow shows a viscous friction of" in refusal.reasons[0]
     # a term that the recording does not determine says nothing

@@ -27,7 +27,10 @@ class Valley:
         self, internal: np.ndarray, counts: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         x, y = internal.T
-        residual = np.stack([10.0 * (y - x**2), 1.0 - x], axis=1)
+        residual = np.stack(
+            [10.0 * (y - x**2), 1.0 - x],
+            axis=1,
+        )
         jacobian = np.zeros((len(x), 2, 2))
         jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -20.0 * x, 10.0, -1.0
         transposed = jacobian.transpose(0, 2, 1)
@@ -58,7 +61,11 @@ def test_levenberg_marquardt_reaches_the_minimum_from_every_start() -> None:
 def test_levenberg_marquardt_slides_along_a_bound() -> None:
     """With x <= 0.5 the minimum is at x = 0.5, y = 0.25."""
     found = solvers.levenberg_marquardt(Valley(upper_x=0.5), STARTS, whole, iterations=100)
-    np.testing.assert_allclose(found.internal, np.tile([0.5, 0.25], (3, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        found.internal,
+        np.tile([0.5, 0.25], (3, 1)),
+        atol=1e-6,
+    )
 
 
 class Saturated:
@@ -75,9 +82,18 @@ class Saturated:
 
 
 def test_levenberg_marquardt_that_overshoots_goes_on_unless_rough_is_enough() -> None:
-    given_up = solvers.levenberg_marquardt(Saturated(), np.array([[20.0]]), None, persistent=False)
+    given_up = solvers.levenberg_marquardt(
+        Saturated(),
+        np.array([[20.0]]),
+        None,
+        persistent=False,
+    )
     assert given_up.internal == 20.0
-    found = solvers.levenberg_marquardt(Saturated(), np.array([[20.0]]), None)
+    found = solvers.levenberg_marquardt(
+        Saturated(),
+        np.array([[20.0]]),
+        None,
+    )
     np.testing.assert_allclose(found.internal, 0.0, atol=1e-6)
 
 
@@ -87,8 +103,17 @@ def test_adam_follows_its_published_first_steps() -> None:
     def gradient_of(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 0.5 * (u**2).sum(1) * 1e4, 1e4 * u
 
-    found = solvers.adam_descent(gradient_of, np.array([[3.0], [-7.0]]), rate=0.1, iterations=1)
-    np.testing.assert_allclose(found.internal, [[2.9], [-6.9]], atol=1e-6)
+    found = solvers.adam_descent(
+        gradient_of,
+        np.array([[3.0], [-7.0]]),
+        rate=0.1,
+        iterations=1,
+    )
+    np.testing.assert_allclose(
+        found.internal,
+        [[2.9], [-6.9]],
+        atol=1e-6,
+    )
 
 
 def test_cosine_annealing() -> None:
@@ -99,7 +124,12 @@ def test_cosine_annealing() -> None:
 
 
 def test_adam_and_cma_agree_with_the_known_minimum() -> None:
-    adam = solvers.adam(Valley(), STARTS[:1], iterations=3000, rate=0.05)
+    adam = solvers.adam(
+        Valley(),
+        STARTS[:1],
+        iterations=3000,
+        rate=0.05,
+    )
     np.testing.assert_allclose(adam.internal, 1.0, atol=2e-2)
     pytest.importorskip("cma")
     cma = solvers.cma(Valley(), STARTS)

@@ -31,7 +31,10 @@ def push(off_s: float, after: str = "coasts", ends: bool = True) -> PreparedRun:
 
 
 def recorded(
-    t: np.ndarray, position: np.ndarray, off_s: float = 0.0, ends: bool = True
+    t: np.ndarray,
+    position: np.ndarray,
+    off_s: float = 0.0,
+    ends: bool = True,
 ) -> PreparedRun:
     """A run of these positions, whose push begins at zero."""
     position = COUNT_RAD * np.round(position / COUNT_RAD)

@@ -22,7 +22,10 @@ def test_a_correlated_prior_is_the_inverse_of_its_covariance_whatever_the_order(
     rng = np.random.default_rng(1)
     factor = rng.normal(size=(3, 3)) * np.array([1e-4, 1.0, 1e3])[:, None]
     covariance = factor @ factor.T
-    coordinates = Coordinates(unknowns("c", "x", "a", "b"), (keys("a", "b", "c"), covariance))
+    coordinates = Coordinates(
+        unknowns("c", "x", "a", "b"),
+        (keys("a", "b", "c"), covariance),
+    )
     order = [2, 0, 1]  # c, a, b
     own = np.ix_([0, 2, 3], [0, 2, 3])
     product = coordinates.prior_precision[own] @ covariance[np.ix_(order, order)]
@@ -34,14 +37,24 @@ def test_a_correlated_prior_is_the_inverse_of_its_covariance_whatever_the_order(
 def test_what_is_not_asked_for_is_marginalised_out() -> None:
     """The prior of some of the unknowns is that part of the covariance, not of its inverse."""
     covariance = np.array([[4.0, 1.8, 0.0], [1.8, 1.0, 0.3], [0.0, 0.3, 2.0]])
-    coordinates = Coordinates(unknowns("a", "c"), (keys("a", "b", "c"), covariance))
-    np.testing.assert_allclose(coordinates.prior_precision, np.diag([0.25, 0.5]), atol=1e-12)
+    coordinates = Coordinates(
+        unknowns("a", "c"),
+        (keys("a", "b", "c"), covariance),
+    )
+    np.testing.assert_allclose(
+        coordinates.prior_precision,
+        np.diag([0.25, 0.5]),
+        atol=1e-12,
+    )
 
 
 def test_without_correlations_every_prior_stands_alone() -> None:
     flat = Unknown("payload_mass", 0.0, np.inf)
     coordinates = Coordinates([*unknowns("a", "b"), flat])
-    np.testing.assert_allclose(coordinates.prior_precision, np.diag([4.0, 1.0 / 2.25, 0.0]))
+    np.testing.assert_allclose(
+        coordinates.prior_precision,
+        np.diag([4.0, 1.0 / 2.25, 0.0]),
+    )
 
 
 def test_a_name_and_its_key_are_the_same_thing_for_every_kind() -> None:

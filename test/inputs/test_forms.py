@@ -8,7 +8,10 @@ from proprio_ros.inputs.forms import Field, FormError, Number, Part, Text, secti
 
 MASS = Number("of it", "kg", 0.0, 10.0)
 INNER = {"mass": Field(MASS), "name": Field(Text(), "none")}
-OUTER = {"body": Field(Part("a body", by=lambda value: section(value, INNER))), "note": Text()}
+OUTER = {
+    "body": Field(Part("a body", by=lambda value: section(value, INNER))),
+    "note": Text(),
+}
 
 
 def test_what_is_left_out_has_its_default_or_stays_out() -> None:

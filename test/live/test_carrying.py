@@ -44,7 +44,10 @@ def test_efforts_are_what_mujoco_needs_to_hold_arm_and_load(arm: tuple[Robot, Se
     robot, real = arm
     known = replace(
         robot,
-        motion_calibration=fit_empty(robot, [real.work(20.0, name=f"empty {n}") for n in range(2)]),
+        motion_calibration=fit_empty(
+            robot,
+            [real.work(20.0, name=f"empty {n}") for n in range(2)],
+        ),
     )
     bare = Carrier(robot)
     calibrated = Carrier(known)
@@ -80,7 +83,10 @@ def test_the_urdf_alone_is_exactly_mujocos(tmp_path: Path) -> None:
             carrier.efforts(named(carrier, pose), Load(0.0))[0], data.qfrc_bias, atol=1e-5
         )
     with pytest.raises(RobotError, match="the pose lacks axis_2, axis_3"):
-        carrier.efforts({"axis_1": 0.0, "axis_4": 0.0, "axis_5": 0.0, "axis_6": 0.0}, LOAD)
+        carrier.efforts(
+            {"axis_1": 0.0, "axis_4": 0.0, "axis_5": 0.0, "axis_6": 0.0},
+            LOAD,
+        )
 
 
 def test_the_heaviest_load_is_where_a_joint_reaches_its_limit(
@@ -93,7 +99,10 @@ def test_the_heaviest_load_is_where_a_joint_reaches_its_limit(
     assert isinstance(found, Capability) and found.joint == "axis_2" and found.most_kg > 0.0
     for mass_kg, can in ((0.99 * found.most_kg, True), (1.01 * found.most_kg, False)):
         assert carrier.capability([pose], Load(mass_kg, 0.0, LOAD.centre_m)).can is can
-    efforts, stds = carrier.efforts(pose, Load(found.most_kg, 0.0, LOAD.centre_m))
+    efforts, stds = carrier.efforts(
+        pose,
+        Load(found.most_kg, 0.0, LOAD.centre_m),
+    )
     assert np.isclose(np.max(np.abs(efforts) + 1.96 * stds), 150.0, rtol=1e-3)
     # upright it carries more, and on the way there it does not
     upright = pose | {"axis_2": -np.pi / 2}

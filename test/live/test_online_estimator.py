@@ -24,7 +24,11 @@ class Estimator:
         self.held, self.rows, self.frozen = held, [], False
 
     def add(
-        self, time_s: float, positions: Sequence[float], currents: Sequence[float], works: bool
+        self,
+        time_s: float,
+        positions: Sequence[float],
+        currents: Sequence[float],
+        works: bool,
     ) -> bool:
         self.rows.append((list(positions), list(currents)))
         return True
@@ -34,7 +38,8 @@ class Estimator:
 
 
 def new_feed(
-    kept: dict[str, float] | None = None, stated: dict[str, float] | None = None
+    kept: dict[str, float] | None = None,
+    stated: dict[str, float] | None = None,
 ) -> OnlineFeed:
     """``kept`` is where the calibration says that joints stand, ``stated`` what is stated now."""
     arm = load_robot("open_manipulator_x")
@@ -116,7 +121,10 @@ def test_only_the_arm_that_moves_is_weighed() -> None:
 def test_a_calibration_says_where_joints_stand_that_nobody_reports() -> None:
     """As `replay` has it: what is heard wins over the calibration, and what is stated now over both."""
     finger = "gripper_left_joint"
-    feed = new_feed({finger: 0.01, "joint3": 0.2, "joint1": 1.0}, {"joint4": 0.3})
+    feed = new_feed(
+        {finger: 0.01, "joint3": 0.2, "joint1": 1.0},
+        {"joint4": 0.3},
+    )
     feed.add(0.0, ["joint3", "joint4"], [0.4, 0.1], [0.0, 0.0], "A")
     estimate: Any = feed.add(0.1, JOINTS, AT_REST, [1.0, 2.0], "A")
     assert estimate.held == {"joint3": 0.4, "joint4": 0.3, finger: 0.01} and not feed.warning

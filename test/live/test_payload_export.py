@@ -27,7 +27,11 @@ URDF = """<robot name="arm"><link name="base"/>
 <origin xyz="0 0 0.1" rpy="0 0 1.5707963267948966"/></joint>
 <link name="tip"/></robot>
 """
-LOAD = Carried(0.5, [0.01, 0.02, 0.03], np.diag([1e-3, 2e-3, 3e-3]))
+LOAD = Carried(
+    0.5,
+    [0.01, 0.02, 0.03],
+    np.diag([1e-3, 2e-3, 3e-3]),
+)
 
 
 @pytest.fixture
@@ -71,7 +75,10 @@ def test_load_and_tool_are_one_body() -> None:
 
 
 def test_units_and_fields_of_the_makers() -> None:
-    request = SimpleNamespace(mass=0.0, center_of_gravity=SimpleNamespace(x=0.0, y=0.0, z=0.0))
+    request = SimpleNamespace(
+        mass=0.0,
+        center_of_gravity=SimpleNamespace(x=0.0, y=0.0, z=0.0),
+    )
     CONTROLLERS["ur"].fill(request, LOAD)
     assert (request.mass, vars(request.center_of_gravity)) == (
         0.5,
@@ -82,12 +89,23 @@ def test_units_and_fields_of_the_makers() -> None:
     )
     CONTROLLERS["ur"].fill(newer, LOAD)
     assert (newer.ixx, newer.iyy, newer.izz, newer.ixy) == (1e-3, 2e-3, 3e-3, 0.0)
-    skew = Carried(0.5, LOAD.com_m, np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]]))
+    skew = Carried(
+        0.5,
+        LOAD.com_m,
+        np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]]),
+    )
     franka = SimpleNamespace()
     CONTROLLERS["franka"].fill(franka, skew)
     assert franka.load_inertia == [1.0, 0.1, 0.2, 0.1, 2.0, 0.3, 0.2, 0.3, 3.0]
     assert franka.center_of_mass == [0.01, 0.02, 0.03]
-    CONTROLLERS["franka"].fill(franka, Carried(0.5, LOAD.com_m, np.full((3, 3), np.nan)))
+    CONTROLLERS["franka"].fill(
+        franka,
+        Carried(
+            0.5,
+            LOAD.com_m,
+            np.full((3, 3), np.nan),
+        ),
+    )
     assert franka.load_inertia == [0.0] * 9, "a NaN must not reach a controller"
     CONTROLLERS["franka"].fill(franka, replace(LOAD, inertia_is="assumed"))
     assert franka.load_inertia == [0.0] * 9, "nor what nobody knows"

@@ -51,7 +51,11 @@ def recording(bag: Path) -> Recording:
     return read_recording(bag, nominal_torque_constants=CONSTANTS, joint_order=list(CONSTANTS))
 
 
-def cdr_joint_state(stamp_ns: int, names: list[str], position: list[float]) -> bytes:
+def cdr_joint_state(
+    stamp_ns: int,
+    names: list[str],
+    position: list[float],
+) -> bytes:
     """A JointState as DDS sends it, written from the CDR rules: little endian, every field aligned to its size."""
     data = bytearray()
 
@@ -82,9 +86,15 @@ def cdr_joint_state(stamp_ns: int, names: list[str], position: list[float]) -> b
 
 
 def filled(
-    root: Path, journal: bool = False, joints: tuple[str, str] = ("joint2", "joint3")
+    root: Path,
+    journal: bool = False,
+    joints: tuple[str, str] = ("joint2", "joint3"),
 ) -> Session:
-    session = Session(root, "payload", datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc))
+    session = Session(
+        root,
+        "payload",
+        datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc),
+    )
     if journal:
         session.open()
     for n in range(20):
@@ -241,7 +251,11 @@ def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> No
         while inputs and inputs[0][0] <= stamp:
             time_ns, current = inputs.pop(0)
             live.add_input(int(time_ns), read.inputs.names, current * effort)
-        live.add_state(int(stamp), read.joints.names, read.joints.position[row])
+        live.add_state(
+            int(stamp),
+            read.joints.names,
+            read.joints.position[row],
+        )
         if row % 4 == 0:
             estimate = live.estimate()
             known = None if estimate is None else live_interval(estimate)
@@ -294,7 +308,11 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
                     ["gripper_left_joint"],
                     [state.pop("gripper_left_joint")],
                 )
-            live.add_state(int(stamp), list(state), list(state.values()))
+            live.add_state(
+                int(stamp),
+                list(state),
+                list(state.values()),
+            )
         estimate = live.estimate()
         known = None if estimate is None else live_interval(estimate)
         assert known is not None
@@ -424,7 +442,11 @@ def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> N
 
 def test_a_container_stated_to_be_turned_has_its_inertia_turned() -> None:
     upright = Options(
-        probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]}
+        probe="container",
+        settings={
+            **ABOUT_IT,
+            "container.rpy": [0.0, 0.0, math.pi / 2.0],
+        },
     )
     level = Options(probe="container", settings=ABOUT_IT)
     turned, straight = (
@@ -496,13 +518,24 @@ def test_how_far_a_block_may_be_squeezed() -> None:
     ).facts.block
     assert largest_squeeze(robot, gripper, 0.005, one) == pytest.approx(0.25)
     drive = robot.drive_trains[gripper]
-    faster = replace(drive, finger_travel=FingerTravel((-1.0, 1.0), (-0.015, 0.015)))
+    faster = replace(
+        drive,
+        finger_travel=FingerTravel((-1.0, 1.0), (-0.015, 0.015)),
+    )
     other = replace(robot, drive_trains={**robot.drive_trains, gripper: faster})
     assert largest_squeeze(other, gripper, 0.005, facts) == pytest.approx(0.5 * 0.015 / 0.01149)
 
 
 def test_a_block_lies_along_the_way_of_the_fingers() -> None:
     rotation = block_rotation(ROBOT, "gripper_left_joint")
-    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        rotation.T @ rotation,
+        np.eye(3),
+        atol=1e-12,
+    )
     assert np.linalg.det(rotation) == pytest.approx(1.0)
-    np.testing.assert_allclose(np.abs(rotation[:, 0]), [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        np.abs(rotation[:, 0]),
+        [0.0, 1.0, 0.0],
+        atol=1e-12,
+    )

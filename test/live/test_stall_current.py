@@ -34,7 +34,13 @@ def test_they_are_those_of_a_replay() -> None:
         found.append(stall.current_A(NAME, time_s, at, math.nan))
     law = drive.driven_by
     assert isinstance(law, PositionServo)
-    duty = law.duty(times_s, position, None, Goal(sent_s, goals), robot.delay.value)
+    duty = law.duty(
+        times_s,
+        position,
+        None,
+        Goal(sent_s, goals),
+        robot.delay.value,
+    )
     told = np.isfinite(found)
     assert told.sum() > 250 and np.all(times_s[~told] - robot.delay.value < sent_s[0])
     # a replay takes steps of 2 ms from the first joint state on, and here each goal begins where the last had come to

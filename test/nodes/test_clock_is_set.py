@@ -102,7 +102,18 @@ def test_the_clock_is_set_in_mid_probe(tmp_path: Path, monkeypatch: pytest.Monke
     source.write_text(SHIM)
     probe.write_text(one_push(-0.28, 2.0, AWAY))
     subprocess.run(
-        ["gcc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True, timeout=60
+        [
+            "gcc",
+            "-shared",
+            "-fPIC",
+            "-O1",
+            "-o",
+            library,
+            source,
+            "-ldl",
+        ],
+        check=True,
+        timeout=60,
     )
     environment = {"LD_PRELOAD": str(library), "TEST_CLOCK_OFFSET": str(offset)}
     # a computer's clock is that of all nodes

@@ -111,7 +111,12 @@ class Arm:
     def phase(self) -> str:
         return str(self.node._machine.phase.value)
 
-    def advance(self, seconds: float, heard: bool = True, alive: bool = True) -> None:
+    def advance(
+        self,
+        seconds: float,
+        heard: bool = True,
+        alive: bool = True,
+    ) -> None:
         """The driver broadcasts and takes what was commanded; the node hears it, or is deaf, or dead."""
         for step in range(round(seconds / PERIOD_S)):
             self.time_s += PERIOD_S

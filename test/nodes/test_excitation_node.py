@@ -87,7 +87,10 @@ class Arm:
         return self.node._machine
 
     def run(self) -> Trigger.Response:
-        response: Trigger.Response = self.node._on_run(Trigger.Request(), Trigger.Response())
+        response: Trigger.Response = self.node._on_run(
+            Trigger.Request(),
+            Trigger.Response(),
+        )
         return response
 
     def state(self, step_s: float) -> None:
@@ -104,7 +107,11 @@ class Arm:
             )
         )
 
-    def until(self, done: Callable[[], bool], step_s: float = 0.01) -> None:
+    def until(
+        self,
+        done: Callable[[], bool],
+        step_s: float = 0.01,
+    ) -> None:
         for _ in range(2000):
             if done():
                 return
@@ -179,7 +186,11 @@ def test_a_driver_that_does_not_let_go_is_noticed(arm: Arm, tmp_path: Path, lets
     arm.node._on_torque_enabled(Bool(data=True))
     assert arm.run().success
     arm.until(lambda: arm.machine.phase.value == "probe")
-    silent = messages.joint_state(0, list(arm.position), effort=[0.0] * len(arm.position))
+    silent = messages.joint_state(
+        0,
+        list(arm.position),
+        effort=[0.0] * len(arm.position),
+    )
     if lets_go:
         arm.node._on_torque_enabled(Bool(data=False))
 
@@ -214,7 +225,11 @@ def test_an_idle_node_rests_between_messages(arm: Arm) -> None:
 
 
 @pytest.fixture
-def identifier(context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def identifier(
+    context: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[Any]:
     monkeypatch.setattr("proprio_ros.nodes.identifier.prepare_identification", lambda *given: None)
     node = active(IdentifierNode, context, data_directory=str(tmp_path), calibration="none")
     yield node
@@ -279,7 +294,13 @@ def test_timers_have_their_turn_where_messages_come_faster_than_they_are_taken(
 
     monkeypatch.setattr("proprio_ros.nodes.runtime.waiting", endless)
     heard: list[int] = []
-    identifier.listen(JointState, "many", lambda _: heard.append(1), STREAM, together=lambda: True)
+    identifier.listen(
+        JointState,
+        "many",
+        lambda _: heard.append(1),
+        STREAM,
+        together=lambda: True,
+    )
     (subscription,) = (each for each in identifier.subscriptions if each.topic_name == "/many")
     subscription.callback(JointState(), {})
     assert len(heard) > 1

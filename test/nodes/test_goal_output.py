@@ -91,7 +91,12 @@ class Arm:
     def phase(self) -> str:
         return str(self.node._machine.phase.value)
 
-    def advance(self, seconds: float, heard: bool = True, alive: bool = True) -> None:
+    def advance(
+        self,
+        seconds: float,
+        heard: bool = True,
+        alive: bool = True,
+    ) -> None:
         for _ in range(round(seconds / PERIOD_S)):
             self.time_s += PERIOD_S
             self.driver.advance(self.time_s)

@@ -91,10 +91,23 @@ def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Nodes]:
     made.close()
 
 
-def answer(probe: str, value: float | None, verdict: Verdict = Verdict.ACCEPTED) -> Estimate:
+def answer(
+    probe: str,
+    value: float | None,
+    verdict: Verdict = Verdict.ACCEPTED,
+) -> Estimate:
     name, unit = probe_named(probe).answer
     known = Value(name, unit, value, None if value is None else 0.001)
-    return Estimate(probe, "open_manipulator_x", verdict, (), (known,), None, None, 1)
+    return Estimate(
+        probe,
+        "open_manipulator_x",
+        verdict,
+        (),
+        (known,),
+        None,
+        None,
+        1,
+    )
 
 
 def entries_of(node: Any) -> dict[str, str]:
@@ -136,7 +149,10 @@ def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> No
     load = node._results._load[-1].inertia
     assert all(math.isnan(value) for value in (load.m, load.com.x, load.ixx, load.iyz))
     assert [marker.action for marker in node._results._markers[-1].markers] == [Marker.DELETEALL]
-    node._results.publish(live_request(Options()), answer("payload", None, Verdict.REJECTED))
+    node._results.publish(
+        live_request(Options()),
+        answer("payload", None, Verdict.REJECTED),
+    )
     assert len(node._results._numbers["mass"]) == 2, (
         "what is not accepted puts nothing in its place"
     )
@@ -174,7 +190,10 @@ def test_the_load_has_the_inertia_that_a_motion_identified_or_else_what_is_state
         assert entries_of(node)["inertia"] == source and node._results._load[
             -1
         ].inertia.ixx == pytest.approx(ixx)
-    node._results.publish(live_request(Options()), answer("payload", None, Verdict.REJECTED))
+    node._results.publish(
+        live_request(Options()),
+        answer("payload", None, Verdict.REJECTED),
+    )
     assert "inertia" not in entries_of(node)
 
 
@@ -270,9 +289,32 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
     robot = load_robot("open_manipulator_x")
     results._planned = shown = Published()
     start = zero_pose(robot) | {"joint2": -1.0, "joint3": 0.5}
-    push = Push("joint3", start, -0.34, 0.0, 0.5, 3.4, 2e-4, 0.1, -0.6)
+    push = Push(
+        "joint3",
+        start,
+        -0.34,
+        0.0,
+        0.5,
+        3.4,
+        2e-4,
+        0.1,
+        -0.6,
+    )
     results.choice(
-        robot, Decision(None, "", "", 0.05, 8e-4, 4e-4, push, (), 0.1, MASS), {"joint2": -1.0}
+        robot,
+        Decision(
+            None,
+            "",
+            "",
+            0.05,
+            8e-4,
+            4e-4,
+            push,
+            (),
+            0.1,
+            MASS,
+        ),
+        {"joint2": -1.0},
     )
     first, words, line, end = shown[-1].markers
     assert first.action == Marker.DELETEALL and {m.header.frame_id for m in (words, line, end)} == {
@@ -288,12 +330,37 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
         )
     assert (end.pose.position.x, end.pose.position.z) == (way[-1, 0], way[-1, 2])
     results.choice(
-        robot, Decision(None, "", "", 0.06, 0.2, 4e-3, push, (), 0.1, MASS, is_known=False), {}
+        robot,
+        Decision(
+            None,
+            "",
+            "",
+            0.06,
+            0.2,
+            4e-3,
+            push,
+            (),
+            0.1,
+            MASS,
+            is_known=False,
+        ),
+        {},
     )
     assert shown[-1].markers[1].text.startswith("not weighed yet\nnext: joint3")
     results.choice(
         robot,
-        Decision(None, "sure", "target", 0.05, 4e-4, 4e-4, None, (), 0.1, MASS),
+        Decision(
+            None,
+            "sure",
+            "target",
+            0.05,
+            4e-4,
+            4e-4,
+            None,
+            (),
+            0.1,
+            MASS,
+        ),
         {"joint2": -1.0},
     )
     assert [m.type for m in shown[-1].markers[1:]] == [Marker.TEXT_VIEW_FACING]

@@ -58,7 +58,10 @@ rclpy.spin(node)
 
 
 @pytest.fixture
-def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
+def environment(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[dict[str, str]]:
     """Of a process that has the package; this one has it, too."""
     for path, text in PACKAGE.items():
         (tmp_path / "three_msgs" / path).parent.mkdir(parents=True, exist_ok=True)

@@ -50,7 +50,11 @@ SERVICES = {
         "float32 weight\nfloat32[] center_of_gravity\n---\nint32 ret\nstring message\n",
     ),
 }
-LOAD = Carried(0.5, [0.01, 0.02, 0.03], np.diag([1e-3, 2e-3, 3e-3]))
+LOAD = Carried(
+    0.5,
+    [0.01, 0.02, 0.03],
+    np.diag([1e-3, 2e-3, 3e-3]),
+)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +87,11 @@ def test_what_is_told_fits_the_makers_messages(kinds: dict[str, Any]) -> None:
     np.testing.assert_allclose(
         requests["franka"].load_inertia, [1e-3, 0, 0, 0, 2e-3, 0, 0, 0, 3e-3]
     )
-    np.testing.assert_allclose(requests["xarm"].center_of_gravity, [10.0, 20.0, 30.0], rtol=1e-6)
+    np.testing.assert_allclose(
+        requests["xarm"].center_of_gravity,
+        [10.0, 20.0, 30.0],
+        rtol=1e-6,
+    )
     for name, controller in CONTROLLERS.items():
         # a response as it comes by default: the first two have not taken it, and code 0 is taken
         assert bool(controller.refusal(kinds[controller.package].Response())) == (name != "xarm")

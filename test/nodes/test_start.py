@@ -59,7 +59,10 @@ def test_an_identifier_that_can_keep_no_kernels_ends_with_a_line(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     (tmp_path / "file").touch()
-    with Graph(tmp_path / "logs", {"WARP_CACHE_PATH": str(tmp_path / "file" / "cache")}) as graph:
+    with Graph(
+        tmp_path / "logs",
+        {"WARP_CACHE_PATH": str(tmp_path / "file" / "cache")},
+    ) as graph:
         process = graph.start("identifier", {"data_directory": tmp_path, "calibration": "none"})
         assert process.wait(3600.0) == 2
         with pytest.raises(

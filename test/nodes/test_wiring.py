@@ -81,7 +81,10 @@ class Arm:
             "driver": {"port": self.folder / "bus"},
             "identifier": {"data_directory": self.data, "calibration": "none"},
         }
-        return {**own.get(node, {}), **PATIENT.get(node, {})}
+        return {
+            **own.get(node, {}),
+            **PATIENT.get(node, {}),
+        }
 
     def begin_push(self, service: str = "/excitation/run") -> Any:
         """Ask for one that goes on until something ends it; returns what is answered."""
@@ -176,7 +179,11 @@ def test_none_of_them_waits_for_other_programs(arm: Arm) -> None:
 @pytest.mark.parametrize("service", ["/excitation/abort", "/identifier/cancel"])
 def test_two_hundred_calls_at_once(arm: Arm, service: str) -> None:
     # on a busy computer a caller that keeps ten answers, rclpy's default, loses some by itself
-    client = arm.client.node.create_client(Trigger, service, qos_profile=QoSProfile(depth=200))
+    client = arm.client.node.create_client(
+        Trigger,
+        service,
+        qos_profile=QoSProfile(depth=200),
+    )
     assert wait_for(client.service_is_ready)
     answers = [client.call_async(Trigger.Request()) for _ in range(200)]
     assert wait_for(lambda: all(answer.done() for answer in answers)), sum(

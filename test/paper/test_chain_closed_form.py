@@ -35,7 +35,10 @@ def model(
         axes=np.array(axes, dtype=np.float64),
         pseudo_inertia=np.array(bodies),
         gravity=np.array([0.0, 0.0, -G]),
-        frames={"base": (-1, np.eye(4)), "tip": (n - 1, np.eye(4))},
+        frames={
+            "base": (-1, np.eye(4)),
+            "tip": (n - 1, np.eye(4)),
+        },
     )
 
 
@@ -46,7 +49,12 @@ def hanging(count: int) -> ReducedModel:
         for i in range(count)
     ]
     offsets = [(0.1, 0.2, 0.3), (0.0, 0.0, -LENGTHS[0])][:count]
-    return model(("revolute",) * count, [(0.0, 1.0, 0.0)] * count, offsets, bodies)
+    return model(
+        ("revolute",) * count,
+        [(0.0, 1.0, 0.0)] * count,
+        offsets,
+        bodies,
+    )
 
 
 def free(reduced: ReducedModel, times: np.ndarray, **options: object) -> ChainSimulator:
@@ -97,9 +105,21 @@ def test_pendulum_with_large_swing(amplitude: float) -> None:
     sim = free(hanging(1), times, step_s=1e-3)
     q, v = rollout(sim, pack(sim, q0=amplitude))
     _, cn, dn, _ = ellipj(omega * times, k**2)
-    np.testing.assert_allclose(q[0, :, 0], 2.0 * np.arcsin(k * cn / dn), atol=1e-8)
-    np.testing.assert_allclose(q[0, [2, 4], 0], [-amplitude, amplitude], atol=1e-8)
-    np.testing.assert_allclose(v[0, [2, 4], 0], 0.0, atol=1e-8)
+    np.testing.assert_allclose(
+        q[0, :, 0],
+        2.0 * np.arcsin(k * cn / dn),
+        atol=1e-8,
+    )
+    np.testing.assert_allclose(
+        q[0, [2, 4], 0],
+        [-amplitude, amplitude],
+        atol=1e-8,
+    )
+    np.testing.assert_allclose(
+        v[0, [2, 4], 0],
+        0.0,
+        atol=1e-8,
+    )
 
 
 @pytest.mark.long
@@ -108,12 +128,23 @@ def test_double_pendulum_against_its_lagrangian() -> None:
     times = np.linspace(0.05, 2.0, 40)
     start = [1.2, -0.7, 0.5, -2.0]
     sim = free(hanging(2), times, step_s=5e-4)
-    q, v = rollout(sim, pack(sim, q0=start[:2], v0=start[2:]))
+    q, v = rollout(
+        sim,
+        pack(sim, q0=start[:2], v0=start[2:]),
+    )
     exact = solve_ivp(
         lagrangian, (0.0, 2.0), start, t_eval=times, method="DOP853", rtol=1e-12, atol=1e-13
     ).y
-    np.testing.assert_allclose(q[0], exact[:2].T, atol=1e-8)
-    np.testing.assert_allclose(v[0], exact[2:].T, atol=1e-7)
+    np.testing.assert_allclose(
+        q[0],
+        exact[:2].T,
+        atol=1e-8,
+    )
+    np.testing.assert_allclose(
+        v[0],
+        exact[2:].T,
+        atol=1e-7,
+    )
 
 
 @pytest.mark.long
@@ -141,7 +172,10 @@ def test_gravity_of_the_double_pendulum_is_the_gradient_of_its_potential() -> No
     q = np.array([[0.7, -1.3]])
     expected = lagrangian(0.0, np.array([0.7, -1.3, 0.0, 0.0]))[2:]
     np.testing.assert_allclose(
-        np.linalg.solve(mass_matrix(hanging(2), q)[0], -bias(hanging(2), q, np.zeros((1, 2)))[0]),
+        np.linalg.solve(
+            mass_matrix(hanging(2), q)[0],
+            -bias(hanging(2), q, np.zeros((1, 2)))[0],
+        ),
         expected,
         rtol=1e-12,
     )
@@ -149,17 +183,47 @@ def test_gravity_of_the_double_pendulum_is_the_gradient_of_its_potential() -> No
 
 def test_constant_force_on_a_slide_gives_a_parabola() -> None:
     """x = x0 + v0 t + (F/m - g) t^2 / 2 on a vertical slide; RK4 is exact. Before the onset it moves on with v0."""
-    body = pseudo_inertia(0.5, (0.1, -0.2, 0.3), 1e-3 * np.eye(3))
-    reduced = model(("prismatic",), [(0.0, 0.0, 1.0)], [(0.3, 0.1, 0.0)], [body])
+    body = pseudo_inertia(
+        0.5,
+        (0.1, -0.2, 0.3),
+        1e-3 * np.eye(3),
+    )
+    reduced = model(
+        ("prismatic",),
+        [(0.0, 0.0, 1.0)],
+        [(0.3, 0.1, 0.0)],
+        [body],
+    )
     times = np.array([0.005, 0.01, 0.013, 0.2, 0.31, 0.8])
-    sim = ChainSimulator(reduced, times, [0.0], [[3.0]], friction_velocity=1.0, step_s=0.05)
-    q, v = rollout(sim, pack(sim, torque_constant=2.0, delay=0.01, q0=0.2, v0=0.4, armature=0.1))
+    sim = ChainSimulator(
+        reduced,
+        times,
+        [0.0],
+        [[3.0]],
+        friction_velocity=1.0,
+        step_s=0.05,
+    )
+    q, v = rollout(
+        sim,
+        pack(
+            sim,
+            torque_constant=2.0,
+            delay=0.01,
+            q0=0.2,
+            v0=0.4,
+            armature=0.1,
+        ),
+    )
     since = times - 0.01
     a = (6.0 - 0.5 * G) / 0.6
     np.testing.assert_allclose(
         q[0, :, 0], 0.2 + 0.4 * since + 0.5 * a * np.maximum(since, 0.0) ** 2, atol=1e-14
     )
-    np.testing.assert_allclose(v[0, :, 0], 0.4 + a * np.maximum(since, 0.0), atol=1e-13)
+    np.testing.assert_allclose(
+        v[0, :, 0],
+        0.4 + a * np.maximum(since, 0.0),
+        atol=1e-13,
+    )
 
 
 def test_changes_of_the_input_are_met_exactly() -> None:
@@ -196,7 +260,11 @@ def test_velocity_decays_under_viscous_friction() -> None:
     times = np.linspace(0.1, 1.0, 5)
     sim = free(reduced, times, step_s=0.005)
     v = rollout(sim, pack(sim, viscous=3.0, v0=1.5))[1]
-    np.testing.assert_allclose(v[0, :, 0], 1.5 * np.exp(-1.5 * times), rtol=1e-10)
+    np.testing.assert_allclose(
+        v[0, :, 0],
+        1.5 * np.exp(-1.5 * times),
+        rtol=1e-10,
+    )
 
 
 def test_payload_on_a_spring_slide() -> None:
@@ -208,8 +276,17 @@ def test_payload_on_a_spring_slide() -> None:
     payload = 0.2
     k = 30.0
     stretch = 0.05
-    body = pseudo_inertia(cart, (0.0, 0.1, 0.2), 1e-3 * np.eye(3))
-    alone = model(("prismatic",), [(1.0, 0.0, 0.0)], [(0.2, 0.0, 0.1)], [body])
+    body = pseudo_inertia(
+        cart,
+        (0.0, 0.1, 0.2),
+        1e-3 * np.eye(3),
+    )
+    alone = model(
+        ("prismatic",),
+        [(1.0, 0.0, 0.0)],
+        [(0.2, 0.0, 0.1)],
+        [body],
+    )
     hung = attach_payload_joint(
         alone,
         "tip",
@@ -219,10 +296,17 @@ def test_payload_on_a_spring_slide() -> None:
     )
     times = np.linspace(0.02, 1.0, 50)
     sim = free(hung, times, step_s=1e-3)
-    q, _ = rollout(sim, pack(sim, stiffness=(0.0, k), q0=(0.0, stretch)))
+    q, _ = rollout(
+        sim,
+        pack(sim, stiffness=(0.0, k), q0=(0.0, stretch)),
+    )
     y = stretch * np.cos(np.sqrt(k * (1.0 / cart + 1.0 / payload)) * times)
     np.testing.assert_allclose(q[0, :, 1], y, atol=1e-9)
-    np.testing.assert_allclose(q[0, :, 0], payload * (stretch - y) / (cart + payload), atol=1e-9)
+    np.testing.assert_allclose(
+        q[0, :, 0],
+        payload * (stretch - y) / (cart + payload),
+        atol=1e-9,
+    )
 
 
 @pytest.mark.long
@@ -234,10 +318,26 @@ def test_payload_on_a_universal_joint_circles_as_a_conical_pendulum() -> None:
         ("prismatic",),
         [(1.0, 0.0, 0.0)],
         [(0.0, 0.0, 0.0)],
-        [pseudo_inertia(1.0, np.zeros(3), 1e-3 * np.eye(3))],
+        [
+            pseudo_inertia(
+                1.0,
+                np.zeros(3),
+                1e-3 * np.eye(3),
+            )
+        ],
     )
-    point = pseudo_inertia(0.05, (0.0, 0.0, -length), np.zeros((3, 3)))
-    hung = attach_payload_joint(cart, "tip", "universal", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], point)
+    point = pseudo_inertia(
+        0.05,
+        (0.0, 0.0, -length),
+        np.zeros((3, 3)),
+    )
+    hung = attach_payload_joint(
+        cart,
+        "tip",
+        "universal",
+        [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)],
+        point,
+    )
     rate = np.sqrt(G / (length * np.cos(cone)))
     times = np.linspace(0.02, 2.0, 50)
     sim = free(hung, times, step_s=5e-4)
@@ -252,10 +352,18 @@ def test_payload_on_a_universal_joint_circles_as_a_conical_pendulum() -> None:
     b = q[0, :, 2]
     place = length * np.stack([-np.sin(b), np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b)], axis=1)
     circle = np.stack(
-        [np.sin(cone) * np.cos(rate * times), np.sin(cone) * np.sin(rate * times)], axis=1
+        [
+            np.sin(cone) * np.cos(rate * times),
+            np.sin(cone) * np.sin(rate * times),
+        ],
+        axis=1,
     )
     np.testing.assert_allclose(place[:, :2], length * circle, atol=1e-9)
-    np.testing.assert_allclose(place[:, 2], -length * np.cos(cone), atol=1e-9)
+    np.testing.assert_allclose(
+        place[:, 2],
+        -length * np.cos(cone),
+        atol=1e-9,
+    )
 
 
 def test_semi_implicit_euler_is_the_papers_equation() -> None:
@@ -263,8 +371,16 @@ def test_semi_implicit_euler_is_the_papers_equation() -> None:
     reduced = hanging(2)
     h = 1.0 / 60.0 / 4.0
     count = 40
-    sim = free(reduced, h * np.arange(1, count + 1), integrator="semi_implicit", step_s=h)
-    q, v = rollout(sim, pack(sim, q0=(1.0, -0.5), v0=(0.3, 0.2)))
+    sim = free(
+        reduced,
+        h * np.arange(1, count + 1),
+        integrator="semi_implicit",
+        step_s=h,
+    )
+    q, v = rollout(
+        sim,
+        pack(sim, q0=(1.0, -0.5), v0=(0.3, 0.2)),
+    )
     state = np.array([1.0, -0.5])
     rate = np.array([0.3, 0.2])
     for step in range(count):

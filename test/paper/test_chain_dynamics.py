@@ -16,7 +16,11 @@ from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
 mujoco = pytest.importorskip("mujoco")
 
 GRAVITY = (1.0, -2.0, -9.0)
-PAYLOAD = pseudo_inertia(0.08, (0.01, -0.02, -0.06), np.diag((4e-5, 5e-5, 6e-5)))
+PAYLOAD = pseudo_inertia(
+    0.08,
+    (0.01, -0.02, -0.06),
+    np.diag((4e-5, 5e-5, 6e-5)),
+)
 TREES = {
     "1": (-1,),
     "2": (-1, 0),
@@ -67,7 +71,11 @@ def addresses(model: Any, names: tuple[str, ...]) -> list[int]:
 
 
 def mujoco_terms(
-    model: Any, names: tuple[str, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray
+    model: Any,
+    names: tuple[str, ...],
+    q: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mass matrix and inverse dynamics in the order of the named joints."""
     at = addresses(model, names)
@@ -82,9 +90,18 @@ def mujoco_terms(
     return mass[np.ix_(at, at)], data.qfrc_inverse[at]
 
 
-def assert_same_terms(model: Any, ours: ReducedModel, seed: int, tolerance: float = 1e-9) -> None:
+def assert_same_terms(
+    model: Any,
+    ours: ReducedModel,
+    seed: int,
+    tolerance: float = 1e-9,
+) -> None:
     rng = np.random.default_rng(seed)
-    q, v, a = rng.uniform(-3.0, 3.0, (3, 5, len(ours.joint_names)))
+    q, v, a = rng.uniform(
+        -3.0,
+        3.0,
+        (3, 5, len(ours.joint_names)),
+    )
     masses, torques = rigid_body_terms(ours, q, v, a)
     np.testing.assert_array_equal(mass_matrix(ours, q), masses)
     np.testing.assert_allclose(
@@ -93,9 +110,23 @@ def assert_same_terms(model: Any, ours: ReducedModel, seed: int, tolerance: floa
         atol=1e-12 * np.abs(torques).max(),
     )
     for state in range(len(q)):
-        mass, torque = mujoco_terms(model, ours.joint_names, q[state], v[state], a[state])
-        np.testing.assert_allclose(masses[state], mass, atol=tolerance * np.abs(mass).max())
-        np.testing.assert_allclose(torques[state], torque, atol=tolerance * np.abs(torque).max())
+        mass, torque = mujoco_terms(
+            model,
+            ours.joint_names,
+            q[state],
+            v[state],
+            a[state],
+        )
+        np.testing.assert_allclose(
+            masses[state],
+            mass,
+            atol=tolerance * np.abs(mass).max(),
+        )
+        np.testing.assert_allclose(
+            torques[state],
+            torque,
+            atol=tolerance * np.abs(torque).max(),
+        )
 
 
 LARGE = [pytest.param(tree, marks=pytest.mark.long) for tree in ("tree of 5", "7")]
@@ -167,7 +198,11 @@ def test_acceleration(tree: str) -> None:
     np.testing.assert_allclose(
         (v[0, 0] - values["v0"]) / h, expected, atol=1e-9 * np.abs(expected).max()
     )
-    np.testing.assert_allclose((q[0, 0] - values["q0"]) / h, v[0, 0], rtol=1e-9)
+    np.testing.assert_allclose(
+        (q[0, 0] - values["q0"]) / h,
+        v[0, 0],
+        rtol=1e-9,
+    )
 
 
 @pytest.mark.long
@@ -196,7 +231,10 @@ def test_one_joint_is_the_one_joint_law(integrator: str) -> None:
     steps = {"step_s": 1 / 240, "fine_step_s": 1 / 2000}
     supply = (1.0, 2.49, 5.22)
     run = JointRun(times, switches, current, supply=supply, friction_velocity=0.01, **steps)
-    q, v = JointSimulator([run], integrator).rollout(np.zeros(1, dtype=np.int32), row)
+    q, v = JointSimulator([run], integrator).rollout(
+        np.zeros(1, dtype=np.int32),
+        row,
+    )
     sim = ChainSimulator(
         ours,
         times,
@@ -207,15 +245,32 @@ def test_one_joint_is_the_one_joint_law(integrator: str) -> None:
         integrator=integrator,
         **steps,
     )
-    chain_q, chain_v = rollout(sim, pack(sim, **law, **start, armature=0.012))
+    chain_q, chain_v = rollout(
+        sim,
+        pack(sim, **law, **start, armature=0.012),
+    )
     assert np.ptp(q) > 0.1
-    np.testing.assert_allclose(chain_q[0, :, 0], q[0], atol=1e-11)
-    np.testing.assert_allclose(chain_v[0, :, 0], v[0], atol=1e-10)
+    np.testing.assert_allclose(
+        chain_q[0, :, 0],
+        q[0],
+        atol=1e-11,
+    )
+    np.testing.assert_allclose(
+        chain_v[0, :, 0],
+        v[0],
+        atol=1e-10,
+    )
 
 
 def test_parameters_by_name() -> None:
     ours = reduced(random_urdf((-1, 0), 2))
-    sim = ChainSimulator(ours, [0.1], [0.0], np.zeros((1, 2)), friction_velocity=(0.1, 0.2))
+    sim = ChainSimulator(
+        ours,
+        [0.1],
+        [0.0],
+        np.zeros((1, 2)),
+        friction_velocity=(0.1, 0.2),
+    )
     index = {name: column for column, name in enumerate(sim.parameter_names)}
     assert len(index) == 18 * 2 + 1
     p = pack(
@@ -269,12 +324,22 @@ def test_what_cannot_be_simulated_is_said(change: dict[str, Any], message: str) 
         "friction_velocity": 0.1,
     }
     with pytest.raises(SimulationError, match=message):
-        ChainSimulator(reduced(random_urdf((-1,), 1)), **{**run, **change})
+        ChainSimulator(
+            reduced(random_urdf((-1,), 1)),
+            **{**run, **change},
+        )
 
 
 def test_a_tape_that_would_not_fit_is_refused() -> None:
     ours = reduced(random_urdf((-1,), 1))
-    sim = ChainSimulator(ours, [0.3], [0.0], np.zeros((1, 1)), friction_velocity=0.1, step_s=1e-6)
+    sim = ChainSimulator(
+        ours,
+        [0.3],
+        [0.0],
+        np.zeros((1, 1)),
+        friction_velocity=0.1,
+        step_s=1e-6,
+    )
     with pytest.raises(SimulationError, match=r"30\d\d\d\d steps are too many for a tape"):
         tape_gradient(sim, pack(sim), np.ones((1, 1, 1)))
 
@@ -319,7 +384,13 @@ def test_what_cannot_be_attached_is_said(
     frame: str, kind: str, axes: Any, pseudo: np.ndarray, message: str
 ) -> None:
     with pytest.raises(SimulationError, match=message):
-        attach_payload_joint(reduced(random_urdf((-1,), 1)), frame, kind, axes, pseudo)
+        attach_payload_joint(
+            reduced(random_urdf((-1,), 1)),
+            frame,
+            kind,
+            axes,
+            pseudo,
+        )
 
 
 def test_a_payload_joint_needs_a_new_name() -> None:
@@ -327,6 +398,13 @@ def test_a_payload_joint_needs_a_new_name() -> None:
     once = attach_payload_joint(ours, "link_0", "prismatic", (0, 0, 1), PAYLOAD)
     with pytest.raises(SimulationError, match="'payload' is already a joint or frame"):
         attach_payload_joint(once, "link_0", "prismatic", (0, 0, 1), PAYLOAD)
-    twice = attach_payload_joint(once, "payload", "prismatic", (0, 1, 0), PAYLOAD, name="second")
+    twice = attach_payload_joint(
+        once,
+        "payload",
+        "prismatic",
+        (0, 1, 0),
+        PAYLOAD,
+        name="second",
+    )
     assert twice.joint_names == ("joint_0", "payload_slide", "second_slide")
     assert tuple(twice.parents) == (-1, 0, 1)

@@ -77,7 +77,11 @@ def simulator(tree: str, integrator: str, **options: Any) -> ChainSimulator:
         friction_velocity=0.05,
         supply=[(1.2, 2.49, 5.22)] * n,
         integrator=integrator,
-        **{"step_s": 1 / 240, "fine_step_s": 1 / 960 if integrator == "rk4" else None, **options},
+        **{
+            "step_s": 1 / 240,
+            "fine_step_s": 1 / 960 if integrator == "rk4" else None,
+            **options,
+        },
     )
 
 
@@ -100,7 +104,10 @@ def points(sim: ChainSimulator) -> np.ndarray:
 
 
 def every(p: np.ndarray) -> np.ndarray:
-    return np.tile(np.eye(p.shape[1]), (len(p), 1, 1))
+    return np.tile(
+        np.eye(p.shape[1]),
+        (len(p), 1, 1),
+    )
 
 
 def scale_of(name: str) -> float:
@@ -120,13 +127,21 @@ def test_sensitivities_against_central_differences(tree: str, integrator: str) -
     p = points(sim)
     q, _, exact = sim.jacobian(p, every(p))
     # two kernels: not every processor rounds them alike
-    np.testing.assert_allclose(q, rollout(sim, p)[0], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(
+        q,
+        rollout(sim, p)[0],
+        rtol=1e-12,
+        atol=1e-14,
+    )
     largest = np.abs(exact).max(axis=(1, 2))
     for column, name in enumerate(sim.parameter_names):
         step = 3e-7 / np.maximum(largest[:, column], 3e-5 / scale_of(name))
         moved = np.concatenate([p] * 4)
         moved[:, column] += np.outer([-2.0, -1.0, 1.0, 2.0], step).ravel()
-        far_below, below, above, far_above = np.split(rollout(sim, moved)[0], 4)
+        far_below, below, above, far_above = np.split(
+            rollout(sim, moved)[0],
+            4,
+        )
         difference = (8.0 * (above - below) - (far_above - far_below)) / (
             12.0 * step[:, None, None]
         )
@@ -173,7 +188,10 @@ def test_directions_in_blocks_equal_one_at_a_time() -> None:
     directions[:, sim.columns["pi"], ::2] = 0.0  # the inertia of no body, which takes a shorter way
     q, _, together = sim.jacobian(p, directions)
     for column in range(19):
-        alone_q, _, alone = sim.jacobian(p, directions[..., column : column + 1])
+        alone_q, _, alone = sim.jacobian(
+            p,
+            directions[..., column : column + 1],
+        )
         np.testing.assert_allclose(alone_q, q, rtol=1e-12, atol=1e-14)
         np.testing.assert_allclose(
             together[..., column], alone[..., 0], rtol=1e-12, atol=1e-12 * np.abs(alone).max()
@@ -190,7 +208,10 @@ def test_worlds_do_not_touch_each_other() -> None:
         np.testing.assert_array_equal(
             sim.jacobian(p[alone], every(p)[alone])[2], sim.jacobian(p, every(p))[2][alone]
         )
-        np.testing.assert_array_equal(tape_gradient(sim, p[alone], weights[alone]), gradient[alone])
+        np.testing.assert_array_equal(
+            tape_gradient(sim, p[alone], weights[alone]),
+            gradient[alone],
+        )
 
 
 def test_payload_mass_is_a_direction_in_pi() -> None:
@@ -200,14 +221,31 @@ def test_payload_mass_is_a_direction_in_pi() -> None:
 
     def with_payload(mass: float, height: float) -> np.ndarray:
         p = base.copy()
-        pseudo = pseudo_inertia(mass, (0.02, 0.0, height), mass * 1e-4 * np.eye(3))
+        pseudo = pseudo_inertia(
+            mass,
+            (0.02, 0.0, height),
+            mass * 1e-4 * np.eye(3),
+        )
         p[0, sim.columns["pi"].stop - 10 : sim.columns["pi"].stop] += inertial_parameters(pseudo)
         return p
 
     step = 1e-5
-    sides = [(with_payload(0.05 + step, 0.08), with_payload(0.05 - step, 0.08))]
-    sides += [(with_payload(0.05, 0.08 + step), with_payload(0.05, 0.08 - step))]
-    directions = np.stack([(above - below) / (2.0 * step) for above, below in sides], axis=-1)
+    sides = [
+        (
+            with_payload(0.05 + step, 0.08),
+            with_payload(0.05 - step, 0.08),
+        )
+    ]
+    sides += [
+        (
+            with_payload(0.05, 0.08 + step),
+            with_payload(0.05, 0.08 - step),
+        )
+    ]
+    directions = np.stack(
+        [(above - below) / (2.0 * step) for above, below in sides],
+        axis=-1,
+    )
     exact = sim.jacobian(with_payload(0.05, 0.08), directions)[2]
     for column, (above, below) in enumerate(sides):
         difference = (rollout(sim, above)[0] - rollout(sim, below)[0]) / (2.0 * step)
@@ -241,7 +279,15 @@ def test_delay_of_a_sample_on_a_change_of_the_input() -> None:
     moved[:, delay] = np.array([[step], [2.0 * step]])
     once, twice = rollout(sim, moved)[0]
     difference = (-3.0 * q[0] + 4.0 * once - twice) / (2.0 * step)
-    np.testing.assert_allclose(difference, exact[0, ..., 0], atol=1e-6 * np.abs(exact).max())
+    np.testing.assert_allclose(
+        difference,
+        exact[0, ..., 0],
+        atol=1e-6 * np.abs(exact).max(),
+    )
     weights = np.random.default_rng(2).normal(size=q.shape)
     expected = (weights * exact[..., 0]).sum()
-    np.testing.assert_allclose(tape_gradient(sim, p, weights)[0, delay], expected, rtol=1e-10)
+    np.testing.assert_allclose(
+        tape_gradient(sim, p, weights)[0, delay],
+        expected,
+        rtol=1e-10,
+    )

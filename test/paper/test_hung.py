@@ -27,13 +27,23 @@ COM = np.array([0.0, 0.0, -0.06])
 PENDULUM = Hung(
     "universal", np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), COM, SHAPE.second_moment_per_mass
 )
-SLIDE = Hung("prismatic", np.array([1.0, 0.0, 0.0]), np.zeros(3), SHAPE.second_moment_per_mass)
+SLIDE = Hung(
+    "prismatic",
+    np.array([1.0, 0.0, 0.0]),
+    np.zeros(3),
+    SHAPE.second_moment_per_mass,
+)
 
 
 @pytest.fixture(scope="module")
 def swinging() -> tuple[Run, ...]:
     """Lift and lowering of a pendulum of 50 g by a robot of which all is known."""
-    held = HungPayload(0.05, (0.0, 0.0, -0.06), 0.04, damping=2.0 * 0.05 * 0.06**2 * 2.0)
+    held = HungPayload(
+        0.05,
+        (0.0, 0.0, -0.06),
+        0.04,
+        damping=2.0 * 0.05 * 0.06**2 * 2.0,
+    )
     return play("payload_elbow", 3, held, exact=True).runs
 
 
@@ -54,10 +64,17 @@ def test_without_mass_it_is_the_single_joint(hung: Hung, swinging: tuple[Run, ..
     q, _, _ = ours.simulate(values, ours.free)
     alone = JointSimulator([replace(ours.simulator.runs[0], input_load=None)])
     width = len(alone.parameters)
-    expected, _ = alone.rollout(np.zeros(1, dtype=np.int32), p[0, :, :width])
+    expected, _ = alone.rollout(
+        np.zeros(1, dtype=np.int32),
+        p[0, :, :width],
+    )
     used = ours.runs[0].used
     assert np.ptp(expected[0, :used]) > 0.3
-    np.testing.assert_allclose(q[0, 0, :used], expected[0, :used], atol=1e-6)
+    np.testing.assert_allclose(
+        q[0, 0, :used],
+        expected[0, :used],
+        atol=1e-6,
+    )
 
 
 @pytest.mark.parametrize("hung", [SLIDE, PENDULUM], ids=["slide", "universal"])

@@ -141,7 +141,10 @@ def test_seeds_come_one_after_the_other(toys: list[tuple[str, int]]) -> None:
     ],
 )
 def test_what_cannot_be_run_is_refused_before_anything_is_made(
-    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["paper", "--out", str(tmp_path / "made"), *arguments]) == 2
     assert words in capsys.readouterr().err
@@ -266,7 +269,13 @@ def test_tree_parzen_finds_a_valley() -> None:
 
     low = np.array([-2.0, -2.0])
     high = np.array([2.0, 2.0])
-    best = tree_parzen(cost, low, high, np.array([-1.5, 1.5]), np.random.default_rng(1))
+    best = tree_parzen(
+        cost,
+        low,
+        high,
+        np.array([-1.5, 1.5]),
+        np.random.default_rng(1),
+    )
     assert len(asked) == 150 and (np.array(asked) >= low).all() and (np.array(asked) <= high).all()
     np.testing.assert_allclose(best, [0.7, -0.2], atol=0.1)
 

@@ -48,7 +48,12 @@ def parameters(**changes: float) -> np.ndarray:
 
 
 def body(n: int = 2, **options: str) -> SoftBody:
-    return SoftBody(box(np.full(3, EDGE), (n, n, n)), MASS, TRAVEL, **options)
+    return SoftBody(
+        box(np.full(3, EDGE), (n, n, n)),
+        MASS,
+        TRAVEL,
+        **options,
+    )
 
 
 def run(frames: int, current: float = 0.05, substeps: int = 64) -> SoftRun:
@@ -57,7 +62,11 @@ def run(frames: int, current: float = 0.05, substeps: int = 64) -> SoftRun:
     )
 
 
-def shaken(sim: SoftBody, places: float, speeds: float) -> tuple[np.ndarray, np.ndarray]:
+def shaken(
+    sim: SoftBody,
+    places: float,
+    speeds: float,
+) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(5)
     points = sim.mesh.points
     return points + places * rng.normal(size=points.shape), speeds * rng.normal(size=points.shape)
@@ -69,9 +78,19 @@ def test_forces_are_those_of_the_energy(law: str) -> None:
     sim = body(2, law=law, contact="frictionless")
     start = shaken(sim, 0.2 * EDGE, 0.0)
     assert sim.elastic.least_j(start[0]) < 0.0
-    one = SoftRun(np.zeros(1), np.zeros(1), 1, frame_s=1e-6, substeps=1)
+    one = SoftRun(
+        np.zeros(1),
+        np.zeros(1),
+        1,
+        frame_s=1e-6,
+        substeps=1,
+    )
     q0 = VALUES["gap"] / TRAVEL  # just touching
-    result = sim.rollout(one, parameters(q0=q0, v0=0.0, viscosity=0.0), start=start)
+    result = sim.rollout(
+        one,
+        parameters(q0=q0, v0=0.0, viscosity=0.0),
+        start=start,
+    )
     points = sim._start(parameters(q0=q0, v0=0.0), start)[0][0]
     force = -np.tensordot(HEAVY, sim.elastic.forces(points), axes=1)
     expected = 1e-6 * force / sim.masses[:, None]
@@ -90,7 +109,12 @@ def test_forces_are_those_of_the_energy(law: str) -> None:
     )
 
 
-def total_energy(sim: SoftBody, result: object, p: np.ndarray, inertia: float) -> float:
+def total_energy(
+    sim: SoftBody,
+    result: object,
+    p: np.ndarray,
+    inertia: float,
+) -> float:
     points = result.points[0]
     speeds = result.velocities[0]
     elastic = sim.elastic.energies(points) @ (
@@ -108,7 +132,13 @@ def test_energy_is_kept_as_the_steps_shorten(contact: str) -> None:
     p = parameters(**FREE, torque_constant=0.0, v0=1.0)
     errors = []
     for substeps in (64, 256):
-        one = SoftRun(np.zeros(1), np.zeros(1), 1, frame_s=1e-7, substeps=1)
+        one = SoftRun(
+            np.zeros(1),
+            np.zeros(1),
+            1,
+            frame_s=1e-7,
+            substeps=1,
+        )
         begin = total_energy(sim, sim.rollout(one, p), p, VALUES["inertia"])
         drift = [
             total_energy(sim, sim.rollout(run(frames, substeps=substeps), p), p, VALUES["inertia"])
@@ -138,7 +168,13 @@ def test_momentum_along_frictionless_faces(law: str) -> None:
     """Nothing pushes along the faces or turns the block about the squeeze: those three momenta stay."""
     sim = body(3, law=law, contact="frictionless")
     start = shaken(sim, 0.01 * EDGE, 0.05)
-    first = SoftRun(np.zeros(1), np.zeros(1), 1, frame_s=1e-9, substeps=1)
+    first = SoftRun(
+        np.zeros(1),
+        np.zeros(1),
+        1,
+        frame_s=1e-9,
+        substeps=1,
+    )
     p = parameters(**FREE)
     momenta = []
     for schedule in (first, run(6)):
@@ -153,7 +189,13 @@ def test_momentum_along_frictionless_faces(law: str) -> None:
 def test_small_oscillation_of_a_gripper_on_a_spring() -> None:
     """Hooke's block: J q'' = -travel^2 (E A / L) q, the block's own inertia being 1e-4 of the gripper's."""
     modulus = 1000.0
-    sim = SoftBody(box(np.full(3, EDGE), (2, 2, 2)), 0.01, TRAVEL, "linear", "frictionless")
+    sim = SoftBody(
+        box(np.full(3, EDGE), (2, 2, 2)),
+        0.01,
+        TRAVEL,
+        "linear",
+        "frictionless",
+    )
     mu, lam = lame(modulus, 0.3)
     amplitude = 0.01
     # squeezed in the middle of the swing, so that it stays in touch
@@ -167,13 +209,21 @@ def test_small_oscillation_of_a_gripper_on_a_spring() -> None:
         torque_constant=1.0,
     )
     hold = TRAVEL * modulus * EDGE * 0.1  # k_t i that balances the spring there: travel E A s
-    schedule = SoftRun(np.zeros(1), np.array([hold * EDGE]), 60)
+    schedule = SoftRun(
+        np.zeros(1),
+        np.array([hold * EDGE]),
+        60,
+    )
     inertia = VALUES["inertia"]
     omega = TRAVEL * np.sqrt(modulus * EDGE / inertia)
     t = np.arange(1, 61) / 60.0
     # sideways inertia of the block is not there at rest: start where the sides already are
     q = sim.rollout(schedule, p).q[0]
-    np.testing.assert_allclose(q, 0.1 / omega * np.sin(omega * t), atol=2e-3 * 0.1 / omega)
+    np.testing.assert_allclose(
+        q,
+        0.1 / omega * np.sin(omega * t),
+        atol=2e-3 * 0.1 / omega,
+    )
 
 
 @pytest.mark.parametrize("contact", ["bonded", "frictionless"])
@@ -259,7 +309,11 @@ def test_the_block_rests_until_it_is_touched() -> None:
     q = body(2).rollout(run(60), p).q[0]
     touch = 0.003 / TRAVEL / 0.2 * 60  # frames
     before = np.arange(1, 61) < touch
-    np.testing.assert_allclose(q[before], 0.2 * np.arange(1, 61)[before] / 60.0, rtol=1e-9)
+    np.testing.assert_allclose(
+        q[before],
+        0.2 * np.arange(1, 61)[before] / 60.0,
+        rtol=1e-9,
+    )
     assert q[-1] < 0.9 * 0.2
 
 
@@ -282,7 +336,11 @@ def test_a_second_of_eight_cells_fits_into_a_gibibyte(keep: str) -> None:
     """3840 steps of 2560 tetrahedra with gradients, all of the process."""
     root = str(Path(__file__).resolve().parents[2])
     code = f"import sys; sys.path.insert(0, {root!r})" + MEMORY.replace("{keep!r}", repr(keep))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     peak_kib, kept = (int(word) for word in done.stdout.split())
     assert peak_kib < 2**20
@@ -302,7 +360,11 @@ def test_what_cannot_be_simulated() -> None:
     with pytest.raises(SimulationError, match="choose one of bonded"):
         body(1, contact="sticky")
     with pytest.raises(SimulationError, match="above 0"):
-        SoftBody(box(np.ones(3), (1, 1, 1)), 0.0, 1.0)
+        SoftBody(
+            box(np.ones(3), (1, 1, 1)),
+            0.0,
+            1.0,
+        )
 
 
 @pytest.mark.parametrize("contact", ["bonded", "frictionless"])
@@ -317,8 +379,20 @@ def test_the_longest_step_is_where_it_becomes_unstable(contact: str) -> None:
         (lam, 3.0, 0.98, 0),
     ):
         frame_s = 300 * factor * sim.most_step_s(mu, bulk, eta)
-        schedule = SoftRun(np.zeros(1), np.zeros(1), 4, frame_s, substeps=300)
-        p = parameters(lame_lambda=bulk, viscosity=eta, q0=0.0, v0=0.0, gap=1.0)  # never touched
+        schedule = SoftRun(
+            np.zeros(1),
+            np.zeros(1),
+            4,
+            frame_s,
+            substeps=300,
+        )
+        p = parameters(
+            lame_lambda=bulk,
+            viscosity=eta,
+            q0=0.0,
+            v0=0.0,
+            gap=1.0,
+        )  # never touched
         try:
             end = SoftRollout(sim, schedule, p, "starts", shaken(sim, 1e-12, 0.0)).points[0]
         except SimulationError:

@@ -130,7 +130,10 @@ def test_one_path_may_stand_alone(bags: object, result: Weighing) -> None:
 
 
 def test_facts_by_section_or_by_dotted_key(result: Weighing) -> None:
-    dotted = weigh(BAG, settings={"payload.shape": "sphere", "payload.size": np.float64(0.043)})
+    dotted = weigh(
+        BAG,
+        settings={"payload.shape": "sphere", "payload.size": np.float64(0.043)},
+    )
     arrays = weigh(BAG, payload={**BALL_FACTS, "com": np.zeros(3)})
     assert dotted.mass == result.mass and arrays.mass == pytest.approx(result.mass, rel=1e-9)
     with pytest.raises(TypeError, match="calibratoin="):
@@ -155,7 +158,13 @@ class NoArray:
 
 HOLDS_ITSELF: list[Any] = []
 HOLDS_ITSELF.append(HOLDS_ITSELF)
-RIGHT = {weigh: (BAG,), calibrate: (EMPTY[0],), plan: (0.05,), check: (BAG,), drift: (BAG,)}
+RIGHT = {
+    weigh: (BAG,),
+    calibrate: (EMPTY[0],),
+    plan: (0.05,),
+    check: (BAG,),
+    drift: (BAG,),
+}
 WRONG = [
     b"x",
     1j,
@@ -171,7 +180,18 @@ WRONG = [
     {BAG: "x"},
 ]
 WRONG += [NoPath(), NoArray(), HOLDS_ITSELF]
-WORDS = [5, 10**400, float("nan"), True, [], ["a"], {}, {"payload.size": 1}, int, iter(["a"])]
+WORDS = [
+    5,
+    10**400,
+    float("nan"),
+    True,
+    [],
+    ["a"],
+    {},
+    {"payload.size": 1},
+    int,
+    iter(["a"]),
+]
 NO_NUMBERS = ["no such", "", None, float("nan"), [0.1, True]]
 TEXTS = ("calibration", "robot", "driver", "output", "state_topic", "command_topic", "effort_unit")
 ALSO_WRONG: dict[str, list[Any]] = {
@@ -204,7 +224,10 @@ def _arguments() -> list[tuple[Any, str]]:
 def test_arguments_of_wrong_types_are_refused_in_a_line(call: Any, name: str) -> None:
     """Of all calls, each argument; nothing is read before."""
     for value in [*WRONG, *ALSO_WRONG[name]]:
-        given = {next(iter(signature(call).parameters)): RIGHT[call][0], name: value}
+        given = {
+            next(iter(signature(call).parameters)): RIGHT[call][0],
+            name: value,
+        }
         with pytest.raises(ConfigurationError) as refusal:
             call(**given)
         said = str(refusal.value)
@@ -214,7 +237,11 @@ def test_arguments_of_wrong_types_are_refused_in_a_line(call: Any, name: str) ->
 
 
 def test_what_is_like_the_right_type_is_taken(tmp_path: Path, result: Weighing) -> None:
-    again = weigh(iter([BAG]), payload={"shape": "sphere", "size": np.float32(0.043)}, baseline=())
+    again = weigh(
+        iter([BAG]),
+        payload={"shape": "sphere", "size": np.float32(0.043)},
+        baseline=(),
+    )
     assert again.bags == (str(BAG),) and again.mass == pytest.approx(result.mass, rel=1e-5)
     assert len(plan(np.array([0.05, 0.1], dtype=np.float32), count=np.int64(1))) == 1
     assert len(check((path for path in EMPTY[:2]), settings=None)) == 2
@@ -245,11 +272,19 @@ def test_no_number_for_what_cannot_be_determined() -> None:
 
 
 def test_what_has_no_mass_says_so() -> None:
-    block = Weighing(no_answer("softness", "youngs_modulus", "Pa", "arm", 1, [], []), (), "")
+    block = Weighing(
+        no_answer("softness", "youngs_modulus", "Pa", "arm", 1, [], []),
+        (),
+        "",
+    )
     assert block.unit == "Pa" and block.value() is None
     with pytest.raises(AttributeError, match=r"softness has no mass; .* youngs_modulus"):
         _ = block.mass
-    sphere = Weighing(no_answer("container", "sphere_mass", "kg", "arm", 1, [], []), (), "")
+    sphere = Weighing(
+        no_answer("container", "sphere_mass", "kg", "arm", 1, [], []),
+        (),
+        "",
+    )
     assert sphere.mass is None
 
 
@@ -411,7 +446,10 @@ def test_what_is_in_a_bag() -> None:
 
 def test_lost_messages_are_counted(tmp_path: Path) -> None:
     whole = recorded(BAG)
-    kept = np.delete(np.arange(len(whole.joints.times_ns)), [3, 4, 5, 20, 21])
+    kept = np.delete(
+        np.arange(len(whole.joints.times_ns)),
+        [3, 4, 5, 20, 21],
+    )
     joints = replace(
         whole.joints,
         **{
@@ -506,7 +544,11 @@ def blas_threads() -> set[int]:
 def test_a_calibration_from_a_script_has_one_thread() -> None:
     seen = []
     with threadpool_limits(2, user_api="blas"):
-        calibrate_from_bags(EMPTY[:2], {}, progress=lambda _: seen.append(blas_threads()))
+        calibrate_from_bags(
+            EMPTY[:2],
+            {},
+            progress=lambda _: seen.append(blas_threads()),
+        )
         assert blas_threads() == {2}
     assert seen and all(threads == {1} for threads in seen)
 

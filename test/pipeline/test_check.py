@@ -40,7 +40,12 @@ def written(folder: Path, record: JointRecord, inputs: InputRecord | None) -> Pa
     # as joint states say it: what a bag's effort is
     effort = record.reported_effort
     write_recording(
-        folder / "bag", replace(pushed(), joints=replace(record, effort=effort), inputs=inputs)
+        folder / "bag",
+        replace(
+            pushed(),
+            joints=replace(record, effort=effort),
+            inputs=inputs,
+        ),
     )
     return folder / "bag"
 
@@ -80,7 +85,11 @@ def test_a_run_is_weighed_about_as_well_as_was_said_and_refused_for_the_same_rea
 def test_spacing_and_gaps_are_those_of_the_joint_states(tmp_path: Path) -> None:
     recording = pushed()
     rows = np.r_[0:20, 26 : len(recording.joints.times_ns)]
-    record = of_joint_states(recording.joints, rows, list(range(len(recording.joints.names))))  # type: ignore[arg-type]
+    record = of_joint_states(
+        recording.joints,
+        rows,
+        list(range(len(recording.joints.names))),
+    )  # type: ignore[arg-type]
     check = looked_into(written(tmp_path, record, recording.inputs))
     times_s = 1e-9 * record.times_ns
     assert check.gaps == 1 and check.longest_gap_s == pytest.approx(np.diff(times_s).max())

@@ -28,7 +28,10 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     arm = SensingArm(folder, 6, 77, 100.0)
     return replace(
         bare,
-        motion_calibration=fit_empty(bare, [arm.work(15.0, name=f"empty {n}") for n in range(2)]),
+        motion_calibration=fit_empty(
+            bare,
+            [arm.work(15.0, name=f"empty {n}") for n in range(2)],
+        ),
     )
 
 
@@ -76,7 +79,11 @@ def test_without_motions_friction_is_that_of_the_drive_trains() -> None:
     robot = load_robot("open_manipulator_x")
     force = {}
     for name, drive in robot.drive_trains.items():
-        force[name] = replace(drive, coulomb=Quantity(0.06), viscous=Quantity(0.02))
+        force[name] = replace(
+            drive,
+            coulomb=Quantity(0.06),
+            viscous=Quantity(0.02),
+        )
     learnt = learnt_urdf(replace(robot, drive_trains=force, arm_scale=Quantity(1.1)))
     model = mujoco.MjModel.from_xml_string(learnt.text)
     bare = mujoco.MjModel.from_xml_string(learnt_urdf(robot).text)

@@ -32,7 +32,14 @@ def implied(robot: Robot, kind: str, factor: float) -> CalibrationEstimate:
             kind, "free", stated, relative * stated, factor * stated, 0.01 * stated, scope="joint3"
         ),
     )
-    answer = CalibrationEstimate(robot.name, Verdict.ACCEPTED, (), 3, None, unknowns=rows)
+    answer = CalibrationEstimate(
+        robot.name,
+        Verdict.ACCEPTED,
+        (),
+        3,
+        None,
+        unknowns=rows,
+    )
     return _with_implied_scale(answer, robot, swings=kind == "armature")
 
 
@@ -79,7 +86,14 @@ def test_a_motion_s_reference_is_put_against_what_is_known(
     robot = load_robot(write_robot(tmp_path_factory.mktemp("arm"), torque_std=0.1))
     held = (1.5, np.array([0.03, 0.0, 0.05]))
     made = calibrate_motions(
-        robot, [arm.record("empty", 15.0)], [(arm.record("reference", 15.0, held), held[0])]
+        robot,
+        [arm.record("empty", 15.0)],
+        [
+            (
+                arm.record("reference", 15.0, held),
+                held[0],
+            )
+        ],
     )
     assert (
         made.verdict is Verdict.ACCEPTED and made.motion is not None and made.weighable is not None
@@ -88,7 +102,10 @@ def test_a_motion_s_reference_is_put_against_what_is_known(
     found = {}
     for sigmas in (-5.2, -4.8, 0.0, 1.8, 2.2, 4.8, 5.2):
         scale = 1.0 + sigmas * std
-        off = replace(made, motion=replace(made.motion, torque_scale=scale, arm_over_urdf=1.0))
+        off = replace(
+            made,
+            motion=replace(made.motion, torque_scale=scale, arm_over_urdf=1.0),
+        )
         found[sigmas] = answer = _with_implied_scale(off, robot)
         assert answer.verdict is (Verdict.REJECTED if abs(sigmas) > 5.0 else Verdict.ACCEPTED), (
             sigmas

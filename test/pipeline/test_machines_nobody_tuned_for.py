@@ -39,7 +39,10 @@ PUSH, OTHER = (
     BAGS / f"realistic_s00_{name}" for name in ("fixed_heavy_ball_50g_joint3", "empty_03_joint3")
 )
 BALL = {"payload.shape": "sphere", "payload.size": 0.0272}
-real_machines = [pytest.mark.long, pytest.mark.skipif(not REAL.is_dir(), reason=f"needs {REAL}")]
+real_machines = [
+    pytest.mark.long,
+    pytest.mark.skipif(not REAL.is_dir(), reason=f"needs {REAL}"),
+]
 
 
 @cache
@@ -127,7 +130,10 @@ def test_a_joint_that_was_put_together_anew_is_named(
     known = arm.recorded("known", held)
 
     def off(motion: Motion) -> Motion:
-        return replace(motion, position=motion.position + zero_rad * np.eye(6)[joint])
+        return replace(
+            motion,
+            position=motion.position + zero_rad * np.eye(6)[joint],
+        )
 
     assert identify_in_motion(robot, [loaded], [empty], PayloadFacts()).verdict.value == "accepted"
     for answer in (
@@ -143,7 +149,10 @@ def test_a_joint_that_was_put_together_anew_is_named(
 @pytest.mark.long
 def test_a_calibration_is_used_in_poses_that_it_did_not_cover() -> None:
     pytest.importorskip("mujoco")
-    hold([answer for seed in range(500, 504) for answer in place_answers(seed)], 0.9)
+    hold(
+        [answer for seed in range(500, 504) for answer in place_answers(seed)],
+        0.9,
+    )
 
 
 @pytest.mark.long
@@ -213,7 +222,11 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_a_calibration_contradicts_the_robot_file_s_priors(
-    calibration: Path, tmp_path: Path, unknown: str, change: Callable[[float], float], words: str
+    calibration: Path,
+    tmp_path: Path,
+    unknown: str,
+    change: Callable[[float], float],
+    words: str,
 ) -> None:
     yaml = YAML(typ="safe", pure=True)
     content = yaml.load(calibration)

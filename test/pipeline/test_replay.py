@@ -27,7 +27,10 @@ JOINTS = ("joint1", "joint2", "joint3", "joint4", "gripper_left_joint")
 LOADED = "quantised_s00_fixed_heavy_ball_50g_joint3"
 
 
-def error_and_hit(estimate: Estimate, truth: Mapping[str, Any]) -> tuple[float, bool]:
+def error_and_hit(
+    estimate: Estimate,
+    truth: Mapping[str, Any],
+) -> tuple[float, bool]:
     value = estimate.value("payload_mass")
     mass = truth["payload"]["mass"] if truth["payload"] else 0.0
     low, high = value.ci95
@@ -144,9 +147,17 @@ def test_the_papers_recording(recordings: Path) -> None:
     paper = replay([folder], Options(profile="paper"))
     assert paper.verdict is Verdict.REJECTED
     assert [path.start for path in paper.solver.paths] == [0.000477, 0.001, 0.005, 0.095, 0.191]
-    np.testing.assert_allclose([path.end for path in paper.solver.paths], 0.0424, atol=1e-4)
+    np.testing.assert_allclose(
+        [path.end for path in paper.solver.paths],
+        0.0424,
+        atol=1e-4,
+    )
     stops = np.array([path.scheduled for path in paper.solver.paths])
-    np.testing.assert_allclose(stops, [0.0561, 0.0563, 0.0570, 0.0316, 0.1105], atol=1.5e-3)
+    np.testing.assert_allclose(
+        stops,
+        [0.0561, 0.0563, 0.0570, 0.0316, 0.1105],
+        atol=1.5e-3,
+    )
     assert any("42.4 g" in reason and "110.5 g" in reason for reason in paper.reasons)
 
     honest = replay([folder])
@@ -394,7 +405,11 @@ def test_a_probe_that_starts_in_motion_is_rejected(bags: Path, tmp_path: Path) -
         ({"robot.joints.joint3.drive_train.coulomb": 0.05}, "coulomb_N_m"),
     ],
 )
-def test_settings_that_cannot_be_meant(bags: Path, settings: dict[str, Any], words: str) -> None:
+def test_settings_that_cannot_be_meant(
+    bags: Path,
+    settings: dict[str, Any],
+    words: str,
+) -> None:
     with pytest.raises(ProprioError, match=words) as caught:
         replay([bag_in(bags / LOADED)], Options(settings=settings))
     assert "\n" not in str(caught.value)

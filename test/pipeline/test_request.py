@@ -59,7 +59,11 @@ def test_what_nothing_understands_is_refused(settings: dict[str, object], says: 
 def test_the_profile_of_a_driver_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[object] = []
     load = module.load_driver
-    monkeypatch.setattr(module, "load_driver", lambda name: read.append(name) or load(name))
+    monkeypatch.setattr(
+        module,
+        "load_driver",
+        lambda name: read.append(name) or load(name),
+    )
     request = request_of(Options(driver="ros2_control"))
     assert (
         request.conventions.driver == "ros2_control" and request.unit == request.driver.effort_unit

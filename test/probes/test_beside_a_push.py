@@ -166,7 +166,11 @@ def test_a_held_joint_that_jumps_is_refused_by_name(
 @pytest.mark.parametrize("at_s", [0.2, 0.4])
 @pytest.mark.parametrize("step_rad", [0.01, -0.01])
 def test_a_driven_joint_that_jumps_is_refused(arm: Robot, step_rad: float, at_s: float) -> None:
-    estimate = asked(arm, bends.step(recorded(CUBE), "joint3", step_rad, at_s), CUBE)
+    estimate = asked(
+        arm,
+        bends.step(recorded(CUBE), "joint3", step_rad, at_s),
+        CUBE,
+    )
     assert estimate.verdict is Verdict.REJECTED
     assert {"position_jumps", "other_zero", "misfit"} & set(codes(estimate))
 
@@ -185,7 +189,11 @@ def test_a_jump_of_a_joint_that_goes_fast_is_named(
     arm: Robot, folder: Path, step_rad: float, at_s: float
 ) -> None:
     """Accepted up to 4.5 standard deviations off where a jump had to be larger than what 8 ms do at that speed."""
-    estimate = asked(arm, bends.step(recorded(folder), "joint3", step_rad, at_s), folder)
+    estimate = asked(
+        arm,
+        bends.step(recorded(folder), "joint3", step_rad, at_s),
+        folder,
+    )
     assert estimate.verdict is Verdict.REJECTED and "position_jumps" in codes(estimate)
     said = next(reason for reason in estimate.reasons if reason.code == "position_jumps")
     found = re.search(r"about ([+-]\d+) mrad (\d+) ms", said)
@@ -199,7 +207,11 @@ def test_a_clock_that_steps_is_told_from_a_jump_or_named_beside_it(
 ) -> None:
     (run,) = runs_in(recorded(LOWERED))
     times_s = np.where(run.times_s > 0.2, run.times_s + late_s, run.times_s)
-    estimate = weigh(arm, [replace(run, times_s=times_s)], simulated.facts_of(LOWERED))
+    estimate = weigh(
+        arm,
+        [replace(run, times_s=times_s)],
+        simulated.facts_of(LOWERED),
+    )
     assert estimate.verdict is Verdict.REJECTED
     jumps = [reason for reason in estimate.reasons if reason.code == "position_jumps"]
     assert (not jumps) is (late_s > 0.0)

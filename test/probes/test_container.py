@@ -65,7 +65,10 @@ def level_of() -> Callable[[Path, str], Boxes]:
 
 
 @pytest.fixture(scope="module")
-def realistic(bags: Path, level_of: Callable[[Path, str], Boxes]) -> Boxes:
+def realistic(
+    bags: Path,
+    level_of: Callable[[Path, str], Boxes],
+) -> Boxes:
     """The robot whose recordings come with the repository."""
     return level_of(bags, "realistic_s00_")
 
@@ -120,7 +123,10 @@ def test_friction_that_nobody_stated_is_found(recordings: Path) -> None:
     level = Boxes(recordings / "friction_s00", "", load_robot("open_manipulator_x"))
     for name in ("container_sphere_12g_joint3_100mA", "container_sphere_random_joint4_030mA"):
         folder = level.folder / name
-        off, hit = error_and_hit(level.find([folder]), truth_of(folder)["container"]["sphere_mass"])
+        off, hit = error_and_hit(
+            level.find([folder]),
+            truth_of(folder)["container"]["sphere_mass"],
+        )
         assert hit and abs(off) < 1.5e-3
 
 
@@ -129,11 +135,18 @@ def test_friction_that_nobody_stated_is_found(recordings: Path) -> None:
 )
 @pytest.mark.parametrize("sphere", ["12g", "random"])
 def test_three_runs_together(
-    recordings: Path, level_of: Callable[[Path, str], Boxes], name: str, worst_g: float, sphere: str
+    recordings: Path,
+    level_of: Callable[[Path, str], Boxes],
+    name: str,
+    worst_g: float,
+    sphere: str,
 ) -> None:
     level = level_of(recordings / name, "")
     folders = level.folders(f"container_sphere_{sphere}_*")
-    off, hit = error_and_hit(level.find(folders), truth_of(folders[0])["container"]["sphere_mass"])
+    off, hit = error_and_hit(
+        level.find(folders),
+        truth_of(folders[0])["container"]["sphere_mass"],
+    )
     assert 1e3 * abs(off) < worst_g and hit
 
 
@@ -280,11 +293,18 @@ def test_too_wide_an_interval_is_given_and_not_accepted(realistic: Boxes) -> Non
         ({"sphere.weight": 1.0}, "unknown; valid keys"),
     ],
 )
-def test_bad_facts_get_one_line(realistic: Boxes, settings: dict[str, Any], words: str) -> None:
+def test_bad_facts_get_one_line(
+    realistic: Boxes,
+    settings: dict[str, Any],
+    words: str,
+) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     empty = [bag_in(path) for path in realistic.folders("container_no_sphere_*")]
     with pytest.raises(ProprioError) as caught:
-        replay([bag_in(folder)], Options(probe="container", settings=settings, baseline=empty))
+        replay(
+            [bag_in(folder)],
+            Options(probe="container", settings=settings, baseline=empty),
+        )
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -299,7 +319,11 @@ def test_other_solvers_are_refused(realistic: Boxes) -> None:
 
 
 def plain_run(gravity: np.ndarray, shape: str = "box") -> SphereRun:
-    joint = JointRun(np.array([0.1]), np.zeros(1), np.zeros(1))
+    joint = JointRun(
+        np.array([0.1]),
+        np.zeros(1),
+        np.zeros(1),
+    )
     return SphereRun(
         joint, "revolute", np.array([0.0, 1.0, 0.0]), np.array([-0.2, 0.0, 0.0]), gravity
     )
@@ -307,19 +331,38 @@ def plain_run(gravity: np.ndarray, shape: str = "box") -> SphereRun:
 
 def test_where_a_sphere_settles() -> None:
     box = ContainerFacts(Enclosure("box", np.array([0.06, 0.04, 0.04]), 0.01))
-    tilted = start_prior(plain_run(np.array([5.0, 0.0, -8.0])), box, 0.0)
+    tilted = start_prior(
+        plain_run(np.array([5.0, 0.0, -8.0])),
+        box,
+        0.0,
+    )
     deep = np.array([5.0, 0.0, -8.0]) / box.contact_frequency**2
-    np.testing.assert_allclose(tilted.mean, [0.02 + deep[0], 0.0, -0.01 + deep[2]])
+    np.testing.assert_allclose(
+        tilted.mean,
+        [0.02 + deep[0], 0.0, -0.01 + deep[2]],
+    )
     assert len(tilted.guesses) == 1, (
         "along the joint's axis it may be anywhere, and it makes no difference"
     )
     assert tilted.std[1] > 5e-3 > tilted.std[0]
-    level = start_prior(plain_run(np.array([0.1, 0.0, -9.8])), box, 0.0)
+    level = start_prior(
+        plain_run(np.array([0.1, 0.0, -9.8])),
+        box,
+        0.0,
+    )
     assert len(level.guesses) == 3 and level.std[0] > 1e-2
     tin = ContainerFacts(Enclosure("cylinder", np.array([0.06, 0.06, 0.08]), 0.01))
-    lying = start_prior(plain_run(np.array([0.0, 0.0, -9.8])), tin, 0.0)
+    lying = start_prior(
+        plain_run(np.array([0.0, 0.0, -9.8])),
+        tin,
+        0.0,
+    )
     assert lying.mean[2] < -0.03 and np.all(lying.mean[:2] == 0.0)
-    rim = start_prior(plain_run(np.array([6.0, 8.0, 0.0])), tin, 0.0)
+    rim = start_prior(
+        plain_run(np.array([6.0, 8.0, 0.0])),
+        tin,
+        0.0,
+    )
     np.testing.assert_allclose(
         rim.mean[:2], (0.02 + 10.0 / tin.contact_frequency**2) * np.array([0.6, 0.8])
     )
@@ -348,12 +391,19 @@ def problem_of(
     empty = [prepare_run(level.robot, run, None, facts.shell) for run in level.baseline()]
     rolling = [True] * len(runs) + [False] * len(empty)
     everything = [*runs, *empty]
-    nothing = JointRun(np.array([0.1]), np.zeros(1), np.zeros(1))
+    nothing = JointRun(
+        np.array([0.1]),
+        np.zeros(1),
+        np.zeros(1),
+    )
     priors = [
         start_prior(sphere_run(level.robot, r, facts, nothing), facts, r.rest.value) for r in runs
     ]
     unknowns = container_unknowns(level.robot, everything, rolling, facts, priors, Role.FREE)
-    seen = [*(tracks or [None] * len(runs)), *[None] * len(empty)]
+    seen = [
+        *(tracks or [None] * len(runs)),
+        *[None] * len(empty),
+    ]
     return ContainerProblem(level.robot, everything, facts, rolling, unknowns, tracks=seen)
 
 
@@ -373,7 +423,11 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     """Every unknown, through the simulator, the baseline, the encoder's error and the camera, against finite differences."""
     folders = realistic.folders("container_sphere_12g_joint3_100mA")
     times = np.linspace(0.03, 0.5, 20)
-    track = SphereTrack(times, np.tile([-0.02, 0.001, -0.009], (20, 1)), 2e-3)
+    track = SphereTrack(
+        times,
+        np.tile([-0.02, 0.001, -0.009], (20, 1)),
+        2e-3,
+    )
     problem = problem_of(realistic, folders, [track], law)
     rng = np.random.default_rng(3)
     base = problem.coordinates.prior_mean.copy()
@@ -439,7 +493,11 @@ def test_tracks_are_read(tmp_path: Path, realistic: Boxes) -> None:
         file.write_text("\n".join(["stamp_ns,x,y,z", *rows]))
         return file
 
-    settings = {**stated_of_box(folder), "sphere.camera": str(written(0)), "container.mass": 0.03}
+    settings = {
+        **stated_of_box(folder),
+        "sphere.camera": str(written(0)),
+        "container.mass": 0.03,
+    }
     options = Options(probe="container", settings=settings, baseline=empty)
     noted = replay([bag_in(folder)], options).notes
     assert any("from where the camera saw it" in note for note in noted)

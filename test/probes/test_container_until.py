@@ -159,7 +159,13 @@ def weighed(
     decisions = []
     promised = []
     while not decisions or decisions[-1].run is not None:
-        decisions.append(chooser.next(hand.runs, hand.sample().position, hand.time_s - began))
+        decisions.append(
+            chooser.next(
+                hand.runs,
+                hand.sample().position,
+                hand.time_s - began,
+            )
+        )
         if len(decisions) > 1:
             push = decisions[-2].push
             assert push is not None

@@ -86,11 +86,22 @@ def test_probabilities_are_the_evidences() -> None:
     well = np.full(4, True)
     badly = np.full(4, False)
     np.testing.assert_allclose(
-        weighted(np.log([0.0001, 0.4, 0.5, 0.0999]), kinds, well), [0.0001, 0.4, 0.5, 0.0999]
+        weighted(
+            np.log([0.0001, 0.4, 0.5, 0.0999]),
+            kinds,
+            well,
+        ),
+        [0.0001, 0.4, 0.5, 0.0999],
     )
     # what moves as little as a rigid thing cannot be told from one
     np.testing.assert_allclose(
-        weighted(np.log([1e-9, 0.98, 0.01, 0.01]), kinds, well), [0, 0.9, 0.05, 0.05], atol=1e-6
+        weighted(
+            np.log([1e-9, 0.98, 0.01, 0.01]),
+            kinds,
+            well,
+        ),
+        [0, 0.9, 0.05, 0.05],
+        atol=1e-6,
     )
     # but that nothing is there can be told
     np.testing.assert_allclose(
@@ -100,16 +111,36 @@ def test_probabilities_are_the_evidences() -> None:
     )
     # what is rigid and explains nothing is not said to be rigid
     np.testing.assert_allclose(
-        weighted(np.log([1e-9, 0.98, 0.01, 0.01]), kinds, badly), [0, 0.5, 0.25, 0.25], atol=1e-6
+        weighted(
+            np.log([1e-9, 0.98, 0.01, 0.01]),
+            kinds,
+            badly,
+        ),
+        [0, 0.5, 0.25, 0.25],
+        atol=1e-6,
     )
     # what is rigid may be out of the question beside what moves, in the digits that numbers have
     np.testing.assert_allclose(
-        weighted(np.array([-1e5, -5e3, 0.0, -9e3]), kinds, well), [0.0, 0.0, 1.0, 0.0]
+        weighted(
+            np.array([-1e5, -5e3, 0.0, -9e3]),
+            kinds,
+            well,
+        ),
+        [0.0, 0.0, 1.0, 0.0],
     )
-    np.testing.assert_allclose(weighted(np.array([0.0, -1.0, -5e3, -6e3]), kinds, badly).sum(), 1.0)
+    np.testing.assert_allclose(
+        weighted(np.array([0.0, -1.0, -5e3, -6e3]), kinds, badly).sum(),
+        1.0,
+    )
     # what grains explain friction may; but where they explain more than a liquid does, it is none
     np.testing.assert_allclose(
-        weighted(np.array([-1e5, -45.0, -15.0, 0.0]), kinds, well), [0.0, 0.1, 0.0, 0.9], atol=1e-6
+        weighted(
+            np.array([-1e5, -45.0, -15.0, 0.0]),
+            kinds,
+            well,
+        ),
+        [0.0, 0.1, 0.0, 0.9],
+        atol=1e-6,
     )
 
 
@@ -134,7 +165,11 @@ def test_all_of_a_liquid_weighs_where_it_is() -> None:
             for u in inside_unknowns(model, FACTS)
         }
         moved = inside_terms(model, FACTS, at | beside)[0] - inside_terms(model, FACTS, at)[0]
-        np.testing.assert_allclose(moved[0, 1:4], 0.2 * np.array([0.003, 0.003, 0.0]), atol=1e-12)
+        np.testing.assert_allclose(
+            moved[0, 1:4],
+            0.2 * np.array([0.003, 0.003, 0.0]),
+            atol=1e-12,
+        )
 
 
 def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None:
@@ -142,8 +177,8 @@ def test_a_liquid_that_moves_otherwise_stands_as_high_as_its_mass_says() -> None
     values = np.array([unknown.value for unknown in unknowns])
     problem = SimpleNamespace(unknowns=unknowns)
     nothing: Any = SimpleNamespace(
-        kind=lambda: "liquid", fit=SimpleNamespace(explains=False, values=values, problem=problem), facts=FACTS,
-        of_liquid=(np.zeros(3), np.zeros(3)), assessed=SimpleNamespace(value=0.1, std=0.002, covariance=np.eye(len(values))),
+        kind=lambda: "liquid", fit=SimpleNamespace(explains=False, values=values, problem=problem,), facts=FACTS,
+        of_liquid=(np.zeros(3), np.zeros(3)), assessed=SimpleNamespace(value=0.1, std=0.002, covariance=np.eye(len(values)),),
     )  # fmt: skip
     said = {value.name: value for value in ContentsFound.liquid_values(nothing, "")}
     fill = 0.1 / (1000.0 * np.pi * 0.035**2)
@@ -238,7 +273,10 @@ def test_slopes_of_a_recording_s_problem_are_differences(bags: Path, model: str)
             slope = (shown[2 * n] - shown[2 * n + 1]) / (2.0 * step)
             for run in range(2):
                 used = problem.weight[run] > 0.0
-                largest = max(float(np.abs(slope[run][used]).max()), 1e-6)
+                largest = max(
+                    float(np.abs(slope[run][used]).max()),
+                    1e-6,
+                )
                 off = float(np.abs(exact[run, ..., n][used] - slope[run][used]).max())
                 assert off < 2e-3 * largest, (problem.unknowns[name].kind, run, off, largest)
 
@@ -270,7 +308,10 @@ def test_the_virtual_arm_s_liquid_is_weighed_and_an_empty_one_is_empty() -> None
         without.value("nothing_inside").value > 0.95
         and without.value("contents_mass").value < 0.003
     )
-    lying = replace(FACTS, rotation=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+    lying = replace(
+        FACTS,
+        rotation=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    )
     with pytest.raises(RecordingError, match="about its own axis"):
         find_contents(robot, runs, lying, empty)
     with pytest.raises(ConfigurationError, match="the empty container is not known"):

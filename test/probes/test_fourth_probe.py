@@ -102,7 +102,11 @@ def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> N
 
     from proprio_ros.sim.joint import INDEX, JointRun
 
-    run = JointRun(np.linspace(0.05, 0.6, 12), np.zeros(1), np.array([0.1]))
+    run = JointRun(
+        np.linspace(0.05, 0.6, 12),
+        np.zeros(1),
+        np.array([0.1]),
+    )
     simulator = SpringSimulator([run])
     p = SpringSimulator.harmless[None].copy()
     p[0, INDEX["inertia"]], p[0, INDEX["torque_constant"]] = 0.05, 1.8
@@ -120,7 +124,12 @@ def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> N
             )[0].copy()
             for sign in (1.0, -1.0)
         )
-        np.testing.assert_allclose(dq[..., 0], (high - low) / (2.0 * step), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            dq[..., 0],
+            (high - low) / (2.0 * step),
+            rtol=1e-6,
+            atol=1e-9,
+        )
         if stiffness > 0.0:  # constant torque on a spring: x = tau / k (1 - cos(w t))
             turn = np.sqrt(stiffness / 0.05)
             np.testing.assert_allclose(

@@ -70,7 +70,12 @@ def travel(robot: Robot) -> float:
     return 2.0 * robot.drive_trains[GRIPPER].transmission
 
 
-def currents_A(robot: Robot, table: Response, modulus: float, ratio: float) -> list[float]:
+def currents_A(
+    robot: Robot,
+    table: Response,
+    modulus: float,
+    ratio: float,
+) -> list[float]:
     return [
         travel(robot)
         * modulus
@@ -82,7 +87,12 @@ def currents_A(robot: Robot, table: Response, modulus: float, ratio: float) -> l
 
 
 def explicit(
-    robot: Robot, frames: int, current_A: float, moduli: np.ndarray, mass: float, substeps: int
+    robot: Robot,
+    frames: int,
+    current_A: float,
+    moduli: np.ndarray,
+    mass: float,
+    substeps: int,
 ) -> np.ndarray:
     """Shaft angles at the end of every frame [rad] for some pairs of modulus and ratio, shape (W, frames)."""
     rows = []
@@ -94,8 +104,19 @@ def explicit(
         }  # fmt: skip
         rows.append([values.get(name, 0.0) for name in SOFT_PARAMETERS])
     assert SOFT_INDEX["viscosity"] == len(SOFT_PARAMETERS) - 1
-    body = SoftBody(box(np.full(3, EDGE), (2, 2, 2)), mass, travel(robot), contact="frictionless")
-    run = SoftRun(np.zeros(1), np.array([current_A]), frames, FRAME_S, substeps)
+    body = SoftBody(
+        box(np.full(3, EDGE), (2, 2, 2)),
+        mass,
+        travel(robot),
+        contact="frictionless",
+    )
+    run = SoftRun(
+        np.zeros(1),
+        np.array([current_A]),
+        frames,
+        FRAME_S,
+        substeps,
+    )
     return body.rollout(run, np.array(rows), "starts").q
 
 
@@ -166,7 +187,10 @@ def test_quasi_static_squeezes_identified_by_the_explicit_solver(
         recorded.append(SqueezeSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)[0][0])
 
     def simulated(points: np.ndarray) -> np.ndarray:
-        moduli = np.stack([np.exp(points[:, 0]), points[:, 1]], axis=1)
+        moduli = np.stack(
+            [np.exp(points[:, 0]), points[:, 1]],
+            axis=1,
+        )
         return np.hstack(
             [explicit(robot, frames, current_A, moduli, mass, substeps) for current_A in pushed]
         )

@@ -83,7 +83,10 @@ def test_where_the_sphere_is_believed_to_be(robot: Robot, number: int) -> None:
     """The path that the report shows, against MuJoCo's: nobody but the joint's encoder has seen it."""
     _, run, seen = drawn(number)
     path = find_sphere(robot, [run], FACTS).detail.paths[0]
-    off = np.linalg.norm((path.position - seen)[:, [0, 2]], axis=1)
+    off = np.linalg.norm(
+        (path.position - seen)[:, [0, 2]],
+        axis=1,
+    )
     assert np.ptp(seen[:, 0]) > 8e-3, "it rolls"
     assert np.median(off) < 1.5e-3 and off.max() < 6e-3, off
 
@@ -96,7 +99,10 @@ def test_a_camera_beside_the_encoder(robot: Robot, signals: str) -> None:
     """
     errors = []
     for case, run, seen in map(drawn, range(3)):
-        noise = np.random.default_rng([SEED, 7]).normal(scale=1e-3, size=seen.shape)
+        noise = np.random.default_rng([SEED, 7]).normal(
+            scale=1e-3,
+            size=seen.shape,
+        )
         track = SphereTrack(run.times_s, seen + noise, 1e-3)
         options = ContainerOptions(signals=signals)
         estimate = find_sphere(robot, [run], FACTS, options, tracks=[track])
@@ -172,8 +178,14 @@ def test_more_than_one_mass(robot: Robot) -> None:
         fit.solution,
         internal=np.array([fit.solution.internal[fit.solution.best], other]),
         cost=fit.solution.cost[fit.solution.best] + np.array([0.0, 0.5]),
-        path=np.stack([fit.solution.path[:, fit.solution.best]] * 2, axis=1),
-        path_cost=np.stack([fit.solution.path_cost[:, fit.solution.best]] * 2, axis=1),
+        path=np.stack(
+            [fit.solution.path[:, fit.solution.best]] * 2,
+            axis=1,
+        ),
+        path_cost=np.stack(
+            [fit.solution.path_cost[:, fit.solution.best]] * 2,
+            axis=1,
+        ),
     )
     estimate = WeighedSphere(
         nominal, replace(fit, solution=solution), Findings(), 1, search
@@ -238,7 +250,10 @@ def test_a_run_that_nothing_can_be_compared_with_contradicts_the_others(robot: R
     """An empty run, or the only one with a sphere; each part of a comparison keeps the empty container's runs."""
     whole = SphereSearch(robot, FACTS, ContainerOptions())
     for number, rolls in ((0, True), (6, True), (1, False)):
-        whole = whole.added(prepare_run(robot, drawn(number)[1], None, FACTS.shell), rolls)
+        whole = whole.added(
+            prepare_run(robot, drawn(number)[1], None, FACTS.shell),
+            rolls,
+        )
     assert whole.without([0]).rolling == (True, False) and whole.without([0]).runs == whole.runs[1:]
     for search, outlier in ((whole, 2), (whole.without([1]), 0)):
         fit = search.solve(Role.FROZEN)

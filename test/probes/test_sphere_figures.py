@@ -71,7 +71,10 @@ def test_start_and_end_are_where_the_path_says_in_mm() -> None:
     assert [float(circles["start"].attrib[key]) for key in ("cx", "cy", "r")] == [-12.0, -7.0, 8.0]
     assert [float(circles["end"].attrib[key]) for key in ("cx", "cy", "r")] == [8.0, -7.0, 8.0]
     path = rolled()
-    lifted = replace(path, position=path.position + np.array([0.0, 0.5, 0.003]))
+    lifted = replace(
+        path,
+        position=path.position + np.array([0.0, 0.5, 0.003]),
+    )
     start = next(c for c in drawn(path_figure(lifted, 1), "circle") if c.get("class") == "start")
     assert (start.attrib["cx"], start.attrib["cy"]) == ("-12", "-4"), (
         "z shows, and y, the line of sight, does not"
@@ -138,7 +141,11 @@ def test_in_the_moving_picture_everything_is_where_it_was_in_the_world(seed: int
     x = moves["cx"]
     y = moves["cy"]
     page = np.stack(
-        [np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1
+        [
+            np.cos(angle) * x - np.sin(angle) * y,
+            np.sin(angle) * x + np.cos(angle) * y,
+        ],
+        axis=1,
     )
     world = (
         1e3
@@ -300,7 +307,10 @@ def test_the_page_of_three_runs(estimate: Estimate, tmp_path: Path) -> None:
 
 
 def test_a_page_without_a_path_says_nothing_of_it(estimate: Estimate, tmp_path: Path) -> None:
-    lost = replace(rolled(), position=np.full((25, 3), np.nan))
+    lost = replace(
+        rolled(),
+        position=np.full((25, 3), np.nan),
+    )
     for paths in ((), (lost,)):
         write_report(replace(estimate, detail=ContainerDetail(paths)), tmp_path / "page.html")
         assert "Where the sphere was" not in read(tmp_path / "page.html")[1]

@@ -95,7 +95,10 @@ def test_squeezes_of_two_blocks_contradict_each_other(
 ) -> None:
     robot = calibrated("friction_s00")
     level = recordings / "friction_s00"
-    runs = [*runs_of(level / "squeeze_light", robot), *runs_of(level / "squeeze_heavy", robot)]
+    runs = [
+        *runs_of(level / "squeeze_light", robot),
+        *runs_of(level / "squeeze_heavy", robot),
+    ]
     estimate = find_softness(robot, runs, BlockFacts(np.full(3, 0.03)))
     assert estimate.verdict is Verdict.REJECTED and estimate.value("youngs_modulus").value is None
     sentence = estimate.reasons[0]
@@ -166,7 +169,12 @@ def test_lame_parameters_follow(recordings: Path, of_heavy: Estimate) -> None:
     lam = estimate.value("lame_lambda")
     back = young(mu.value, lam.value)
     np.testing.assert_allclose(
-        back, [estimate.values[0].value, estimate.values[1].value], rtol=1e-12
+        back,
+        [
+            estimate.values[0].value,
+            estimate.values[1].value,
+        ],
+        rtol=1e-12,
     )
     cube = json.loads((folder / "truth.json").read_text())["cube"]
     assert (
@@ -226,7 +234,11 @@ def test_only_fingers_squeeze(recordings: Path, calibrated: Callable[[str], Robo
         ({"block.hardness": 1.0}, "unknown; valid keys"),
     ],
 )
-def test_bad_facts_get_one_line(recordings: Path, settings: dict[str, Any], words: str) -> None:
+def test_bad_facts_get_one_line(
+    recordings: Path,
+    settings: dict[str, Any],
+    words: str,
+) -> None:
     folder = recordings / "friction_s00" / "squeeze_heavy"
     with pytest.raises(ProprioError) as caught:
         replay([bag_in(folder)], Options(probe="softness", settings=settings))
@@ -303,7 +315,11 @@ def test_replay_is_the_same(recordings: Path, tmp_path: Path) -> None:
     """Through `replay`, uncalibrated: the same number as by hand."""
     folder = recordings / "friction_s00" / "squeeze_heavy"
     estimate = replay(
-        [bag_in(folder)], Options(probe="softness", settings={"block.size": [0.03, 0.03, 0.03]})
+        [bag_in(folder)],
+        Options(
+            probe="softness",
+            settings={"block.size": [0.03, 0.03, 0.03]},
+        ),
     )
     own = squeezed(load_robot("open_manipulator_x"), folder)
     assert replace(estimate.values[0]) == own.values[0]
@@ -334,7 +350,10 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
     meshio = pytest.importorskip("meshio")
     cube = box(np.full(3, 30.0), (2, 2, 2))
     path = tmp_path / "cube.vtk"
-    meshio.write(path, meshio.Mesh(cube.points, [("tetra", cube.tets)]))
+    meshio.write(
+        path,
+        meshio.Mesh(cube.points, [("tetra", cube.tets)]),
+    )
     # not squeezed beyond 60 %, where the table of a mesh ends
     bag = bag_in(bags / "realistic_s00_squeeze_heavy")
     settings = {"block.mesh": str(path), "block.mesh_scale": 0.001}
@@ -344,7 +363,10 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
     )
     assert told.value == pytest.approx(boxed.value, rel=1e-3)
     with pytest.raises(ProprioError, match=r"block\.mesh_scale=0\.001"):
-        replay([bag], Options(probe="softness", settings={"block.mesh": str(path)}))
+        replay(
+            [bag],
+            Options(probe="softness", settings={"block.mesh": str(path)}),
+        )
     with pytest.raises(ProprioError, match="no such mesh file"):
         replay([bag], Options(probe="softness", settings={"block.mesh": "nowhere.msh"}))
 
@@ -381,7 +403,10 @@ def test_both_lame_parameters_together(
     mu = estimate.value("lame_mu")
     lam = estimate.value("lame_lambda")
     np.testing.assert_allclose(joint.value, [mu.value, lam.value])
-    np.testing.assert_allclose(np.sqrt(np.diag(joint.covariance)), [mu.std, lam.std])
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(joint.covariance)),
+        [mu.std, lam.std],
+    )
     cube = json.loads((folder / "truth.json").read_text())["cube"]
     off = np.array([cube["k_mu"], cube["k_lambda"]]) - joint.value
     assert off @ np.linalg.solve(joint.covariance, off) < 5.99
@@ -433,5 +458,10 @@ def free_force(squeeze: float, ratio: float) -> float:
     """Force over E A of a block whose faces slip."""
     mu, lam = lame(1.0, ratio)
     stretch = 1.0 - squeeze
-    square = brentq(lambda x: mu * (x - 1.0) + lam * np.log(stretch * x), 0.5, 3.0, xtol=1e-14)
+    square = brentq(
+        lambda x: mu * (x - 1.0) + lam * np.log(stretch * x),
+        0.5,
+        3.0,
+        xtol=1e-14,
+    )
     return float(mu * (square / stretch - stretch))

@@ -16,11 +16,19 @@ PERIOD_NS = 10_000_000
 TRUE_NS = 10**18 + PERIOD_NS * np.arange(3000, dtype=np.int64)
 
 
-def polled(true_ns: TimeArray, every_s: float, scatter_s: float, seed: int = 1) -> TimeArray:
+def polled(
+    true_ns: TimeArray,
+    every_s: float,
+    scatter_s: float,
+    seed: int = 1,
+) -> TimeArray:
     """When each is handed on, by somebody who looks every so often."""
     lasts_s = 1e-9 * float(true_ns[-1] - true_ns[0]) + 1.0
     rng = np.random.default_rng(seed)
-    between_s = np.maximum(rng.normal(every_s, scatter_s, int(2.0 * lasts_s / every_s)), 1e-4)
+    between_s = np.maximum(
+        rng.normal(every_s, scatter_s, int(2.0 * lasts_s / every_s)),
+        1e-4,
+    )
     polls_ns = true_ns[0] + np.rint(1e9 * np.cumsum(between_s)).astype(np.int64)
     return polls_ns[np.searchsorted(polls_ns, true_ns)]
 
@@ -28,7 +36,10 @@ def polled(true_ns: TimeArray, every_s: float, scatter_s: float, seed: int = 1) 
 @pytest.mark.parametrize("size", [2, 3, 5, 20, 50])
 def test_bursts_of_one_size_are_spread(size: int) -> None:
     number = np.arange(len(TRUE_NS))
-    last = np.minimum(number // size * size + size - 1, len(TRUE_NS) - 1)
+    last = np.minimum(
+        number // size * size + size - 1,
+        len(TRUE_NS) - 1,
+    )
     found = of_bursts(TRUE_NS[last] + 20_000 * (number % size))
     assert found is not None
     assert found.steady
@@ -72,7 +83,10 @@ def test_what_comes_by_chance_or_late_is_no_burst() -> None:
 def test_a_rate_that_is_not_steady_is_not_made_up() -> None:
     rng = np.random.default_rng(3)
     sizes = rng.integers(1, 30, 200)
-    arrived = np.repeat(TRUE_NS[0] + 10**8 * np.arange(200), sizes)
+    arrived = np.repeat(
+        TRUE_NS[0] + 10**8 * np.arange(200),
+        sizes,
+    )
     found = of_bursts(arrived)
     assert found is not None
     assert not found.steady

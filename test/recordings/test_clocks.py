@@ -36,7 +36,13 @@ def columns(bag_ns: TimeArray, stamp_ns: TimeArray) -> JointColumns:
     """Messages as a bag hands them out, in the order of recording."""
     order = np.argsort(bag_ns, kind="stable")
     values = {"position": positions(TRUE_NS)[order]}
-    return JointColumns(bag_ns[order], stamp_ns[order], ("a", "b", "t"), values, [])
+    return JointColumns(
+        bag_ns[order],
+        stamp_ns[order],
+        ("a", "b", "t"),
+        values,
+        [],
+    )
 
 
 def stepped(times_ns: TimeArray, by_s: float, at: float = 0.5) -> TimeArray:
@@ -123,8 +129,16 @@ def test_where_both_clocks_step_the_recording_is_cut(by_s: float) -> None:
 
 def test_messages_of_before_the_clock_was_set_are_left_out() -> None:
     zero = np.where(np.arange(COUNT) < 200, 0, TRUE_NS)
-    simulated = np.where(np.arange(COUNT) < 200, 0, TRUE_NS - BEGIN_NS + 57 * 10**9)
-    tiny = np.where(np.arange(COUNT) < 200, 10**6 * np.arange(COUNT), TRUE_NS)
+    simulated = np.where(
+        np.arange(COUNT) < 200,
+        0,
+        TRUE_NS - BEGIN_NS + 57 * 10**9,
+    )
+    tiny = np.where(
+        np.arange(COUNT) < 200,
+        10**6 * np.arange(COUNT),
+        TRUE_NS,
+    )
     for times_ns in (zero, simulated, tiny):
         bent = columns(times_ns, times_ns)
         clock = clock_of("/states", bent)
@@ -149,7 +163,10 @@ def test_a_recorder_whose_clock_stood_still_is_named() -> None:
 
 
 def test_stamps_that_count_messages_give_way_to_the_recorders_clock() -> None:
-    bent = columns(TRUE_NS, 10**9 * np.arange(COUNT, dtype=np.int64))
+    bent = columns(
+        TRUE_NS,
+        10**9 * np.arange(COUNT, dtype=np.int64),
+    )
     clock = clock_of("/states", bent)
     found = clock.mended(bent)
     assert "numbers of messages" in clock.notes[0]
@@ -160,7 +177,12 @@ def test_clocks_that_go_on_are_left_alone() -> None:
     rng = np.random.default_rng(11)
     late_ns = rng.integers(0, 30_000_000, COUNT)
     stalled_ns = np.maximum(
-        TRUE_NS, np.where(np.arange(COUNT) < 1500, 0, TRUE_NS[1500] + 2 * 10**9)
+        TRUE_NS,
+        np.where(
+            np.arange(COUNT) < 1500,
+            0,
+            TRUE_NS[1500] + 2 * 10**9,
+        ),
     )
     lost = np.r_[0:1000, 1090:COUNT]
     simulated = (TRUE_NS - BEGIN_NS) * 7 // 10 + 10**9
@@ -196,7 +218,13 @@ def test_a_second_publisher_in_a_part_of_the_recording_is_no_step() -> None:
     bag_ns = np.concatenate([TRUE_NS, TRUE_NS[second] + 3_000_000])
     values = np.concatenate([whole.values["position"], np.zeros((len(second), 3))])
     order = np.argsort(bag_ns, kind="stable")
-    mixed = JointColumns(bag_ns[order], bag_ns[order], whole.names, {"position": values[order]}, [])
+    mixed = JointColumns(
+        bag_ns[order],
+        bag_ns[order],
+        whole.names,
+        {"position": values[order]},
+        [],
+    )
     assert clock_of("/states", mixed).faults == ()
 
 

@@ -76,8 +76,15 @@ def test_velocity_may_be_missing_in_some_messages(tmp_path: Path) -> None:
         ({"effort": [0.0] * 6}, "5 names but 6 values of effort"),
     ],
 )
-def test_lengths_that_do_not_fit(tmp_path: Path, changes: dict[str, Any], pattern: str) -> None:
-    values: dict[str, Any] = {"time_ns": times()[-1] + CYCLE_NS, "position": [0.0] * 5}
+def test_lengths_that_do_not_fit(
+    tmp_path: Path,
+    changes: dict[str, Any],
+    pattern: str,
+) -> None:
+    values: dict[str, Any] = {
+        "time_ns": times()[-1] + CYCLE_NS,
+        "position": [0.0] * 5,
+    }
     last = state(**(values | changes))
     with refused(pattern):
         read(write_bag(tmp_path / "bag", [*states(), last, *commands()]))

@@ -45,7 +45,11 @@ def test_a_motor_that_delivers_a_little_less_is_none(tmp_path: Path, factor: flo
 def test_the_command_of_another_recording_is_refused(tmp_path: Path) -> None:
     other = [message for topic, _, _, message in messages_of(OTHER) if topic == "/current_command"]
 
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         return (
             (time_ns, other.pop(0)) if topic == "/current_command" and other else (time_ns, message)
         )
@@ -100,7 +104,11 @@ def test_stamps_of_another_clock_may_keep_their_own_pace(tmp_path: Path) -> None
     """As where a simulation runs at its own speed."""
     slow = stamps_times(0.9)
 
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         time_ns, message = slow(topic, time_ns, message)
         if topic == "/joint_states":
             message.header.stamp.sec -= 1_000_000
@@ -127,7 +135,11 @@ def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> Non
     stamps = stamps_times(factor)
     first = [0]
 
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         first[0] = first[0] or time_ns
         _, message = stamps(topic, time_ns, message)
         return first[0] + round((time_ns - first[0]) * factor), message
@@ -139,7 +151,11 @@ def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> Non
 
 
 def test_a_prefix_before_all_joints_is_named(tmp_path: Path) -> None:
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         if topic == "/joint_states":
             message.name = [f"left_{name}" for name in message.name]
         return time_ns, message

@@ -41,7 +41,13 @@ def motion(seconds: float = 4.0, scale: float = 1.0) -> Motion:
 
 
 def write(folder: Path, *motions: Motion, **options: Any) -> Path:
-    return write_data_set(folder / "set", motions or [motion()], CONSTANTS, rate_hz=50.0, **options)
+    return write_data_set(
+        folder / "set",
+        motions or [motion()],
+        CONSTANTS,
+        rate_hz=50.0,
+        **options,
+    )
 
 
 def read(folder: Path, index: int = 0, columns: Columns | None = None, **changes: Any) -> Recording:
@@ -160,7 +166,12 @@ def test_an_effort_that_is_missing_in_some_frames_is_held_as_in_a_bag(tmp_path: 
 
 
 def test_marked_episodes(tmp_path: Path) -> None:
-    folder = write(tmp_path, motion(), motion(), extra={"hand_empty": [1.0, 0.0]})
+    folder = write(
+        tmp_path,
+        motion(),
+        motion(),
+        extra={"hand_empty": [1.0, 0.0]},
+    )
     assert [marked(open_data_set(folder), index, "hand_empty") for index in range(2)] == [
         True,
         False,

@@ -46,7 +46,10 @@ from proprio_ros.robot import Robot, load_robot
 
 ROOT = Path(__file__).resolve().parents[2]
 REAL = ROOT.parent / "shared" / "recordings_real"
-real = pytest.mark.skipif(not (REAL / "omx_empty_1").exists(), reason="needs the real recordings")
+real = pytest.mark.skipif(
+    not (REAL / "omx_empty_1").exists(),
+    reason="needs the real recordings",
+)
 DRIVERS = resource_names("drivers")
 STORAGES = ("mcap", "sqlite3")
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -75,7 +78,9 @@ class Message(NamedTuple):
 
 
 def state(
-    time_ns: int, values: dict[str, tuple[float, float, float]], topic: str = "/joint_states"
+    time_ns: int,
+    values: dict[str, tuple[float, float, float]],
+    topic: str = "/joint_states",
 ) -> Message:
     """Position, velocity and effort by joint, in this order."""
     time, header, kind = (
@@ -100,7 +105,10 @@ def numbers(time_ns: int, values: Sequence[float], topic: str) -> Message:
         time_ns,
         topic,
         FLOATS,
-        TYPES.types[FLOATS](layout=layout, data=np.array(values, dtype=np.float64)),
+        TYPES.types[FLOATS](
+            layout=layout,
+            data=np.array(values, dtype=np.float64),
+        ),
     )
 
 
@@ -109,7 +117,10 @@ def mark(msgtype: str, topic: str) -> Message:
 
 
 def write_bag(
-    path: Path, messages: Sequence[Message], storage: str = "mcap", qos: Sequence[Qos] = ()
+    path: Path,
+    messages: Sequence[Message],
+    storage: str = "mcap",
+    qos: Sequence[Qos] = (),
 ) -> Path:
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     with Writer(path, version=9, storage_plugin=plugin) as writer:
@@ -161,7 +172,13 @@ def push(
     for time_ns in times(rate_Hz):
         given = effort(torque(time_ns))
         values = {names(name): (pose(time_ns)[name], np.nan, given[name]) for name in order}
-        messages.append(state(time_ns, values | {"wheel": (120.0, np.nan, np.nan)}, topic))
+        messages.append(
+            state(
+                time_ns,
+                values | {"wheel": (120.0, np.nan, np.nan)},
+                topic,
+            )
+        )
     return messages
 
 
@@ -303,7 +320,10 @@ def test_proprio(tmp_path: Path, storage: str) -> None:
 def test_ros2_control_with_an_effort_controller(tmp_path: Path, storage: str) -> None:
     topic = "/arm/forward_effort_controller/commands"
     commands = [numbers(t, [torque(t)[name] for name in JOINTS], topic) for t in times()]
-    silent = push(effort=lambda given: dict.fromkeys(given, np.nan), topic="/arm/joint_states")
+    silent = push(
+        effort=lambda given: dict.fromkeys(given, np.nan),
+        topic="/arm/joint_states",
+    )
     bag = write_bag(tmp_path / "bag", silent + commands, storage)
     recording = read(bag, driver="ros2_control")
     assert recording.inputs is not None and (recording.inputs.source, recording.inputs.unit) == (
@@ -343,7 +363,12 @@ def test_lerobot_states_degrees_and_names_of_its_own(tmp_path: Path) -> None:
 
     ours = bag_recording(bag("ours", "{}", 1.0), Request(arm))
     theirs = bag_recording(
-        bag("theirs", "{}.pos", 180.0 / np.pi), Request(arm, Options(driver="lerobot"))
+        bag(
+            "theirs",
+            "{}.pos",
+            180.0 / np.pi,
+        ),
+        Request(arm, Options(driver="lerobot")),
     )
     assert theirs.joints.names == ours.joints.names
     np.testing.assert_allclose(theirs.joints.position, ours.joints.position, atol=1e-12)
@@ -430,7 +455,13 @@ def ur(tmp_path_factory: pytest.TempPathFactory) -> Robot:
         '<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>'
         for name in ("base", "a", "b", "c")
     )
-    pairs = zip(UR, ("base", "a", "b"), ("a", "b", "c"), ("0 0 1", "0 1 0", "0 1 0"), strict=True)
+    pairs = zip(
+        UR,
+        ("base", "a", "b"),
+        ("a", "b", "c"),
+        ("0 0 1", "0 1 0", "0 1 0"),
+        strict=True,
+    )
     joints = "".join(
         f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="0.4 0 0"/><axis xyz="{axis}"/></joint>'
@@ -452,7 +483,11 @@ def test_ur_with_currents(tmp_path: Path, ur: Robot, storage: str) -> None:
     # torque commands come on top of the controller's own, so that the measured currents count
     torques = [numbers(t, [1.0] * 6, "/forward_effort_controller/commands") for t in times()]
     seen = [*torques, mark("ur_msgs/msg/IOStates", "/io_and_status_controller/io_states")]
-    bag = write_bag(tmp_path / "bag", push(names=lambda name: NAMED[name]) + seen, storage)
+    bag = write_bag(
+        tmp_path / "bag",
+        push(names=lambda name: NAMED[name]) + seen,
+        storage,
+    )
     recording = read(bag, ur, driver="ur_current")
     assert recording.inputs is not None and recording.inputs.measured
     assert elbow_A(recording, "elbow_joint").min() == -0.5, "A, whatever the torque constant"
@@ -473,7 +508,11 @@ def test_ur_with_currents(tmp_path: Path, ur: Robot, storage: str) -> None:
 def test_ur_with_torques_without_gravity_is_refused(
     tmp_path: Path, ur: Robot, storage: str
 ) -> None:
-    bag = write_bag(tmp_path / "bag", push(names=lambda name: NAMED[name]), storage)
+    bag = write_bag(
+        tmp_path / "bag",
+        push(names=lambda name: NAMED[name]),
+        storage,
+    )
     options = Options(robot=str(ur.source), driver="ur_torque")
     why = "ur_torque: this effort lacks what holds the arm .*use_currents_as_efforts:=true, and state ur_current"
     with refused(why):
@@ -596,9 +635,19 @@ def looked_at(bag: Path, **options: Any) -> BagCheck:
 
 @pytest.mark.parametrize("name", MARKED)
 def test_check_names_the_profile_that_fits_and_applies_none(tmp_path: Path, name: str) -> None:
-    bag = write_bag(tmp_path / "bag", [*push(), mark(*MARKED["ros2_control"]), mark(*MARKED[name])])
+    bag = write_bag(
+        tmp_path / "bag",
+        [
+            *push(),
+            mark(*MARKED["ros2_control"]),
+            mark(*MARKED[name]),
+        ],
+    )
     if name == "interbotix":
-        bag = write_bag(tmp_path / "alone", [*push(), mark(*MARKED[name])])
+        bag = write_bag(
+            tmp_path / "alone",
+            [*push(), mark(*MARKED[name])],
+        )
     check = looked_at(bag)
     assert check.fitting == (name,) and check.driver is None and check.input_unit is not None
     assert "not stated" in check.input_unit and "is not stated" in check.problem, (
@@ -659,7 +708,11 @@ def test_the_same_answer_from_another_drivers_bag(tmp_path: Path, storage: str) 
     record = original.joints
     inputs = original.inputs
     assert inputs is not None
-    bare = Recording("bare", JointRecord(record.times_ns, record.names, record.position), inputs)
+    bare = Recording(
+        "bare",
+        JointRecord(record.times_ns, record.names, record.position),
+        inputs,
+    )
     write_recording(tmp_path / "ours", bare, storage)
     messages = []
     for row, time_ns in enumerate(record.times_ns):
@@ -668,7 +721,11 @@ def test_the_same_answer_from_another_drivers_bag(tmp_path: Path, storage: str) 
             for name in record.names[::-1]
         }
         messages.append(
-            state(int(time_ns), {"rail": (0.0, 0.0, 0.0), **values}, "/cell/joint_states")
+            state(
+                int(time_ns),
+                {"rail": (0.0, 0.0, 0.0), **values},
+                "/cell/joint_states",
+            )
         )
     per_current = [ARM.drive_trains[name].nominal_effort_per_current for name in JOINTS]
     assert inputs.names == JOINTS

@@ -30,7 +30,11 @@ from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
 
-def recording(seconds: float = 5.0, rate_Hz: float = 100.0, measured: bool = True) -> Recording:
+def recording(
+    seconds: float = 5.0,
+    rate_Hz: float = 100.0,
+    measured: bool = True,
+) -> Recording:
     times_ns = np.round(1e9 * np.arange(0.0, seconds, 1.0 / rate_Hz)).astype(np.int64)
     position = np.sin(1e-9 * times_ns)[:, None] * np.array([1.0, 0.5, 0.0])
     # one that stood still would not have been measured
@@ -42,7 +46,13 @@ def recording(seconds: float = 5.0, rate_Hz: float = 100.0, measured: bool = Tru
         "bag",
         joints,
         InputRecord(
-            times_ns[::2], ("b", "a"), np.full((len(times_ns[::2]), 2), 2.0), "/current_command"
+            times_ns[::2],
+            ("b", "a"),
+            np.full(
+                (len(times_ns[::2]), 2),
+                2.0,
+            ),
+            "/current_command",
         ),
     )
 
@@ -70,7 +80,10 @@ def test_what_a_controller_moves_without_any_command_is_a_motion() -> None:
     with pytest.raises(RecordingError, match="joint1 was not recorded"):
         runs_or_motion(bag, Request(robot))
     with pytest.raises(RecordingError, match="zero throughout"):
-        runs_or_motion(replace(bag, joints=replace(record, current=None)), Request(robot))
+        runs_or_motion(
+            replace(bag, joints=replace(record, current=None)),
+            Request(robot),
+        )
 
 
 @pytest.mark.parametrize(
@@ -92,16 +105,29 @@ def test_wrapped_angles_are_unwrapped_and_long_gaps_are_said() -> None:
     whole = recording(20.0)
     record = whole.joints
     wrapped = np.mod(6.0 * record.position + np.pi, 2.0 * np.pi) - np.pi
-    motion = motion_of(replace(whole, joints=replace(record, position=wrapped)), joints=["a", "b"])
-    np.testing.assert_allclose(motion.position, 6.0 * record.position[:, :2], atol=1e-9)
+    motion = motion_of(
+        replace(whole, joints=replace(record, position=wrapped)),
+        joints=["a", "b"],
+    )
+    np.testing.assert_allclose(
+        motion.position,
+        6.0 * record.position[:, :2],
+        atol=1e-9,
+    )
     assert any("unwrapped" in note for note in motion.notes)
     # a jump that is no whole turn is no wrap
     jumped = record.position + np.where(np.arange(len(record.times_ns)) > 500, 4.0, 0.0)[:, None]
     with pytest.raises(RecordingError, match="wrap around"):
-        motion_of(replace(whole, joints=replace(record, position=jumped)), joints=["a", "b"])
+        motion_of(
+            replace(whole, joints=replace(record, position=jumped)),
+            joints=["a", "b"],
+        )
     times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) > 1000, 60_000_000_000, 0)
     with pytest.raises(RecordingError, match="in gaps"):
-        motion_of(replace(whole, joints=replace(record, times_ns=times_ns)), joints=["a", "b"])
+        motion_of(
+            replace(whole, joints=replace(record, times_ns=times_ns)),
+            joints=["a", "b"],
+        )
 
 
 @pytest.mark.parametrize("times", [2, 3, 10])
@@ -139,7 +165,11 @@ def test_what_stands_in_the_way_of_a_gap_with_a_wrap_is_the_gap() -> None:
     far = np.where(np.arange(len(record.times_ns)) >= 1000, 2.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
     times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) >= 1000, 940_000_000, 0)
     angles = 3.0 * record.position + far
-    gap = replace(record, times_ns=times_ns, position=np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
+    gap = replace(
+        record,
+        times_ns=times_ns,
+        position=np.mod(angles + np.pi, 2.0 * np.pi) - np.pi,
+    )
     with pytest.raises(
         RecordingError, match=r"no joint states came for 0\.95 s after 10\.0 s, and a"
     ):
@@ -222,7 +252,11 @@ def test_a_real_arm_weighs_what_it_carries(
     assert abs(mass["value"] - 2.805) < 0.03 * 2.805
     # recordings of one arm differ, and one empty one does not show by how much
     assert mass["ci95"][1] - mass["ci95"][0] < 0.15 * 2.805
-    np.testing.assert_allclose(centre["value"], [0.03, 0.165, -0.17], atol=0.01)
+    np.testing.assert_allclose(
+        centre["value"],
+        [0.03, 0.165, -0.17],
+        atol=0.01,
+    )
     # smooth motions of an arm this size say nothing about how a dumbbell is spread
     assert inertia["name"] == "payload_inertia" and inertia["value"] == [None] * 6
 
@@ -570,7 +604,10 @@ def test_fingers_that_were_not_recorded_are_taken_to_stand_somewhere(slow: Motio
 @pytest.mark.parametrize("late", [False, True])
 def test_ten_slow_seconds_weigh_what_ten_others_held(slow: Motion, late: bool) -> None:
     robot = load_robot("open_manipulator_x")
-    known = replace(robot, motion_calibration=fit_empty(robot, [half(slow, not late)]))
+    known = replace(
+        robot,
+        motion_calibration=fit_empty(robot, [half(slow, not late)]),
+    )
     answer = identify_in_motion(known, [half(slow, late)], [], PayloadFacts())
     assert answer.verdict is Verdict.ACCEPTED, answer.reasons
     mass = answer.values[0]
@@ -629,8 +666,17 @@ def test_a_calibration_comes_back_from_its_file(
             getattr(back, name), getattr(given, name), rtol=1e-6, err_msg=name
         )
     one, other = (fit_payload(robot, [slow], calibration) for calibration in (given, back))
-    np.testing.assert_allclose(one.values[:4], other.values[:4], rtol=1e-4, atol=1e-7)
-    np.testing.assert_allclose(one.std[:4], other.std[:4], rtol=1e-3)
+    np.testing.assert_allclose(
+        one.values[:4],
+        other.values[:4],
+        rtol=1e-4,
+        atol=1e-7,
+    )
+    np.testing.assert_allclose(
+        one.std[:4],
+        other.std[:4],
+        rtol=1e-3,
+    )
 
 
 def test_torque_constants_that_changed_since_are_refused(

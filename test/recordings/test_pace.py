@@ -33,7 +33,10 @@ real = pytest.mark.skipif(not REAL.exists(), reason="needs the real recordings")
 
 
 def positions(joint: str) -> FloatArray:
-    return np.sum([size * np.sin(omega * TIMES_S) for size, omega in WAVES[joint]], axis=0)
+    return np.sum(
+        [size * np.sin(omega * TIMES_S) for size, omega in WAVES[joint]],
+        axis=0,
+    )
 
 
 def velocities(joint: str, filter_s: float = 0.0, delay_s: float = 0.0) -> FloatArray:
@@ -115,7 +118,12 @@ def test_angles_that_wrap_and_gaps_do_not_matter() -> None:
     kept[700:760] = False
     record = whole.joints
     assert record.velocity is not None
-    cut = JointRecord(record.times_ns[kept], record.names, position[kept], record.velocity[kept])
+    cut = JointRecord(
+        record.times_ns[kept],
+        record.names,
+        position[kept],
+        record.velocity[kept],
+    )
     pace = pace_by_velocities(Recording("bag", cut, None))
     assert pace is not None
     assert pace.scale == pytest.approx(1.0 / 0.73, rel=0.01)
@@ -145,7 +153,11 @@ def test_real_registers(bag: str, stretched: float) -> None:
     assert pace.is_off == (stretched != 1.0)
 
 
-def pushed(stretched: float, noise: float = 0.02, lag_s: float = 0.01) -> tuple[Recording, Run]:
+def pushed(
+    stretched: float,
+    noise: float = 0.02,
+    lag_s: float = 0.01,
+) -> tuple[Recording, Run]:
     """One joint from rest, 0.6 s at 40 Hz, that a constant torque, its weight and damping move: solved by steps of 0.1 ms."""
     step_s = 1e-4
     angle = [0.6]
@@ -161,7 +173,12 @@ def pushed(stretched: float, noise: float = 0.02, lag_s: float = 0.01) -> tuple[
     position = np.round(np.array(angle)[rows] / 0.0015) * 0.0015
     velocity = np.array(speed)[late] + rng.normal(0.0, noise, len(rows))
     times_ns = np.rint(1e9 * stretched * step_s * rows).astype(np.int64)
-    record = JointRecord(times_ns, ("a",), position[:, None], velocity[:, None])
+    record = JointRecord(
+        times_ns,
+        ("a",),
+        position[:, None],
+        velocity[:, None],
+    )
     drive = InputRecord(
         np.array([times_ns[0], times_ns[10]]), ("a",), np.array([[0.0], [-0.3]]), "/current_command"
     )
@@ -186,7 +203,11 @@ def test_a_push_with_velocities_of_another_unit_or_of_none_is_read(unit: float) 
     record = recording.joints
     assert record.velocity is not None
     refuse_pace_of_runs(
-        replace(recording, joints=replace(record, velocity=unit * record.velocity)), [run]
+        replace(
+            recording,
+            joints=replace(record, velocity=unit * record.velocity),
+        ),
+        [run],
     )
     refuse_pace_of_runs(replace(recording, joints=replace(record, velocity=None)), [run])
 
@@ -197,7 +218,11 @@ def test_readings_that_are_published_several_times_are_no_pace(times: int) -> No
     rows = np.arange(len(quick.joints.times_ns)) // times * times
     record = quick.joints
     assert record.velocity is not None
-    held = replace(record, position=record.position[rows], velocity=record.velocity[rows])
+    held = replace(
+        record,
+        position=record.position[rows],
+        velocity=record.velocity[rows],
+    )
     slow = replace(quick, joints=held)
     refuse_pace_of_runs(slow, cut_runs(slow, joints=["a"]))
     pace = pace_by_velocities(recording_held(times))
@@ -211,7 +236,11 @@ def recording_held(times: int) -> Recording:
     record = whole.joints
     rows = np.arange(len(record.times_ns)) // times * times
     assert record.velocity is not None
-    held = replace(record, position=record.position[rows], velocity=record.velocity[rows])
+    held = replace(
+        record,
+        position=record.position[rows],
+        velocity=record.velocity[rows],
+    )
     return replace(whole, joints=held)
 
 
@@ -231,6 +260,9 @@ def test_a_servo_alone_is_asked_too() -> None:
         recording = read(REAL / bag)
         refuse_pace_of_joint(recording, "pendulum")
         times_ns = recording.joints.times_ns
-        slow = replace(recording.joints, times_ns=times_ns[0] + (times_ns - times_ns[0]) * 2)
+        slow = replace(
+            recording.joints,
+            times_ns=times_ns[0] + (times_ns - times_ns[0]) * 2,
+        )
         with pytest.raises(RecordingError, match="time axis"):
             refuse_pace_of_joint(replace(recording, joints=slow), "pendulum")

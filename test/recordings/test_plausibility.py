@@ -31,7 +31,10 @@ ROOT = Path(__file__).resolve().parents[2]
 REAL = ROOT.parent / "shared" / "recordings_real"
 RATE_HZ = 100.0
 TIMES_S = np.arange(0.0, 20.0, 1.0 / RATE_HZ)
-real = pytest.mark.skipif(not (REAL / "omx_empty_1").exists(), reason="needs the real recordings")
+real = pytest.mark.skipif(
+    not (REAL / "omx_empty_1").exists(),
+    reason="needs the real recordings",
+)
 
 
 def angle(times_s: np.ndarray) -> np.ndarray:
@@ -118,7 +121,11 @@ def test_effort_that_is_read_seldom() -> None:
     (found,) = findings(recording((-3.0 * angle(TIMES_S))[every]))
     assert found.code == "effort_stale" and found.values["a"] == pytest.approx(0.2)
     # a motor that is off most of the time, or at its limit, is none
-    off = np.where(TIMES_S % 4.0 < 3.0, 0.0, -3.0 * angle(TIMES_S) + noise(0.1))
+    off = np.where(
+        TIMES_S % 4.0 < 3.0,
+        0.0,
+        -3.0 * angle(TIMES_S) + noise(0.1),
+    )
     assert (
         codes(recording(off)) == []
         and codes(recording(np.clip(-9.0 * angle(TIMES_S), -3.0, 3.0))) == []

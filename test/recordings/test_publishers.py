@@ -68,10 +68,17 @@ CASES: list[tuple[Any, dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("bend", "parameters", "said"), CASES)
 def test_the_driver_is_kept(
-    tape: Tape, tmp_path: Path, bend: Any, parameters: dict[str, Any], said: str
+    tape: Tape,
+    tmp_path: Path,
+    bend: Any,
+    parameters: dict[str, Any],
+    said: str,
 ) -> None:
     true = tape.states
-    recording = read(bend(tape, np.random.default_rng(SEED), **parameters), tmp_path)
+    recording = read(
+        bend(tape, np.random.default_rng(SEED), **parameters),
+        tmp_path,
+    )
     assert any(said in note for note in recording.notes), recording.notes
     found = recording.joints
     columns = [found.column(name) for name in true.names]
@@ -98,7 +105,12 @@ def test_two_that_both_move_are_refused(tape: Tape, tmp_path: Path, rate: int) -
 
 
 def test_two_lists_that_differ_are_refused(tape: Tape, tmp_path: Path) -> None:
-    bent = publishers.doubled_list(tape, np.random.default_rng(SEED), second="same", first=False)
+    bent = publishers.doubled_list(
+        tape,
+        np.random.default_rng(SEED),
+        second="same",
+        first=False,
+    )
     table = bent.states.values["position"].copy()
     table[:, 5] += 0.1
     bent = bent.with_states(lambda states: states.with_values(position=table))

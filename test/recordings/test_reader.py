@@ -80,7 +80,13 @@ def mcap_of(
             inner += record(0x05, head + raw)
         times_ns = [message.time_ns for message in mine]
         packed = COMPRESSIONS[compression](inner)
-        head = struct.pack("<QQQI", min(times_ns), max(times_ns), len(inner), 0)
+        head = struct.pack(
+            "<QQQI",
+            min(times_ns),
+            max(times_ns),
+            len(inner),
+            0,
+        )
         head += text(compression) + struct.pack("<Q", len(packed))
         at = len(content)
         content += record(0x06, head + packed)
@@ -242,7 +248,10 @@ def test_a_chunk_that_claims_to_be_huge_is_one_sentence(
     tmp_path: Path, size: int, lacks: str
 ) -> None:
     content = bytearray(mcap_of(states(), "", lacks))
-    chunk = content.index(b"\x06", 9 + int.from_bytes(content[9:17], "little"))
+    chunk = content.index(
+        b"\x06",
+        9 + int.from_bytes(content[9:17], "little"),
+    )
     for field in (chunk + 1, chunk + 9 + 16):  # the record's length, and what it unpacks to
         changed = content.copy()
         changed[field : field + 8] = size.to_bytes(8, "little")
@@ -290,7 +299,10 @@ def test_a_compressed_file_that_is_cut_is_read_as_far_as_it_goes(tmp_path: Path)
 
 def test_a_recorder_that_was_killed_leaves_its_last_file_uncompressed(tmp_path: Path) -> None:
     messages = sorted(states() + commands(), key=lambda message: message.time_ns)
-    parts = [mcap_of(messages[:40], ""), mcap_of(messages[40:], "", "summary")]
+    parts = [
+        mcap_of(messages[:40], ""),
+        mcap_of(messages[40:], "", "summary"),
+    ]
     (tmp_path / "bag_0.mcap.zstd").write_bytes(zstd.compress(parts[0]))
     (tmp_path / "bag_1.mcap").write_bytes(parts[1])
     (tmp_path / "bag_1.mcap.zstd").write_bytes(zstd.compress(parts[1])[:100])

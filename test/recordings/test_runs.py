@@ -63,7 +63,11 @@ def recording(
 def step(
     times_s: FloatArray, start_s: float = 0.0, end_s: float = 0.6, value: float = -0.3
 ) -> FloatArray:
-    return np.where((times_s > start_s - 1e-9) & (times_s < end_s - 1e-9), value, 0.0)
+    return np.where(
+        (times_s > start_s - 1e-9) & (times_s < end_s - 1e-9),
+        value,
+        0.0,
+    )
 
 
 @contextmanager
@@ -78,7 +82,10 @@ def refused(pattern: str) -> Iterator[None]:
 
 
 def test_one_constant_current_is_one_run() -> None:
-    (run,) = cut_runs(recording({"joint3": step(cycles())}), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(cycles())}),
+        joints=ROBOT_JOINTS,
+    )
     assert (run.name, run.joint, run.onset_ns, run.duration_s) == ("bag", "joint3", ONSET_NS, 0.6)
     assert run.source == "/current_command"
     assert run.input_times_s.tolist() == [0.0]
@@ -91,7 +98,10 @@ def test_one_constant_current_is_one_run() -> None:
 
 def test_what_the_joint_does_after_its_run_is_carried_along_until_the_next() -> None:
     times_s = cycles(1.5)
-    (run,) = cut_runs(recording({"joint3": step(times_s)}, times_s), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(times_s)}, times_s),
+        joints=ROBOT_JOINTS,
+    )
     # 0.9 s is 0.3 s after, but for rounding
     assert run.after_times_s == pytest.approx(0.6 + np.arange(1, 12) * CYCLE_S)
     assert run.after_position == pytest.approx(2.0 + run.after_times_s)
@@ -103,7 +113,10 @@ def test_what_the_joint_does_after_its_run_is_carried_along_until_the_next() -> 
 
 
 def test_the_held_joints_are_averaged_from_the_rest_to_the_end() -> None:
-    (run,) = cut_runs(recording({"joint3": step(cycles())}), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(cycles())}),
+        joints=ROBOT_JOINTS,
+    )
     assert sorted(run.held) == sorted(set(JOINTS) - {"joint3"})
     # joint2 = 1 + t over -0.25..0.6 s
     assert run.held["joint2"] == pytest.approx(1.0 + (0.6 - 0.25) / 2)
@@ -112,7 +125,11 @@ def test_the_held_joints_are_averaged_from_the_rest_to_the_end() -> None:
 
 def test_positions_of_held_joints_may_be_given() -> None:
     held = {"joint2": 0.5, "spare": -1.0, "joint3": 9.0}
-    (run,) = cut_runs(recording({"joint3": step(cycles())}), held=held, joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(cycles())}),
+        held=held,
+        joints=ROBOT_JOINTS,
+    )
     assert (run.held["joint2"], run.held["spare"]) == (0.5, -1.0)
     assert run.held_span["spare"] == 0.0
     assert "joint3" not in run.held
@@ -129,7 +146,12 @@ def test_the_sample_at_the_end_belongs_to_the_run(
     times_s = cycles()
     times_s[34] += late_s  # the cycle at 0.6 s
     (run,) = cut_runs(
-        recording({"joint3": step(cycles())}, times_s, input_times_s=cycles()), joints=ROBOT_JOINTS
+        recording(
+            {"joint3": step(cycles())},
+            times_s,
+            input_times_s=cycles(),
+        ),
+        joints=ROBOT_JOINTS,
     )
     assert len(run.times_s) == samples
     assert run.times_s[-1] == pytest.approx(last_s, abs=1e-10)
@@ -138,7 +160,10 @@ def test_the_sample_at_the_end_belongs_to_the_run(
 
 def test_two_runs_are_numbered_and_keep_away_from_each_other() -> None:
     times_s = cycles(2.5)
-    currents = {"joint3": step(times_s), "joint4": step(times_s, 1.0, 1.6, 0.1)}
+    currents = {
+        "joint3": step(times_s),
+        "joint4": step(times_s, 1.0, 1.6, 0.1),
+    }
     first, second = cut_runs(recording(currents, times_s), joints=ROBOT_JOINTS)
     assert [(run.name, run.joint) for run in (first, second)] == [
         ("bag#1", "joint3"),
@@ -153,7 +178,10 @@ def test_two_runs_are_numbered_and_keep_away_from_each_other() -> None:
 
 def test_at_most_a_second_of_rest_is_carried_along() -> None:
     times_s = cycles(start_s=-3.0)
-    (run,) = cut_runs(recording({"joint3": step(times_s)}, times_s), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(times_s)}, times_s),
+        joints=ROBOT_JOINTS,
+    )
     assert run.before_times_s[0] == pytest.approx(-1.0)
 
 
@@ -217,7 +245,10 @@ def test_commands_that_stop_are_held_until_the_last_joint_state() -> None:
 
 def test_a_recording_that_starts_driven_has_no_rest() -> None:
     times_s = cycles(start_s=0.0)
-    (run,) = cut_runs(recording({"joint3": step(times_s)}, times_s), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": step(times_s)}, times_s),
+        joints=ROBOT_JOINTS,
+    )
     assert run.before_times_s.size == 0
     assert "no joint state at rest" in " ".join(run.notes)
 
@@ -227,7 +258,10 @@ def test_a_joint_that_moves_before_it_is_driven_is_reported() -> None:
     assert "joint3 moved by 0.225 before it was driven" in " ".join(
         cut_runs(moving, joints=ROBOT_JOINTS)[0].notes
     )
-    still = recording({"joint3": step(cycles())}, positions={"joint3": np.maximum(cycles(), 0.0)})
+    still = recording(
+        {"joint3": step(cycles())},
+        positions={"joint3": np.maximum(cycles(), 0.0)},
+    )
     assert cut_runs(still, joints=ROBOT_JOINTS)[0].notes == ()
 
 
@@ -235,12 +269,18 @@ def test_a_command_of_almost_nothing_is_zero() -> None:
     with refused(
         "no joint was driven: /current_command is zero throughout .*record the probe.*--command-topic"
     ):
-        cut_runs(recording({"joint3": step(cycles(), value=1e-7)}), joints=ROBOT_JOINTS)
+        cut_runs(
+            recording({"joint3": step(cycles(), value=1e-7)}),
+            joints=ROBOT_JOINTS,
+        )
 
 
 @pytest.mark.parametrize("start_s", [0.0, 0.3, -0.1])
 def test_two_joints_at_once_are_not_supported(start_s: float) -> None:
-    currents = {"joint2": step(cycles()), "joint4": step(cycles(), start_s, 0.65)}
+    currents = {
+        "joint2": step(cycles()),
+        "joint4": step(cycles(), start_s, 0.65),
+    }
     with refused("joints 'joint[24]' and 'joint[24]' were driven at once; .*one joint at a time"):
         cut_runs(recording(currents), joints=ROBOT_JOINTS)
 
@@ -250,7 +290,14 @@ def test_a_joint_that_the_robot_does_not_drive_or_nobody_recorded() -> None:
     with refused("'joint3' was driven, but the robot drives joint1, joint2"):
         cut_runs(driven, joints=("joint1", "joint2"))
     record = driven.joints
-    blind = replace(driven, joints=JointRecord(record.times_ns, JOINTS[:2], record.position[:, :2]))
+    blind = replace(
+        driven,
+        joints=JointRecord(
+            record.times_ns,
+            JOINTS[:2],
+            record.position[:, :2],
+        ),
+    )
     with refused("'joint3' was driven but its position was not recorded; recorded: joint1, joint2"):
         cut_runs(blind, joints=ROBOT_JOINTS)
 
@@ -265,7 +312,10 @@ def test_a_push_that_was_broken_off_at_once_does_not_cost_the_others() -> None:
 
 def test_too_few_samples() -> None:
     with refused(r"only 4 joint states lie in the 0.075 s in which joint3 was driven; at least 5"):
-        cut_runs(recording({"joint3": step(cycles(), end_s=0.075)}), joints=ROBOT_JOINTS)
+        cut_runs(
+            recording({"joint3": step(cycles(), end_s=0.075)}),
+            joints=ROBOT_JOINTS,
+        )
     assert (
         len(
             cut_runs(recording({"joint3": step(cycles(), end_s=0.1)}), joints=ROBOT_JOINTS)[
@@ -279,7 +329,11 @@ def test_too_few_samples() -> None:
 def test_input_and_joint_states_that_do_not_meet() -> None:
     with refused("only 0 joint states lie in"):
         cut_runs(
-            recording({"joint3": step(cycles())}, cycles() + 100.0, input_times_s=cycles()),
+            recording(
+                {"joint3": step(cycles())},
+                cycles() + 100.0,
+                input_times_s=cycles(),
+            ),
             joints=ROBOT_JOINTS,
         )
 
@@ -316,7 +370,10 @@ def measured(
 def test_a_measured_run_begins_after_the_last_quiet_sample(value: float, seed: int) -> None:
     # the motors report what they did before the sample: the first loud one is at 0.025 s, the last at 0.6 s
     current = step(cycles(), CYCLE_S, 0.625, value)
-    (run,) = cut_runs(measured({"joint3": current}, seed=seed), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        measured({"joint3": current}, seed=seed),
+        joints=ROBOT_JOINTS,
+    )
     assert run.joint == "joint3"
     assert run.source == MEASURED_EFFORT
     assert run.onset_ns == ONSET_NS
@@ -337,7 +394,11 @@ def test_measured_noise_alone_is_no_run() -> None:
 def test_measured_rest_levels_of_holding_joints_are_no_drive() -> None:
     rest = (0.0, 0.2, -0.1, 0.05, 0.0)
     (run,) = cut_runs(
-        measured({"joint3": step(cycles(), CYCLE_S)}, rest_A=rest), joints=ROBOT_JOINTS
+        measured(
+            {"joint3": step(cycles(), CYCLE_S)},
+            rest_A=rest,
+        ),
+        joints=ROBOT_JOINTS,
     )
     assert run.joint == "joint3"
     # the current itself, not its change
@@ -345,19 +406,28 @@ def test_measured_rest_levels_of_holding_joints_are_no_drive() -> None:
 
 
 def test_joints_that_answer_the_moving_one_are_held() -> None:
-    currents = {"joint3": step(cycles(), CYCLE_S), "joint2": step(cycles(), 0.1, 0.5, 0.08)}
+    currents = {
+        "joint3": step(cycles(), CYCLE_S),
+        "joint2": step(cycles(), 0.1, 0.5, 0.08),
+    }
     (run,) = cut_runs(measured(currents), joints=ROBOT_JOINTS)
     assert run.joint == "joint3"
 
 
 def test_measured_currents_on_two_still_joints_cannot_be_separated() -> None:
-    currents = {"joint1": step(cycles(), CYCLE_S), "joint2": step(cycles(), CYCLE_S)}
+    currents = {
+        "joint1": step(cycles(), CYCLE_S),
+        "joint2": step(cycles(), CYCLE_S),
+    }
     with refused("joints 'joint1' and 'joint2' were driven at once"):
         cut_runs(measured(currents), joints=ROBOT_JOINTS)
 
 
 def test_measured_currents_of_motors_that_the_robot_does_not_have_are_ignored() -> None:
-    currents = {"joint3": step(cycles(), CYCLE_S), "gripper_left_joint": step(cycles(), CYCLE_S)}
+    currents = {
+        "joint3": step(cycles(), CYCLE_S),
+        "gripper_left_joint": step(cycles(), CYCLE_S),
+    }
     (run,) = cut_runs(measured(currents), joints=JOINTS[:4])
     assert run.joint == "joint3"
 
@@ -483,7 +553,10 @@ def test_a_joint_that_stands_or_creeps_repeats_its_position_rightly() -> None:
     still = {name: np.zeros_like(times_s) for name in JOINTS}
     for position in (np.zeros_like(times_s), creeping):
         (run,) = cut_runs(
-            recording({"joint3": step(times_s)}, positions={**still, "joint3": position}),
+            recording(
+                {"joint3": step(times_s)},
+                positions={**still, "joint3": position},
+            ),
             joints=ROBOT_JOINTS,
         )
         assert len(run.times_s) == 25 and not run.notes

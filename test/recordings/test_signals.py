@@ -56,9 +56,21 @@ def test_extra_joints_are_kept_and_may_turn_far(tmp_path: Path) -> None:
 def test_two_publishers_only_samples_of_the_driven_joint_count(tmp_path: Path) -> None:
     messages = []
     for row, time_ns in enumerate(times()):
-        messages.append(state(time_ns, positions(time_ns)[:4], JOINTS[:4]))
+        messages.append(
+            state(
+                time_ns,
+                positions(time_ns)[:4],
+                JOINTS[:4],
+            )
+        )
         if row % 4 == 0:
-            messages.append(state(time_ns + 5_000_000, [0.01 + row * 1e-4], JOINTS[4:]))
+            messages.append(
+                state(
+                    time_ns + 5_000_000,
+                    [0.01 + row * 1e-4],
+                    JOINTS[4:],
+                )
+            )
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert recording.joints.times_ns.tolist() == times()
     assert "gripper_left_joint is in 11 of 52 messages" in notes(recording)
@@ -70,9 +82,21 @@ def test_two_publishers_only_samples_of_the_driven_joint_count(tmp_path: Path) -
 def test_a_driven_joint_that_reports_seldom_is_not_interpolated(tmp_path: Path) -> None:
     messages = []
     for row, time_ns in enumerate(times()):
-        messages.append(state(time_ns, positions(time_ns)[:2], JOINTS[:2]))
+        messages.append(
+            state(
+                time_ns,
+                positions(time_ns)[:2],
+                JOINTS[:2],
+            )
+        )
         if row % 3 == 0:
-            messages.append(state(time_ns + 1_000_000, positions(time_ns)[2:], JOINTS[2:]))
+            messages.append(
+                state(
+                    time_ns + 1_000_000,
+                    positions(time_ns)[2:],
+                    JOINTS[2:],
+                )
+            )
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert recording.joints.times_ns.tolist() == [time_ns + 1_000_000 for time_ns in times()[::3]]
     driven = recording.joints.position[:, recording.joints.column("joint3")]
@@ -81,7 +105,11 @@ def test_a_driven_joint_that_reports_seldom_is_not_interpolated(tmp_path: Path) 
 
 def test_messages_that_lack_a_needed_joint_are_left_out(tmp_path: Path) -> None:
     messages = states()
-    messages[7] = state(times()[7], positions(0)[:2], JOINTS[:2])
+    messages[7] = state(
+        times()[7],
+        positions(0)[:2],
+        JOINTS[:2],
+    )
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert "1 of 41 messages lack some of the joints" in notes(recording)
     assert recording.joints.times_ns.tolist() == times()[:7] + times()[8:]
@@ -134,7 +162,14 @@ def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
 
 def test_of_equal_stamps_the_first_message_is_kept(tmp_path: Path) -> None:
     messages = states()
-    messages.insert(15, state(times()[14] + 1, [9.0] * 5, stamp_ns=times()[14]))
+    messages.insert(
+        15,
+        state(
+            times()[14] + 1,
+            [9.0] * 5,
+            stamp_ns=times()[14],
+        ),
+    )
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert "1 of 42 stamps are repeated" in notes(recording)
     assert recording.joints.position[:, 2].tolist() == [elbow(time_ns) for time_ns in times()]
@@ -221,7 +256,10 @@ def test_a_few_samples_elsewhere_are_damage_and_more_are_a_slipped_encoder(
 def test_units_of_measured_effort(
     tmp_path: Path, unit: str, current: float, effort: float | None
 ) -> None:
-    recording = read(write_bag(tmp_path / "bag", states(effort=[0.8] * 5)), effort_unit=unit)
+    recording = read(
+        write_bag(tmp_path / "bag", states(effort=[0.8] * 5)),
+        effort_unit=unit,
+    )
     assert recording.joints.current is not None
     assert recording.joints.current == pytest.approx(np.full((41, 5), current), rel=1e-15)
     assert recording.inputs is not None
@@ -285,8 +323,17 @@ def test_commands_that_never_push(tmp_path: Path) -> None:
 
 def test_commands_that_are_no_numbers_or_repeat_a_stamp(tmp_path: Path) -> None:
     messages = commands()
-    messages[12] = command(times()[12], [0.0, 0.0, np.nan, 0.0, 0.0])
-    messages.insert(20, command(times()[19], currents(times()[19], -0.1)))
+    messages[12] = command(
+        times()[12],
+        [0.0, 0.0, np.nan, 0.0, 0.0],
+    )
+    messages.insert(
+        20,
+        command(
+            times()[19],
+            currents(times()[19], -0.1),
+        ),
+    )
     recording = read(write_bag(tmp_path / "bag", states() + messages))
     assert recording.inputs is not None
     assert "1 of 42 messages have NaN or infinite values; the last finite one was held" in notes(

@@ -119,7 +119,10 @@ def test_a_named_command_topic(tmp_path: Path, msgtype: str) -> None:
 
 
 def test_joint_states_named_as_command_are_measured_effort(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "bag", states(effort=[0.8] * 5) + commands())
+    path = write_bag(
+        tmp_path / "bag",
+        states(effort=[0.8] * 5) + commands(),
+    )
     with refused("--effort-unit"):
         read(path, command_topic="/joint_states")
     inputs = read(path, command_topic="/joint_states", effort_unit="A").inputs

@@ -112,7 +112,12 @@ def as_read(motion: Motion, current_A: FloatArray) -> Motion:
     return motion_of(Recording(motion.name, joints, None), joints=motion.joints)
 
 
-def gone(motion: Motion, since: float, value: float, joint: str = "") -> Motion:
+def gone(
+    motion: Motion,
+    since: float,
+    value: float,
+    joint: str = "",
+) -> Motion:
     current = motion.current_A.copy()
     columns = np.array([joint in ("", name) for name in motion.joints])
     current[int(since * len(current)) :, columns] = value
@@ -129,7 +134,11 @@ def mass_in_sds(answer: Estimate) -> float:
 @pytest.mark.parametrize("joint", ["", "j2", "j5"])
 @pytest.mark.parametrize("both", [False, True])
 def test_the_part_before_is_weighed(
-    robot: Robot, motions: tuple[Motion, Motion], value: float, joint: str, both: bool
+    robot: Robot,
+    motions: tuple[Motion, Motion],
+    value: float,
+    joint: str,
+    both: bool,
 ) -> None:
     loaded, empty = motions
     lost = gone(loaded, 0.6, value, joint)
@@ -148,7 +157,12 @@ def test_too_little_is_refused_with_the_cause(
     loaded, empty = motions
     cause = "stands still or is missing from 4.8 s on.*can be used"
     with pytest.raises(TooLittleMotion, match=cause):
-        identify_in_motion(robot, [gone(loaded, 0.2, value)], [empty], PayloadFacts())
+        identify_in_motion(
+            robot,
+            [gone(loaded, 0.2, value)],
+            [empty],
+            PayloadFacts(),
+        )
 
 
 def test_efforts_that_were_never_measured_are_refused(motions: tuple[Motion, Motion]) -> None:
@@ -164,7 +178,12 @@ def test_a_joint_that_was_never_measured_counts_for_nothing(
     """In the loaded or in the empty motion alone: else its torque would be explained by nothing, and that perfectly."""
     both = list(motions)
     both[lost] = gone(both[lost], 0.0, value, "j5")
-    answer = identify_in_motion(robot, [both[0]], [both[1]], PayloadFacts())
+    answer = identify_in_motion(
+        robot,
+        [both[0]],
+        [both[1]],
+        PayloadFacts(),
+    )
     assert answer.verdict is Verdict.ACCEPTED, answer.reasons
     assert mass_in_sds(answer) < 3.0
     assert any("effort of j5 stands still" in note for note in answer.notes)

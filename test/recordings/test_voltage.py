@@ -76,7 +76,10 @@ def driven(
     for k in range(round(seconds / step_s)):
         t = k * step_s
         # goals come every 10 ms, and reach the law late
-        late = max(np.floor((t - delay) / 0.01 + 1e-9) * 0.01, 0.0)
+        late = max(
+            np.floor((t - delay) / 0.01 + 1e-9) * 0.01,
+            0.0,
+        )
         sent = float(np.sum(0.6 * (np.sin(speeds * late + phases) - np.sin(phases))))
         moved_goal += float(np.clip(sent - moved_goal, -fastest * step_s, fastest * step_s))
         voltage = 12.0 - 0.2 * np.sin(3.0 * t)
@@ -107,7 +110,10 @@ def test_a_duty_cycle_is_its_counts() -> None:
 
 def test_a_position_servo_pushes_towards_its_goal_beyond_a_dead_band_and_up_to_a_limit() -> None:
     servo = PositionServo(gain_per_rad=2.0, limit=0.5, dead_band_rad=0.01)
-    goal = Goal(np.array([0.0, 1.0]), np.array([0.0, 0.11]))
+    goal = Goal(
+        np.array([0.0, 1.0]),
+        np.array([0.0, 0.11]),
+    )
     duty = servo.duty(
         np.array([0.5, 1.05, 1.15, 1.2]), np.array([0.005, 0.0, 0.0, 1.0]), None, goal, 0.1
     )
@@ -115,9 +121,19 @@ def test_a_position_servo_pushes_towards_its_goal_beyond_a_dead_band_and_up_to_a
 
 
 def test_a_goal_moves_no_faster_than_the_firmware_lets_it() -> None:
-    goal = Goal(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
-    np.testing.assert_allclose(goal.at(np.array([0.5, 1.1, 1.3]), 5.0), [0.0, 0.5, 1.0], atol=0.02)
-    np.testing.assert_array_equal(goal.at(np.array([-1.0, 0.999, 1.0])), [0.0, 0.0, 1.0])
+    goal = Goal(
+        np.array([0.0, 1.0]),
+        np.array([0.0, 1.0]),
+    )
+    np.testing.assert_allclose(
+        goal.at(np.array([0.5, 1.1, 1.3]), 5.0),
+        [0.0, 0.5, 1.0],
+        atol=0.02,
+    )
+    np.testing.assert_array_equal(
+        goal.at(np.array([-1.0, 0.999, 1.0])),
+        [0.0, 0.0, 1.0],
+    )
 
 
 # --- robot files -------------------------------------------------------------------------------------------------------
@@ -182,10 +198,21 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(
 ) -> None:
     counts = np.round(1000.0 * rows["duty"])
     bag = write(
-        tmp_path / "bag", rows, np.where(counts < 0.0, counts + 65536.0, counts), ("voltage",)
+        tmp_path / "bag",
+        rows,
+        np.where(
+            counts < 0.0,
+            counts + 65536.0,
+            counts,
+        ),
+        ("voltage",),
     )
     motion: Any = bag_runs_or_motion(bag, Request(load_robot(robot_file(tmp_path, DUTY))))
-    np.testing.assert_allclose(motion.current_A[:, 0], rows["duty"] * 6.0, atol=0.15)
+    np.testing.assert_allclose(
+        motion.current_A[:, 0],
+        rows["duty"] * 6.0,
+        atol=0.15,
+    )
     stated = load_robot(robot_file(tmp_path, DUTY, more="      supply_voltage_V: 12.0\n"))
     without = write(tmp_path / "no_voltage", rows, counts, ())
     motion = bag_runs_or_motion(without, Request(stated))
@@ -196,9 +223,15 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(
 def test_what_is_missing_is_said_in_one_line(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
     servo = load_robot(robot_file(tmp_path))
     with pytest.raises(RecordingError, match="/joint_command"):
-        bag_recording(write(tmp_path / "a", rows, None, ("voltage",)), Request(servo))
+        bag_recording(
+            write(tmp_path / "a", rows, None, ("voltage",)),
+            Request(servo),
+        )
     with pytest.raises(RecordingError, match="state supply_voltage_V"):
-        bag_recording(write(tmp_path / "b", rows, None, ("goal",)), Request(servo))
+        bag_recording(
+            write(tmp_path / "b", rows, None, ("goal",)),
+            Request(servo),
+        )
     with pytest.raises(ConfigurationError, match="no torque and no current"):
         bag_recording(tmp_path / "a", Request(servo, Options(effort_unit="A")))
     duty = load_robot(robot_file(tmp_path, DUTY))
@@ -210,7 +243,10 @@ def test_check_says_what_drives_the_joint(tmp_path: Path, rows: dict[str, np.nda
     # a magnitude of the current, without sign and stale, does not matter to what follows from goal and position
     stale = np.repeat(np.abs(rows["duty"])[::25], 25)[: len(rows["t"])]
     bag = write(tmp_path / "bag", rows, stale)
-    _, (check,) = check_bags(bag, Options(robot=str(robot_file(tmp_path))))
+    _, (check,) = check_bags(
+        bag,
+        Options(robot=str(robot_file(tmp_path))),
+    )
     assert (
         check.usable == 1
         and check.input is not None
@@ -226,7 +262,12 @@ def test_without_known_loads_no_mass_is_said(tmp_path: Path, rows: dict[str, np.
     assert estimate.values[0].value is None and estimate.verdict is not Verdict.ACCEPTED
     with pytest.raises(RecordingError, match="3 at least"):
         calibrate_from_bags(
-            [], {bag: 0.45}, Options(robot=str(robot_file(tmp_path)), settings=POINT)
+            [],
+            {bag: 0.45},
+            Options(
+                robot=str(robot_file(tmp_path)),
+                settings=POINT,
+            ),
         )
 
 
@@ -379,7 +420,11 @@ STS_OBJECT = {
 
 
 def weighed(
-    robot: Path, references: dict[Path, float], asked: Path, settings: dict[str, Any], output: Path
+    robot: Path,
+    references: dict[Path, float],
+    asked: Path,
+    settings: dict[str, Any],
+    output: Path,
 ) -> Estimate:
     learnt = calibrate_from_bags(
         [], dict(references), Options(robot=str(robot), settings=settings), output, force=True

@@ -34,7 +34,13 @@ def test_what_is_written_is_read_back_bit_by_bit(
     )
     finite = st.floats(-49.0, 49.0, allow_subnormal=True)
     table = st.lists(
-        st.lists(finite, min_size=len(names), max_size=len(names)), min_size=count, max_size=count
+        st.lists(
+            finite,
+            min_size=len(names),
+            max_size=len(names),
+        ),
+        min_size=count,
+        max_size=count,
     )
     times_ns = ONSET_NS + np.cumsum(gaps)
     velocity = data.draw(st.none() | table)
@@ -46,7 +52,12 @@ def test_what_is_written_is_read_back_bit_by_bit(
         None if velocity is None else np.array(velocity),
         None if effort is None else np.array(effort),
     )
-    inputs = InputRecord(times_ns[::2], names, np.array(data.draw(table))[::2], "/current_command")
+    inputs = InputRecord(
+        times_ns[::2],
+        names,
+        np.array(data.draw(table))[::2],
+        "/current_command",
+    )
     path = tmp_path_factory.mktemp("round") / "trip"
     write_recording(path, Recording("trip", joints, inputs), storage)
     again = read(path, effort_unit="N.m", joint_order=names)
@@ -65,7 +76,15 @@ def test_what_is_written_is_read_back_bit_by_bit(
 
 
 def test_writing_without_an_input_and_refusals(tmp_path: Path) -> None:
-    recording = Recording("r", JointRecord(10**7 * np.arange(6), ("a",), np.zeros((6, 1))), None)
+    recording = Recording(
+        "r",
+        JointRecord(
+            10**7 * np.arange(6),
+            ("a",),
+            np.zeros((6, 1)),
+        ),
+        None,
+    )
     write_recording(tmp_path / "bag", recording)
     assert read(tmp_path / "bag").inputs is None
     with refused("cannot be written .*give a new folder"):

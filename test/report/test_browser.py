@@ -121,12 +121,23 @@ def _motion_pages(folder: Path) -> None:
     pytest.importorskip("mujoco")
     arm = Twin(11)
     robot = write_robot(folder)
-    recorded = [arm.record("bar", 12.0, (2.0, np.array([0.05, 0.03, -0.02])), (0.25, 0.25, 0.02))]
+    recorded = [
+        arm.record(
+            "bar",
+            12.0,
+            (2.0, np.array([0.05, 0.03, -0.02])),
+            (0.25, 0.25, 0.02),
+        )
+    ]
     recorded += [arm.record(name, 12.0) for name in ("empty", "again")]
     bar, *empty = (
         write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in recorded
     )
-    options = Options(robot=str(robot), effort_unit="N.m", baseline=empty[:1])
+    options = Options(
+        robot=str(robot),
+        effort_unit="N.m",
+        baseline=empty[:1],
+    )
     weighed = replay([bar], options)
     named = tuple(
         replace(fit, name=LONG_NAME, joint=f"left_arm_shoulder_{fit.joint}")
@@ -149,14 +160,25 @@ def _swing_pages(folder: Path) -> None:
     rng = np.random.default_rng(3)
     masses = (0.55, 1.0, 0.8)
     let_go = swings.released(
-        rng, np.array(masses), {**swings.machine_of(rng), "coulomb": 0.1, "rise": 0.2}, False
+        rng,
+        np.array(masses),
+        {
+            **swings.machine_of(rng),
+            "coulomb": 0.1,
+            "rise": 0.2,
+        },
+        False,
     )
     runs = [swings.as_run(f"{number} {LONG_NAME}", *swing) for number, swing in enumerate(let_go)]
     known = [LoadedRun(runs[n], KnownLoad(masses[n], swings.facts())) for n in (0, 1)]
     learnt = calibrate(robot, known)
     assert learnt.calibration is not None
     write_calibration_report(learnt, folder / "swing_calibration.html", sources=[LONG_NAME])
-    weighed = weigh(robot.with_calibration(learnt.calibration), runs[2:], swings.facts())
+    weighed = weigh(
+        robot.with_calibration(learnt.calibration),
+        runs[2:],
+        swings.facts(),
+    )
     write_report(weighed, folder / "swing.html", command=f"proprio replay {LONG_NAME}")
 
 
@@ -204,12 +226,18 @@ Bright = dict[tuple[str, int | str], dict[str, Any]]
 @pytest.fixture(scope="module")
 def bright(pages: dict[str, Path], look: Look) -> Bright:
     """What is measured on each page: by width, and on paper."""
-    seen = look.frames(MEASURE, [(pages[name], *way) for name in NAMES for way in WAYS.values()])
+    seen = look.frames(
+        MEASURE,
+        [(pages[name], *way) for name in NAMES for way in WAYS.values()],
+    )
     return dict(zip(((name, way) for name in NAMES for way in WAYS), seen, strict=True))
 
 
 @pytest.fixture(scope="module")
-def dark(pages: dict[str, Path], look: Look) -> dict[str, dict[str, Any]]:
+def dark(
+    pages: dict[str, Path],
+    look: Look,
+) -> dict[str, dict[str, Any]]:
     """The same where the reader wants dark pages."""
     return dict(
         zip(
@@ -257,7 +285,10 @@ def test_values_under_the_pointer_and_a_closer_look(
 ) -> None:
     run = replay([bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"]).run_fits[0]
     time_s = float(run.times_s[10])
-    seen = look(pages["payload"], POINT.replace("RUN", json.dumps({"time": time_s})))
+    seen = look(
+        pages["payload"],
+        POINT.replace("RUN", json.dumps({"time": time_s})),
+    )
     assert seen["shown"] and seen["gone"]
     lines = dict(
         line.split(": ") for line in seen["words"].replace("\N{MINUS SIGN}", "-").splitlines()[1:]

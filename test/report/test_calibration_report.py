@@ -66,7 +66,15 @@ def test_a_calibration_that_is_none_has_a_page_too(tmp_path: Path) -> None:
 
 def test_motions_that_the_others_weigh_are_listed_with_their_loads(tmp_path: Path) -> None:
     runs = ({"name": "up", "duration_s": 9.0, "load_kg": 0.49, "read_kg": 0.52, "std_kg": 0.0286},)
-    joint = JointCalibration("pendulum", 1.0, np.zeros(6), np.zeros((1, 6)), 0.03, 0.01, runs)
+    joint = JointCalibration(
+        "pendulum",
+        1.0,
+        np.zeros(6),
+        np.zeros((1, 6)),
+        0.03,
+        0.01,
+        runs,
+    )
     weighed = (EmptyHandEstimate("up", 0.52, 0.0286, 1.96),)
     servo = CalibrationEstimate(
         "servo", Verdict.ACCEPTED, (), 1, None, joint=joint, weighed_empty=weighed

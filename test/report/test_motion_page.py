@@ -37,7 +37,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def loaded() -> tuple[Motion, Motion]:
     """A bar of 2 kg, long along z, and the same arm with an empty hand."""
     arm = Twin(11)
-    return arm.record("bar", 12.0, (2.0, CENTRE_M), (0.25, 0.25, 0.02)), arm.record("empty", 12.0)
+    return arm.record(
+        "bar",
+        12.0,
+        (2.0, CENTRE_M),
+        (0.25, 0.25, 0.02),
+    ), arm.record("empty", 12.0)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +130,10 @@ def test_what_is_withheld_is_said_in_words(estimate: Estimate, tmp_path: Path) -
     withheld = Value(
         "payload_inertia", "kg m^2", none, none, none, "too little is held to say how it is spread"
     )
-    write_report(replace(estimate, values=(*estimate.values[:2], withheld)), tmp_path / "page.html")
+    write_report(
+        replace(estimate, values=(*estimate.values[:2], withheld)),
+        tmp_path / "page.html",
+    )
     _, text = read(tmp_path / "page.html")
     assert "?" not in text and "payload inertia: too little is held to say how it is spread" in text
 
@@ -162,7 +170,10 @@ def test_the_page_of_a_calibration_shows_what_the_arm_explains(
     )
     assert "torque beyond what its constant says" in text and "Every shared unknown" in text
     drawn = curves((tmp_path / "page.html").read_text(), "measured")
-    lift = np.stack([fits[1].times_s, fits[1].measured], axis=1)
+    lift = np.stack(
+        [fits[1].times_s, fits[1].measured],
+        axis=1,
+    )
     assert drawn[1] == pytest.approx(lift, abs=2e-3 * np.ptp(fits[1].measured))
 
 
@@ -182,7 +193,13 @@ def test_the_ellipsoid_is_the_homogeneous_one(tmp_path: Path) -> None:
     still = Motion(
         "still", SIX.joints, np.arange(80.0), np.zeros((80, 6)), np.zeros((80, 6)), {}, ""
     )
-    side, above = held_views(robot, still, (mass, CENTRE_M, inertia), "stated", 0.5 * half)
+    side, above = held_views(
+        robot,
+        still,
+        (mass, CENTRE_M, inertia),
+        "stated",
+        0.5 * half,
+    )
     assert (
         held_views(robot, still, (0.0, CENTRE_M, inertia), "assumed", 0.5 * half)[0].body is None
     ), "nothing has no body"
@@ -194,6 +211,12 @@ def test_the_ellipsoid_is_the_homogeneous_one(tmp_path: Path) -> None:
         assert np.abs(view.arm[-1] - view.hand).min() < 1e-9, "the arm ends in the hand"
         assert "NaN" not in held_figure(view) and held_figure(view).count("<circle") == 1
     bare = held_views(
-        robot, replace(still, joints=SIX.joints[:5], position=np.zeros((80, 5))), None
+        robot,
+        replace(
+            still,
+            joints=SIX.joints[:5],
+            position=np.zeros((80, 5)),
+        ),
+        None,
     )
     assert bare == (), "nobody knows where the last joint stood"

@@ -83,7 +83,14 @@ def test_words_of_strangers_stay_words(estimate: Estimate, tmp_path: Path) -> No
         run_fits=(replace(estimate.run_fits[0], name=hostile),),
         values=(
             *estimate.values,
-            Value("payload_com", "m", [0.01, None, -0.002], [0.001, None, 0.002], None, hostile),
+            Value(
+                "payload_com",
+                "m",
+                [0.01, None, -0.002],
+                [0.001, None, 0.002],
+                None,
+                hostile,
+            ),
         ),
         verdict=Verdict.REJECTED,
     )
@@ -148,7 +155,11 @@ def test_runs_with_and_without_a_fit_find_each_other(estimate: Estimate) -> None
     fit = estimate.run_fits[0]
     run = estimate.recorded[0]
     stuck = replace(run, name="stuck")
-    together = replace(estimate, recorded=(stuck, run, run), run_fits=(fit, fit))
+    together = replace(
+        estimate,
+        recorded=(stuck, run, run),
+        run_fits=(fit, fit),
+    )
     assert [(a is not None, b) for a, b in paired(together)] == [
         (False, stuck),
         (True, run),
@@ -234,7 +245,14 @@ def test_the_command_can_be_pasted_into_a_shell(bags: Path, tmp_path: Path) -> N
     folder = tmp_path / "x$(touch PWNED)y and $more$ <b>"
     shutil.copytree(bags / "quantised_s00_fixed_heavy_ball_50g_joint3", folder)
     page = tmp_path / "page.html"
-    given = ["replay", str(folder / "bag_mcap"), "--probe", "payload", "--report", str(page)]
+    given = [
+        "replay",
+        str(folder / "bag_mcap"),
+        "--probe",
+        "payload",
+        "--report",
+        str(page),
+    ]
     assert main(given) in (0, 3)
     [command] = re.findall(r"<pre>(.*?)</pre>", page.read_text(), flags=re.S)
     assert shlex.split(html.unescape(command)) == ["proprio", *given]

@@ -24,7 +24,11 @@ def potential_J(robot: Robot, pose: dict[str, float]) -> float:
     return total
 
 
-def kinetic_J(robot: Robot, pose: dict[str, float], joint: str) -> float:
+def kinetic_J(
+    robot: Robot,
+    pose: dict[str, float],
+    joint: str,
+) -> float:
     """Of all links, with one joint at 1 rad/s or 1 m/s: ``tr(Tdot P Tdot^T) / 2``, derivative by differences."""
     total = 0.0
     for link in robot.model.links:

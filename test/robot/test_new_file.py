@@ -95,7 +95,13 @@ def test_until_then_all_that_is_missing_is_named(
 def test_an_older_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written(tmp_path)
     (tmp_path / "new.yaml").write_text("mine")
-    words = ["robot", "new", str(tmp_path / "arm.urdf"), "--output", str(tmp_path / "new.yaml")]
+    words = [
+        "robot",
+        "new",
+        str(tmp_path / "arm.urdf"),
+        "--output",
+        str(tmp_path / "new.yaml"),
+    ]
     assert main(words) == 2 and (tmp_path / "new.yaml").read_text() == "mine"
     assert "--force" in capsys.readouterr().err
     assert main([*words, "--force", "--json"]) == 0
@@ -118,7 +124,10 @@ def test_names_that_yaml_would_take_for_something_else(tmp_path: Path) -> None:
     quoted = [name.replace('"', "&quot;") for name in names]
     text = written(
         tmp_path,
-        chain(*(joint(name, "base", f"l{n}") for n, name in enumerate(quoted)), links=links),
+        chain(
+            *(joint(name, "base", f"l{n}") for n, name in enumerate(quoted)),
+            links=links,
+        ),
     )
     assert list(yaml_of(text)["joints"]) == list(names)
 
@@ -145,7 +154,11 @@ def test_a_bag_brings_its_description(tmp_path: Path, storage: StoragePlugin) ->
 
 
 def test_a_bag_without_one_description(tmp_path: Path) -> None:
-    bag(tmp_path / "two", StoragePlugin.MCAP, [THREE, THREE.replace("arm", "leg")])
+    bag(
+        tmp_path / "two",
+        StoragePlugin.MCAP,
+        [THREE, THREE.replace("arm", "leg")],
+    )
     with pytest.raises(RecordingError, match="2 descriptions that differ"):
         description_of(tmp_path / "two")
     bag(tmp_path / "none", StoragePlugin.MCAP, ["hello"], "/chatter")
@@ -185,7 +198,13 @@ def fixed(name: str, parent: str, child: str) -> str:
     return joint(name, parent, child, kind="fixed")
 
 
-def finger(name: str, parent: str, child: str, mimic: str = "", kind: str = "revolute") -> str:
+def finger(
+    name: str,
+    parent: str,
+    child: str,
+    mimic: str = "",
+    kind: str = "revolute",
+) -> str:
     return joint(name, parent, child, kind=kind, mimic=mimic)
 
 
@@ -210,13 +229,20 @@ ARM = (joint("j1"), joint("j2", "one", "two"), joint("j3", "two", "three"))
 def test_the_guessed_hand_is_a_tool_frame_or_the_last_link_before_fingers(
     tmp_path: Path, joints: tuple[str, ...], hand: str
 ) -> None:
-    text = chain(*ARM, *joints, links="".join(map(link, _links(*ARM, *joints))))
+    text = chain(
+        *ARM,
+        *joints,
+        links="".join(map(link, _links(*ARM, *joints))),
+    )
     (tmp_path / "arm.urdf").write_text(text)
     assert hand_link(read_model(str(tmp_path / "arm.urdf"))) == hand
 
 
 def _links(*joints: str) -> list[str]:
-    return ["base", *(text.split('<child link="')[1].split('"')[0] for text in joints)]
+    return [
+        "base",
+        *(text.split('<child link="')[1].split('"')[0] for text in joints),
+    ]
 
 
 def test_the_guessed_hand_of_arms_whose_last_joint_is_a_jaw() -> None:

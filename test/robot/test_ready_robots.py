@@ -57,7 +57,11 @@ def test_a_ur_is_where_its_table_says(
                 ]
             )
         pose = dict(zip(robot.model.independent_joints, angles, strict=True))
-        np.testing.assert_allclose(robot.model.frame_transform("tool0", pose), expected, atol=1e-5)
+        np.testing.assert_allclose(
+            robot.model.frame_transform("tool0", pose),
+            expected,
+            atol=1e-5,
+        )
     masses = [link.pseudo_inertia[3, 3] for link in robot.model.links if link.pseudo_inertia.any()]
     assert masses == [row[3] for row in table]
 
@@ -124,8 +128,16 @@ def test_a_gen3_is_where_its_table_says() -> None:
         pose = dict(zip(robot.model.independent_joints, angles, strict=True))
         # the table rounds to 0.1 mm, and leaves out 0.35 mm between the wrist's axes
         found = robot.model.frame_transform(robot.payload_frame, pose)
-        np.testing.assert_allclose(found[:3, 3], expected[:3, 3], atol=1e-3)
-        np.testing.assert_allclose(found[:3, :3], expected[:3, :3], atol=1e-3)
+        np.testing.assert_allclose(
+            found[:3, 3],
+            expected[:3, 3],
+            atol=1e-3,
+        )
+        np.testing.assert_allclose(
+            found[:3, :3],
+            expected[:3, :3],
+            atol=1e-3,
+        )
 
 
 def test_the_torque_constants_of_urs_are_those_of_their_joints() -> None:
@@ -238,7 +250,13 @@ def test_an_omx_f_is_driven_by_the_duty_cycle_of_two_kinds_of_servo() -> None:
     ):
         drive = drives[joint]
         assert drive.driven_by is not None
-        duty = drive.driven_by.duty(np.zeros(1), np.zeros(1), full, None, 0.0)
+        duty = drive.driven_by.duty(
+            np.zeros(1),
+            np.zeros(1),
+            full,
+            None,
+            0.0,
+        )
         np.testing.assert_allclose(duty, 1.0, atol=1e-4)
         # the e-manual's stalled motor: current to the winding, torque within what the file leaves open
         assert volts / drive.resistance_ohm == pytest.approx(amperes, rel=0.03)
@@ -271,7 +289,10 @@ def test_a_ready_robot_reads_a_recording_of_its_driver(
         middle=middle,
         friction_N_m=0.02,
     )
-    _, (found,) = check_bags([bag], Options(robot=name, driver=driver))
+    _, (found,) = check_bags(
+        [bag],
+        Options(robot=name, driver=driver),
+    )
     assert not found.problem and set(found.moves) == set(constants)
     ratios = {each.unit: each.ratio for each in found.effort_units}[unit]
     assert ratios and all(0.8 < ratio < 1.25 for ratio in ratios.values()), ratios

@@ -405,7 +405,11 @@ def test_a_fingers_travel_as_measured(folder: Path) -> None:
         drive.finger_travel.ratio_at(angle[1:-1]), 0.0125 * np.cos(angle[1:-1]), rtol=0.01
     )
     powers = angle[:, None] ** np.arange(1, 4)
-    np.testing.assert_allclose(powers @ drive.travel_coefficients, crank(angle) - 0.003, atol=5e-5)
+    np.testing.assert_allclose(
+        powers @ drive.travel_coefficients,
+        crank(angle) - 0.003,
+        atol=5e-5,
+    )
     (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % ([-0.5, 0.5], [0.001, 0.0125]))
     assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == pytest.approx(
         (0.0115, 0.0, 0.0)

@@ -39,7 +39,11 @@ def series(
             twist[:3, 3] = reduced.axes[i]
             moved = np.eye(4) + twist * positions[i]
         else:
-            twist[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+            twist[:3, :3] = [
+                [0.0, -z, y],
+                [z, 0.0, -x],
+                [-y, x, 0.0],
+            ]
             moved = (
                 np.eye(4)
                 + math.sin(positions[i]) * twist
@@ -166,7 +170,10 @@ class Mujoco:
         return transform(body.xmat.reshape(3, 3), body.xpos)
 
 
-def random_state(names: tuple[str, ...], seed: int) -> tuple[dict[str, float], dict[str, float]]:
+def random_state(
+    names: tuple[str, ...],
+    seed: int,
+) -> tuple[dict[str, float], dict[str, float]]:
     rng = np.random.default_rng(1000 + seed)
     positions = {name: float(rng.uniform(-1.5, 1.5)) for name in names}
     return positions, {name: float(rng.uniform(-2.0, 2.0)) for name in names}
@@ -233,7 +240,11 @@ def test_holding_joints_leaves_their_rows_out(seed: int) -> None:
     for part in model.links:
         body, body_from_link = reduced.frames[part.name]
         placed = body_from_link if body < 0 else pose[body] @ body_from_link
-        np.testing.assert_allclose(placed, model.frame_transform(part.name, positions), atol=1e-12)
+        np.testing.assert_allclose(
+            placed,
+            model.frame_transform(part.name, positions),
+            atol=1e-12,
+        )
 
 
 # ---------------------------------------------------------------------------------------------------------- closed form
@@ -243,13 +254,20 @@ def test_pendulum_is_the_textbook_one() -> None:
     robot = load_robot("pendulum")
     reduced = robot.model.lock(["pivot"], {}, robot.gravity)
     for angle in (-2.0, 0.0, 0.3):
-        mass, bias = mass_matrix_and_bias(reduced, np.array([angle]), np.array([1.0]))
+        mass, bias = mass_matrix_and_bias(
+            reduced,
+            np.array([angle]),
+            np.array([1.0]),
+        )
         assert mass[0, 0] == pytest.approx(0.2 * 0.3**2 + 0.4 * 0.2 * 0.01**2, rel=1e-12)
         assert bias[0] == pytest.approx(0.2 * 9.81 * 0.3 * math.sin(angle), abs=1e-15)
     assert reduced.frames["base"][0] == -1
     body, body_from_tip = reduced.frames["tip"]
     assert body == 0
-    np.testing.assert_allclose(body_from_tip[:3, 3], [0.0, 0.0, -0.3])
+    np.testing.assert_allclose(
+        body_from_tip[:3, 3],
+        [0.0, 0.0, -0.3],
+    )
 
 
 def test_open_manipulator_matches_independent_numbers() -> None:
@@ -353,8 +371,16 @@ def test_ur10e_as_published(shared: Path) -> None:
     expected_mass, expected_bias = mujoco.mass_matrix_and_bias(
         reduced.joint_names, positions, velocities
     )
-    np.testing.assert_allclose(mass, expected_mass, atol=1e-9 * np.abs(expected_mass).max())
-    np.testing.assert_allclose(bias, expected_bias, atol=1e-9 * np.abs(expected_bias).max())
+    np.testing.assert_allclose(
+        mass,
+        expected_mass,
+        atol=1e-9 * np.abs(expected_mass).max(),
+    )
+    np.testing.assert_allclose(
+        bias,
+        expected_bias,
+        atol=1e-9 * np.abs(expected_bias).max(),
+    )
 
 
 # ------------------------------------------------------------------------------------------------- what users get wrong
@@ -391,7 +417,10 @@ BAD_LOCKS = {
     ("urdf", "active", "positions", "message"), BAD_LOCKS.values(), ids=BAD_LOCKS.keys()
 )
 def test_bad_lock_is_refused_in_one_line(
-    urdf: str, active: list[str], positions: dict[str, float], message: str
+    urdf: str,
+    active: list[str],
+    positions: dict[str, float],
+    message: str,
 ) -> None:
     model = RobotModel.from_urdf_string(urdf)
     with pytest.raises(RobotError) as caught:

@@ -52,7 +52,10 @@ BAD_URDF = {
         "joint 'a': has no <parent link=.../>",
     ),
     "two links of a name": (
-        chain(joint("a"), links=link("base") + link("one") + link("one")),
+        chain(
+            joint("a"),
+            links=link("base") + link("one") + link("one"),
+        ),
         "two links are named 'one'",
     ),
     "two joints of a name": (
@@ -60,19 +63,34 @@ BAD_URDF = {
         "two joints are named 'a'",
     ),
     "two parents": (
-        chain(joint("a"), joint("b", "base", "two"), joint("c", "one", "two")),
+        chain(
+            joint("a"),
+            joint("b", "base", "two"),
+            joint("c", "one", "two"),
+        ),
         "child of both 'b' and 'c'",
     ),
     "all in a loop": (
-        chain(joint("a"), joint("b", "one", "base"), links=link("base") + link("one")),
+        chain(
+            joint("a"),
+            joint("b", "one", "base"),
+            links=link("base") + link("one"),
+        ),
         "no link is the root",
     ),
     "loop apart": (
-        chain(joint("a"), joint("b", "two", "three"), joint("c", "three", "two")),
+        chain(
+            joint("a"),
+            joint("b", "two", "three"),
+            joint("c", "three", "two"),
+        ),
         "joints b, c form a loop",
     ),
     "two roots": (
-        chain(joint("a"), links=link("base") + link("one") + link("world")),
+        chain(
+            joint("a"),
+            links=link("base") + link("one") + link("world"),
+        ),
         "no parent: base, world",
     ),
     "no limits": (
@@ -104,7 +122,10 @@ BAD_URDF = {
     ),
     "mimic without a joint": (chain(joint("a", mimic="<mimic/>")), "<mimic> names no joint"),
     "mimic of fixed": (
-        chain(joint("a", kind="fixed"), joint("b", "one", "two", mimic='<mimic joint="a"/>')),
+        chain(
+            joint("a", kind="fixed"),
+            joint("b", "one", "two", mimic='<mimic joint="a"/>'),
+        ),
         "'b' mimics 'a', which is fixed",
     ),
     "weight of a mountain": (

@@ -76,7 +76,11 @@ def test_the_slope_at_rest_is_hooke_s_law(law: str, mu: float, lam: float) -> No
     one = np.eye(3)
     hooke = bulk * np.einsum("ab,cd->abcd", one, one)
     hooke += shear * (np.einsum("ac,bd->abcd", one, one) + np.einsum("ad,bc->abcd", one, one))
-    np.testing.assert_allclose(tangent[0], hooke.reshape(9, 9), atol=1e-10 * (mu + abs(lam)))
+    np.testing.assert_allclose(
+        tangent[0],
+        hooke.reshape(9, 9),
+        atol=1e-10 * (mu + abs(lam)),
+    )
 
 
 def test_formulae_as_published() -> None:
@@ -95,7 +99,11 @@ def test_formulae_as_published() -> None:
     alpha = 1 + mu / lam - mu / (4 * lam)
     by_f = j[:, None, None] * np.linalg.inv(f).swapaxes(1, 2)
     warp = mu * f * (1 - 1 / (ic + 1))[:, None, None] + lam * (j - alpha)[:, None, None] * by_f
-    np.testing.assert_allclose(stress("warp_compat", f, mu, lam)[1], warp, atol=1e-9)
+    np.testing.assert_allclose(
+        stress("warp_compat", f, mu, lam)[1],
+        warp,
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("law", [law for law in LAWS if law != "linear"])

@@ -69,7 +69,12 @@ def test_sensitivities_against_central_differences(integrator: str, seed: int) -
         difference = (sim.rollout(ONE, up)[0] - sim.rollout(ONE, down)[0]) / (2.0 * step)
         scale = np.abs(exact[..., row]).max()
         assert scale > 0.0, name
-        np.testing.assert_allclose(difference, exact[..., row], atol=1e-6 * scale, err_msg=name)
+        np.testing.assert_allclose(
+            difference,
+            exact[..., row],
+            atol=1e-6 * scale,
+            err_msg=name,
+        )
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
@@ -77,13 +82,22 @@ def test_sensitivities_against_central_differences(integrator: str, seed: int) -
 def test_tape_against_sensitivities(integrator: str, seed: int) -> None:
     sim = simulator(integrator)
     p = point(seed)
-    q, _, exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])
+    q, _, exact = sim.jacobian(
+        ONE,
+        p,
+        np.eye(len(PARAMETERS))[None],
+    )
     weights = np.random.default_rng(seed).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
     taped = tape(sim, ONE, p)
     np.testing.assert_allclose(taped.q, q, atol=1e-13)
     gradient = taped.gradient(weights)
-    np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        gradient,
+        expected,
+        rtol=1e-10,
+        atol=1e-10 * np.abs(expected).max(),
+    )
     # a second backward pass of the same tape starts from zero
     np.testing.assert_array_equal(taped.gradient(weights), gradient)
 
@@ -96,7 +110,12 @@ def test_many_directions_equal_one_at_a_time() -> None:
     together = sim.jacobian(ONE, p, directions)[2].copy()
     for column in range(20):
         alone = sim.jacobian(ONE, p, directions[:, :, column : column + 1])[2]
-        np.testing.assert_allclose(together[..., column], alone[..., 0], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            together[..., column],
+            alone[..., 0],
+            rtol=1e-12,
+            atol=1e-12,
+        )
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
@@ -105,7 +124,11 @@ def test_delay_of_a_sample_on_a_change_of_the_current(integrator: str) -> None:
 
     One-sided differences (-3, 4, -1) towards longer delays, and the tape, must see the same in all later samples.
     """
-    run = JointRun(np.array([0.05, 0.1, 0.13, 0.2]), np.array([0.0, 0.1]), np.array([0.3, -0.6]))
+    run = JointRun(
+        np.array([0.05, 0.1, 0.13, 0.2]),
+        np.array([0.0, 0.1]),
+        np.array([0.3, -0.6]),
+    )
     sim = JointSimulator([run], integrator)
     p = point(1)
     p[0, INDEX["delay"]] = 0.0
@@ -117,7 +140,15 @@ def test_delay_of_a_sample_on_a_change_of_the_current(integrator: str) -> None:
     moved[:, INDEX["delay"]] = [step, 2.0 * step]
     once, twice = sim.rollout(np.zeros(2, dtype=np.int32), moved)[0]
     difference = (-3.0 * q[0] + 4.0 * once - twice) / (2.0 * step)
-    np.testing.assert_allclose(difference, exact[0, :, 0], atol=1e-6 * np.abs(exact).max())
+    np.testing.assert_allclose(
+        difference,
+        exact[0, :, 0],
+        atol=1e-6 * np.abs(exact).max(),
+    )
     weights = np.random.default_rng(2).normal(size=q.shape)
     gradient = tape(sim, ONE, p).gradient(weights)[0, INDEX["delay"]]
-    np.testing.assert_allclose(gradient, (weights * exact[..., 0]).sum(), rtol=1e-10)
+    np.testing.assert_allclose(
+        gradient,
+        (weights * exact[..., 0]).sum(),
+        rtol=1e-10,
+    )

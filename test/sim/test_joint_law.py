@@ -23,7 +23,12 @@ def parameters(**values: float) -> np.ndarray:
 
 
 def constant_run(times: np.ndarray, current: float = 0.0, **options: float) -> JointRun:
-    return JointRun(times, np.zeros(1), np.array([current]), **options)
+    return JointRun(
+        times,
+        np.zeros(1),
+        np.array([current]),
+        **options,
+    )
 
 
 @pytest.mark.parametrize("amplitude", [0.3, 1.5, 2.8])
@@ -35,7 +40,10 @@ def test_pendulum_with_large_swing(amplitude: float) -> None:
     sn = ellipj(ellipk(k**2) - omega * times, k**2)[0]
     exact = 2.0 * np.arcsin(k * sn)
     run = constant_run(times, step_s=1e-3, fine_step_s=1e-3)
-    q, _ = JointSimulator([run]).rollout(ONE, parameters(gravity_sin=omega**2, q0=amplitude))
+    q, _ = JointSimulator([run]).rollout(
+        ONE,
+        parameters(gravity_sin=omega**2, q0=amplitude),
+    )
     # RK4: global error of order (w h)^4 w t, here 4e-10
     np.testing.assert_allclose(q[0], exact, atol=3e-9)
 
@@ -48,10 +56,21 @@ def test_slide_under_constant_force_is_a_parabola() -> None:
     v0 = -0.4
     run = constant_run(times, current=force)
     q, v = JointSimulator([run]).rollout(
-        ONE, parameters(inertia=mass, torque_constant=1.0, gravity_constant=gravity, v0=v0, q0=0.1)
+        ONE,
+        parameters(
+            inertia=mass,
+            torque_constant=1.0,
+            gravity_constant=gravity,
+            v0=v0,
+            q0=0.1,
+        ),
     )
     acceleration = (force - gravity) / mass
-    np.testing.assert_allclose(q[0], 0.1 + v0 * times + 0.5 * acceleration * times**2, atol=1e-13)
+    np.testing.assert_allclose(
+        q[0],
+        0.1 + v0 * times + 0.5 * acceleration * times**2,
+        atol=1e-13,
+    )
     np.testing.assert_allclose(v[0], v0 + acceleration * times, atol=1e-13)
 
 
@@ -60,8 +79,16 @@ def test_viscous_decay() -> None:
     q, v = JointSimulator([constant_run(times)]).rollout(
         ONE, parameters(inertia=0.02, viscous=0.05, v0=1.0)
     )
-    np.testing.assert_allclose(v[0], np.exp(-2.5 * times), rtol=1e-9)
-    np.testing.assert_allclose(q[0], (1.0 - np.exp(-2.5 * times)) / 2.5, rtol=1e-9)
+    np.testing.assert_allclose(
+        v[0],
+        np.exp(-2.5 * times),
+        rtol=1e-9,
+    )
+    np.testing.assert_allclose(
+        q[0],
+        (1.0 - np.exp(-2.5 * times)) / 2.5,
+        rtol=1e-9,
+    )
 
 
 def test_dry_friction_stops_a_sliding_joint_where_energy_says() -> None:
@@ -70,14 +97,30 @@ def test_dry_friction_stops_a_sliding_joint_where_energy_says() -> None:
     friction = 0.05
     v0 = 1.0
     stop = inertia * v0 / friction
-    run = constant_run(np.array([0.5 * stop, stop + 0.2]), step_s=1 / 240, fine_step_s=1e-4)
-    q, v = JointSimulator([run]).rollout(ONE, parameters(inertia=inertia, coulomb=friction, v0=v0))
-    np.testing.assert_allclose(q[0, 1], 0.5 * inertia * v0**2 / friction, rtol=1e-4)
+    run = constant_run(
+        np.array([0.5 * stop, stop + 0.2]),
+        step_s=1 / 240,
+        fine_step_s=1e-4,
+    )
+    q, v = JointSimulator([run]).rollout(
+        ONE,
+        parameters(inertia=inertia, coulomb=friction, v0=v0),
+    )
+    np.testing.assert_allclose(
+        q[0, 1],
+        0.5 * inertia * v0**2 / friction,
+        rtol=1e-4,
+    )
     assert abs(v[0, 1]) < 1e-3
 
 
 def test_dry_friction_holds_what_it_can_hold() -> None:
-    run = constant_run(np.array([0.6]), current=0.02, step_s=1 / 240, fine_step_s=1e-4)
+    run = constant_run(
+        np.array([0.6]),
+        current=0.02,
+        step_s=1 / 240,
+        fine_step_s=1e-4,
+    )
     q, _ = JointSimulator([run]).rollout(
         ONE, parameters(inertia=0.02, torque_constant=2.0, coulomb=0.05)
     )
@@ -86,21 +129,45 @@ def test_dry_friction_holds_what_it_can_hold() -> None:
 
 def test_back_emf_limits_the_speed() -> None:
     """With the current limited by (V - k_e v) / R the joint tends to V / k_e, and a braking current is not limited."""
-    run = JointRun(np.array([0.02, 20.0]), np.zeros(1), np.array([0.5]), supply=(12.0, 2.49, 5.22))
-    _, v = JointSimulator([run]).rollout(ONE, parameters(inertia=0.02, torque_constant=1.78))
-    np.testing.assert_allclose(v[0, 0], 0.5 * 1.78 / 0.02 * 0.02, rtol=1e-9)  # not limited yet
+    run = JointRun(
+        np.array([0.02, 20.0]),
+        np.zeros(1),
+        np.array([0.5]),
+        supply=(12.0, 2.49, 5.22),
+    )
+    _, v = JointSimulator([run]).rollout(
+        ONE,
+        parameters(inertia=0.02, torque_constant=1.78),
+    )
+    np.testing.assert_allclose(
+        v[0, 0],
+        0.5 * 1.78 / 0.02 * 0.02,
+        rtol=1e-9,
+    )  # not limited yet
     np.testing.assert_allclose(v[0, 1], 12.0 / 2.49, rtol=1e-6)
-    braking = JointRun(np.array([0.01]), np.zeros(1), np.array([-0.5]), supply=(12.0, 2.49, 5.22))
+    braking = JointRun(
+        np.array([0.01]),
+        np.zeros(1),
+        np.array([-0.5]),
+        supply=(12.0, 2.49, 5.22),
+    )
     _, v = JointSimulator([braking]).rollout(
         ONE, parameters(inertia=0.02, torque_constant=1.78, v0=10.0)
     )
-    np.testing.assert_allclose(v[0, 0], 10.0 - 0.5 * 1.78 / 0.02 * 0.01, rtol=1e-9)
+    np.testing.assert_allclose(
+        v[0, 0],
+        10.0 - 0.5 * 1.78 / 0.02 * 0.01,
+        rtol=1e-9,
+    )
 
 
 def test_energy_drift_over_ten_seconds() -> None:
     times = np.linspace(0.1, 10.0, 100)
     run = constant_run(times, step_s=1e-3)
-    q, v = JointSimulator([run]).rollout(ONE, parameters(inertia=0.03, gravity_sin=0.5, q0=2.0))
+    q, v = JointSimulator([run]).rollout(
+        ONE,
+        parameters(inertia=0.03, gravity_sin=0.5, q0=2.0),
+    )
     energy = 0.5 * 0.03 * v[0] ** 2 - 0.5 * np.cos(q[0])
     assert np.ptp(energy) < 1e-9
 
@@ -118,7 +185,11 @@ def test_against_an_independent_solver(delay: float) -> None:
     }  # fmt: skip
     vs = 0.01
 
-    def motion(_: float, state: np.ndarray, current: float) -> list[float]:
+    def motion(
+        _: float,
+        state: np.ndarray,
+        current: float,
+    ) -> list[float]:
         q, v = state
         motor = law["torque_constant"] * current
         friction = (law["coulomb"] + law["load_friction"] * abs(motor)) * np.tanh(v / vs) + law[
@@ -128,7 +199,11 @@ def test_against_an_independent_solver(delay: float) -> None:
         return [v, (motor - friction - load) / law["inertia"]]
 
     wanted = times - delay
-    exact = np.where(wanted <= 0.0, law["q0"] + law["v0"] * wanted, np.nan)
+    exact = np.where(
+        wanted <= 0.0,
+        law["q0"] + law["v0"] * wanted,
+        np.nan,
+    )
     state = np.array([law["q0"], law["v0"]])
     for begin, end, current in zip(switches, [*switches[1:], 0.7], currents, strict=True):
         inside = (wanted > begin) & (wanted <= end)
@@ -179,7 +254,12 @@ def test_semi_implicit_is_equation_two_to_the_letter() -> None:
         q = q + h * v
         if (step + 1) % 16 == 0:
             expected.append(q)
-    run = constant_run(np.arange(1, 37) / 60.0, current=-0.3, step_s=h, fine_step_s=h)
+    run = constant_run(
+        np.arange(1, 37) / 60.0,
+        current=-0.3,
+        step_s=h,
+        fine_step_s=h,
+    )
     got, _ = JointSimulator([run], "semi_implicit").rollout(
         ONE, parameters(inertia=0.03, torque_constant=1.78, viscous=0.01, gravity_cos=0.2, q0=0.3)
     )
@@ -191,11 +271,17 @@ def test_runs_of_different_length_share_a_launch() -> None:
     long = constant_run(np.linspace(0.01, 0.6, 30), current=-0.2)
     both = JointSimulator([short, long])
     law = parameters(torque_constant=1.5, gravity_cos=0.1)
-    q, _ = both.rollout(np.array([1, 0, 1]), np.repeat(law, 3, axis=0))
+    q, _ = both.rollout(
+        np.array([1, 0, 1]),
+        np.repeat(law, 3, axis=0),
+    )
     alone = JointSimulator([long]).rollout(ONE, law)[0]
     np.testing.assert_array_equal(q[0], alone[0])
     np.testing.assert_array_equal(q[2], alone[0])
-    np.testing.assert_array_equal(q[1, :2], JointSimulator([short]).rollout(ONE, law)[0][0])
+    np.testing.assert_array_equal(
+        q[1, :2],
+        JointSimulator([short]).rollout(ONE, law)[0][0],
+    )
 
 
 def test_windows_count_samples_by_time() -> None:
@@ -226,5 +312,8 @@ def test_a_guess_that_is_no_number_ends(name: str) -> None:
             np.array([0.1, 0.2]), np.array([0.0, 0.05]), np.array([1.0, 2.0]), fine_step_s=1e-3
         )
         with np.errstate(invalid="ignore"):
-            q, _ = JointSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)
+            q, _ = JointSimulator([run]).rollout(
+                np.zeros(1, dtype=np.int32),
+                p,
+            )
         assert np.isnan(q).all()

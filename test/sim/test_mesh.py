@@ -41,7 +41,11 @@ def test_the_tetrahedra_fill_the_box_without_cracks(
         y * z
     )
     shares = np.bincount(mesh.cells, mesh.volumes)
-    np.testing.assert_allclose(shares, np.prod(size) / np.prod(cells), rtol=1e-9)
+    np.testing.assert_allclose(
+        shares,
+        np.prod(size) / np.prod(cells),
+        rtol=1e-9,
+    )
 
 
 def test_the_parity_alternates() -> None:
@@ -51,7 +55,10 @@ def test_the_parity_alternates() -> None:
 
 
 def test_an_even_box_is_its_mirror_image() -> None:
-    mesh = box(np.array([0.03, 0.02, 0.05]), (4, 2, 2))
+    mesh = box(
+        np.array([0.03, 0.02, 0.05]),
+        (4, 2, 2),
+    )
     number = {tuple(key): at for at, key in enumerate(np.round(mesh.points, 9).tolist())}
     mirrored = mesh.points * [-1.0, 1.0, 1.0]
     swap = np.array([number[tuple(key)] for key in (np.round(mirrored, 9) + 0.0).tolist()])
@@ -61,11 +68,18 @@ def test_an_even_box_is_its_mirror_image() -> None:
 
 
 def test_linear_functions_are_exact() -> None:
-    mesh = box(np.array([0.03, 0.02, 0.05]), (2, 3, 1))
+    mesh = box(
+        np.array([0.03, 0.02, 0.05]),
+        (2, 3, 1),
+    )
     slope = np.array([[1.0, 2.0, -0.5], [0.3, 0.7, 0.1], [0.0, -0.4, 1.2]])
     moved = mesh.points @ slope.T
     gradient = np.einsum("mka,mkb->mab", moved[mesh.tets], mesh.gradients)
-    np.testing.assert_allclose(gradient, np.broadcast_to(slope, gradient.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        gradient,
+        np.broadcast_to(slope, gradient.shape),
+        atol=1e-12,
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,7 +94,11 @@ def test_linear_functions_are_exact() -> None:
         ((1.0, 1.0, 0.001), (1, 1, 1), "regular"),
     ],
 )
-def test_bad_boxes(size: tuple[float, ...], cells: tuple[int, int, int], says: str) -> None:
+def test_bad_boxes(
+    size: tuple[float, ...],
+    cells: tuple[int, int, int],
+    says: str,
+) -> None:
     with pytest.raises(ConfigurationError, match=says):
         box(np.array(size), cells)
 
@@ -91,7 +109,12 @@ def test_bad_meshes() -> None:
     far = np.concatenate([good.points, good.points + 5.0])
     twice = np.concatenate([good.tets, good.tets + 8])
     cases = [
-        (good.points, good.tets[:, [0, 1, 3, 2]], good.cells, "inside out"),
+        (
+            good.points,
+            good.tets[:, [0, 1, 3, 2]],
+            good.cells,
+            "inside out",
+        ),
         (good.points, good.tets + 1, good.cells, "no node"),
         (
             np.concatenate([good.points, [[9.0, 9.0, 9.0]]]),
@@ -100,7 +123,12 @@ def test_bad_meshes() -> None:
             "belong to no tetrahedron",
         ),
         (far, twice, np.tile(good.cells, 2), "2 pieces"),
-        (np.tile(good.points, (2, 1)), twice, np.tile(good.cells, 2), "same place"),
+        (
+            np.tile(good.points, (2, 1)),
+            twice,
+            np.tile(good.cells, 2),
+            "same place",
+        ),
         (good.points, good.tets, alone, "one cell number"),
         (good.points * np.nan, good.tets, good.cells, "finite"),
     ]
@@ -112,10 +140,16 @@ def test_bad_meshes() -> None:
 @pytest.mark.parametrize("suffix", [".vtk", ".msh", ".vtu"])
 def test_a_mesh_comes_back_from_a_file(tmp_path: Path, suffix: str) -> None:
     meshio = pytest.importorskip("meshio")
-    mesh = box(np.array([30.0, 20.0, 25.0]), (2, 2, 2))
+    mesh = box(
+        np.array([30.0, 20.0, 25.0]),
+        (2, 2, 2),
+    )
     upside_down = mesh.tets[:, [1, 0, 2, 3]]
     path = tmp_path / f"block{suffix}"
-    meshio.write(path, meshio.Mesh(mesh.points, [("tetra", upside_down)]))
+    meshio.write(
+        path,
+        meshio.Mesh(mesh.points, [("tetra", upside_down)]),
+    )
     again = read_mesh(path, scale=1e-3)
     np.testing.assert_allclose(again.size, [0.03, 0.02, 0.025])
     assert again.volumes.sum() == pytest.approx(1.5e-5)
@@ -142,19 +176,39 @@ def test_bad_mesh_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
         read_mesh(broken)
     assert capfd.readouterr() == ("", "")
     flat = tmp_path / "flat.vtk"
-    meshio.write(flat, meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))]))
+    meshio.write(
+        flat,
+        meshio.Mesh(
+            np.eye(3),
+            [("triangle", np.array([[0, 1, 2]]))],
+        ),
+    )
     with pytest.raises(ConfigurationError, match=r"no tetrahedra \(but triangle\)"):
         read_mesh(flat)
     tip = tmp_path / "tip.vtk"
     points = np.array([[0.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0.3, 0.3]])
-    meshio.write(tip, meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 3]]))]))
+    meshio.write(
+        tip,
+        meshio.Mesh(
+            points,
+            [
+                (
+                    "tetra",
+                    np.array([[0, 1, 2, 3]]),
+                )
+            ],
+        ),
+    )
     with pytest.raises(ConfigurationError, match="highest x"):
         read_mesh(tip)
 
 
 def test_the_surface_seen_from_outside_encloses_the_volume() -> None:
     """Gauss: a third of the flux of x through the outward triangles."""
-    cube = box(np.array([0.03, 0.02, 0.01]), (2, 3, 2))
+    cube = box(
+        np.array([0.03, 0.02, 0.01]),
+        (2, 3, 2),
+    )
     corners = cube.points[cube.surface]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
     assert (corners.mean(axis=1) * normals).sum() / 3.0 == pytest.approx(6e-6, rel=1e-12)

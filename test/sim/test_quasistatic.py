@@ -25,7 +25,11 @@ def cube(n: int) -> TetMesh:
 
 def octant(n: int) -> TetMesh:
     """An eighth of ``cube(2 n)``."""
-    return box(np.full(3, EDGE / 2), (n, n, n), corner=np.zeros(3))
+    return box(
+        np.full(3, EDGE / 2),
+        (n, n, n),
+        corner=np.zeros(3),
+    )
 
 
 def uniaxial(law: str, stretch: float, mu: float, lam: float) -> float:
@@ -77,7 +81,11 @@ def test_frictionless_faces_of_an_irregular_mesh() -> None:
     regular = cube(3)
     inside = np.abs(regular.points).max(axis=1) < 0.499 * EDGE
     shake = np.random.default_rng(0).normal(size=regular.points.shape) * 0.06 * EDGE / 3
-    mesh = TetMesh(regular.points + inside[:, None] * shake, regular.tets, regular.cells)
+    mesh = TetMesh(
+        regular.points + inside[:, None] * shake,
+        regular.tets,
+        regular.cells,
+    )
     for each in (mesh, uncelled(mesh)):
         curve = QuasiStatic(each, "log", "frictionless").curve([0.3 * EDGE], *HEAVY)
         assert curve.force[0] == pytest.approx(EDGE**2 * uniaxial("log", 0.7, *HEAVY), rel=1e-8)
@@ -87,7 +95,10 @@ def test_frictionless_faces_of_an_irregular_mesh() -> None:
 def test_first_slope_is_young_s_modulus(law: str) -> None:
     """Stiffness E A / L of a cube is E L."""
     modulus, _ = young(*small_strain_lame(law, *HEAVY))
-    curve = QuasiStatic(cube(2), law, "frictionless").curve([0.0, 1e-6 * EDGE], *HEAVY)
+    curve = QuasiStatic(cube(2), law, "frictionless").curve(
+        [0.0, 1e-6 * EDGE],
+        *HEAVY,
+    )
     assert curve.force[0] == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(curve.by_squeeze, modulus * EDGE, rtol=1e-5)
 
@@ -122,7 +133,10 @@ def test_an_octant_is_the_block() -> None:
     squeezes = np.array([0.1, 0.35]) * EDGE
     for contact in ("bonded", "frictionless"):
         whole = QuasiStatic(cube(4), contact=contact).curve(squeezes, *HEAVY)
-        eighth = QuasiStatic(octant(2), contact=contact, octant=True).curve(squeezes, *HEAVY)
+        eighth = QuasiStatic(octant(2), contact=contact, octant=True).curve(
+            squeezes,
+            *HEAVY,
+        )
         for name in ("force", "by_squeeze", "by_mu", "by_lambda", "least_j"):
             np.testing.assert_allclose(
                 getattr(eighth, name), getattr(whole, name), rtol=1e-9, err_msg=name
@@ -135,7 +149,14 @@ def test_an_octant_is_the_block() -> None:
 def test_sensitivities_against_central_differences(
     law: str, contact: str, mu: float, lam: float
 ) -> None:
-    solver = QuasiStatic(box(np.array([0.03, 0.02, 0.025]), (3, 2, 2)), law, contact)
+    solver = QuasiStatic(
+        box(
+            np.array([0.03, 0.02, 0.025]),
+            (3, 2, 2),
+        ),
+        law,
+        contact,
+    )
     squeeze = np.array([0.08, 0.25]) * 0.03
     curve = solver.curve(squeeze, mu, lam)
     step = 1e-5
@@ -171,7 +192,11 @@ def test_the_work_of_the_fingers_is_the_energy(law: str) -> None:
     weights = np.array([1.0, *([4.0, 2.0] * 9), 4.0, 1.0]) * squeezes[1] / 3.0
     energy = solver.elastic.energies(curve.points[-1]) @ HEAVY
     assert weights @ curve.force == pytest.approx(energy, rel=1e-6)
-    force = np.tensordot(HEAVY, solver.elastic.forces(curve.points[-1]), axes=1)
+    force = np.tensordot(
+        HEAVY,
+        solver.elastic.forces(curve.points[-1]),
+        axes=1,
+    )
     assert np.abs(force.sum(axis=0)).max() < 1e-9 * curve.force[-1]
     assert (
         np.abs(np.cross(curve.points[-1], force).sum(axis=0)).max() < 1e-9 * EDGE * curve.force[-1]

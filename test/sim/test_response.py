@@ -47,10 +47,17 @@ def test_between_the_nodes_it_is_the_finite_elements(law: str) -> None:
     area = SLAB[1] * SLAB[2]
     squeeze = np.array([0.0375, 0.1125, 0.2625])
     for nu in (0.02, 0.26, 0.42):
-        curve = solver.curve(squeeze * SLAB[0], *lame_of_small_strain(law, *lame(5e3, nu)))
+        curve = solver.curve(
+            squeeze * SLAB[0],
+            *lame_of_small_strain(law, *lame(5e3, nu)),
+        )
         phi, slope, _ = table(squeeze, nu)
         np.testing.assert_allclose(5e3 * area * phi, curve.force, rtol=2e-4)
-        np.testing.assert_allclose(5e3 * area / SLAB[0] * slope, curve.by_squeeze, rtol=1e-2)
+        np.testing.assert_allclose(
+            5e3 * area / SLAB[0] * slope,
+            curve.by_squeeze,
+            rtol=1e-2,
+        )
 
 
 @pytest.mark.long
@@ -84,7 +91,13 @@ def _read(
     out: wp.array2d(dtype=FLOAT),
 ):
     k = wp.tid()
-    phi, by_s, by_nu = tabulated(s[k], nu[k], 1, grid, nodes)
+    phi, by_s, by_nu = tabulated(
+        s[k],
+        nu[k],
+        1,
+        grid,
+        nodes,
+    )
     out[0, k] = phi
     out[1, k] = by_s
     out[2, k] = by_nu
@@ -101,8 +114,18 @@ def test_kernels_read_the_same(coarse: Response) -> None:
     nodes = wp.array(
         np.stack([0.0 * coarse.nodes, coarse.nodes]), dtype=wp.types.vector(length=4, dtype=FLOAT)
     )
-    wp.launch(_read, dim=300, inputs=[*given, nodes], outputs=[out])
-    np.testing.assert_allclose(out.numpy(), coarse(s, nu), rtol=1e-11, atol=1e-11)
+    wp.launch(
+        _read,
+        dim=300,
+        inputs=[*given, nodes],
+        outputs=[out],
+    )
+    np.testing.assert_allclose(
+        out.numpy(),
+        coarse(s, nu),
+        rtol=1e-11,
+        atol=1e-11,
+    )
 
 
 @pytest.mark.long
@@ -126,7 +149,11 @@ def test_a_block_that_is_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     table = response_of_mesh(mesh)
     mu, lam = lame(3000.0, 0.23)
-    curve = QuasiStatic(mesh).curve(np.array([0.13 * CUBE[0]]), mu, lam)
+    curve = QuasiStatic(mesh).curve(
+        np.array([0.13 * CUBE[0]]),
+        mu,
+        lam,
+    )
     assert 3000.0 * mesh.area * table(0.13, 0.23)[0] == pytest.approx(curve.force[0], rel=1e-3)
     assert response_of_mesh(cube)(0.13, 0.23)[0] > 1.02 * table(0.13, 0.23)[0]
     assert len(list(cache_folder().iterdir())) == 2
@@ -138,7 +165,11 @@ def test_the_cache_is_used_and_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RATIOS", (0.0, 0.48, 2))
     built = []
     original = module.build
-    monkeypatch.setattr(module, "build", lambda *given: built.append(given) or original(*given))
+    monkeypatch.setattr(
+        module,
+        "build",
+        lambda *given: built.append(given) or original(*given),
+    )
 
     def get(**options: object) -> Response:
         return response(CUBE, contact="frictionless", **options)

@@ -45,9 +45,19 @@ def test_what_is_compiled_is_said_and_only_once(
         runtime.load([*kernels, kernel_of(3.5)], "cpu")
         assert heard[2:] == [f"compiling 1 of 1, {COMPILING}"]
         out = wp.zeros(1, dtype=wp.float64, device="cpu")
-        runtime.launch(kernels[1], dim=1, inputs=[out], device="cpu")
+        runtime.launch(
+            kernels[1],
+            dim=1,
+            inputs=[out],
+            device="cpu",
+        )
         assert out.numpy()[0] == 2.5 and len(heard) == 3
-        runtime.launch(kernel_of(4.5), dim=1, inputs=[out], device="cpu")
+        runtime.launch(
+            kernel_of(4.5),
+            dim=1,
+            inputs=[out],
+            device="cpu",
+        )
         assert heard[-1].startswith("compiling kernel ") and out.numpy()[0] == 4.5
     runtime.load([kernel_of(5.5)], "cpu")
     assert len(heard) == 4, "nobody listens any more"
@@ -74,7 +84,7 @@ def test_the_command_line_says_so_in_one_line(words: list[str], bags: Path, tmp_
     (tmp_path / "file").touch()
     bag = str(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
     done = subprocess.run(
-        [sys.executable, "-m", "proprio_ros.cli", *(bag if word == "BAG" else word for word in words)],
+        [sys.executable, "-m", "proprio_ros.cli", *(bag if word == "BAG" else word for word in words),],
         env={**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file" / "cache")},
         capture_output=True, text=True,
     )  # fmt: skip

@@ -25,7 +25,11 @@ BELOW = -0.05
 
 def simulator(current_A: float = 0.25, shake: bool = False) -> SloshSimulator:
     switches = np.arange(0.0, 0.7, 0.15) if shake else np.zeros(1)
-    signs = np.where(np.arange(len(switches)) % 2, -1.0, 1.0)
+    signs = np.where(
+        np.arange(len(switches)) % 2,
+        -1.0,
+        1.0,
+    )
     joint = JointRun(TIMES, switches, current_A * signs, friction_velocity=1e-2, step_s=1 / 480)
     # the joint's axis is level, the container upright at q = 0: gravity along s and z
     return SloshSimulator(
@@ -111,13 +115,27 @@ def test_the_rollout_is_lagranges_by_scipy() -> None:
     ).y
     world = np.zeros(1, dtype=np.int32)
     rolled = simulator()
-    np.testing.assert_allclose(rolled.rollout(world, p)[0][0], expected[0], atol=2e-5)
-    np.testing.assert_allclose(rolled.path(world, p)[0], expected[2], atol=2e-5)
+    np.testing.assert_allclose(
+        rolled.rollout(world, p)[0][0],
+        expected[0],
+        atol=2e-5,
+    )
+    np.testing.assert_allclose(
+        rolled.path(world, p)[0],
+        expected[2],
+        atol=2e-5,
+    )
 
 
 def test_small_motions_are_two_coupled_oscillators() -> None:
     """Gravity that turns with the container: a constant torque turns all at once, the mass swings at the frequency of the pair."""
-    still = JointRun(TIMES, np.zeros(1), np.array([1e-4]), friction_velocity=1e-2, step_s=1 / 480)
+    still = JointRun(
+        TIMES,
+        np.zeros(1),
+        np.array([1e-4]),
+        friction_velocity=1e-2,
+        step_s=1 / 480,
+    )
     rolled = SloshSimulator([SloshRun(still, 0.0, 0.2, np.zeros(3), np.array([-9.81, 0.0, 0.0]))])
     for mass in (0.05, 0.15, 0.4):
         p = values(viscous=0.0, coulomb=0.0, load_friction=0.0, stribeck=0.0, gravity_cos=0.0, gravity_sin=0.0, delay=0.0, q0=0.0,

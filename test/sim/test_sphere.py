@@ -60,8 +60,19 @@ def simulator(
     law: str = "ramped",
     integrator: str = "rk4",
 ) -> SphereSimulator:
-    joint = JointRun(times, np.zeros(1), np.array([current]), step_s=step, fine_step_s=step)
-    return SphereSimulator([SphereRun(joint, kind, axis, origin, gravity)], inside, law, integrator)
+    joint = JointRun(
+        times,
+        np.zeros(1),
+        np.array([current]),
+        step_s=step,
+        fine_step_s=step,
+    )
+    return SphereSimulator(
+        [SphereRun(joint, kind, axis, origin, gravity)],
+        inside,
+        law,
+        integrator,
+    )
 
 
 def resting_on(gravity: np.ndarray, inside: Enclosure, contact: Contact) -> np.ndarray:
@@ -69,7 +80,11 @@ def resting_on(gravity: np.ndarray, inside: Enclosure, contact: Contact) -> np.n
     return np.sign(gravity) * inside.room + gravity / contact.stiffness
 
 
-def world_place(kind: str, q: np.ndarray, x: np.ndarray) -> np.ndarray:
+def world_place(
+    kind: str,
+    q: np.ndarray,
+    x: np.ndarray,
+) -> np.ndarray:
     """Of points x of the container (T, 3) while the joint is at q (T,), from a point on its axis [m]."""
     if kind == "revolute":
         return Rotation.from_rotvec(q[:, None] * AXIS).apply(x - ORIGIN)
@@ -100,8 +115,16 @@ def test_a_sphere_that_touches_nothing_is_a_projectile(kind: str) -> None:
         to_world = Rotation.identity(len(q))
     flight = begin + times[:, None] * velocity + 0.5 * times[:, None] ** 2 * GRAVITY
     np.testing.assert_allclose(world_place(kind, q, x), flight, atol=1e-9)
-    np.testing.assert_allclose(to_world.apply(u), velocity + times[:, None] * GRAVITY, atol=1e-8)
-    np.testing.assert_allclose(to_world.apply(spin), np.tile(spinning, (len(q), 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        to_world.apply(u),
+        velocity + times[:, None] * GRAVITY,
+        atol=1e-8,
+    )
+    np.testing.assert_allclose(
+        to_world.apply(spin),
+        np.tile(spinning, (len(q), 1)),
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
@@ -118,7 +141,10 @@ def test_a_sphere_without_mass_leaves_the_joint_alone(integrator: str) -> None:
         [SphereRun(joint, "revolute", AXIS, ORIGIN, GRAVITY)], BOX, integrator=integrator
     )
     q, v, x, *_ = states_of(sim, ONE, p)
-    alone = JointSimulator([joint], integrator).rollout(ONE, p[:, : len(PARAMETERS)])
+    alone = JointSimulator([joint], integrator).rollout(
+        ONE,
+        p[:, : len(PARAMETERS)],
+    )
     np.testing.assert_allclose(q, alone[0], atol=1e-13)
     np.testing.assert_allclose(v, alone[1], atol=1e-12)
     assert np.ptp(x[0], axis=0).max() > 0.01  # it moved and bounced all the same
@@ -131,15 +157,28 @@ def test_a_sphere_at_rest_in_a_corner_stays_there(law: str) -> None:
     """Three walls carry it, each pressed as deep as its share of the weight asks for."""
     start = resting_on(GRAVITY, BOX, HARD)
     states = states_of(
-        simulator(np.linspace(0.05, 1.0, 20), law=law), ONE, parameters(start=start, inertia=HELD)
+        simulator(
+            np.linspace(0.05, 1.0, 20),
+            law=law,
+        ),
+        ONE,
+        parameters(start=start, inertia=HELD),
     )
-    np.testing.assert_allclose(states[2][0], np.tile(start, (20, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        states[2][0],
+        np.tile(start, (20, 1)),
+        atol=1e-9,
+    )
     # and it comes to rest there from elsewhere
     off = start - 0.003 * np.sign(GRAVITY)
     x = states_of(
         simulator(np.linspace(1.0, 2.0, 20), law=law), ONE, parameters(start=off, inertia=HELD)
     )[2][0]
-    np.testing.assert_allclose(x, np.tile(start, (20, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        x,
+        np.tile(start, (20, 1)),
+        atol=1e-6,
+    )
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -182,12 +221,23 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
         if kind == "prismatic":
             return [state[1], (AXIS @ weight - held_back) / inertia]
         there = Rotation.from_rotvec(state[0] * AXIS).apply(lever)
-        return [state[1], (AXIS @ np.cross(there, weight) - held_back) / inertia]
+        return [
+            state[1],
+            (AXIS @ np.cross(there, weight) - held_back) / inertia,
+        ]
 
     exact = solve_ivp(rigid, (0.0, times[-1]), [0.0, 0.0], rtol=1e-10, atol=1e-12, t_eval=times).y
     assert abs(exact[0, -1]) > 2e-3
-    np.testing.assert_allclose(q[0], exact[0], atol=0.005 * abs(exact[0, -1]))
-    np.testing.assert_allclose(v[0], exact[1], atol=0.01 * abs(exact[1, -1]))
+    np.testing.assert_allclose(
+        q[0],
+        exact[0],
+        atol=0.005 * abs(exact[0, -1]),
+    )
+    np.testing.assert_allclose(
+        v[0],
+        exact[1],
+        atol=0.01 * abs(exact[1, -1]),
+    )
     assert np.abs(x[0] - start).max() < 2e-4
 
 
@@ -196,11 +246,21 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
 @pytest.mark.parametrize(("tilt", "friction"), [(0.1, 0.35), (0.6, 0.1)], ids=["rolls", "slips"])
 def test_a_ball_on_an_inclined_plane(law: str, kappa: float, tilt: float, friction: float) -> None:
     """g sin / (1 + kappa) while it rolls, g (sin - mu cos) where the plane is steeper than mu (1 + 1 / kappa)."""
-    long = Enclosure("box", np.array([4.0, 0.1, 0.1]), 0.01, kappa)
+    long = Enclosure(
+        "box",
+        np.array([4.0, 0.1, 0.1]),
+        0.01,
+        kappa,
+    )
     contact = Contact.of(400.0, 0.4, friction)
     gravity = G * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     start = np.array([-1.5, 0.0, -long.room[2] + gravity[2] / contact.stiffness])
-    sim = simulator(np.array([0.1, 0.5]), long, gravity=gravity, law=law)
+    sim = simulator(
+        np.array([0.1, 0.5]),
+        long,
+        gravity=gravity,
+        law=law,
+    )
     _, _, x, u, spin = (s[0] for s in states_of(sim, ONE, parameters(contact, start, inertia=HELD)))
     acceleration = np.diff(u[:, 0])[0] / 0.4
     rolls = np.tan(tilt) < friction * (1.0 + 1.0 / kappa)
@@ -235,7 +295,10 @@ def spring_energy(inside: Enclosure, x: np.ndarray, stiffness: float) -> np.ndar
 
 
 def energy(
-    kind: str, inside: Enclosure, p: np.ndarray, states: tuple[np.ndarray, ...]
+    kind: str,
+    inside: Enclosure,
+    p: np.ndarray,
+    states: tuple[np.ndarray, ...],
 ) -> np.ndarray:
     """Of joint and sphere [J], shape (T,): motion, spin, height and springs."""
     q, v, x, u, spin = (s[0] for s in states)
@@ -274,7 +337,11 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
     times = np.arange(1, 2001) * step
     drift = []
     for h in (step, step / 2.0):
-        states = states_of(simulator(times, inside, kind, step=h, law=law), ONE, p)
+        states = states_of(
+            simulator(times, inside, kind, step=h, law=law),
+            ONE,
+            p,
+        )
         total = energy(kind, inside, p, states)
         drift.append(np.abs(total - total[0]).max())
     q, v, x, u, spin = (s[0] for s in states)
@@ -297,7 +364,11 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
         torque = np.full(len(q), mass * GRAVITY @ AXIS) - load
     impulse = cumulative_simpson(torque, x=times, initial=0.0)
     assert mass * np.ptp(u @ AXIS) + np.ptp(v) > 0.01
-    np.testing.assert_allclose(momentum - momentum[0], impulse, atol=2e-4 * np.ptp(momentum))
+    np.testing.assert_allclose(
+        momentum - momentum[0],
+        impulse,
+        atol=2e-4 * np.ptp(momentum),
+    )
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -312,7 +383,11 @@ def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, l
     times = np.arange(1, 2001) * 2e-4
     totals = []
     for step in (2e-4, 1e-4):
-        states = states_of(simulator(times, inside, kind, step=step, law=law), ONE, p)
+        states = states_of(
+            simulator(times, inside, kind, step=step, law=law),
+            ONE,
+            p,
+        )
         totals.append(energy(kind, inside, p, states))
     total = totals[1]
     lost = total[0] - total[-1]
@@ -338,7 +413,11 @@ def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, l
         momentum = 0.3 * v + 0.1 * u @ AXIS
         torque = np.full(len(q), 0.1 * GRAVITY @ AXIS) - load
     impulse = cumulative_simpson(torque, x=times, initial=0.0)
-    np.testing.assert_allclose(momentum - momentum[0], impulse, atol=2e-4 * np.ptp(momentum))
+    np.testing.assert_allclose(
+        momentum - momentum[0],
+        impulse,
+        atol=2e-4 * np.ptp(momentum),
+    )
 
 
 def test_walls_of_a_corner_push_at_once() -> None:
@@ -361,7 +440,12 @@ def test_only_the_papers_law_pulls(law: str, pulls: bool) -> None:
     """A sphere thrown out of a wall: what it gains in speed from one instant to the next is the wall's force."""
     times = np.arange(1, 4001) * 2e-6
     start = np.array([0.0, 0.0, -BOX.room[2] - 1.5e-3])
-    sim = simulator(times, gravity=np.zeros(3), step=2e-6, law=law)
+    sim = simulator(
+        times,
+        gravity=np.zeros(3),
+        step=2e-6,
+        law=law,
+    )
     _, _, x, u, _ = (s[0] for s in states_of(sim, ONE, parameters(start=start, inertia=HELD)))
     assert x[-1, 2] > -BOX.room[2]  # it left
     force = np.diff(u[:, 2]) / 2e-6
@@ -408,7 +492,11 @@ def test_integrator_orders(shape: str, law: str, integrator: str) -> None:
     coarse = 2e-3 if integrator == "rk4" else 5e-4
     errors = [np.abs(end(step, integrator) - exact)[:5] for step in (coarse, coarse / 2.0)]
     ratio = 16.0 if integrator == "rk4" else 2.0
-    np.testing.assert_allclose(errors[0].max() / errors[1].max(), ratio, rtol=0.2)
+    np.testing.assert_allclose(
+        errors[0].max() / errors[1].max(),
+        ratio,
+        rtol=0.2,
+    )
 
 
 def test_the_papers_constants_are_newtons() -> None:
@@ -417,7 +505,12 @@ def test_the_papers_constants_are_newtons() -> None:
         p = parameters(
             paper_contact(mass), (0.0, 0.0, -BOX.room[2] - 1e-3), inertia=HELD, sphere_mass=mass
         )
-        sim = simulator(np.array([1e-6]), gravity=np.zeros(3), step=1e-6, law="paper")
+        sim = simulator(
+            np.array([1e-6]),
+            gravity=np.zeros(3),
+            step=1e-6,
+            law="paper",
+        )
         assert mass * states_of(sim, ONE, p)[3][0, 0, 2] / 1e-6 == pytest.approx(1.0, rel=1e-3)
 
 
@@ -431,7 +524,11 @@ def test_what_cannot_be_simulated_is_said() -> None:
 
 
 def in_world_coordinates(
-    inside: Enclosure, p: np.ndarray, kind: str, current: float, times: np.ndarray
+    inside: Enclosure,
+    p: np.ndarray,
+    kind: str,
+    current: float,
+    times: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
     """The same box, sphere and joint written down in the world's frame and integrated to 1e-10: q, v (T,), three of (T, 3).
 
@@ -474,7 +571,10 @@ def in_world_coordinates(
                 slip = velocity + np.cross(spin, at - place) - carried(v, at)
                 leaving = slip @ inward
                 slip = slip - leaving * inward
-                normal = max(k * depth - c * min(depth / inside.ramp_depth, 1.0) * leaving, 0.0)
+                normal = max(
+                    k * depth - c * min(depth / inside.ramp_depth, 1.0) * leaving,
+                    0.0,
+                )
                 push = mass * normal * inward
                 if normal > 0.0:
                     push = push - mass * kf * mu * normal * slip / np.sqrt(
@@ -499,7 +599,11 @@ def in_world_coordinates(
     for column in solution.y.T:
         turned, centre = pose(column[0])
         seen.append(
-            [turned.T @ (column[2:5] - centre), turned.T @ column[5:8], turned.T @ column[8:11]]
+            [
+                turned.T @ (column[2:5] - centre),
+                turned.T @ column[5:8],
+                turned.T @ column[8:11],
+            ]
         )
     return solution.y[0], solution.y[1], *np.array(seen).swapaxes(0, 1)
 
@@ -521,7 +625,14 @@ def test_against_plain_equations_in_the_world(kind: str) -> None:
     times = np.linspace(0.01, 0.3, 30)
     exact = in_world_coordinates(BOX, p, kind, 0.12, times)
     states = states_of(
-        simulator(times, kind=kind, current=0.12, step=HARD.step_s(0.4) / 2.0), ONE, p
+        simulator(
+            times,
+            kind=kind,
+            current=0.12,
+            step=HARD.step_s(0.4) / 2.0,
+        ),
+        ONE,
+        p,
     )
     without = p.copy()
     without[0, SPHERE_INDEX["sphere_mass"]] = 0.0
@@ -537,11 +648,19 @@ def test_against_plain_equations_in_the_world(kind: str) -> None:
     np.testing.assert_allclose(x, exact[2], atol=1e-4)
     for ours, theirs in ((v, exact[1]), (u, exact[3]), (spin, exact[4])):
         # the last sample lies within a bounce, where a speed changes by itself in a few steps
-        np.testing.assert_allclose(ours, theirs, atol=0.03 * np.abs(theirs).max())
+        np.testing.assert_allclose(
+            ours,
+            theirs,
+            atol=0.03 * np.abs(theirs).max(),
+        )
 
 
 def of_mujoco(
-    p: np.ndarray, axis: np.ndarray, origin: np.ndarray, times: np.ndarray, torque: float
+    p: np.ndarray,
+    axis: np.ndarray,
+    origin: np.ndarray,
+    times: np.ndarray,
+    torque: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The joint and the sphere's place in the container, by MuJoCo with its own law of contact and implicit integrator."""
     import mujoco
@@ -603,14 +722,23 @@ def test_against_mujoco_while_the_sphere_rolls_from_end_to_end(mass: float) -> N
     gravity = np.array([0.0, 0.0, -G])
     times = np.arange(1, 25) / 40.0
     q0 = -0.02
-    run = {"axis": axis, "origin": origin, "gravity": gravity, "step": HARD.step_s(0.4)}
+    run = {
+        "axis": axis,
+        "origin": origin,
+        "gravity": gravity,
+        "step": HARD.step_s(0.4),
+    }
     down = Rotation.from_rotvec(q0 * axis).inv().apply(gravity)
     start = np.array(
         [-BOX.room[0] + down[0] / HARD.stiffness, 0.0, -BOX.room[2] + down[2] / HARD.stiffness]
     )
     p = parameters(start=start, sphere_mass=mass, q0=q0)
     current = 0.08 - 0.9 * mass * G * 0.18  # the motor carries most of the weight and dips the hand
-    q, _, x, *_ = states_of(simulator(times, current=current, **run), ONE, p)
+    q, _, x, *_ = states_of(
+        simulator(times, current=current, **run),
+        ONE,
+        p,
+    )
     exact, place = of_mujoco(p, axis, origin, times, current)
     assert np.ptp(place[:, 0]) > 0.95 * 2.0 * BOX.room[0]
     assert np.ptp(x[0, :, 0]) > 0.95 * 2.0 * BOX.room[0]
@@ -636,6 +764,12 @@ def test_a_guess_that_is_no_number_ends(name: str) -> None:
     p[1:, SPHERE_INDEX[name]] = np.nan, np.inf, -np.inf
     sim = simulator(np.array([0.05, 0.1]))
     with np.errstate(invalid="ignore"):
-        q, _ = sim.rollout(np.zeros(4, dtype=np.int32), p)
+        q, _ = sim.rollout(
+            np.zeros(4, dtype=np.int32),
+            p,
+        )
     assert np.isnan(q[1:]).all()
-    np.testing.assert_array_equal(q[0], sim.rollout(ONE, good)[0][0])
+    np.testing.assert_array_equal(
+        q[0],
+        sim.rollout(ONE, good)[0][0],
+    )

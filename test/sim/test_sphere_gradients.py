@@ -37,10 +37,10 @@ BASE = {
 # Where the sphere starts, as shares of the room it has: just inside a wall, in the air above it, in the corner of several walls.
 # All differ from a kink of the law; those at a wall start deep enough to stay, or to be thrown out.
 SCENES = {
-    "rolling": ("revolute", {"box": (0.3, -0.1, -1.005), "cylinder": (0.3, -0.955, 0.2), "sphere": (0.3, -0.2, -0.94)}),
-    "bouncing": ("revolute", {"box": (0.1, 0.3, -0.4), "cylinder": (-0.2, 0.1, 0.3), "sphere": (0.3, 0.2, -0.3)}),
-    "corner": ("revolute", {"box": (-1.01, 1.02, -1.015), "cylinder": (0.7, -0.73, -1.01), "sphere": (-0.6, 0.6, -0.55)}),
-    "on a slide": ("prismatic", {"box": (0.9, 0.2, -0.8), "cylinder": (0.5, -0.4, -0.8), "sphere": (0.4, 0.3, -0.6)}),
+    "rolling": ("revolute", {"box": (0.3, -0.1, -1.005), "cylinder": (0.3, -0.955, 0.2), "sphere": (0.3, -0.2, -0.94)},),
+    "bouncing": ("revolute", {"box": (0.1, 0.3, -0.4), "cylinder": (-0.2, 0.1, 0.3), "sphere": (0.3, 0.2, -0.3)},),
+    "corner": ("revolute", {"box": (-1.01, 1.02, -1.015), "cylinder": (0.7, -0.73, -1.01), "sphere": (-0.6, 0.6, -0.55)},),
+    "on a slide": ("prismatic", {"box": (0.9, 0.2, -0.8), "cylinder": (0.5, -0.4, -0.8), "sphere": (0.4, 0.3, -0.6)},),
 }  # fmt: skip
 # shape, law and integrator know nothing of each other: every pair is compiled, not every three
 RK4 = (("box", "ramped"), ("box", "paper"), ("cylinder", "ramped"), ("sphere", "paper"))
@@ -88,7 +88,12 @@ def enclosure(shape: str) -> Enclosure:
     return Enclosure(shape, np.array(INNER[shape]), 0.01)
 
 
-def scene(name: str, shape: str, law: str, integrator: str) -> tuple[SphereSimulator, np.ndarray]:
+def scene(
+    name: str,
+    shape: str,
+    law: str,
+    integrator: str,
+) -> tuple[SphereSimulator, np.ndarray]:
     kind, starts = SCENES[name]
     inside = enclosure(shape)
     p = np.zeros((1, len(SPHERE_PARAMETERS)))
@@ -101,12 +106,25 @@ def scene(name: str, shape: str, law: str, integrator: str) -> tuple[SphereSimul
     return SphereSimulator([sphere_run(kind, joint_run())], inside, law, integrator), p
 
 
-def differences(sim: SphereSimulator, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+def differences(
+    sim: SphereSimulator,
+    p: np.ndarray,
+    step: np.ndarray,
+) -> np.ndarray:
     """Central differences of second and fourth order of joint and sphere, shape (2, P, T, 4); all in one launch."""
     moved = p + np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.diag(step)
     worlds = moved.reshape(-1, len(step))
-    q, _, x, *_ = states_of(sim, np.zeros(len(worlds), dtype=np.int32), worlds)
-    far, near, next_, last = np.concatenate([q[..., None], x], axis=2).reshape(4, len(step), -1, 4)
+    q, _, x, *_ = states_of(
+        sim,
+        np.zeros(len(worlds), dtype=np.int32),
+        worlds,
+    )
+    far, near, next_, last = np.concatenate([q[..., None], x], axis=2).reshape(
+        4,
+        len(step),
+        -1,
+        4,
+    )
     second = (next_ - near) / 2.0
     fourth = (far - 8.0 * near + 8.0 * next_ - last) / 12.0
     return np.array([second, fourth]) / step[:, None, None]
@@ -128,7 +146,10 @@ def test_sensitivities_against_central_differences(
     states = states_of(sim, ONE, p)
     np.testing.assert_allclose(q, states[0], atol=1e-13)
     np.testing.assert_allclose(x, states[2], atol=1e-13)
-    exact = np.concatenate([by_parameter[0][:, None, :], dx[0]], axis=1)  # (T, 4, P)
+    exact = np.concatenate(
+        [by_parameter[0][:, None, :], dx[0]],
+        axis=1,
+    )  # (T, 4, P)
     size = np.maximum(np.abs(p[0]), 1e-3)
     estimates = [differences(sim, p, step * size) for step in STEPS]
     for row, parameter in enumerate(SPHERE_PARAMETERS):
@@ -172,7 +193,13 @@ def test_the_supply_limits_the_current_here() -> None:
     """Or the cases above would not have covered it."""
     sim, p = scene("rolling", "box", "ramped", "rk4")
     strong = SphereSimulator(
-        [sphere_run("revolute", replace(joint_run(), supply=(0.0, 2.49, 5.22)))], sim.enclosure
+        [
+            sphere_run(
+                "revolute",
+                replace(joint_run(), supply=(0.0, 2.49, 5.22)),
+            )
+        ],
+        sim.enclosure,
     )
     assert np.abs(states_of(sim, ONE, p)[0] - states_of(strong, ONE, p)[0]).max() > 0.01
 
@@ -181,7 +208,10 @@ def test_the_supply_limits_the_current_here() -> None:
 def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str) -> None:
     """Without delay a sample falls on a change of the current; one-sided differences (-3, 4, -1) towards longer delays."""
     _, p = scene("rolling", "box", "ramped", integrator)
-    run = replace(joint_run(), sample_times_s=np.array([0.05, 0.1017, 0.16, 0.2013, 0.25]))
+    run = replace(
+        joint_run(),
+        sample_times_s=np.array([0.05, 0.1017, 0.16, 0.2013, 0.25]),
+    )
     sim = SphereSimulator([sphere_run("revolute", run)], enclosure("box"), "ramped", integrator)
     column = SPHERE_INDEX["delay"]
     p[0, column] = 0.0
@@ -190,10 +220,18 @@ def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str)
     step = 1e-7
     moved = np.repeat(p, 3, axis=0)
     moved[:, column] = [0.0, step, 2.0 * step]
-    q, _, x, *_ = states_of(sim, np.zeros(3, dtype=np.int32), moved)
+    q, _, x, *_ = states_of(
+        sim,
+        np.zeros(3, dtype=np.int32),
+        moved,
+    )
     for values, wanted in ((q, exact), (x, dx)):
         difference = (-3.0 * values[0] + 4.0 * values[1] - values[2]) / (2.0 * step)
-        np.testing.assert_allclose(difference, wanted, atol=3e-6 * np.abs(wanted).max())
+        np.testing.assert_allclose(
+            difference,
+            wanted,
+            atol=3e-6 * np.abs(wanted).max(),
+        )
     weights = np.random.default_rng(2).normal(size=(1, 5))
     assert taped_sphere(sim, ONE, p).gradient(weights)[0, column] == pytest.approx(
         (weights[0] * exact).sum(), rel=1e-10
@@ -224,9 +262,15 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
     plain = replace(short, sample_times_s=short.sample_times_s[:7])
     runs = [long, sphere_run("revolute", short), plain, sphere_run("prismatic", long)]
     with_sphere = [isinstance(run, SphereRun) for run in runs]
-    special = SphereSimulator([run for run in runs if isinstance(run, SphereRun)], enclosure("box"))
+    special = SphereSimulator(
+        [run for run in runs if isinstance(run, SphereRun)],
+        enclosure("box"),
+    )
     mixed = MixedSimulator(special, [long, plain], with_sphere)
-    worlds = np.array([3, 0, 1, 2, 1, 3], dtype=np.int32)
+    worlds = np.array(
+        [3, 0, 1, 2, 1, 3],
+        dtype=np.int32,
+    )
     p = np.repeat(p, len(worlds), axis=0)
     p *= np.random.default_rng(4).uniform(0.9, 1.1, p.shape)
     directions = np.repeat(EVERY, len(worlds), axis=0)
@@ -243,9 +287,22 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
                 alone = JointSimulator([own])
                 width = len(PARAMETERS)
                 np.testing.assert_array_equal(dq[world, :n, width:], 0.0)
-            expected = alone.jacobian(ONE, p[world : world + 1, :width], EVERY[:, :width])
+            expected = alone.jacobian(
+                ONE,
+                p[world : world + 1, :width],
+                EVERY[:, :width],
+            )
             for got, wanted in zip((q, v, dq), expected, strict=True):
-                np.testing.assert_allclose(got[world, :n], wanted[0, :n], rtol=1e-12, atol=1e-13)
+                np.testing.assert_allclose(
+                    got[world, :n],
+                    wanted[0, :n],
+                    rtol=1e-12,
+                    atol=1e-13,
+                )
     # a world has the parameters of a sphere, rolling or not
     with pytest.raises(ValueError, match="shape"):
-        mixed.jacobian(worlds, p[:, : len(PARAMETERS)], directions[:, : len(PARAMETERS)])
+        mixed.jacobian(
+            worlds,
+            p[:, : len(PARAMETERS)],
+            directions[:, : len(PARAMETERS)],
+        )

@@ -68,7 +68,12 @@ def parameters(**values: float) -> np.ndarray:
 
 
 def squeeze_run(table: Response, times: np.ndarray, torque: float, **options: float) -> SqueezeRun:
-    joint = JointRun(times, np.zeros(1), np.array([torque]), **options)
+    joint = JointRun(
+        times,
+        np.zeros(1),
+        np.array([torque]),
+        **options,
+    )
     return SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table)
 
 
@@ -90,7 +95,10 @@ def simulator(
         fine_step_s=1 / 4000 if integrator == "rk4" else 1 / 1000,
         input_load=np.array([[0.001, 0.02], [-0.002, 0.03], [0.0015, -0.01]]),
     )
-    return SqueezeSimulator([SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table, bend)], integrator)
+    return SqueezeSimulator(
+        [SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table, bend)],
+        integrator,
+    )
 
 
 def point(seed: int) -> np.ndarray:
@@ -139,13 +147,22 @@ def test_tape_against_sensitivities(
 ) -> None:
     sim = simulator(bonded, integrator, bend)
     p = point(seed)
-    q, _, exact = sim.jacobian(ONE, p, np.eye(len(SCALES))[None])
+    q, _, exact = sim.jacobian(
+        ONE,
+        p,
+        np.eye(len(SCALES))[None],
+    )
     weights = np.random.default_rng(seed).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
     tape = taped_squeeze(sim, ONE, p)
     np.testing.assert_allclose(tape.q, q, atol=1e-12)
     gradient = tape.gradient(weights)
-    np.testing.assert_allclose(gradient, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        gradient,
+        expected,
+        rtol=1e-9,
+        atol=1e-9 * np.abs(expected).max(),
+    )
     np.testing.assert_array_equal(tape.gradient(weights), gradient)
 
 
@@ -183,7 +200,10 @@ def test_against_another_integrator_and_the_closed_form(
         s = max(closed(q) - gap, 0.0) / EDGE
         push = force(1.0 - s) + EDGE**2 * eta * ratio_here * v / EDGE * min(s / 1e-3, 1.0)
         load = ratio_here * max(push, 0.0) if s > 0.0 else 0.0
-        return [v, (torque - coulomb * np.tanh(v / 0.01) - viscous * v - load) / 0.005]
+        return [
+            v,
+            (torque - coulomb * np.tanh(v / 0.01) - viscous * v - load) / 0.005,
+        ]
 
     times = np.linspace(0.05, 1.0, 20)
     exact = solve_ivp(
@@ -233,7 +253,11 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
         "lame_lambda": lam,
     }
     soft = np.array([[values.get(name, 0.0) for name in SOFT_PARAMETERS]])
-    body = SoftBody(box(np.full(3, EDGE), (4, 4, 4)), mass, TRAVEL)
+    body = SoftBody(
+        box(np.full(3, EDGE), (4, 4, 4)),
+        mass,
+        TRAVEL,
+    )
     explicit = body.rollout(SoftRun(np.zeros(1), np.array([torque]), 60), soft, "starts").q[0]
     assert SqueezeSimulator([run]).squeeze(ONE, p, q[None]).max() > 0.25
     rms = float(np.sqrt(np.mean((q - explicit) ** 2))) / COUNT
@@ -242,7 +266,13 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
 
 @pytest.mark.long
 def test_it_rests_where_the_table_says(bonded: Response) -> None:
-    run = squeeze_run(bonded, np.array([20.0]), 0.05, step_s=1e-3, fine_step_s=1e-3)
+    run = squeeze_run(
+        bonded,
+        np.array([20.0]),
+        0.05,
+        step_s=1e-3,
+        fine_step_s=1e-3,
+    )
     sim = SqueezeSimulator([run])
     p = parameters(viscous=0.06, poissons_ratio=0.3, gap=0.002)
     s = sim.squeeze(ONE, p, sim.rollout(ONE, p)[0])[0, 0]
@@ -259,20 +289,35 @@ def test_before_it_touches_there_is_no_block(bonded: Response) -> None:
 
 def test_a_block_that_is_let_go_does_not_pull(bonded: Response) -> None:
     """The gripper is thrown off: once it has left, its speed stays, also with a viscosity that would hold it back."""
-    run = squeeze_run(bonded, np.linspace(0.02, 2.0, 100), 0.0, step_s=1e-3, fine_step_s=1e-3)
+    run = squeeze_run(
+        bonded,
+        np.linspace(0.02, 2.0, 100),
+        0.0,
+        step_s=1e-3,
+        fine_step_s=1e-3,
+    )
     sim = SqueezeSimulator([run])
     p = parameters(q0=0.3, poissons_ratio=0.3, block_viscosity=2000.0)
     q, v = sim.rollout(ONE, p)
     away = sim.squeeze(ONE, p, q)[0] < 0.0
     assert away.sum() > 10 and v[0, away].max() < 0.0
-    np.testing.assert_allclose(v[0, away], v[0, -1], rtol=1e-12)
+    np.testing.assert_allclose(
+        v[0, away],
+        v[0, -1],
+        rtol=1e-12,
+    )
 
 
 def test_a_joint_that_closes_backwards_is_the_mirror_image(bonded: Response) -> None:
     times = np.linspace(0.05, 1.0, 12)
     run = squeeze_run(bonded, times, 0.05)
     other = replace(
-        run, joint=replace(run.joint, input_current_A=np.array([-0.05])), travel=-TRAVEL
+        run,
+        joint=replace(
+            run.joint,
+            input_current_A=np.array([-0.05]),
+        ),
+        travel=-TRAVEL,
     )
     p = parameters(viscous=0.01, coulomb=0.005, poissons_ratio=0.3, gap=0.001, block_viscosity=30.0)
     q = SqueezeSimulator([run, other]).rollout(
@@ -284,10 +329,17 @@ def test_a_joint_that_closes_backwards_is_the_mirror_image(bonded: Response) -> 
 def test_runs_with_different_tables(bonded: Response, sliding: Response) -> None:
     times = np.linspace(0.05, 1.0, 12)
     runs = [squeeze_run(table, times, 0.05) for table in (bonded, sliding, bonded)]
-    p = np.repeat(parameters(viscous=0.03, poissons_ratio=0.4), 3, axis=0)
+    p = np.repeat(
+        parameters(viscous=0.03, poissons_ratio=0.4),
+        3,
+        axis=0,
+    )
     q = SqueezeSimulator(runs).rollout(np.arange(3, dtype=np.int32), p)[0]
     np.testing.assert_array_equal(q[0], q[2])
-    np.testing.assert_array_equal(q[1], SqueezeSimulator(runs[1:2]).rollout(ONE, p[:1])[0][0])
+    np.testing.assert_array_equal(
+        q[1],
+        SqueezeSimulator(runs[1:2]).rollout(ONE, p[:1])[0][0],
+    )
     assert q[1, -1] > 1.05 * q[0, -1]  # a face that slides is softer
 
 

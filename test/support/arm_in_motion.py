@@ -71,7 +71,10 @@ SIX = Build(
 )
 """An industrial arm of 12 kg."""
 _FIRST = ("axes", "origins", "masses_kg", "coms_m", "sizes_m", "constants", "middle", "wrist")
-THREE = replace(SIX, **{name: getattr(SIX, name)[:3] for name in _FIRST})
+THREE = replace(
+    SIX,
+    **{name: getattr(SIX, name)[:3] for name in _FIRST},
+)
 """Its first three joints, with the hand at the third link."""
 FOUR = Build(
     axes=("0 0 1", "0 1 0", "0 1 0", "0 1 0"),
@@ -266,7 +269,10 @@ class Twin:
         result: np.ndarray = np.sqrt(3.0 / 8.0) * (once + thrice + tooth)
         return result
 
-    def payload(self, rng: np.random.Generator) -> tuple[float, np.ndarray]:
+    def payload(
+        self,
+        rng: np.random.Generator,
+    ) -> tuple[float, np.ndarray]:
         """Mass [kg] and centre in the hand [m] of something that such an arm may hold; each fourth arm holds nothing."""
         mass = (
             0.0
@@ -360,7 +366,10 @@ class Twin:
             mujoco.mj_step(model, data)
             if sampled:
                 true[-1][2] = data.qacc.copy()
-        self.truths[name] = Truth(*np.swapaxes(true, 0, 1), warm)
+        self.truths[name] = Truth(
+            *np.swapaxes(true, 0, 1),
+            warm,
+        )
         times_s = np.array(times)
         return Motion(
             name,

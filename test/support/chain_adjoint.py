@@ -38,19 +38,36 @@ def pack(sim: ChainSimulator, **groups: ArrayLike) -> NDArray[np.float64]:
     n = len(sim.model.joint_names)
     blocks = []
     for group, value in {"pi": inertial_parameters(sim.model.pseudo_inertia), **groups}.items():
-        own = {"pi": (n, INERTIAL), "delay": ()}.get(group, (n,))
+        own = {"pi": (n, INERTIAL), "delay": ()}.get(
+            group,
+            (n,),
+        )
         array = np.asarray(value, dtype=np.float64)
         worlds = array.shape[:1] if array.ndim > len(own) else (1,)
-        blocks.append((group, np.broadcast_to(array, worlds + own).reshape(*worlds, -1)))
+        blocks.append(
+            (
+                group,
+                np.broadcast_to(array, worlds + own).reshape(
+                    *worlds,
+                    -1,
+                ),
+            )
+        )
     result = np.zeros((max(len(block) for _, block in blocks), len(sim.parameter_names)))
     for group, block in blocks:
         result[:, sim.columns[group]] = block
     return result
 
 
-def rollout(sim: ChainSimulator, p: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def rollout(
+    sim: ChainSimulator,
+    p: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions and velocities at the sample instants, each (W, T, n), of parameters (W, P)."""
-    q, v, _ = sim.jacobian(p, np.zeros((*np.shape(p), 1)))
+    q, v, _ = sim.jacobian(
+        p,
+        np.zeros((*np.shape(p), 1)),
+    )
     return q, v
 
 
@@ -94,7 +111,10 @@ def terms_kernel(parents: tuple[int, ...]) -> Any:
 
 
 @cache
-def taped_kernels(parents: tuple[int, ...], integrator: str) -> tuple[Any, Any, Any]:
+def taped_kernels(
+    parents: tuple[int, ...],
+    integrator: str,
+) -> tuple[Any, Any, Any]:
     """Kernels that write down the steps of the rollout, take them, and look at the samples.
 
     The adjoint of the last two is right: every step writes its own row, no state is overwritten.
@@ -108,12 +128,34 @@ def taped_kernels(parents: tuple[int, ...], integrator: str) -> tuple[Any, Any, 
     rk4 = integrator == "rk4"
 
     @wp.func
-    def acceleration(fixed: ChainData, p: TABLE, w: wp.int32, q: vec, v: vec, command: vec):
-        _x, _s, _inertia, _velocities, _root, result = solved(fixed, p, w, q, v, command)
+    def acceleration(
+        fixed: ChainData,
+        p: TABLE,
+        w: wp.int32,
+        q: vec,
+        v: vec,
+        command: vec,
+    ):
+        _x, _s, _inertia, _velocities, _root, result = solved(
+            fixed,
+            p,
+            w,
+            q,
+            v,
+            command,
+        )
         return result
 
     @wp.func
-    def moved(fixed: ChainData, p: TABLE, w: wp.int32, q: vec, v: vec, h: FLOAT, command: vec):
+    def moved(
+        fixed: ChainData,
+        p: TABLE,
+        w: wp.int32,
+        q: vec,
+        v: vec,
+        h: FLOAT,
+        command: vec,
+    ):
         half = FLOAT(0.5)
         sixth = FLOAT(1.0) / FLOAT(6.0)
         two = FLOAT(2.0)
@@ -235,7 +277,15 @@ def taped_kernels(parents: tuple[int, ...], integrator: str) -> tuple[Any, Any, 
         for k in range(steps_in[w]):
             h = step_in[w, k] + step_by_delay_in[w, k] * (p_in[w, delay_column] - delay_at[w])
             command = input_current[segment_in[w, k]]
-            q, v = moved(fixed, p_in, w, q_out[w, k], v_out[w, k], h, command)
+            q, v = moved(
+                fixed,
+                p_in,
+                w,
+                q_out[w, k],
+                v_out[w, k],
+                h,
+                command,
+            )
             q_out[w, k + 1] = q
             v_out[w, k + 1] = v
 
@@ -283,13 +333,21 @@ def rigid_body_terms(
     p = np.concatenate(
         [np.zeros(len(JOINT_PARAMETERS) * n), inertial_parameters(model.pseudo_inertia).ravel()]
     )[None]
-    h = wp.zeros(len(states[0]), dtype=wp.types.matrix(shape=(n, n), dtype=FLOAT), device="cpu")
+    h = wp.zeros(
+        len(states[0]),
+        dtype=wp.types.matrix(shape=(n, n), dtype=FLOAT),
+        device="cpu",
+    )
     torque = wp.zeros(len(states[0]), dtype=vec, device="cpu")
     wp.launch(
         terms_kernel(tuple(model.parents.tolist())),
         dim=len(states[0]),
         inputs=[
-            constants_of(model, np.ones(n), np.zeros((n, 3))),
+            constants_of(
+                model,
+                np.ones(n),
+                np.zeros((n, 3)),
+            ),
             doubles(p, FLOAT),
             *(doubles(x, vec) for x in states),
         ],
@@ -304,12 +362,20 @@ def mass_matrix(model: ReducedModel, q: ArrayLike) -> NDArray[np.float64]:
     return rigid_body_terms(model, q, np.zeros_like(q), np.zeros_like(q))[0]
 
 
-def bias(model: ReducedModel, q: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
+def bias(
+    model: ReducedModel,
+    q: ArrayLike,
+    v: ArrayLike,
+) -> NDArray[np.float64]:
     """Gravity, centrifugal and Coriolis torques b(q, v) [N m or N], shape (B, n), at states of shape (B, n)."""
     return rigid_body_terms(model, q, v, np.zeros_like(q))[1]
 
 
-def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDArray[np.float64]:
+def tape_gradient(
+    sim: ChainSimulator,
+    p: ArrayLike,
+    weights: ArrayLike,
+) -> NDArray[np.float64]:
     """Gradient of ``sum(weights * q)`` by reverse mode, on the steps that the rollout takes at the same parameters.
 
     Their lengths follow the delay to first order, which is exact, and stay frozen otherwise.
@@ -338,8 +404,20 @@ def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDAr
             for kind in (FLOAT, FLOAT, wp.int32)
         ]
         written += [wp.zeros(size, dtype=wp.int32, device="cpu") for size in (len(p), shape[:2])]
-        run = [sim._fixed, sim._samples, sim._switches, sim._current, *sim._steps]
-        wp.launch(plan, dim=len(p), inputs=[*run, doubles(p, FLOAT)], outputs=written, device="cpu")
+        run = [
+            sim._fixed,
+            sim._samples,
+            sim._switches,
+            sim._current,
+            *sim._steps,
+        ]
+        wp.launch(
+            plan,
+            dim=len(p),
+            inputs=[*run, doubles(p, FLOAT)],
+            outputs=written,
+            device="cpu",
+        )
         capacity = int(written[3].numpy().max())
         if capacity > MAX_STEPS:
             raise SimulationError(
@@ -352,13 +430,27 @@ def tape_gradient(sim: ChainSimulator, p: ArrayLike, weights: ArrayLike) -> NDAr
         wp.zeros((len(p), capacity + 1), dtype=sim._vec, device="cpu", requires_grad=True)
         for _ in range(2)
     )
-    sampled = wp.zeros(shape[:2], dtype=sim._vec, device="cpu", requires_grad=True)
+    sampled = wp.zeros(
+        shape[:2],
+        dtype=sim._vec,
+        device="cpu",
+        requires_grad=True,
+    )
     tape = wp.Tape()
     with tape:
         wp.launch(
             roll,
             dim=len(p),
-            inputs=[sim._fixed, sim._current, p_array, delay_at, step, by_delay, segment, steps],
+            inputs=[
+                sim._fixed,
+                sim._current,
+                p_array,
+                delay_at,
+                step,
+                by_delay,
+                segment,
+                steps,
+            ],
             outputs=[q, v],
             device="cpu",
         )

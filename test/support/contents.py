@@ -56,9 +56,15 @@ def library() -> ctypes.CDLL:
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / "contents.o"
         built = Path(folder) / "contents.so"
-        subprocess.run(["gcc", *FLAGS, str(SOURCE), "-o", str(part)], check=True)
+        subprocess.run(
+            ["gcc", *FLAGS, str(SOURCE), "-o", str(part)],
+            check=True,
+        )
         # linked without -ffast-math, which has whoever loads it lose his subnormal numbers, in all that he computes
-        subprocess.run(["gcc", "-shared", str(part), "-o", str(built), "-lm"], check=True)
+        subprocess.run(
+            ["gcc", "-shared", str(part), "-o", str(built), "-lm"],
+            check=True,
+        )
         found = ctypes.CDLL(str(built))
     pointer = ctypes.c_void_p
     real = ctypes.c_double
@@ -119,14 +125,23 @@ class Liquid(_Particles):
     """
 
     def __init__(
-        self, cylinder: Cylinder, fill: float, viscosity: float, layers: int, tilt: float = 0.0
+        self,
+        cylinder: Cylinder,
+        fill: float,
+        viscosity: float,
+        layers: int,
+        tilt: float = 0.0,
     ) -> None:
         rng = np.random.default_rng(7)
         cell = cylinder.height / layers
         tall = max(2, round(2.0 * fill / cell))
         wide = 2 * int(np.ceil(cylinder.radius / cell))
         grid = np.stack(
-            np.meshgrid(*[np.arange(-wide, wide) + 0.5] * 2, np.arange(tall) + 0.5, indexing="ij"),
+            np.meshgrid(
+                *[np.arange(-wide, wide) + 0.5] * 2,
+                np.arange(tall) + 0.5,
+                indexing="ij",
+            ),
             axis=-1,
         )
         x = (grid.reshape(-1, 3) + 0.3 * rng.uniform(-0.5, 0.5, (grid.size // 3, 3))) * (
@@ -154,7 +169,13 @@ class Liquid(_Particles):
     ) -> Array:
         frame = np.concatenate([gravity, acceleration, angular, turning])
         out = np.zeros(6)
-        library().liquid_step(self.handle, _at(frame), seconds, KG_M3, _at(out))
+        library().liquid_step(
+            self.handle,
+            _at(frame),
+            seconds,
+            KG_M3,
+            _at(out),
+        )
         return out
 
 
@@ -262,7 +283,11 @@ def ring(
     return step_s * np.arange(1, len(places) + 1), np.array(places)
 
 
-def fitted_ring(times_s: Array, places: Array, first_hz: float) -> tuple[float, float]:
+def fitted_ring(
+    times_s: Array,
+    places: Array,
+    first_hz: float,
+) -> tuple[float, float]:
     """Frequency [Hz] and damping ratio of a damped oscillation; the ratio is 1 where it does not oscillate."""
     from scipy.optimize import least_squares
 
@@ -297,5 +322,10 @@ def sloshing(
 ) -> tuple[float, float]:
     """Frequency [Hz] and damping ratio of the liquid's first mode, let go with a tilted surface."""
     liquid = Liquid(cylinder, fill, viscosity, layers, tilt)
-    times_s, places = ring(liquid, lambda: float(liquid.x[:, 0].mean()), 1.5, step_s)
+    times_s, places = ring(
+        liquid,
+        lambda: float(liquid.x[:, 0].mean()),
+        1.5,
+        step_s,
+    )
     return fitted_ring(times_s, places, theory_hz(cylinder.radius, fill))

@@ -39,8 +39,14 @@ class Desk:
         for servo in self.servos.values():
             servo["baud_rate"] = MEGABAUD
         self.clock = clock
-        self.rotors = Rotors(list(self.servos.values()), time_source.now())
-        self.wire = VirtualBus(tuple(self.servos.values()), self.rotors.advance)
+        self.rotors = Rotors(
+            list(self.servos.values()),
+            time_source.now(),
+        )
+        self.wire = VirtualBus(
+            tuple(self.servos.values()),
+            self.rotors.advance,
+        )
         self.port: Any = (
             PtyPort(self.wire, link) if clock is None else SimulatedPort(self.wire, Path(LINK))
         )

@@ -28,7 +28,11 @@ ELSEWHERE_RAD = 0.7
 FASTER = 1.4
 
 
-def differs(rng: np.random.Generator, arm: Twin, elsewhere: bool = False) -> Differs:
+def differs(
+    rng: np.random.Generator,
+    arm: Twin,
+    elsewhere: bool = False,
+) -> Differs:
     """What a recording of an arm has of its own."""
     count = len(arm.build.axes)
     away = ELSEWHERE_RAD * rng.choice((-1.0, 1.0), count) if elsewhere else np.zeros(count)
@@ -153,7 +157,7 @@ class Pendulum:
         )
         text = _SWING.format(
             step=STEP_S, gravity=GRAVITY, armature=self.armature, viscous=warm * self.viscous, dry=warm * self.dry,
-            mass=mass, centre=-centre, about=max(about_axis - mass * centre**2, 1e-7),
+            mass=mass, centre=-centre, about=max(about_axis - mass * centre**2, 1e-7,),
         )  # fmt: skip
         model = mujoco.MjModel.from_xml_string(text)
         data = mujoco.MjData(model)
@@ -169,7 +173,11 @@ class Pendulum:
         stamps_s = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(
             round(LASTS_S / PERIOD_S)
         )
-        row = np.clip(np.rint((stamps_s - RELEASED_S) / STEP_S).astype(int), 0, len(path) - 1)
+        row = np.clip(
+            np.rint((stamps_s - RELEASED_S) / STEP_S).astype(int),
+            0,
+            len(path) - 1,
+        )
         reading = COUNT_RAD * np.rint(
             (path[row] - zero + 5e-4 * rng.standard_normal(len(row))) / COUNT_RAD
         )

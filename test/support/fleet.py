@@ -53,7 +53,13 @@ class Arm:
 
         if mass_kg not in self._models:
             twin = self.twin
-            text = urdf(twin.masses, twin.coms, twin.inertias, (mass_kg, HELD_AT), self.build)
+            text = urdf(
+                twin.masses,
+                twin.coms,
+                twin.inertias,
+                (mass_kg, HELD_AT),
+                self.build,
+            )
             spec = mujoco.MjSpec.from_string(text)
             spec.compiler.fusestatic = True
             spec.compiler.balanceinertia = True

@@ -71,7 +71,11 @@ class Busy:
     def draw(cls, seed: int) -> Busy:
         random = np.random.default_rng([seed, 1])
         delay_s = math.exp(random.uniform(math.log(1e-3), math.log(80e-3)))
-        return cls(delay_s, random.uniform(0.0, 1e-3 + 0.2 * delay_s), random.uniform(3.0, 8.0))
+        return cls(
+            delay_s,
+            random.uniform(0.0, 1e-3 + 0.2 * delay_s),
+            random.uniform(3.0, 8.0),
+        )
 
 
 class ForeignArm:
@@ -83,7 +87,12 @@ class ForeignArm:
         busy: Of the computer; None: as the seed says.
     """
 
-    def __init__(self, seed: int, goals: bool = False, busy: Busy | None = None) -> None:
+    def __init__(
+        self,
+        seed: int,
+        goals: bool = False,
+        busy: Busy | None = None,
+    ) -> None:
         import mujoco
 
         self.mujoco, self.goals, self.busy = mujoco, goals, busy or Busy.draw(seed)
@@ -149,7 +158,10 @@ class ForeignArm:
 
     def stalled(self, now_s: float, thread: str) -> float:
         """Until when a thread gets no time, where it gets none now; else 0."""
-        begins_s, ends_s = self._stalls.get(thread, (math.nan, -math.inf))
+        begins_s, ends_s = self._stalls.get(
+            thread,
+            (math.nan, -math.inf),
+        )
         if not now_s < ends_s + 1.0 or math.isnan(begins_s):
             begins_s = max(now_s, ends_s) + self._random.exponential(self.busy.every_s)
             self._stalls[thread] = begins_s, begins_s + self._random.uniform(0.02, 0.2)

@@ -61,7 +61,12 @@ def lives(
         shutil.rmtree(folder / str(seed))
 
 
-def _live(made: World, seed: int, folder: Path, live: Callable[[World, int], Any]) -> None:
+def _live(
+    made: World,
+    seed: int,
+    folder: Path,
+    live: Callable[[World, int], Any],
+) -> None:
     """The child; never returns."""
     outcome: Any = None
     sizes = resource.getrlimit(resource.RLIMIT_FSIZE)

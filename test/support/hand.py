@@ -32,7 +32,12 @@ RESISTANCE_OHM = 5.22
 class Hand:
     """A virtual arm whose joints are held by their servos, or driven, after the truth's latency."""
 
-    def __init__(self, seed: int, held: HandObject | None, coulomb: float | None = None) -> None:
+    def __init__(
+        self,
+        seed: int,
+        held: HandObject | None,
+        coulomb: float | None = None,
+    ) -> None:
         truth = Truth.draw(ROBOT, seed, links=True, stribeck=True)
         if coulomb is not None:
             joints = {name: replace(joint, coulomb=coulomb) for name, joint in truth.joints.items()}

@@ -64,7 +64,10 @@ def write_data_set(
             for name, values in vectors.items()
         }
         for name, values in (extra or {}).items():
-            columns[name] = pa.array(np.full(frames, values[index]), pa.float32())
+            columns[name] = pa.array(
+                np.full(frames, values[index]),
+                pa.float32(),
+            )
         columns["timestamp"] = pa.array(motion.times_s, pa.float32())
         columns["frame_index"] = pa.array(np.arange(frames))
         columns["episode_index"] = pa.array(np.full(frames, index))
@@ -104,7 +107,11 @@ def write_data_set(
         count = count + 1
     if writer is not None:
         writer.close()
-    vector = {"dtype": "float32", "shape": [len(names)], "names": list(names)}
+    vector = {
+        "dtype": "float32",
+        "shape": [len(names)],
+        "names": list(names),
+    }
     features = dict.fromkeys(("observation.state", "observation.effort", "action"), vector)
     for name in (*(extra or {}), "timestamp"):
         features[name] = {"dtype": "float32", "shape": [1], "names": None}

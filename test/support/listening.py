@@ -64,7 +64,11 @@ class Listener:
         self.currents = node.create_publisher(Float64MultiArray, "/current_command", 10)
         self.positions = node.create_publisher(Float64MultiArray, "/position_command", 10)
 
-    def wait_for(self, ready: Callable[[], object], seconds: float = SOON_S) -> bool:
+    def wait_for(
+        self,
+        ready: Callable[[], object],
+        seconds: float = SOON_S,
+    ) -> bool:
         """Whether it became true within the time."""
         raise NotImplementedError
 
@@ -81,7 +85,12 @@ class Listener:
         else:
             self.withdrawn += 1
 
-    def begin(self, service: str, kind: Any = Trigger, request: Any = None) -> Any:
+    def begin(
+        self,
+        service: str,
+        kind: Any = Trigger,
+        request: Any = None,
+    ) -> Any:
         """Call a service without waiting for its answer; returns the future."""
         client = self.node.create_client(kind, service)
         assert client.wait_for_service(SOON_S), f"{service} is not there"

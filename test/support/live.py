@@ -58,7 +58,11 @@ class Client(Listener):
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
-    def wait_for(self, ready: Callable[[], object], seconds: float = SOON_S) -> bool:
+    def wait_for(
+        self,
+        ready: Callable[[], object],
+        seconds: float = SOON_S,
+    ) -> bool:
         return wait_for(ready, seconds)
 
 

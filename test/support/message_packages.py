@@ -69,7 +69,13 @@ def build(package: Path, prefix: Path) -> dict[str, str]:
     ]
     # of its own, for generators keep state, and find their templates by an environment variable
     done = subprocess.run(
-        command, env={**os.environ, "AMENT_PREFIX_PATH": str(ROS)}, capture_output=True, text=True
+        command,
+        env={
+            **os.environ,
+            "AMENT_PREFIX_PATH": str(ROS),
+        },
+        capture_output=True,
+        text=True,
     )
     if done.returncode != 0:
         raise RuntimeError(f"building {package.name}: {done.stdout[-2000:]}{done.stderr[-6000:]}")
@@ -131,7 +137,13 @@ def _build(package: Path, prefix: Path) -> None:
     hashes = HashTypeDescription("hash").generate_type_hashes(name, idl, shares, prefix / "idl")
     # what each writes includes what those before it wrote, as <package>/msg/...
     folders = {part: prefix / "generated" / part / name for part in PARTS}
-    GenerateC("c").generate(name, idl, shares, folders[PARTS[0]], type_description_files=hashes)
+    GenerateC("c").generate(
+        name,
+        idl,
+        shares,
+        folders[PARTS[0]],
+        type_description_files=hashes,
+    )
     GenerateFastRTPSCTypesupport("fastrtps_c").generate(name, idl, shares, folders[PARTS[1]])
     GenerateIntrospectionCTypesupport("introspection_c").generate(
         name, idl, shares, folders[PARTS[2]]
@@ -148,7 +160,10 @@ def _build(package: Path, prefix: Path) -> None:
         *(path for path in (ROS / "include").iterdir() if (path / path.name).is_dir()),
     ]
     headers += [folder.parent for folder in (*folders.values(), module)]
-    headers += [Path(sysconfig.get_paths()["include"]), Path(numpy.get_include())]
+    headers += [
+        Path(sysconfig.get_paths()["include"]),
+        Path(numpy.get_include()),
+    ]
     flags = ["-fPIC", "-w", *(f"-I{folder}" for folder in headers)]
     others = [f"-l{each}__{part}" for each in needs for part in (*PARTS, "rosidl_generator_py")]
     others += [f"-l{part}" for part in (*PARTS[1:], "rosidl_runtime_c", "rcutils", "fastcdr")]

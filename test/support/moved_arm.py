@@ -115,7 +115,10 @@ def record_arm(
         torque = inertia[np.ix_(dofs, dofs)] @ pushed + data.qfrc_bias[dofs]
         if step % every == 0:
             time_ns = 10**9 + step * round(1e9 * STEP_S)
-            stamp = header(stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9), frame_id="")
+            stamp = header(
+                stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9),
+                frame_id="",
+            )
             seen = position + random.normal(0.0, 1e-4, count)
             efforts = (torque + random.normal(0.0, torque_noise, count)) / per_effort
             message = state(stamp, list(constants), seen, velocity, efforts)

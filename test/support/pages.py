@@ -25,7 +25,11 @@ class Reader(HTMLParser):
         self.tags: list[str] = []
         self.classes: list[str] = []
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(
+        self,
+        tag: str,
+        attrs: list[tuple[str, str | None]],
+    ) -> None:
         self.tags.append(tag)
         self.classes += (dict(attrs).get("class") or "").split()
         self.links += [
@@ -36,7 +40,11 @@ class Reader(HTMLParser):
         if tag not in VOID:
             self.open.append(tag)
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_startendtag(
+        self,
+        tag: str,
+        attrs: list[tuple[str, str | None]],
+    ) -> None:
         self.handle_starttag(tag, attrs)
         if tag not in VOID:
             self.open.pop()
@@ -80,7 +88,10 @@ def curves(page: str, name: str) -> list[np.ndarray]:
                 y = y1 + at[:, 1] / height * (y0 - y1)
                 found.append(
                     np.stack(
-                        [x0 + at[:, 0] / width * (x1 - x0), 10**y if "data-log" in plot else y],
+                        [
+                            x0 + at[:, 0] / width * (x1 - x0),
+                            10**y if "data-log" in plot else y,
+                        ],
                         axis=1,
                     )
                 )

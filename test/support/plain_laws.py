@@ -64,7 +64,16 @@ def plain_squeeze_rate(
     r: wp.int32,
 ):
     load, _by_q, _by_v, _by_p = excitation_of_block(q, v, p, w, data, r)
-    return acceleration(q, v, command, extra + load, p, w, data.constants, r)
+    return acceleration(
+        q,
+        v,
+        command,
+        extra + load,
+        p,
+        w,
+        data.constants,
+        r,
+    )
 
 
 @wp.func
@@ -79,7 +88,10 @@ def _ramped(
     mu: FLOAT,
     ramp_depth: FLOAT,
 ):
-    normal = wp.max(k * depth - c * wp.min(depth / ramp_depth, FLOAT(1.0)) * v_n, FLOAT(0.0))
+    normal = wp.max(
+        k * depth - c * wp.min(depth / ramp_depth, FLOAT(1.0)) * v_n,
+        FLOAT(0.0),
+    )
     most = mu * normal
     bottom = wp.sqrt(kf * kf * wp.dot(slip, slip) + most * most)
     force = normal * n
@@ -117,12 +129,30 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
     faces = FACES[shape]
 
     @wp.func
-    def start(p: FLOATS, w: wp.int32, data: SphereData, r: wp.int32):
+    def start(
+        p: FLOATS,
+        w: wp.int32,
+        data: SphereData,
+        r: wp.int32,
+    ):
         x, u, s = start_of(p, w, data.geometry, r)
-        return joined_state(p[w, Q0], p[w, V0], x, u, s)
+        return joined_state(
+            p[w, Q0],
+            p[w, V0],
+            x,
+            u,
+            s,
+        )
 
     @wp.func
-    def rates(y: STATE, given: VEC3, p: FLOATS, world: wp.int32, data: SphereData, run: wp.int32):
+    def rates(
+        y: STATE,
+        given: VEC3,
+        p: FLOATS,
+        world: wp.int32,
+        data: SphereData,
+        run: wp.int32,
+    ):
         q = y[0]
         v = y[1]
         x = part(y, 2)
@@ -158,30 +188,71 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
         extra = (
             given[LOAD] + p[world, CARRIED] * given[LOAD_PER_KG] + p[world, SPHERE_MASS] * reaction
         )
-        a = acceleration(q, v, given[CURRENT], extra, p, world, data.constants, run)
+        a = acceleration(
+            q,
+            v,
+            given[CURRENT],
+            extra,
+            p,
+            world,
+            data.constants,
+            run,
+        )
         turning = (turn * v) * axis
         moving = u - v * container_velocity(x, axis, origin, turn)
-        return joined_state(v, a, moving, push - wp.cross(turning, u), spin - wp.cross(turning, s))
+        return joined_state(
+            v,
+            a,
+            moving,
+            push - wp.cross(turning, u),
+            spin - wp.cross(turning, s),
+        )
 
     @wp.func
-    def moved(y: STATE, z: STATE, k: STATE, data: SphereData, r: wp.int32):
+    def moved(
+        y: STATE,
+        z: STATE,
+        k: STATE,
+        data: SphereData,
+        r: wp.int32,
+    ):
         """The paper's equation (2): velocities first, and positions with them."""
         axis = triple(data.geometry, r, AXIS)
         lever = container_velocity(
             part(y, 2), axis, triple(data.geometry, r, ORIGIN), data.geometry[r, TURNS]
         )
-        return joined_state(z[1], k[1], part(z, 5) - z[1] * lever, part(k, 5), part(k, 8))
+        return joined_state(
+            z[1],
+            k[1],
+            part(z, 5) - z[1] * lever,
+            part(k, 5),
+            part(k, 8),
+        )
 
     @wp.func
     def step(
         y: STATE, h: FLOAT, given: VEC3, p: FLOATS, world: wp.int32, data: SphereData, run: wp.int32
-    ):  # fmt: skip
+    ,):  # fmt: skip
         k1 = rates(y, given, p, world, data, run)
         if wp.static(rk4):
             half = FLOAT(0.5)
             two = FLOAT(2.0)
-            k2 = rates(y + (half * h) * k1, given, p, world, data, run)
-            k3 = rates(y + (half * h) * k2, given, p, world, data, run)
+            k2 = rates(
+                y + (half * h) * k1,
+                given,
+                p,
+                world,
+                data,
+                run,
+            )
+            k3 = rates(
+                y + (half * h) * k2,
+                given,
+                p,
+                world,
+                data,
+                run,
+            )
             k4 = rates(y + h * k3, given, p, world, data, run)
             return y + (h / FLOAT(6.0)) * (k1 + two * k2 + two * k3 + k4)
         else:
@@ -209,9 +280,23 @@ def record_forward(
     simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray
 ) -> tuple[wp.array, Any]:
     """The forward pass as a command to launch again and again, and the states that it fills, shape (W, T)."""
-    runs = wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device="cpu")
-    given = wp.array(np.asarray(p, dtype=np.float64), dtype=FLOAT, device="cpu")
-    (states, *_), command = forward(simulator, _law_of(simulator), runs, given, record_cmd=True)
+    runs = wp.array(
+        np.asarray(world_run, dtype=np.int32),
+        dtype=wp.int32,
+        device="cpu",
+    )
+    given = wp.array(
+        np.asarray(p, dtype=np.float64),
+        dtype=FLOAT,
+        device="cpu",
+    )
+    (states, *_), command = forward(
+        simulator,
+        _law_of(simulator),
+        runs,
+        given,
+        record_cmd=True,
+    )
     return states, command
 
 

@@ -15,7 +15,10 @@ from proprio_ros.records import FloatArray, JointRecord, Recording
 
 
 def write_recording(
-    path: str | Path, recording: Recording, storage: str = "mcap", effort_per_A: float | None = None
+    path: str | Path,
+    recording: Recording,
+    storage: str = "mcap",
+    effort_per_A: float | None = None,
 ) -> None:
     """Write /joint_states (position, velocity, effort) and, if there is an input, /current_command with labels.
 
@@ -88,7 +91,13 @@ def _float_array(types: Any, names: Sequence[str], values: FloatArray) -> Any:
     )
     return array(
         layout=layout(
-            dim=[dimension(label=",".join(names), size=len(names), stride=len(names))],
+            dim=[
+                dimension(
+                    label=",".join(names),
+                    size=len(names),
+                    stride=len(names),
+                )
+            ],
             data_offset=0,
         ),
         data=values,

@@ -120,7 +120,11 @@ def draw(seed: int) -> list[Case]:
     return cases
 
 
-def recorded(case: Case, seed: int, duration_s: float = DURATION_S) -> tuple[Run, np.ndarray]:
+def recorded(
+    case: Case,
+    seed: int,
+    duration_s: float = DURATION_S,
+) -> tuple[Run, np.ndarray]:
     """What the encoder shows of an arm of MuJoCo's: the sphere settles for 1 s while the joint is held, then the current comes.
 
     Returns:

@@ -89,7 +89,7 @@ def main(file: Path, rows: list[str]) -> None:
     content = {
         "command": f"python test/support/schedules.py {', then '.join(ranges)}",
         "commit": ", ".join(dict.fromkeys(", ".join(each["commit"] for each in counted).split(", "))),
-        "machine": {"platform": platform.platform(), "python": platform.python_version(), "cores": os.cpu_count()},
+        "machine": {"platform": platform.platform(), "python": platform.python_version(), "cores": os.cpu_count(),},
         "date": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d"), "tables": tables(counted),
     }  # fmt: skip
     file.write_text(json.dumps(content, indent=1) + "\n")

@@ -31,7 +31,10 @@ from typing import Any
 
 if __name__ == "__main__":
     os.environ.update({f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")})
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    sys.path.insert(
+        0,
+        str(Path(__file__).resolve().parents[1]),
+    )
 
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -170,9 +173,21 @@ def drawn(seed: int) -> Drawn:
             lasts_s = draw.uniform(0.05, 0.8)
         if kind == "clock":
             lasts_s = draw.choice((-5.0, -0.2, 0.2, 5.0))
-        faults.append(Fault(draw.uniform(0.0, 1.5 if plan == "push" else 4.5), kind, whom, lasts_s))
+        faults.append(
+            Fault(
+                draw.uniform(0.0, 1.5 if plan == "push" else 4.5),
+                kind,
+                whom,
+                lasts_s,
+            )
+        )
     masses_kg = draw.choice(MASSES_KG), draw.choice(MASSES_KG)
-    return Drawn(plan, masses_kg, network, tuple(sorted(faults, key=lambda fault: fault.at_s)))
+    return Drawn(
+        plan,
+        masses_kg,
+        network,
+        tuple(sorted(faults, key=lambda fault: fault.at_s)),
+    )
 
 
 class Side:
@@ -184,7 +199,12 @@ class Side:
         broken: Takes what is not true.
     """
 
-    def __init__(self, made: World, space: str, broken: list[str]) -> None:
+    def __init__(
+        self,
+        made: World,
+        space: str,
+        broken: list[str],
+    ) -> None:
         self.world, self.space, self.mass_kg = made, f"/{space}" if space else "", 0.0
         self._broken = broken
         self.position = made.user.create_publisher(
@@ -409,7 +429,11 @@ class Schedule:
 
     def __init__(self, made: World, seed: int, digest: bool = False) -> None:
         self.world, self.digest, self.drawn = made, digest, drawn(seed)
-        self.outcome = Outcome(seed, self.drawn.plan, list(self.drawn.faults))
+        self.outcome = Outcome(
+            seed,
+            self.drawn.plan,
+            list(self.drawn.faults),
+        )
         spaces = ("left", "right") if self.drawn.plan == "pair" else ("",)
         self.sides = [Side(made, space, self.outcome.broken) for space in spaces]
 
@@ -550,7 +574,12 @@ def standing(plan: str, folder: Path) -> Iterator[World]:
     os.chdir(folder)
     try:
         # where a process of its own goes, its recordings go
-        with world(Path("data"), nodes=nodes, only=(), coarse=True) as made:
+        with world(
+            Path("data"),
+            nodes=nodes,
+            only=(),
+            coarse=True,
+        ) as made:
             for space in spaces:
                 for name in NODES:
                     link = {
@@ -598,7 +627,12 @@ def played(
         with standing(plan, folder / plan) as made:
             for seed, outcome in lives(made, of_plan, folder / plan, live, together):
                 if isinstance(outcome, str):
-                    outcome = Outcome(seed, plan, list(drawn(seed).faults), broken=[outcome])
+                    outcome = Outcome(
+                        seed,
+                        plan,
+                        list(drawn(seed).faults),
+                        broken=[outcome],
+                    )
                 yield outcome
 
 
@@ -609,7 +643,11 @@ def calibrate(folder: Path) -> None:
         "robot_sequence": "empty_hand_elbow",
         "reference_sequence": "reference_elbow",
     }
-    with world(folder, seed=0, nodes={"virtual": {"object": "0.05"}, "identifier": elbow}) as made:
+    with world(
+        folder,
+        seed=0,
+        nodes={"virtual": {"object": "0.05"}, "identifier": elbow},
+    ) as made:
         answer = made.call("/identifier/calibrate_robot")
         assert answer.success, answer.message
         shutil.copyfile(re.search(r"calibration: (\S+?\.yaml)", answer.message)[1], CALIBRATION)  # type: ignore[index]
@@ -662,7 +700,10 @@ def main(words: Sequence[str] | None = None) -> int:
             return 0
         numbers = [int(word) for word in stated.seeds.split(",")]
         seeds = numbers if len(numbers) > 1 else range(numbers[0], numbers[0] + stated.count)
-        found = counted(played(seeds, Path(folder), stated.digest, stated.together), stated.tell)
+        found = counted(
+            played(seeds, Path(folder), stated.digest, stated.together),
+            stated.tell,
+        )
     print(json.dumps(found))
     if stated.json:
         stated.json.write_text(json.dumps(found, indent=1) + "\n")

@@ -61,7 +61,10 @@ def bonded_force(
     ] = True
     held[top] = True
     free = np.flatnonzero(~held)
-    rows = (3 * corners[:, :, None] + np.arange(3)).reshape(len(corners), 81)
+    rows = (3 * corners[:, :, None] + np.arange(3)).reshape(
+        len(corners),
+        81,
+    )
     identity = np.eye(3)
 
     def assemble(x: np.ndarray) -> tuple[np.ndarray, csc_matrix]:
@@ -84,7 +87,10 @@ def bonded_force(
             rows.ravel(), force.reshape(len(corners), 81).ravel(), minlength=3 * n**3
         )
         index = np.repeat(rows, 81, axis=1).ravel(), np.tile(rows, (1, 81)).ravel()
-        return total, csc_matrix((stiff.ravel(), index), shape=(3 * n**3, 3 * n**3))
+        return total, csc_matrix(
+            (stiff.ravel(), index),
+            shape=(3 * n**3, 3 * n**3),
+        )
 
     forces = []
     x = points.copy()

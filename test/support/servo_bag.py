@@ -28,19 +28,34 @@ def write(
     nothing = np.zeros(0)
     for row, t in enumerate(rows["t"]):
         time_ns = 10**9 + round(1e9 * t)
-        stamp = header(stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9), frame_id="")
+        stamp = header(
+            stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9),
+            frame_id="",
+        )
         given = nothing if effort is None else effort[row : row + 1]
         said = [
             (
                 "/joint_states",
-                state(stamp, ["pendulum"], rows["position"][row : row + 1], nothing, given),
+                state(
+                    stamp,
+                    ["pendulum"],
+                    rows["position"][row : row + 1],
+                    nothing,
+                    given,
+                ),
             )
         ]
         if "goal" in topics:
             said.append(
                 (
                     "/joint_command",
-                    state(stamp, ["pendulum"], rows["goal"][row : row + 1], nothing, nothing),
+                    state(
+                        stamp,
+                        ["pendulum"],
+                        rows["goal"][row : row + 1],
+                        nothing,
+                        nothing,
+                    ),
                 )
             )
         if "voltage" in topics:

@@ -52,7 +52,11 @@ def fixed(recordings: Path, level: str) -> list[Path]:
     return sorted((recordings / level).glob("fixed_*"))
 
 
-def empty_runs(level: Path, robot: Robot, pattern: str = "empty_*") -> list[LoadedRun]:
+def empty_runs(
+    level: Path,
+    robot: Robot,
+    pattern: str = "empty_*",
+) -> list[LoadedRun]:
     return [
         LoadedRun(run) for folder in sorted(level.glob(pattern)) for run in runs_of(folder, robot)
     ]
@@ -162,7 +166,13 @@ class Boxes:
             Settings({**stated_of_box(folders[0]), **settings}), probe_file("container")
         )
         runs = [run for folder in folders for run in self.runs(folder)]
-        return find_sphere(self.robot, runs, facts, None, self.baseline(folders[0].name))
+        return find_sphere(
+            self.robot,
+            runs,
+            facts,
+            None,
+            self.baseline(folders[0].name),
+        )
 
 
 def cube_of(folder: Path) -> tuple[float, float, float]:
@@ -173,5 +183,10 @@ def cube_of(folder: Path) -> tuple[float, float, float]:
 
 def squeezed(robot: Robot, folder: Path, **facts: Any) -> Estimate:
     return find_softness(
-        robot, runs_of(folder, robot), BlockFacts(np.full(3, cube_of(folder)[0]), **facts)
+        robot,
+        runs_of(folder, robot),
+        BlockFacts(
+            np.full(3, cube_of(folder)[0]),
+            **facts,
+        ),
     )

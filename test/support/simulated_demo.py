@@ -15,7 +15,11 @@ from support.simulated_world import LINK, ROOM, World
 class SimulatedGraph:
     """In place of `proprio_ros.nodes.graph.Graph`."""
 
-    def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        logs: Path,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.logs = logs
         self.world = World(logs.parent, only=())
 
@@ -30,7 +34,12 @@ class SimulatedGraph:
     ) -> None:
         self.world.close()
 
-    def start(self, node: str, parameters: Mapping[str, Any], namespace: str = "") -> None:
+    def start(
+        self,
+        node: str,
+        parameters: Mapping[str, Any],
+        namespace: str = "",
+    ) -> None:
         place = {name: LINK for name in ("link", "port") if name in parameters}
         self.world.start(
             node,

@@ -21,7 +21,11 @@ class Client(Listener):
         self.world, self.clock = made, made.clock
         super().__init__(made.somebody(name))
 
-    def wait_for(self, ready: Callable[[], object], seconds: float = SOON_S) -> bool:
+    def wait_for(
+        self,
+        ready: Callable[[], object],
+        seconds: float = SOON_S,
+    ) -> bool:
         """Whether it became true within that simulated time."""
         return comes_true(ready, seconds, self.clock.now, self.clock.sleep)
 
@@ -49,9 +53,19 @@ def running(
         "virtual": {"seed": 1, **parameters.get("virtual", {})},
         "driver": parameters.get("driver", {}),
         "excitation": parameters.get("excitation", {}),
-        "identifier": {"calibration": "none", "report": True, **parameters.get("identifier", {})},
+        "identifier": {
+            "calibration": "none",
+            "report": True,
+            **parameters.get("identifier", {}),
+        },
     }
-    with world(folder / "data", seed=seed, network=network, nodes=given, only=names) as made:
+    with world(
+        folder / "data",
+        seed=seed,
+        network=network,
+        nodes=given,
+        only=names,
+    ) as made:
         client = Client(made)
         signs = {
             "virtual": lambda: client.motors,

@@ -105,7 +105,13 @@ GRAPH: list[Graph] = []
 
 
 class Publisher:
-    def __init__(self, node: SimulatedNode, kind: type, topic: str, qos: Any) -> None:
+    def __init__(
+        self,
+        node: SimulatedNode,
+        kind: type,
+        topic: str,
+        qos: Any,
+    ) -> None:
         self._node, self.msg_type, self.topic_name, self.topic = node, kind, topic, topic
         self.latched = (
             isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
@@ -196,7 +202,10 @@ class Subscription:
 
     def deliver(self, publisher: Publisher, data: bytes, number: int) -> None:
         for at_s in self._node.graph.arrival(self._last_s.get(id(publisher), -math.inf)):
-            self._last_s[id(publisher)] = max(at_s, self._last_s.get(id(publisher), -math.inf))
+            self._last_s[id(publisher)] = max(
+                at_s,
+                self._last_s.get(id(publisher), -math.inf),
+            )
             place = len(self.queue)
             while place and self.queue[place - 1][0] > at_s:
                 place -= 1
@@ -208,7 +217,11 @@ class Subscription:
             if not self.polled:
                 self._node.due(at_s)
 
-    def take_message(self, kind: type, raw: bool) -> tuple[Any, dict[str, Any]] | None:
+    def take_message(
+        self,
+        kind: type,
+        raw: bool,
+    ) -> tuple[Any, dict[str, Any]] | None:
         if not self.queue or self.queue[0][0] > self._node.graph.clock._now_s:
             return None
         now_s = self._node.graph.clock._now_s
@@ -239,7 +252,13 @@ class Subscription:
 
 
 class Service:
-    def __init__(self, node: SimulatedNode, kind: Any, name: str, callback: Any) -> None:
+    def __init__(
+        self,
+        node: SimulatedNode,
+        kind: Any,
+        name: str,
+        callback: Any,
+    ) -> None:
         self._node, self.srv_type, self.srv_name, self.service_name, self.callback = (
             node,
             kind,
@@ -376,7 +395,10 @@ class _Time:
     def to_msg(self) -> Any:
         from builtin_interfaces.msg import Time
 
-        return Time(sec=self.nanoseconds // 10**9, nanosec=self.nanoseconds % 10**9)
+        return Time(
+            sec=self.nanoseconds // 10**9,
+            nanosec=self.nanoseconds % 10**9,
+        )
 
 
 class _NodeClock:

@@ -141,7 +141,10 @@ class SimulatedClock:
     def _push(self, actor: Actor, due_s: float) -> None:
         actor.due_s = due_s
         self._count += 1
-        heapq.heappush(self._waiting, (due_s, self._random.random(), self._count, actor))
+        heapq.heappush(
+            self._waiting,
+            (due_s, self._random.random(), self._count, actor),
+        )
 
     def _next(self) -> Actor:
         while True:
@@ -257,12 +260,19 @@ class SimulatedThread:
     """As `threading.Thread`."""
 
     def __init__(
-        self, clock: SimulatedClock, target: Callable[[], None], name: str, group: str
+        self,
+        clock: SimulatedClock,
+        target: Callable[[], None],
+        name: str,
+        group: str,
     ) -> None:
         self._clock, self._target, self.name = clock, target, name
         self.actor = clock._enter(name, group)
         self.actor.done = True
-        self.actor.task = greenlet.greenlet(self._run, clock.actors[0].task)
+        self.actor.task = greenlet.greenlet(
+            self._run,
+            clock.actors[0].task,
+        )
         self._ended = SimulatedEvent(clock)
 
     def start(self) -> None:

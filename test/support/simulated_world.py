@@ -68,7 +68,12 @@ LINK = "/simulated/arm"
 class Process:
     """A node as a process: it may be asked to end, killed and started again."""
 
-    def __init__(self, world: World, name: str, make: Callable[[], Any]) -> None:
+    def __init__(
+        self,
+        world: World,
+        name: str,
+        make: Callable[[], Any],
+    ) -> None:
         self._world, self.name, self._make = world, name, make
         self.node: Any = None
         self.code: int | None = None
@@ -218,7 +223,11 @@ class World:
         self.user = self.somebody("user")
 
     def start(
-        self, name: str, values: dict[str, Any], namespace: str = "", called: str = ""
+        self,
+        name: str,
+        values: dict[str, Any],
+        namespace: str = "",
+        called: str = "",
     ) -> Process:
         """Start a node; what is not a word, a number or a list becomes a word. ``called``: its process, where names would clash."""
         plain = {
@@ -251,7 +260,11 @@ class World:
         return node
 
     def call(
-        self, service: str, kind: Any = Trigger, request: Any = None, within_s: float = 600.0
+        self,
+        service: str,
+        kind: Any = Trigger,
+        request: Any = None,
+        within_s: float = 600.0,
     ) -> Any:
         """The answer of a service; None where it never comes."""
         client = self.user.create_client(kind, service)

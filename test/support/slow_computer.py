@@ -79,14 +79,25 @@ class Player:
 
     def _play(self) -> None:
         motion = self.motion
-        rows = zip(motion.times_s.tolist(), motion.position, motion.current_A, strict=True)
+        rows = zip(
+            motion.times_s.tolist(),
+            motion.position,
+            motion.current_A,
+            strict=True,
+        )
         for at_s, position, effort in rows:
             due_s = self.begun_s + at_s / self.pace
             if self._ended.wait(max(0.0, due_s - self._clock.now())):
                 return
             stamp_ns = self._begun_ns + round(1e9 * (at_s + self.ahead_s))
             self.sent_s[stamp_ns] = self._clock.now()
-            state = joint_state(stamp_ns, motion.joints, position.tolist(), [], effort.tolist())
+            state = joint_state(
+                stamp_ns,
+                motion.joints,
+                position.tolist(),
+                [],
+                effort.tolist(),
+            )
             self._publisher.publish(state)
 
     def stop(self) -> None:

@@ -78,7 +78,11 @@ def command(
     return Message(time_ns, topic, msgtype, content)
 
 
-def write_bag(path: Path, messages: Sequence[Message], storage: str = "mcap") -> Path:
+def write_bag(
+    path: Path,
+    messages: Sequence[Message],
+    storage: str = "mcap",
+) -> Path:
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         connections: dict[tuple[str, str], Any] = {}

@@ -50,4 +50,8 @@ def inertial(mass: str = "1", **moments: str) -> str:
     )
 
 
-THREE = chain(joint("a"), joint("b", "one", "two"), joint("c", "two", "three", kind="fixed"))
+THREE = chain(
+    joint("a"),
+    joint("b", "one", "two"),
+    joint("c", "two", "three", kind="fixed"),
+)

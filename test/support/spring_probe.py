@@ -121,7 +121,10 @@ class SpringProblem(Problem):
     def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator:
         return SpringSimulator(runs, integrator)
 
-    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _all_parameters(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
         p[:, : self.with_spring, STIFFNESS] = values[:, None, self.index["spring_stiffness"]]
         dp[:, : self.with_spring, STIFFNESS, self.index["spring_stiffness"]] = 1.0
@@ -129,7 +132,10 @@ class SpringProblem(Problem):
 
 
 def find_spring(
-    robot: Robot, runs: Sequence[Run], prior: float, baseline: Sequence[Run] = ()
+    robot: Robot,
+    runs: Sequence[Run],
+    prior: float,
+    baseline: Sequence[Run] = (),
 ) -> Estimate:
     prepared = [prepare_run(robot, run, KnownLoad()) for run in (*runs, *baseline)]
 
@@ -161,7 +167,15 @@ class StiffnessFound(Conclusion):
             return (Value(self.name, "N m/rad", None, reason=withheld),)
         value = self.assessed.value
         std = self.assessed.std
-        return (Value(self.name, "N m/rad", value, std, [value - Z95 * std, value + Z95 * std]),)
+        return (
+            Value(
+                self.name,
+                "N m/rad",
+                value,
+                std,
+                [value - Z95 * std, value + Z95 * std],
+            ),
+        )
 
     def solver(self) -> SolverSummary:
         return summary(
@@ -207,7 +221,12 @@ class Spring(HasBaseline[float]):
         reference=False,
     )
 
-    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> float:
+    def facts(
+        self,
+        settings: Settings,
+        solver: str = "lm",
+        profile: str = "default",
+    ) -> float:
         prior: float = settings.take("spring.prior", 1.0, Number())
         return prior
 

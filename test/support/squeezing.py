@@ -21,7 +21,10 @@ EDGE_M = 0.03
 GAP_M = 0.0005
 
 
-def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
+def played(
+    name: str,
+    hand: Hand,
+) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
     """A shipped sequence, made."""
     return made(load_sequence(name, ROBOT), hand)
 
@@ -50,7 +53,11 @@ def made(
     stamps = np.array(times)
     inputs = InputRecord(stamps, JOINTS, np.array(currents), "/applied_effort")
     runs = cut_runs(
-        Recording(sequence.name, JointRecord(stamps, JOINTS, np.array(places)), inputs),
+        Recording(
+            sequence.name,
+            JointRecord(stamps, JOINTS, np.array(places)),
+            inputs,
+        ),
         joints=list(JOINTS),
     )
     return machine, runs, began - closed
@@ -71,4 +78,12 @@ def squeezed(
     hand = Hand(seed, block)
     machine, runs, closed = played("softness", hand)
     assert machine.phase is Phase.DONE, machine.message
-    return machine, find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))), closed
+    return (
+        machine,
+        find_softness(
+            robot,
+            runs,
+            BlockFacts(np.full(3, EDGE_M)),
+        ),
+        closed,
+    )

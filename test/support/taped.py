@@ -169,7 +169,15 @@ def taped(law: PlainLaw) -> Any:
         y_out[w, 0] = start(p, w, data, r)
         for n in range(steps_in[w]):
             h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
-            y_out[w, n + 1] = step(y_out[w, n], h, input_in[w, n], p, w, data, r)
+            y_out[w, n + 1] = step(
+                y_out[w, n],
+                h,
+                input_in[w, n],
+                p,
+                w,
+                data,
+                r,
+            )
 
     return roll
 
@@ -219,7 +227,11 @@ def plain_rate(
 
 
 @cache
-def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -> PlainLaw:
+def plain_joint_law(
+    rate: Callable[..., Any],
+    data_type: Any,
+    integrator: str,
+) -> PlainLaw:
     """The law of a state (q, v) without tangents.
 
     ``rate``: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function; ``data_type``: the struct of
@@ -228,18 +240,42 @@ def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -
     rk4 = integrator == "rk4"
 
     @wp.func
-    def start(p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
+    def start(
+        p: FLOATS,
+        w: wp.int32,
+        data: data_type,
+        r: wp.int32,
+    ):
         return VEC2(p[w, Q0], p[w, V0])
 
     @wp.func
-    def rates(y: VEC2, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
+    def rates(
+        y: VEC2,
+        u: VEC3,
+        p: FLOATS,
+        w: wp.int32,
+        data: data_type,
+        r: wp.int32,
+    ):
         extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
-        return VEC2(y[1], rate(y[0], y[1], u[CURRENT], extra, p, w, data, r))
+        return VEC2(
+            y[1],
+            rate(
+                y[0],
+                y[1],
+                u[CURRENT],
+                extra,
+                p,
+                w,
+                data,
+                r,
+            ),
+        )
 
     @wp.func
     def step(
         y: VEC2, h: FLOAT, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32
-    ):  # fmt: skip
+    ,):  # fmt: skip
         q = y[0]
         v = y[1]
         command = u[CURRENT]
@@ -249,11 +285,38 @@ def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -
             half = FLOAT(0.5)
             two = FLOAT(2.0)
             v2 = v + half * h * a1
-            a2 = rate(q + half * h * v, v2, command, extra, p, w, data, r)
+            a2 = rate(
+                q + half * h * v,
+                v2,
+                command,
+                extra,
+                p,
+                w,
+                data,
+                r,
+            )
             v3 = v + half * h * a2
-            a3 = rate(q + half * h * v2, v3, command, extra, p, w, data, r)
+            a3 = rate(
+                q + half * h * v2,
+                v3,
+                command,
+                extra,
+                p,
+                w,
+                data,
+                r,
+            )
             v4 = v + h * a3
-            a4 = rate(q + h * v3, v4, command, extra, p, w, data, r)
+            a4 = rate(
+                q + h * v3,
+                v4,
+                command,
+                extra,
+                p,
+                w,
+                data,
+                r,
+            )
             sixth = h / FLOAT(6.0)
             return VEC2(
                 q + sixth * (v + two * v2 + two * v3 + v4),
@@ -263,7 +326,16 @@ def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -
             later = v + h * a1
             return VEC2(q + h * later, later)
 
-    return PlainLaw(VEC2, VEC3, data_type, DELAY, start, rates, step, standstill(VEC2, data_type))
+    return PlainLaw(
+        VEC2,
+        VEC3,
+        data_type,
+        DELAY,
+        start,
+        rates,
+        step,
+        standstill(VEC2, data_type),
+    )
 
 
 def forward(
@@ -287,11 +359,19 @@ def forward(
         owner._zeros((worlds, steps)),
         owner._zeros((worlds, steps)),
     ]
-    out += [owner._zeros((worlds, steps), VEC3), owner._zeros(worlds, wp.int32)]
+    out += [
+        owner._zeros((worlds, steps), VEC3),
+        owner._zeros(worlds, wp.int32),
+    ]
     out += [owner._zeros((worlds, samples), wp.int32)]
     given = [*owner._run_data(owner._full_counts), runs, p, capacity]
     how: dict[str, Any] = {"dim": worlds, "device": "cpu", "record_cmd": record_cmd}
-    return out, runtime.launch(schedule(law), inputs=given, outputs=out, **how)
+    return out, runtime.launch(
+        schedule(law),
+        inputs=given,
+        outputs=out,
+        **how,
+    )
 
 
 class TapedRollout:
@@ -321,14 +401,39 @@ class TapedRollout:
             )
         runs = wp.array(world_run, dtype=wp.int32, device="cpu")
         self._p = wp.array(p, dtype=FLOAT, device="cpu", requires_grad=True)
-        (_, *taken, sample_step), _ = forward(owner, law, runs, self._p, capacity)
+        (_, *taken, sample_step), _ = forward(
+            owner,
+            law,
+            runs,
+            self._p,
+            capacity,
+        )
         self._sampled = owner._zeros((worlds, width), requires_grad=True)
         y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
-        steps = [owner._data(), runs, self._p, owner._array(p[:, DELAY]), *taken]
-        samples = [owner._samples, owner._data(), runs, self._p, sample_step, y]
+        steps = [
+            owner._data(),
+            runs,
+            self._p,
+            owner._array(p[:, DELAY]),
+            *taken,
+        ]
+        samples = [
+            owner._samples,
+            owner._data(),
+            runs,
+            self._p,
+            sample_step,
+            y,
+        ]
         self._tape = wp.Tape()
         with self._tape:
-            runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device="cpu")
+            runtime.launch(
+                taped(law),
+                dim=worlds,
+                inputs=steps,
+                outputs=[y],
+                device="cpu",
+            )
             runtime.launch(
                 observe(law),
                 dim=(worlds, width),
@@ -340,7 +445,11 @@ class TapedRollout:
 
     def gradient(self, weights: np.ndarray) -> np.ndarray:
         """Gradient of ``sum(weights * q)`` by the parameters of each world: weights (W, T), gradient (W, P), a copy."""
-        seed = wp.array(np.ascontiguousarray(weights, dtype=np.float64), dtype=FLOAT, device="cpu")
+        seed = wp.array(
+            np.ascontiguousarray(weights, dtype=np.float64),
+            dtype=FLOAT,
+            device="cpu",
+        )
         self._tape.backward(grads={self._sampled: seed})
         gradient = self._p.grad.numpy().copy()  # a view on the CPU, and zero() below would empty it
         self._tape.zero()
@@ -348,7 +457,10 @@ class TapedRollout:
 
 
 def tape(
-    simulator: JointSimulator, world_run: np.ndarray, p: np.ndarray, law: PlainLaw | None = None
+    simulator: JointSimulator,
+    world_run: np.ndarray,
+    p: np.ndarray,
+    law: PlainLaw | None = None,
 ) -> TapedRollout:
     """A rollout recorded on a ``wp.Tape``, by a law without tangents; None is the joint's own."""
     law = plain_joint_law(plain_rate, JointData, simulator.integrator) if law is None else law

@@ -98,7 +98,10 @@ class Worker:
         return self.now_s - self._begun_s > self._takes_s + 0.5 * self.pause_s
 
     def work(
-        self, seconds: float, mass_kg: float = 0.0, com_m: Sequence[float] = (0.0, 0.0, 0.0)
+        self,
+        seconds: float,
+        mass_kg: float = 0.0,
+        com_m: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> Motion:
         """What it reports for some seconds with this in its hand; it takes it where it stands."""
         self.arm.hold(Payload(mass_kg, com_m=tuple(com_m)) if mass_kg > 0.0 else None)
@@ -120,7 +123,11 @@ class Worker:
             angle = self.arm.encoder_rad().tolist()
             velocity = self.arm.velocity_rad_s().tolist()
             for row, servo in enumerate(self.servos):
-                current[row] = servo.control(self.now_s, angle[row], velocity[row])
+                current[row] = servo.control(
+                    self.now_s,
+                    angle[row],
+                    velocity[row],
+                )
             self.arm.step(current)
             if step % every == every // 2:
                 times.append(self.now_s)

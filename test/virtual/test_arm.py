@@ -103,7 +103,11 @@ def holding_torque(
     return np.array(torques)
 
 
-def kinetic(robot: Robot, position: Mapping[str, float], velocity: Mapping[str, float]) -> float:
+def kinetic(
+    robot: Robot,
+    position: Mapping[str, float],
+    velocity: Mapping[str, float],
+) -> float:
     """Kinetic energy of the links [J]."""
     step = 1e-6
     energy = 0.0
@@ -244,7 +248,10 @@ def test_a_current_step_against_the_closed_form(robot: Robot) -> None:
 
 def test_a_slide_counts_at_the_shaft(robot: Robot) -> None:
     hidden = JointTruth(1.7, coulomb=0.05, viscous=0.02, armature=0.01)
-    arm = VirtualArm(robot, truth_of(robot, JointTruth(1.7, armature=1e5), **{GRIPPER: hidden}))
+    arm = VirtualArm(
+        robot,
+        truth_of(robot, JointTruth(1.7, armature=1e5), **{GRIPPER: hidden}),
+    )
     for _ in range(100):
         arm.step(np.array([0.0, 0.0, 0.0, 0.0, 0.1]))
     inertia = 0.01 + 2.0 * 0.032218127 * 0.01149**2  # motor and both fingers
@@ -257,7 +264,12 @@ def test_a_slide_counts_at_the_shaft(robot: Robot) -> None:
 
 def test_a_swinging_pendulum_keeps_its_energy(pendulum: Robot) -> None:
     arm = VirtualArm(
-        pendulum, truth_of(pendulum, JointTruth(1.0, armature=0.01)), position={"pivot": 2.0}
+        pendulum,
+        truth_of(
+            pendulum,
+            JointTruth(1.0, armature=0.01),
+        ),
+        position={"pivot": 2.0},
     )
     weight = 0.2 * 9.81 * 0.3
     energies = []
@@ -272,7 +284,11 @@ def test_a_swinging_pendulum_keeps_its_energy(pendulum: Robot) -> None:
 
 def test_a_falling_arm_keeps_its_energy(robot: Robot) -> None:
     start = {"joint1": 0.3, "joint2": -0.5, "joint3": 0.2, "joint4": 0.4}
-    arm = VirtualArm(robot, truth_of(robot, JointTruth(1.8, armature=0.01)), position=start)
+    arm = VirtualArm(
+        robot,
+        truth_of(robot, JointTruth(1.8, armature=0.01)),
+        position=start,
+    )
     before = potential(robot, arm.position(), [])
     for _ in range(200):
         arm.step(np.array([0.1, 0.0, 0.0, 0.0, 0.0]))
@@ -289,7 +305,11 @@ def test_a_falling_arm_keeps_its_energy(robot: Robot) -> None:
 
 @pytest.mark.parametrize("current_A", [1.0, -1.0])
 def test_limits_hold(robot: Robot, current_A: float) -> None:
-    arm = VirtualArm(robot, Truth.draw(robot, 3), position={"joint3": 0.5})
+    arm = VirtualArm(
+        robot,
+        Truth.draw(robot, 3),
+        position={"joint3": 0.5},
+    )
     worst = 0.0
     for _ in range(1500):
         arm.step(np.array([0.0, 0.0, current_A, 0.0, 0.5 * current_A]))
@@ -338,7 +358,12 @@ def test_an_impossible_object_changes_nothing(robot: Robot) -> None:
 def test_a_sphere_rolls_down_a_slope(robot: Robot) -> None:
     # a slope that counts as level when the sphere is put down; rolling takes 2/7 of the acceleration
     arm = VirtualArm(
-        robot, truth_of(robot, JointTruth(1.8, armature=1e5)), position={"joint4": 0.019}
+        robot,
+        truth_of(
+            robot,
+            JointTruth(1.8, armature=1e5),
+        ),
+        position={"joint4": 0.019},
     )
     box = Container()
     arm.hold(box)
@@ -385,7 +410,12 @@ def test_a_shaken_sphere_stays_inside(robot: Robot) -> None:
 def test_a_block_is_compressed_by_its_law(robot: Robot) -> None:
     block = SoftBlock(12000.0, (0.025, 0.03, 0.02), damping=200.0, gap_m=0.003, poissons_ratio=0.3)
     arm = VirtualArm(
-        robot, truth_of(robot, JointTruth(1.8, armature=0.012)), position={GRIPPER: 0.015}
+        robot,
+        truth_of(
+            robot,
+            JointTruth(1.8, armature=0.012),
+        ),
+        position={GRIPPER: 0.015},
     )
     arm.hold(block)
     current_A = -0.03
@@ -560,7 +590,15 @@ def test_encoders(robot: Robot) -> None:
 def test_the_same_seed_gives_the_same_world(robot: Robot) -> None:
     def readings(seed: int) -> FloatArray:
         arm = VirtualArm(
-            robot, Truth.draw(robot, 1, links=True, stribeck=True), position=POSE, seed=seed
+            robot,
+            Truth.draw(
+                robot,
+                1,
+                links=True,
+                stribeck=True,
+            ),
+            position=POSE,
+            seed=seed,
         )
         arm.hold(Container())
         rows = []

@@ -39,7 +39,10 @@ def test_goals_are_in_the_controllers_order_and_the_arm_hangs_below_them_by_the_
     fastest = 0.0
     for step in range(1, 100):
         driver.advance(1.0 + 0.02 * step)
-        fastest = max(fastest, float(np.abs(driver.arm.velocity_rad_s()).max()))
+        fastest = max(
+            fastest,
+            float(np.abs(driver.arm.velocity_rad_s()).max()),
+        )
     position = driver.arm.position()
     assert position["shoulder_pan"] == pytest.approx(0.5, abs=0.02)
     assert fastest < 5.4, "as fast as a servo of 7.4 V"

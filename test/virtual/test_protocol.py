@@ -95,7 +95,11 @@ def test_stuffing_is_undone(body: bytes) -> None:
 @given(st.integers(0, 252), awkward, st.lists(st.integers(0, 60), max_size=5))
 def test_packets_survive_any_split(servo_id: int, params: bytes, cuts: list[int]) -> None:
     stream = encode_instruction(servo_id, Code.WRITE, params) + PING
-    edges = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    edges = [
+        0,
+        *sorted(min(cut, len(stream)) for cut in cuts),
+        len(stream),
+    ]
     parser = Parser()
     packets = [packet for a, b in pairwise(edges) for packet in parser.feed(stream[a:b])]
     assert packets == [

@@ -60,7 +60,12 @@ class Desk:
         assert (result, error & 0x7F) == (sdk.COMM_SUCCESS, 0)
         return register.decode(bytes(data))
 
-    def write(self, servo_id: int, name: str, value: int) -> tuple[int, int]:
+    def write(
+        self,
+        servo_id: int,
+        name: str,
+        value: int,
+    ) -> tuple[int, int]:
         """Result of the communication, and the servo's error."""
         register = XM430_W350.registers[name]
         data = list(register.encode(value))
@@ -295,7 +300,11 @@ def test_a_broken_world_is_reported_on_close(tmp_path: Path) -> None:
 class Line:
     """A bus in memory whose clock the test moves."""
 
-    def __init__(self, servos: list[VirtualServo], faults: Faults | None = None) -> None:
+    def __init__(
+        self,
+        servos: list[VirtualServo],
+        faults: Faults | None = None,
+    ) -> None:
         self.now_s = 0.0
         self.rotors = Rotors(servos)
         self.bus = VirtualBus(servos, self.rotors.advance, faults=faults)
@@ -311,7 +320,11 @@ class Line:
         return [packet for packet in packets if isinstance(packet, Instruction)]
 
 
-def sync_read(address: int, length: int, ids: tuple[int, ...] = IDS) -> bytes:
+def sync_read(
+    address: int,
+    length: int,
+    ids: tuple[int, ...] = IDS,
+) -> bytes:
     return struct.pack("<HH", address, length) + bytes(ids)
 
 
@@ -322,7 +335,10 @@ def test_replies_take_the_time_of_their_bits() -> None:
         (Code.FAST_SYNC_READ, (19 + 8 + 5 * 14) * 1e-5),
     ):
         line = Line(fast_servos())
-        replies = line.bus.receive(encode_instruction(BROADCAST_ID, code, sync_read(126, 10)), 0.0)
+        replies = line.bus.receive(
+            encode_instruction(BROADCAST_ID, code, sync_read(126, 10)),
+            0.0,
+        )
         assert replies[-1].delay_s == pytest.approx(delay_s, rel=1e-9)
         assert len(replies) == (5 if code == Code.SYNC_READ else 1)
     # the default return delay is 500 us per servo
@@ -454,4 +470,7 @@ def test_faults_reach_the_vendors_library(desk: Desk) -> None:
 
 def test_two_servos_with_one_id_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="needs its own ID"):
-        VirtualBus([VirtualServo(XM430_W350, 1), VirtualServo(XM430_W350, 1)], lambda _: None)
+        VirtualBus(
+            [VirtualServo(XM430_W350, 1), VirtualServo(XM430_W350, 1)],
+            lambda _: None,
+        )

@@ -28,7 +28,12 @@ def test_what_it_shows(probe: str, tmp_path: Path) -> None:
     truth, words, unit, widest, on_the_page = SHOWN[probe]
     told: list[str] = []
     with demonstrated() as demo:
-        shown = demo(probe_named(probe), truth, folder=tmp_path / "demo", tell=told.append)
+        shown = demo(
+            probe_named(probe),
+            truth,
+            folder=tmp_path / "demo",
+            tell=told.append,
+        )
     assert shown.accepted, (shown.sentence, told)
     found = re.match(words, shown.sentence)
     assert found, shown.sentence

@@ -62,7 +62,10 @@ class Arm:
 def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
     robot = load_robot(write_robot(tmp_path, build=FOUR))
     twin = Twin(5, FOUR)
-    learnt = fit_empty(robot, [twin.record(f"empty {number}", 20.0) for number in range(2)])
+    learnt = fit_empty(
+        robot,
+        [twin.record(f"empty {number}", 20.0) for number in range(2)],
+    )
     calibration = tmp_path / "motions.yaml"
     write_calibration(calibration, robot, learnt)
     held = twin.record("held", 180.0, (HELD_KG, [0.0, 0.0, 0.0]))

@@ -43,7 +43,12 @@ class Bench:
             lambda m: self.statuses.append(values_of(m)),
             LATCHED,
         )
-        listen(DiagnosticStatus, "/motors", lambda m: self.motors.append(values_of(m)), LATCHED)
+        listen(
+            DiagnosticStatus,
+            "/motors",
+            lambda m: self.motors.append(values_of(m)),
+            LATCHED,
+        )
         self.owner = self.other.create_publisher(Float64MultiArray, "/current_command", 10)
         self.stranger = self.other.create_publisher(Float64MultiArray, "/current_command", 10)
         self.until(lambda: self.state == "running")
@@ -62,13 +67,21 @@ class Bench:
         modes: dict[str, str] = self.node._driver.modes
         return modes
 
-    def spin(self, duration_s: float, each: Callable[[], None] = lambda: None) -> None:
+    def spin(
+        self,
+        duration_s: float,
+        each: Callable[[], None] = lambda: None,
+    ) -> None:
         """Let time pass, with something done again and again."""
         for _ in range(round(duration_s / PERIOD_S)):
             each()
             self.clock.sleep(PERIOD_S)
 
-    def until(self, done: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:
+    def until(
+        self,
+        done: Callable[[], bool],
+        each: Callable[[], None] = lambda: None,
+    ) -> None:
         """Let time pass until something is true."""
         for _ in range(round(10.0 / PERIOD_S)):
             if done():
@@ -95,7 +108,11 @@ class Bench:
         self.process.ask(lambda node: done.append(bool(do(node) or True)))
         self.until(lambda: bool(done))
 
-    def assert_held(self, here: dict[str, float], within_rad: float = 0.05) -> None:
+    def assert_held(
+        self,
+        here: dict[str, float],
+        within_rad: float = 0.05,
+    ) -> None:
         """Torque on, and nothing falls."""
         self.spin(0.5)
         assert all(servo["torque_enable"] == 1 for servo in self.virtual.servos.values())
@@ -112,7 +129,10 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 def test_zeros_from_nobody_leave_the_arm_held(bench: Bench) -> None:
     """`ros2 topic pub /current_command` with five zeros, for 0.7 s: joint2 used to fall by 1.4 rad."""
     here = bench.position()
-    bench.spin(0.7, lambda: bench.stranger.publish(Float64MultiArray(data=[0.0] * 5)))
+    bench.spin(
+        0.7,
+        lambda: bench.stranger.publish(Float64MultiArray(data=[0.0] * 5)),
+    )
     assert set(bench.modes.values()) == {"held"}
     bench.assert_held(here, 0.02)
 

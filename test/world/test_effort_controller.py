@@ -45,7 +45,13 @@ def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
     }  # fmt: skip
     output = {"command_interface": "effort", **CONTROLLER}
     nodes = ("virtual", "excitation", "identifier")
-    with running(tmp_path, *nodes, virtual=virtual, excitation=output, identifier=facts) as client:
+    with running(
+        tmp_path,
+        *nodes,
+        virtual=virtual,
+        excitation=output,
+        identifier=facts,
+    ) as client:
         assert client.wait_for(lambda: bool(client.states))
         state = client.states[-1]
         assert list(state.name) == sorted(state.name) and {*FOREIGN_JOINTS} < {*state.name}

@@ -49,7 +49,10 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
     folder = tmp_path_factory.mktemp("sensing")
     robot = write_sensing_arm(folder, 6, 212)
     made = SensingArm(folder, 6, 212, RATE_HZ)
-    known = fit_empty(load_robot(robot), [made.work(16.0, name=f"empty {n}") for n in range(2)])
+    known = fit_empty(
+        load_robot(robot),
+        [made.work(16.0, name=f"empty {n}") for n in range(2)],
+    )
     calibration = folder / "motions.yaml"
     write_calibration(calibration, load_robot(robot), known)
     loads = [(TAKEN_S, made.load(MASS_KG)), (LEFT_S, None)]

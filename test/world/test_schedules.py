@@ -17,7 +17,10 @@ pytest.importorskip("mujoco")
 from support.schedules import FAULTY, KINDS, PLANS, drawn
 
 SCHEDULES = Path(__file__).resolve().parents[1] / "support" / "schedules.py"
-PLAYED = sorted(range(1000), key=lambda seed: list(PLANS).index(drawn(seed).plan))
+PLAYED = sorted(
+    range(1000),
+    key=lambda seed: list(PLANS).index(drawn(seed).plan),
+)
 BLOCKS = PLAYED[:650], PLAYED[650:]
 """Two workers may play them, a process each: pushes alone, and weighings with so many pushes that both take as long."""
 FEW = [seed for seed in range(1000, 1040) if drawn(seed).plan == "push"][:10]
@@ -79,7 +82,12 @@ def test_a_few_schedules(few: dict[str, Any]) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("block", range(len(BLOCKS)))
 def test_schedules(tmp_path: Path, block: int) -> None:
-    found = play(tmp_path, ",".join(map(str, BLOCKS[block])), "--together", "1")
+    found = play(
+        tmp_path,
+        ",".join(map(str, BLOCKS[block])),
+        "--together",
+        "1",
+    )
     assert found["schedules"] == len(BLOCKS[block]) and not found["failed"]
 
 

@@ -112,7 +112,11 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     assert client.wait_for(lambda: bool(said("youngs_modulus")))
     told = said("youngs_modulus")[-1]
     assert float(final["youngs_modulus"]) == told and final["youngs_modulus.unit"] == "Pa"
-    shown_told = shown("Pa", told, spec=spec_for("Pa", float(final["youngs_modulus.std"])))
+    shown_told = shown(
+        "Pa",
+        told,
+        spec=spec_for("Pa", float(final["youngs_modulus.std"])),
+    )
     assert f"block {shown_told}, 95 % interval" in answer.message
     low, high = json.loads(final["youngs_modulus.ci95"])
     assert abs(told - modulus) < 0.2 * modulus and abs(told - modulus) < 2.0 * (high - low)

@@ -55,14 +55,21 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     work: Any = jobs.Jobs.__new__(jobs.Jobs)
     work._results, work._node = SimpleNamespace(tell=print), SimpleNamespace(say=print)
     path = tmp_path / "empty.yaml"
-    section = {"hand": "empty", "runs": [{"joint": "joint3", "current_A": -0.3, "duration_s": 0.6}]}
+    section = {
+        "hand": "empty",
+        "runs": [{"joint": "joint3", "current_A": -0.3, "duration_s": 0.6}],
+    }
     path.write_text(json.dumps({"excitation": section}))
     asked = (Job("robot", "calibrate_robot"), str(path), Request(robot), [tmp_path], {}, 0.0)
     assert work._chosen(*asked) == "" and not made
     section["until"] = {"half_interval": 5e-4, "unit": "kg", "at_most_s": 40}
     path.write_text(json.dumps({"excitation": section}))
     assert work._chosen(*asked) == "", "nothing was learnt that one could go by"
-    learnt.calibration = Calibration((("coulomb", "joint3"),), np.array([0.05]), np.array([[1e-4]]))
+    learnt.calibration = Calibration(
+        (("coulomb", "joint3"),),
+        np.array([0.05]),
+        np.array([[1e-4]]),
+    )
     sequence = load_sequence(work._chosen(*asked), robot)
     assert made[0][1:4] == (0.0, 5e-4, 40.0) and made[0][0].calibration is learnt.calibration
     assert (
@@ -76,7 +83,10 @@ def test_no_push_is_chosen_before_it_is_known_where_the_arm_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     heard = iter([{}, {"joint2": 0.1}, {"joint2": 0.1, "joint3": 0.2}])
-    live: Any = SimpleNamespace(joints=("joint2", "joint3"), position=lambda: next(heard))
+    live: Any = SimpleNamespace(
+        joints=("joint2", "joint3"),
+        position=lambda: next(heard),
+    )
     jobs.Jobs._await_position(live)
     assert next(heard, None) is None
     monkeypatch.setattr(jobs, "HEARD_S", 0.02)
@@ -92,7 +102,11 @@ def test_a_calibration_in_use_is_brought_up_to_date(
     old = tmp_path / "old.yaml"
     bag = tmp_path / "refresh" / "bag"
     bag.parent.mkdir()
-    made = calibrate_from_bags([bag_of(n) for n in (0, 1, 4)], {}, output=old)
+    made = calibrate_from_bags(
+        [bag_of(n) for n in (0, 1, 4)],
+        {},
+        output=old,
+    )
     assert made.verdict is Verdict.ACCEPTED
     shutil.copytree(bag_of(3), bag)
     workspace = Workspace(tmp_path, "open_manipulator_x")
@@ -182,7 +196,11 @@ def test_a_virtual_arm_weighs_until_it_is_sure(tmp_path: Path) -> None:
     assert low < OBJECT_KG < high and high - low < 2.0 * TARGET_KG
 
 
-def asked_for(folder: Path, half_interval: float, at_most_s: float) -> dict[str, Any]:
+def asked_for(
+    folder: Path,
+    half_interval: float,
+    at_most_s: float,
+) -> dict[str, Any]:
     """The identifier's parameters."""
     path = folder / "until.yaml"
     until = {"half_interval": half_interval, "unit": "kg", "at_most_s": at_most_s}
@@ -192,7 +210,10 @@ def asked_for(folder: Path, half_interval: float, at_most_s: float) -> dict[str,
     return {"payload_sequence": str(path), "settings": ["payload.com=[0,0,0]"], "live_period": 0.0}
 
 
-def weighed(client: Client, folder: Path) -> tuple[Any, dict[str, Any]]:
+def weighed(
+    client: Client,
+    folder: Path,
+) -> tuple[Any, dict[str, Any]]:
     """The service's answer, and the estimate that was written."""
     known = set((folder / "data").glob("*_payload/estimate.json"))
     answer = client.call("/identifier/calibrate_payload")
@@ -230,7 +251,11 @@ def test_where_joints_stick_the_service_says_so(tmp_path: Path) -> None:
     stuck = {name: replace(joint, coulomb=0.6) for name, joint in truth.joints.items()}
     (tmp_path / "truth.json").write_text(replace(truth, joints=stuck).as_json())
     virtual = {"object": "0.05", "truth": tmp_path / "truth.json"}
-    with running(tmp_path, virtual=virtual, identifier=asked_for(tmp_path, 0.01, 8.0)) as client:
+    with running(
+        tmp_path,
+        virtual=virtual,
+        identifier=asked_for(tmp_path, 0.01, 8.0),
+    ) as client:
         answer, estimate = weighed(client, tmp_path)
     assert not answer.success and estimate["verdict"] != "accepted" and "stick" in answer.message, (
         answer.message

@@ -71,7 +71,12 @@ class Stances:
     way: FloatArray
 
     @classmethod
-    def of(cls, robot: Robot, motion: Motion, joints: Sequence[str]) -> Stances:
+    def of(
+        cls,
+        robot: Robot,
+        motion: Motion,
+        joints: Sequence[str],
+    ) -> Stances:
         """Those of a recording, of some of its joints."""
         columns = [motion.joints.index(name) for name in joints]
         position = motion.position[:, columns]
@@ -82,7 +87,10 @@ class Stances:
         width = round(SHORTEST_S / float(np.median(np.diff(times_s)))) + 1
         if len(times_s) < width:
             return cls(*np.zeros((3, 0, len(joints))))
-        spans = np.ptp(np.lib.stride_tricks.sliding_window_view(position, width, axis=0), axis=2)
+        spans = np.ptp(
+            np.lib.stride_tricks.sliding_window_view(position, width, axis=0),
+            axis=2,
+        )
         quiet = np.flatnonzero((spans <= band).all(axis=1))
         end = 0
         while len(quiet := quiet[quiet >= end]):
@@ -90,7 +98,10 @@ class Stances:
             rest = position[first:]
             gone = ((np.maximum.accumulate(rest) - np.minimum.accumulate(rest)) > band).any(axis=1)
             end = first + (int(np.argmax(gone)) if gone.any() else len(rest))
-            stood = slice(int(np.searchsorted(times_s, times_s[first] + SETTLING_S)), end)
+            stood = slice(
+                int(np.searchsorted(times_s, times_s[first] + SETTLING_S)),
+                end,
+            )
             at = position[stood].mean(axis=0)
             away = np.abs(position[:first] - at) > band
             before = [int(np.flatnonzero(column)[-1]) if column.any() else -1 for column in away.T]

@@ -128,7 +128,10 @@ class Between:
         kinds = self.kinds
         of_friction = len(self.friction)
         std = np.array([self.spreads[kind] for kind in kinds])
-        std[:of_friction] = np.hypot(std[:of_friction] * self.friction, self.drift)
+        std[:of_friction] = np.hypot(
+            std[:of_friction] * self.friction,
+            self.drift,
+        )
         return np.maximum(std, 1e-9)
 
     def learnt(
@@ -146,7 +149,11 @@ class Between:
         for kind in kinds:
             mine = own == kind
             stated = self.spreads[kind]
-            told = np.clip(1.0 - variances[:, mine] / std[mine] ** 2, 0.0, 1.0)
+            told = np.clip(
+                1.0 - variances[:, mine] / std[mine] ** 2,
+                0.0,
+                1.0,
+            )
             found = off[:, mine] / std[mine] * now.spreads[kind]
             spreads[kind] = spread_of_runs(stated, found, told, self.recordings[kind])
             recordings[kind] = self.recordings[kind] + float(told.sum())
@@ -181,7 +188,10 @@ def under(
 ) -> tuple[float, FloatArray]:
     """Logarithm of how likely data are, over that without the terms; and these, whose prior is so wide about nothing."""
     widened = np.eye(len(side)) + variances[:, None] * information
-    values = np.asarray(np.linalg.solve(widened, variances * side), np.float64)
+    values = np.asarray(
+        np.linalg.solve(widened, variances * side),
+        np.float64,
+    )
     return 0.5 * float(side @ values - np.linalg.slogdet(widened)[1]), values
 
 
@@ -189,7 +199,10 @@ def likely(log_evidence: FloatArray, factors: FloatArray) -> tuple[FloatArray, f
     """How likely pairs of `FACTORS` are by their evidence, where recordings differ, shape (F,); and that they agree."""
     # a half Cauchy prior (Gelman 2006, Bayesian Analysis 1), and the steps of the grid
     steps = np.gradient(np.array(FACTORS))[np.searchsorted(FACTORS, factors)]
-    prior = np.prod(steps / (1.0 + np.square(factors)), axis=1)
+    prior = np.prod(
+        steps / (1.0 + np.square(factors)),
+        axis=1,
+    )
     highest = max(float(log_evidence.max()), 0.0)
     weights: FloatArray = prior / prior.sum() * np.exp(log_evidence - highest)
     agree = AGREE * np.exp(-highest)
@@ -222,12 +235,18 @@ def effective_freedom(
     ``total``: variance; ``parts``: of it, each with its degrees of freedom.
     """
     shares = sum(variance**2 / degrees for variance, degrees in parts)
-    result: FloatArray = np.maximum(np.square(total) / max(shares, 1e-300), 1.0)
+    result: FloatArray = np.maximum(
+        np.square(total) / max(shares, 1e-300),
+        1.0,
+    )
     return result
 
 
 def half_width(
-    posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, float]]
+    posterior: FloatArray,
+    mass: float,
+    rest: float,
+    freedom: Sequence[tuple[float, float]],
 ) -> float:
     """Of the 95 % interval [kg].
 

@@ -69,7 +69,12 @@ class _Model:
         size = np.array([_rms(by_urdf[rows.joint == joint]) for joint in range(arm.count)])
         places = 3.0 * HELD_WITHIN * arm.reach_m * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
         payload = arm.kg * rows.payload @ np.array([point_mass(place) for place in places]).T
-        return cls(rows, by_urdf, 1.0 / np.maximum(size, WEAK * size.max())[rows.joint], payload)
+        return cls(
+            rows,
+            by_urdf,
+            1.0 / np.maximum(size, WEAK * size.max())[rows.joint],
+            payload,
+        )
 
     def left(
         self, torque: FloatArray, beside: FloatArray | None = None
@@ -88,7 +93,10 @@ class _Model:
             *([] if beside is None else [beside]),
         ]
         system = np.column_stack([*columns, torque - known]) * self.weight[:, None]
-        total = max(float(np.sum(np.square(self.by_urdf * self.weight))), 1e-12)
+        total = max(
+            float(np.sum(np.square(self.by_urdf * self.weight))),
+            1e-12,
+        )
         held = self.payload.shape[1]
         joints = own.shape[1]
         # a heavy payload needs a reason, and so does a constant torque
@@ -103,8 +111,17 @@ class _Model:
                 np.vstack([system, np.sqrt(HEAVY_COSTS * total) * np.diag(costs)]), mode="r"
             )
         )
-        least = np.where(np.arange(len(costs) - 1) < held + joints, 0.0, -np.inf)
-        found = lsq_linear(small[:, :-1], small[:, -1], (least, np.inf), tol=1e-12)
+        least = np.where(
+            np.arange(len(costs) - 1) < held + joints,
+            0.0,
+            -np.inf,
+        )
+        found = lsq_linear(
+            small[:, :-1],
+            small[:, -1],
+            (least, np.inf),
+            tol=1e-12,
+        )
         return 2.0 * float(found.cost) / total, found.x[-3:]
 
 
@@ -173,7 +190,12 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
     sizes = np.array(
         [_rms(model.by_urdf[model.rows.joint == number]) for number in range(len(motion.joints))]
     )
-    asked = [(np.ones(len(sizes), dtype=bool), of_all_joints())]
+    asked = [
+        (
+            np.ones(len(sizes), dtype=bool),
+            of_all_joints(),
+        )
+    ]
     for number, name in enumerate(motion.joints):
         # mostly friction: less of it is explained better whatever is wrong
         if sizes[number] < WEAK * sizes.max():

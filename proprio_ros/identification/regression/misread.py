@@ -135,7 +135,13 @@ class _Try:
 class _Fitting:
     """Bodies, payload and friction of some motions, the first ``loaded`` of them with the payload."""
 
-    def __init__(self, robot: Robot, arm: Arm, motions: int, loaded: int) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        arm: Arm,
+        motions: int,
+        loaded: int,
+    ) -> None:
         count = arm.count
         self.count = count
         self.loaded = loaded
@@ -180,7 +186,11 @@ class _Fitting:
         windows = np.sum([part.windows for part in parts], axis=0)
         moved = windows > 0.0
         torque = products[:, -1, -1]
-        variance = np.where(moved, torque / np.maximum(windows, 1e-9) * HOP_SHARE, 1.0)
+        variance = np.where(
+            moved,
+            torque / np.maximum(windows, 1e-9) * HOP_SHARE,
+            1.0,
+        )
         kept = np.ones(size, dtype=bool)
         rest = torque
         values = np.zeros(size)
@@ -204,10 +214,17 @@ class _Fitting:
         logs = np.log(np.where(moved, np.maximum(variance, 1e-18), 1.0))
         scaled = sum(part.log_scale for part in parts)
         share = np.sqrt(rest / np.maximum(torque, 1e-18))
-        return _Fit(0.5 * float(windows @ logs) + pull + scaled, np.where(moved, share, 0.0))
+        return _Fit(
+            0.5 * float(windows @ logs) + pull + scaled,
+            np.where(moved, share, 0.0),
+        )
 
 
-def misread(robot: Robot, loaded: Sequence[Motion], empty: Sequence[Motion] = ()) -> Found | None:
+def misread(
+    robot: Robot,
+    loaded: Sequence[Motion],
+    empty: Sequence[Motion] = (),
+) -> Found | None:
     """The mistake without which motions are explained well, and far better than with it.
 
     Args:
@@ -245,8 +262,15 @@ def thinned(motion: Motion, rate_hz: float, longest_s: float) -> Motion:
     """The middle of a long motion, and of fast samples every so many."""
     times_s = motion.times_s
     middle_s = 0.5 * float(times_s[-1])
-    first, last = np.searchsorted(times_s, [middle_s - 0.5 * longest_s, middle_s + 0.5 * longest_s])
-    kept = slice(first, last, max(1, int(len(times_s) / (2.0 * middle_s * rate_hz))))
+    first, last = np.searchsorted(
+        times_s,
+        [middle_s - 0.5 * longest_s, middle_s + 0.5 * longest_s],
+    )
+    kept = slice(
+        first,
+        last,
+        max(1, int(len(times_s) / (2.0 * middle_s * rate_hz))),
+    )
     return motion.part(kept)
 
 

@@ -59,7 +59,12 @@ class Arm:
     reach_m: float  # from the base to the hand along the links
 
     @classmethod
-    def of(cls, robot: Robot, joints: Sequence[str], locked: dict[str, float]) -> Arm:
+    def of(
+        cls,
+        robot: Robot,
+        joints: Sequence[str],
+        locked: dict[str, float],
+    ) -> Arm:
         """The arm with the positions of the other joints [rad or m]. Raises `RobotError`: No joint moves the hand."""
         model = robot.model.lock(list(joints), locked, robot.gravity)
         body, body_from_payload = model.frames[robot.payload_frame]
@@ -142,7 +147,10 @@ class Arm:
             shifted.append(rise / ZERO_STEP_RAD)
         zero = np.zeros((len(joint), 0, PARAMETERS * (1 + self.count)))
         if shifted:
-            zero = np.stack([self._payload_and_bodies(each) for each in shifted], axis=1)
+            zero = np.stack(
+                [self._payload_and_bodies(each) for each in shifted],
+                axis=1,
+            )
         moving = np.tanh(velocity / SLOW_RAD_S)
         direction = windows.mean(moving)[window, joint]
         own = np.eye(self.count)[joint]
@@ -203,7 +211,11 @@ def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) 
     period_s = float(times_s[1] - times_s[0])
     velocity = np.gradient(position, period_s, axis=0)
     width = round(WINDOW_S / period_s)
-    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    windows = Windows.over(
+        len(times_s),
+        width,
+        max(1, round(HOP_SHARE * width)),
+    )
     names = arm.model.joint_names
     counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, names, times_s, windows)
     return arm.rows(
@@ -228,7 +240,11 @@ def own_terms(count: int) -> int:
 
 def sizes(mass_kg: float, length_m: float) -> list[float]:
     """Standard deviations of a body's parameters from those of its mass, and its size."""
-    return [mass_kg, *[mass_kg * length_m] * 3, *[mass_kg * length_m**2] * 6]
+    return [
+        mass_kg,
+        *[mass_kg * length_m] * 3,
+        *[mass_kg * length_m**2] * 6,
+    ]
 
 
 @dataclass(frozen=True)
@@ -398,7 +414,10 @@ class Problem:
             payload = part.payload if number < loaded else np.zeros_like(part.payload)
             matrix.append(np.hstack([payload, part.design[:, :shared], of_motion]))
         rows = Rows.together(parts)
-        motion = np.repeat(np.arange(len(parts)), [len(part.joint) for part in parts])
+        motion = np.repeat(
+            np.arange(len(parts)),
+            [len(part.joint) for part in parts],
+        )
         stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
         zero = rows.zero.copy()
         zero[motion >= loaded, :, :PARAMETERS] = 0.0
@@ -466,7 +485,10 @@ class Problem:
         rotors = slice(bodies.stop, bodies.stop + count)
         torque = self.inertial @ values[bodies] + self.matrix[:, rotors] @ values[rotors]
         for number in range(self.motions):
-            viscous = slice(self.own(number).start, self.own(number).start + count)
+            viscous = slice(
+                self.own(number).start,
+                self.own(number).start + count,
+            )
             torque += 0.5 * self.matrix[:, viscous] @ values[viscous]
         return torque
 
@@ -476,7 +498,11 @@ class Problem:
         return self.motion < self.loaded
 
     def stretches_of(
-        self, kept: NDArray[np.bool_], name: str, better_s: float, least: int = MIN_STRETCHES
+        self,
+        kept: NDArray[np.bool_],
+        name: str,
+        better_s: float,
+        least: int = MIN_STRETCHES,
     ) -> int:
         """How many stretches some of its equations have.
 

@@ -268,7 +268,12 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEs
         except RecordingError:
             continue  # too short to be halved: then the fit's own word has to do
         weighed.append(
-            EmptyHandEstimate(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile)
+            EmptyHandEstimate(
+                part.name,
+                float(fit.values[0]),
+                float(fit.std[0]),
+                fit.quantile,
+            )
         )
     return tuple(weighed)
 
@@ -282,7 +287,10 @@ def _longest_weighed(
     robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
 ) -> MotionFit:
     """The longest motion weighed, together with the next ones where it is too short by itself."""
-    longest = sorted(motions, key=lambda motion: -float(motion.times_s[-1]))
+    longest = sorted(
+        motions,
+        key=lambda motion: -float(motion.times_s[-1]),
+    )
     for count in range(1, len(longest)):
         try:
             return fit_payload(robot, longest[:count], calibration)
@@ -303,7 +311,10 @@ def _weighable(
     fit = _longest_weighed(robot, motions, calibration)
     nothing = 0.5 * (fit.quantile / Z95) * float(fit.std[0]) + 0.5 * float(fit.std[0])
     if len(motions) > 1 and weighed:
-        nothing = max(nothing, float(np.sqrt(np.mean([each.mass_kg**2 for each in weighed]))))
+        nothing = max(
+            nothing,
+            float(np.sqrt(np.mean([each.mass_kg**2 for each in weighed]))),
+        )
     mass = float(f"{SHOWN_SHARE * arm:.1g}")
     share = calibration.torque_scale_std
     because = (

@@ -231,7 +231,13 @@ def learn_arm(
         ),
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
-    return learnt, _shown(problem, parts, solution, learnt, [motion.name for motion in motions])
+    return learnt, _shown(
+        problem,
+        parts,
+        solution,
+        learnt,
+        [motion.name for motion in motions],
+    )
 
 
 @dataclass(frozen=True)
@@ -259,7 +265,11 @@ def held_by_file(robot: Robot, motions: Sequence[Motion]) -> HeldByFile:
     shared = slice(PARAMETERS, PARAMETERS + ARM_TERMS * arm.count)
     seen = solution.values[:4]  # mass and first moment: what gravity pulls at
     squared = float(seen @ np.linalg.solve(solution.covariance[:4, :4], seen))
-    return HeldByFile(*solution.mass_and_std(), float(np.sqrt(squared)), solution.values[shared])
+    return HeldByFile(
+        *solution.mass_and_std(),
+        float(np.sqrt(squared)),
+        solution.values[shared],
+    )
 
 
 def _friction_between(problem: Problem, solution: Solution) -> Between:
@@ -270,7 +280,10 @@ def _friction_between(problem: Problem, solution: Solution) -> Between:
     runs = np.array([solution.values[place] for place in places])
     variances = np.array([np.diag(solution.covariance)[place] for place in places])
     # each motion has columns of its own; together they are those of one friction
-    columns = np.sum([problem.matrix[:, place][:, :own] for place in places], axis=0)
+    columns = np.sum(
+        [problem.matrix[:, place][:, :own] for place in places],
+        axis=0,
+    )
     drift = np.zeros(own)
     for number in range(own):
         mine = problem.joint == number % count
@@ -296,7 +309,12 @@ def _friction_between(problem: Problem, solution: Solution) -> Between:
     now = stated
     for _ in range(SPREAD_ITERATIONS):
         left = 1.0 - told * (1.0 - np.minimum(variances / (variances + now.std**2), 1.0))
-        now = stated.learnt(now, off, left * now.std**2, ("friction", "offset"))
+        now = stated.learnt(
+            now,
+            off,
+            left * now.std**2,
+            ("friction", "offset"),
+        )
     return now
 
 
@@ -332,7 +350,12 @@ def fit_payload(
     problem = Problem.of(parts, len(loaded))
     carrying = problem.carrying
     _refuse_other_joints(loaded, problem, calibration)
-    stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
+    stretches = problem.stretches_of(
+        carrying,
+        loaded[0].name,
+        better_s=15.0,
+        least=least,
+    )
     known, terms = motion_prior.calibrated_prior(arm, calibration, len(motions))
     between = motion_prior.between_of(calibration, motions)
     per_kg = motion_prior.payload_stds(arm)
@@ -393,7 +416,13 @@ def fit_payload(
         off={kind: _of_its_own(problem, opened, kind) for kind in ("zero", "own_scale")},
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
-        shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
+        shown=_shown(
+            problem,
+            parts,
+            solution,
+            calibration,
+            [motion.name for motion in loaded],
+        ),
         solved=Solved(problem, solution, Rows.together(parts).start_s),
     )
 
@@ -405,7 +434,10 @@ def _refuse_other_joints(
 
     Raises `RecordingError`: No joint moves both with the payload and without it.
     """
-    moves = np.isin(np.arange(problem.count), problem.joint[problem.carrying])
+    moves = np.isin(
+        np.arange(problem.count),
+        problem.joint[problem.carrying],
+    )
     known = calibration.residual > 0.0
     if not moves.any() or (moves & known).any():
         return
@@ -483,7 +515,10 @@ def _covariances(
     )
     between = solution.between
     own = slice(problem.own(0).start, None)
-    words = np.tile([WORDS[kind] for kind in between.kinds], problem.motions)
+    words = np.tile(
+        [WORDS[kind] for kind in between.kinds],
+        problem.motions,
+    )
     of_own = by_prior[:, own]
     followed = of_own * np.tile(between.std, problem.motions)
     # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
@@ -510,7 +545,11 @@ def _covariances(
     }
 
 
-def _of_its_own(problem: Problem, solution: Solution, kind: str) -> tuple[FloatArray, FloatArray]:
+def _of_its_own(
+    problem: Problem,
+    solution: Solution,
+    kind: str,
+) -> tuple[FloatArray, FloatArray]:
     """What the loaded motions have of their own by joint, were nothing known of how far recordings differ, and its std, shape (n,).
 
     ``kind``: zero, or own_scale, which then counts with what all joints have in common. Where nothing tells it is 0, and infinite.
@@ -554,4 +593,8 @@ def _weight_by_joint(problem: Problem, residual: FloatArray, correlation: FloatA
 def _weights(residual: FloatArray, correlation: FloatArray) -> FloatArray:
     """Of a window of each joint, shape (n,); 0 of one that did not move."""
     counts = residual > 0.0
-    return np.where(counts, 1.0 / (np.where(counts, residual, 1.0) * np.sqrt(correlation)), 0.0)
+    return np.where(
+        counts,
+        1.0 / (np.where(counts, residual, 1.0) * np.sqrt(correlation)),
+        0.0,
+    )

@@ -159,4 +159,7 @@ def with_payload(arm: Arm, prior: Prior) -> Prior:
     covariance = np.zeros((size, size))
     covariance[range(PARAMETERS), range(PARAMETERS)] = np.square(arm.kg * payload_stds(arm))
     covariance[PARAMETERS:, PARAMETERS:] = prior.covariance
-    return Prior(np.concatenate([np.zeros(PARAMETERS), prior.values]), covariance)
+    return Prior(
+        np.concatenate([np.zeros(PARAMETERS), prior.values]),
+        covariance,
+    )

@@ -84,13 +84,22 @@ class Hinge:
     @classmethod
     def of(cls, robot: Robot, joint: str, motion: Motion) -> Hinge:
         """Of a motion, whose other joints stood still."""
-        model = robot.model.lock([joint], dict(motion.held), robot.gravity)
+        model = robot.model.lock(
+            [joint],
+            dict(motion.held),
+            robot.gravity,
+        )
         axis = model.axes[0]
         least = np.eye(3)[int(np.argmin(np.abs(axis)))]
         first = np.cross(axis, least)
         first /= np.linalg.norm(first)
         gravity = model.placement[0][:3, :3].T @ model.gravity
-        return cls(model, axis, gravity, np.array([first, np.cross(axis, first)]))
+        return cls(
+            model,
+            axis,
+            gravity,
+            np.array([first, np.cross(axis, first)]),
+        )
 
 
 @dataclass(frozen=True)
@@ -190,11 +199,19 @@ def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:
     ]
 
 
-def without(parts: Sequence[Table], number: int, label: int) -> list[Table]:
+def without(
+    parts: Sequence[Table],
+    number: int,
+    label: int,
+) -> list[Table]:
     """All windows but those of one stretch of motion ``number``; a motion that has no other is none of them."""
     kept = parts[number].stretch != label
     rest = Table(*(getattr(parts[number], field.name)[kept] for field in fields(Table)))
-    return [*parts[:number], *([rest] if kept.any() else []), *parts[number + 1 :]]
+    return [
+        *parts[:number],
+        *([rest] if kept.any() else []),
+        *parts[number + 1 :],
+    ]
 
 
 def table_of(
@@ -216,7 +233,11 @@ def table_of(
     gravity = hinge.gravity
     velocity = np.gradient(position, period_s)
     width = max(round(window_s / period_s), 4)
-    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    windows = Windows.over(
+        len(times_s),
+        width,
+        max(1, round(HOP_SHARE * width)),
+    )
     cosine = np.cos(position)[:, None]
     sine = np.sin(position)[:, None]
     # gravity in the frame of the body, which turned by the position; its torque on a first moment d along the axis: a . (d x g)
@@ -242,7 +263,12 @@ def table_of(
     torque = robot.drive_trains[joint].torque_constant.value * windows.mean(currents[:, 0])
     middle_s = times_s[windows.starts] + 0.5 * window_s
     stretch = (middle_s / STRETCH_S).astype(np.int64)
-    return Table(columns[counts], torque[counts], stretch[counts], middle_s[counts])
+    return Table(
+        columns[counts],
+        torque[counts],
+        stretch[counts],
+        middle_s[counts],
+    )
 
 
 def _choices(tables: Sequence[Sequence[Table]]) -> FloatArray:
@@ -265,7 +291,10 @@ def _stacked(
     parts: Sequence[Table],
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
     """Load columns, shape (W, 3), friction columns of every motion, shape (W, 3 M), torque and number of the motion, shape (W,)."""
-    number = np.repeat(np.arange(len(parts)), [len(part.torque) for part in parts])
+    number = np.repeat(
+        np.arange(len(parts)),
+        [len(part.torque) for part in parts],
+    )
     columns = np.vstack([part.columns for part in parts])
     friction = np.zeros((len(number), 3 * len(parts)))
     for motion in range(len(parts)):
@@ -294,7 +323,11 @@ def _by_torque(parts: Sequence[Table]) -> _Solution:
         residual = torque - matrix @ values
         each = np.array([max(rms(residual[number == n]), 1e-12) for n in range(len(parts))])
         weight = (each.min() / each)[number]
-    return _Solution(values[:3], values[3:-1].reshape(-1, 3), residual)
+    return _Solution(
+        values[:3],
+        values[3:-1].reshape(-1, 3),
+        residual,
+    )
 
 
 def _by_acceleration(parts: Sequence[Table]) -> FloatArray:
@@ -328,7 +361,10 @@ def shown_of(
         scale: The motor's torque and what is left over of it are so many times the true ones.
     """
     by_mass = np.concatenate([part.columns[:, :3] for part in windows]) @ per_kg
-    number = np.repeat(np.arange(len(windows)), [len(part.torque) for part in windows])
+    number = np.repeat(
+        np.arange(len(windows)),
+        [len(part.torque) for part in windows],
+    )
     return Explained(
         np.concatenate([part.middle_s for part in windows]),
         number,

@@ -94,7 +94,11 @@ class KnownJointFit:
     own_terms: OwnTerms  # what the recordings show by themselves, see `own_terms`
 
 
-def tables_of(robot: Robot, motion: Motion, joint: str) -> tuple[Table, ...]:
+def tables_of(
+    robot: Robot,
+    motion: Motion,
+    joint: str,
+) -> tuple[Table, ...]:
     """What one motion says, once for each length of the windows. Raises `RecordingError`: It does not move for long enough."""
     hinge = Hinge.of(robot, joint, motion)
     return tuple(
@@ -265,7 +269,11 @@ def own_terms(
         scatter = (count - 1) / count * np.square(moved).sum(axis=0)
     std = np.sqrt(scatter + whole.var(axis=0, ddof=1))
     speeds = np.concatenate([part.columns[:, 3] for part in by_window[0]])
-    usual = _usual(terms, rms(speeds), float((carried.arm + start_kg * carried.per_kg)[0]))
+    usual = _usual(
+        terms,
+        rms(speeds),
+        float((carried.arm + start_kg * carried.per_kg)[0]),
+    )
     return OwnTerms(values, std, usual)
 
 
@@ -424,7 +432,11 @@ def identify_by_joint(
     held = loads[loads > 0.0]
     # an arm that is not as its URDF says was taken for a load, and cancels where the loads were the same
     arm_kg = URDF_SHARE * float(np.linalg.norm(carried.arm[1:])) / max(lever, 1e-6)
-    outside = max(np.log(max(mass, 1e-9) / held.max()), np.log(held.min() / max(mass, 1e-9)), 0.0)
+    outside = max(
+        np.log(max(mass, 1e-9) / held.max()),
+        np.log(held.min() / max(mass, 1e-9)),
+        0.0,
+    )
     variances = {
         STRETCHES: by_stretches,
         CALIBRATION: by_calibration,
@@ -433,7 +445,10 @@ def identify_by_joint(
         OUTSIDE: (OUTSIDE_SHARE * outside * mass) ** 2,
     }
     rest = max(sum(variances.values()), 1e-18)
-    freedom = [(by_stretches, max(stretches - 1, 1)), (by_calibration, count - 1)]
+    freedom = [
+        (by_stretches, max(stretches - 1, 1)),
+        (by_calibration, count - 1),
+    ]
     half = 0.0
     spread_kg = 0.0
     usual_kg = float(held.mean())

@@ -145,7 +145,14 @@ class _Grid:
         inside = len(range(0, width, thin))
         # a parabola through the neighbours, and its slope (Savitzky & Golay 1964)
         smoothing = np.linalg.pinv(np.vander(np.arange(-reach, reach + 1), 3, increasing=True))
-        return cls(period_s, width, reach, thin, smoothing, Windows.over(inside, inside, inside))
+        return cls(
+            period_s,
+            width,
+            reach,
+            thin,
+            smoothing,
+            Windows.over(inside, inside, inside),
+        )
 
     @property
     def reach_s(self) -> float:
@@ -154,7 +161,11 @@ class _Grid:
     def sparser(self, width: int) -> _Grid:
         """One of as long a window with fewer samples, which needs nothing from further away."""
         period_s = self.width * self.period_s / width
-        return _Grid.of(period_s, width, max(int(self.reach_s / period_s + 0.01), SPARSE_REACH))
+        return _Grid.of(
+            period_s,
+            width,
+            max(int(self.reach_s / period_s + 0.01), SPARSE_REACH),
+        )
 
 
 class OnlineEstimator:
@@ -186,7 +197,11 @@ class OnlineEstimator:
     ) -> None:
         self.joints = calibration.joints
         others = [name for name in robot.model.independent_joints if name not in self.joints]
-        self._arm = Arm.of(robot, self.joints, zero_pose(robot, others) | (held or {}))
+        self._arm = Arm.of(
+            robot,
+            self.joints,
+            zero_pose(robot, others) | (held or {}),
+        )
         names = self._arm.model.joint_names
         if tuple(names) != tuple(self.joints):
             raise RobotError(
@@ -201,7 +216,12 @@ class OnlineEstimator:
             [robot.drive_trains[name].encoder_resolution for name in self.joints]
         )
         self.centre_m = tuple(float(axis) for axis in centre_m)
-        self._knows = _Knows(self._arm, calibration, np.asarray(centre_m), max(centre_std_m, 1e-4))
+        self._knows = _Knows(
+            self._arm,
+            calibration,
+            np.asarray(centre_m),
+            max(centre_std_m, 1e-4),
+        )
         self._forget()
 
     def _forget(self) -> None:
@@ -228,7 +248,12 @@ class OnlineEstimator:
     def frozen(self) -> bool:
         return self._same >= FROZEN
 
-    def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float]) -> bool:
+    def add(
+        self,
+        time_s: float,
+        positions: Sequence[float],
+        currents: Sequence[float],
+    ) -> bool:
         """One sample of all joints of the calibration, in its order.
 
         Args:
@@ -378,7 +403,12 @@ class OnlineEstimator:
             return None
         return self._window_on(fitting, start_s, rows)
 
-    def _window_on(self, grid: _Grid, start_s: float, rows: Sequence[_Row]) -> _Window:
+    def _window_on(
+        self,
+        grid: _Grid,
+        start_s: float,
+        rows: Sequence[_Row],
+    ) -> _Window:
         """The same of samples, on a grid."""
         period_s = grid.period_s
         reach = grid.reach
@@ -386,8 +416,16 @@ class OnlineEstimator:
         thin = grid.thin
         times_s = np.array([row[0] for row in rows])
         grid_s = start_s + period_s * np.arange(-reach, width + reach)
-        position = _interpolated(grid_s, times_s, np.array([row[1] for row in rows]))
-        current = _interpolated(grid_s, times_s, np.array([row[2] for row in rows]))
+        position = _interpolated(
+            grid_s,
+            times_s,
+            np.array([row[1] for row in rows]),
+        )
+        current = _interpolated(
+            grid_s,
+            times_s,
+            np.array([row[2] for row in rows]),
+        )
         design = grid.smoothing
         view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[
             :width:thin
@@ -622,7 +660,13 @@ class _Filter:
         along = window.payload @ knows.point
         design = window.design.copy()
         count = knows.count
-        fill_drives(design, knows.values, window, slice(11 * count, 12 * count), mass_kg * along)
+        fill_drives(
+            design,
+            knows.values,
+            window,
+            slice(11 * count, 12 * count),
+            mass_kg * along,
+        )
         heavy = max(abs(mass_kg), 0.02) * knows.centre_std_m
         rows = np.hstack([
             design @ knows.root, np.eye(count)[joint] * knows.noise, along[:, None] * knows.widest_kg,
@@ -677,7 +721,11 @@ class _Filter:
             return None
         information = np.maximum(self._information, 1e-12)
         change_kg = self._along / information
-        score = np.where(ready, np.abs(change_kg) * np.sqrt(information), 0.0)
+        score = np.where(
+            ready,
+            np.abs(change_kg) * np.sqrt(information),
+            0.0,
+        )
         best = int(np.argmax(score))
         least_kg = LEAST_SHARE * abs(self.mass_kg)
         return (
@@ -712,13 +760,22 @@ def inertia_matrix(model: ReducedModel, position: FloatArray, terms: FloatArray)
     count = len(position)
     bodies = terms[: PARAMETERS * count].reshape(count, PARAMETERS)
     # momentum of each body where one joint after the other turns at 1 rad/s
-    motion = kinematics(model, np.tile(position, (count, 1)), np.eye(count))
+    motion = kinematics(
+        model,
+        np.tile(position, (count, 1)),
+        np.eye(count),
+    )
     result = np.diag(terms[PARAMETERS * count :])
     for body, own in enumerate(bodies):
         joints = carriers(model, body)
         of_body = motion.seen_by(body, motion.twist[:, body, None])
         result[joints] += np.tensordot(
-            own, momentum_along(*motion.seen_by(body, motion.axis[:, joints]), *of_body), 1
+            own,
+            momentum_along(
+                *motion.seen_by(body, motion.axis[:, joints]),
+                *of_body,
+            ),
+            1,
         )
     return result
 

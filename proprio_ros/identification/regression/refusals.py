@@ -50,7 +50,11 @@ def moved_only_loaded(fit: MotionFit) -> tuple[str, ...]:
     )
 
 
-def passed_over(joints: Sequence[str], tells: FloatArray, share: FloatArray) -> tuple[str, ...]:
+def passed_over(
+    joints: Sequence[str],
+    tells: FloatArray,
+    share: FloatArray,
+) -> tuple[str, ...]:
     """A sentence for each joint whose torque is not explained and does not decide.
 
     ``joints``: their names; ``tells``: how much of what is known of the mass each tells, sum 1; ``share``: of the torque, that is
@@ -122,7 +126,10 @@ def held_when_empty(held: HeldByFile) -> Iterator[Refusal]:
 
 def noticed(fit: MotionFit) -> FloatArray:
     """By how much of a joint's torque this has to differ from the empty arm's to be noticed, shape (n,)."""
-    least = np.maximum(RATIO_SHARE, APART_SIGMAS * np.hypot(fit.off["own_scale"][1], RATIO_STD))
+    least = np.maximum(
+        RATIO_SHARE,
+        APART_SIGMAS * np.hypot(fit.off["own_scale"][1], RATIO_STD),
+    )
     return np.where(fit.tells < DECIDES, np.inf, least)
 
 

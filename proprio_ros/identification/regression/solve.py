@@ -57,7 +57,10 @@ def posterior(
     spread = np.sqrt(np.diag(prior.covariance))
     correlation = prior.covariance / spread[:, None] / spread
     normal = information * spread[:, None] * spread
-    shrunk = np.linalg.solve(np.eye(len(spread)) + correlation @ normal, correlation)
+    shrunk = np.linalg.solve(
+        np.eye(len(spread)) + correlation @ normal,
+        correlation,
+    )
     shrunk = 0.5 * (shrunk + shrunk.T)
     values = prior.values + spread * (shrunk @ (spread * (side - information @ prior.values)))
     return values, shrunk * spread[:, None] * spread
@@ -125,7 +128,11 @@ def solve_following(
     basis: FloatArray = np.eye(len(at))
     if known is None:
         basis = np.asarray(
-            np.kron(_contrasts(problem.motions), np.eye(len(at) // problem.motions)), np.float64
+            np.kron(
+                _contrasts(problem.motions),
+                np.eye(len(at) // problem.motions),
+            ),
+            np.float64,
         )
     # what the data say of these terms alone; all else follows them linearly
     precision = np.linalg.inv(opened.covariance[np.ix_(at, at)])
@@ -137,7 +144,10 @@ def solve_following(
     information = std[:, None] * information * std
     side = std * (precision @ opened.values[at])
     of_basis = basis.T @ information @ basis, basis.T @ side
-    mean, wider, terms, weights = by_evidence(kinds[at - first][: basis.shape[1]], *of_basis)
+    mean, wider, terms, weights = by_evidence(
+        kinds[at - first][: basis.shape[1]],
+        *of_basis,
+    )
     mean = basis @ mean
     terms = terms @ basis.T
     apart = (terms - mean) * std @ leads.T
@@ -204,7 +214,11 @@ def solve(
     stated = between
     learnt = (*LEARNT, *followed) if between.friction.any() else followed
     kinds = [kind for kind in PUBLISHED if kind in learnt and kind not in CLOCK]
-    follows = np.where(np.isin(between.kinds, (*LEARNT, *followed)), 1.0, FIXED)
+    follows = np.where(
+        np.isin(between.kinds, (*LEARNT, *followed)),
+        1.0,
+        FIXED,
+    )
 
     def differing() -> None:
         """Give every motion's own terms their spread."""
@@ -260,10 +274,21 @@ def solve(
         heavy_kg = abs(values[0]) + np.sqrt(covariance[0, 0])
         stds = heavy_kg * per_kg
         # but what is seen to be spread further is: else 0.25 kg m^2 of a bar of 2 kg came out 12 % too small, 2.6 half widths off
-        stds[4:] *= max(1.0, float(np.max(np.abs(values[4:PARAMETERS]) / stds[4:])) / SPREAD_SIGMAS)
+        stds[4:] *= max(
+            1.0,
+            float(np.max(np.abs(values[4:PARAMETERS]) / stds[4:])) / SPREAD_SIGMAS,
+        )
         prior.covariance[range(1, PARAMETERS), range(1, PARAMETERS)] = stds[1:] ** 2
-        off = (values[own] - prior.values[own]).reshape(problem.motions, -1)
-        between = stated.learnt(between, off, np.diag(covariance)[own].reshape(off.shape), kinds)
+        off = (values[own] - prior.values[own]).reshape(
+            problem.motions,
+            -1,
+        )
+        between = stated.learnt(
+            between,
+            off,
+            np.diag(covariance)[own].reshape(off.shape),
+            kinds,
+        )
         differing()
         fill_drives(matrix, values, problem, geared)
         problem.fill_own(matrix, values)
@@ -301,7 +326,11 @@ def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> floa
     return total
 
 
-def scores(scaled: FloatArray, left_over: FloatArray, stretch: NDArray[np.int64]) -> FloatArray:
+def scores(
+    scaled: FloatArray,
+    left_over: FloatArray,
+    stretch: NDArray[np.int64],
+) -> FloatArray:
     """What each stretch pulls the solution by, but for its covariance, shape (stretches, U)."""
     labels = np.unique(stretch)
     pulls = np.array([scaled[stretch == label].T @ left_over[stretch == label] for label in labels])

@@ -33,7 +33,10 @@ class Explained:
     by_mass: FloatArray
 
     def joint_fits(
-        self, names: Sequence[str], joints: Sequence[str], usual: FloatArray | Sequence[float]
+        self,
+        names: Sequence[str],
+        joints: Sequence[str],
+        usual: FloatArray | Sequence[float],
     ) -> tuple[JointFit, ...]:
         """Each joint of each motion that moved, thinned for a picture.
 

@@ -177,7 +177,10 @@ def _explained(
     pulls = scores(columns, rest, stretch)
     sandwich = inverse @ pulls.T @ pulls @ inverse
     # of a joint without efforts both are nothing but for rounding
-    variance = np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0)
+    variance = np.maximum(
+        np.maximum(np.diag(inverse), np.diag(sandwich)),
+        0.0,
+    )
     gain = 1.0 - float(rest @ rest) / max(float(left_over @ left_over), 1e-300)
     return _Explained(values, np.sqrt(variance), gain)
 

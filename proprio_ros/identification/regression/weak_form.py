@@ -123,7 +123,12 @@ def torque_regressor(
     for body in range(since, position.shape[1]):
         joints = carriers(model, body)
         screws = np.concatenate(
-            [axes[:, joints], turning[:, joints], twists[:, body, None]], axis=1
+            [
+                axes[:, joints],
+                turning[:, joints],
+                twists[:, body, None],
+            ],
+            axis=1,
         )
         angular, linear = motion.seen_by(body, screws)
         momentum = momentum_along(
@@ -148,7 +153,11 @@ def evenly(
 
     columns = [motion.joints.index(name) for name in joints]
     period_s = float(np.median(np.diff(motion.times_s)))
-    times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
+    times_s = np.arange(
+        motion.times_s[0],
+        motion.times_s[-1] + 0.5 * period_s,
+        period_s,
+    )
     position = np.column_stack(
         [np.interp(times_s, motion.times_s, motion.position[:, column]) for column in columns]
     )
@@ -181,7 +190,10 @@ def across_gaps(
     """
     first = times_s[windows.starts]
     last = times_s[windows.starts + len(windows.weight) - 1]
-    crossed = np.zeros((len(windows.starts), len(joints)), dtype=bool)
+    crossed = np.zeros(
+        (len(windows.starts), len(joints)),
+        dtype=bool,
+    )
     for number, name in enumerate(joints):
         known = np.isfinite(motion.current_A[:, motion.joints.index(name)])
         # what is missing at either end is a gap, too

@@ -139,12 +139,27 @@ class Container(
 
         return sections(estimate)
 
-    def shapes(self, robot: Robot, facts: ContainerJob, estimate: Estimate) -> base.Shapes | None:
+    def shapes(
+        self,
+        robot: Robot,
+        facts: ContainerJob,
+        estimate: Estimate,
+    ) -> base.Shapes | None:
         """The container, with a sphere in its middle."""
         import numpy as np
 
         container = facts.container
         enclosure = facts.container.enclosure
-        sphere = base.Body("sphere", [2.0 * enclosure.radius] * 3, np.eye(3), 0.9)
-        walls = base.Body(enclosure.shape, enclosure.inner_size.tolist(), container.rotation, 0.25)
+        sphere = base.Body(
+            "sphere",
+            [2.0 * enclosure.radius] * 3,
+            np.eye(3),
+            0.9,
+        )
+        walls = base.Body(
+            enclosure.shape,
+            enclosure.inner_size.tolist(),
+            container.rotation,
+            0.25,
+        )
         return base.Shapes(container.centre.tolist(), [sphere, walls])

@@ -80,7 +80,12 @@ class SphereUntilSure(CatalogueChooser):
         baseline: Sequence[Run] = (),
         whole: Callable[[Sequence[Run]], float | None] | None = None,
     ) -> None:
-        super().__init__(robot, sequence, Sought("sphere_mass", "kg", label="sphere's mass"), whole)
+        super().__init__(
+            robot,
+            sequence,
+            Sought("sphere_mass", "kg", label="sphere's mass"),
+            whole,
+        )
         check_shell(facts, baseline)
         self._turning: dict[tuple[str, tuple[tuple[str, float], ...]], SphereRun] = {}
         # where it comes to rest, whatever is stated about where it was in the sample recordings
@@ -173,7 +178,11 @@ class SphereUntilSure(CatalogueChooser):
         }
         self._covariance = self._shared.covariance_after(fit)
 
-    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[candidates.Push]:
+    def ranked(
+        self,
+        pose: Mapping[str, float],
+        target_std: float,
+    ) -> list[candidates.Push]:
         beside = time_of(self.robot, self._sequence, pose)
         shell = self._values["payload_mass"]
         low, high = (shell + mass for mass in self._unknown_kg)
@@ -195,7 +204,11 @@ class SphereUntilSure(CatalogueChooser):
                 continue
             begins = (push.joint, *push.start.values())
             if begins not in ways:  # from a folded arm there are few
-                ways[begins] = passes(self._machine, self.sequence_of(self.run_of(push)), pose)
+                ways[begins] = passes(
+                    self._machine,
+                    self.sequence_of(self.run_of(push)),
+                    pose,
+                )
             (chosen if ways[begins] else blocked).append(push)
             if len(chosen) == SIMULATED:
                 break
@@ -275,20 +288,39 @@ class SphereUntilSure(CatalogueChooser):
             np.array([run.sigma[0] for run in runs])[:, None], np.abs(v) * self.robot.stamp_jitter_s
         )
         across = np.array([run.across for run in problem.simulator.special.sphere_runs])
-        rows = np.where(alive[..., None], dq / sigma[..., None], 0.0)
-        seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
+        rows = np.where(
+            alive[..., None],
+            dq / sigma[..., None],
+            0.0,
+        )
+        seen = np.where(
+            alive[..., None, None],
+            across[:, None] @ dx,
+            0.0,
+        )
         stds, spreads = self._shared.stds_along(
             rows, variance, self._covariance, "sphere_mass", seen
         )
         counted = alive.sum(axis=1)
-        told = np.minimum([known_until(spread, self._search.facts) for spread in spreads], counted)
-        rolled = np.linalg.norm(np.einsum("rij,rtj->rti", across, x - x[:, :1]), axis=2)
+        told = np.minimum(
+            [known_until(spread, self._search.facts) for spread in spreads],
+            counted,
+        )
+        rolled = np.linalg.norm(
+            np.einsum("rij,rtj->rti", across, x - x[:, :1]),
+            axis=2,
+        )
         return off, rolled, np.stack([counted, told], axis=1), stds
 
     def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
         """Runs that have not been made as a problem."""
         every = (True,) * len(runs)
-        search = replace(self._search, runs=tuple(runs), rolling=every, tracks=(None,) * len(runs))
+        search = replace(
+            self._search,
+            runs=tuple(runs),
+            rolling=every,
+            tracks=(None,) * len(runs),
+        )
         return search.problem(Role.FREE)[0]
 
     def _geometry(self, run: PreparedRun) -> SphereRun:
@@ -316,7 +348,11 @@ class SphereUntilSure(CatalogueChooser):
     def _rolls(self, push: candidates.Push) -> bool:
         """Whether a push turns the container so far that the sphere leaves the end in which it rests."""
         still = self.catalogue.still(push)
-        return self._apart(self._geometry(still), still.rest.value, still.rest.value + push.travel)
+        return self._apart(
+            self._geometry(still),
+            still.rest.value,
+            still.rest.value + push.travel,
+        )
 
     def _apart(self, run: SphereRun, one: float, other: float) -> bool:
         """Whether the sphere comes to rest elsewhere with the joint at another position."""

@@ -55,7 +55,12 @@ FORMS: dict[str, Form] = {
     ),
     "sphere.start": Perhaps(
         "of its centre from the container's, where that is known",
-        Numbers("", Number(unit="m", lowest=-1.0, highest=1.0), 3, example=_PLACE),
+        Numbers(
+            "",
+            Number(unit="m", lowest=-1.0, highest=1.0),
+            3,
+            example=_PLACE,
+        ),
     ),
     "sphere.start_std": Number("how well", "m", 0.0, 1.0),
     "sphere.camera": Perhaps(
@@ -139,7 +144,12 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
     )
 
 
-def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTrack | None:
+def track_of(
+    run: Run,
+    source: Path,
+    camera: str | None,
+    std: float,
+) -> SphereTrack | None:
     """Places of the sphere during a run of a bag, each coordinate to within std [m]; None without a camera.
 
     The camera is a topic, which starts with a slash (unless there is such a file), or a CSV file.

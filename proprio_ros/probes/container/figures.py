@@ -70,7 +70,10 @@ def drawable(path: SpherePath) -> SpherePath | None:
         return None
     rows = rows[_evenly(len(rows), MOST_SAMPLES)]
     by_time = ("times_s", "position", "std", "world_from_container")
-    return replace(path, **{name: getattr(path, name)[rows] for name in by_time})
+    return replace(
+        path,
+        **{name: getattr(path, name)[rows] for name in by_time},
+    )
 
 
 def path_figure(path: SpherePath, number: int) -> str:
@@ -85,7 +88,10 @@ def path_figure(path: SpherePath, number: int) -> str:
     high = high + margin
     widest = 400.0
     highest = 300.0
-    scale = min(widest / (high - low)[0], highest / (high - low)[1])  # px/mm
+    scale = min(
+        widest / (high - low)[0],
+        highest / (high - low)[1],
+    )  # px/mm
     size = scale * (high - low)
     left = 52.0 + (widest - size[0]) / 2.0
     top = 10.0
@@ -99,7 +105,14 @@ def path_figure(path: SpherePath, number: int) -> str:
     for tick in _ticks(low[0], high[0]):
         at = x0 + scale * tick
         marks.append(f"M{_n(at)} {_n(top)}V{_n(top + size[1])}")
-        names.append(_text(at, top + size[1] + 15, _signed(tick), "middle"))
+        names.append(
+            _text(
+                at,
+                top + size[1] + 15,
+                _signed(tick),
+                "middle",
+            )
+        )
     for tick in _ticks(low[1], high[1]):
         at = y0 - scale * tick
         marks.append(f"M{_n(left)} {_n(at)}H{_n(left + size[0])}")
@@ -172,7 +185,11 @@ def moving_figure(path: SpherePath, number: int) -> str:
     duration = SLOWER * (path.times_s[-1] - path.times_s[0]) + PAUSE_S
     keys = SLOWER * (path.times_s - path.times_s[0]) / duration
 
-    def moving(attribute: str, values: Sequence[str], extra: str = "") -> str:
+    def moving(
+        attribute: str,
+        values: Sequence[str],
+        extra: str = "",
+    ) -> str:
         every = ";".join([*values, values[-1]])  # it rests in the end
         when = ";".join([*(f"{key:.4f}" for key in keys), "1"])
         tag = "animateTransform" if extra else "animate"
@@ -193,7 +210,13 @@ def moving_figure(path: SpherePath, number: int) -> str:
         f'stroke-width="{_n(1.6 / scale)}"><g transform="rotate({degrees[0]})">{turn}'
         f'<polygon points="{_points(inside)}" fill="{INSIDE}" stroke="{INK}"/>'
         f'<path d="M{_points(centres)}" stroke="{MUTED}"/>{sphere}</g></g>',
-        _arrow((side + 34, 76), np.array([0.0, -fall]), 40.0, INK, "in the world"),
+        _arrow(
+            (side + 34, 76),
+            np.array([0.0, -fall]),
+            40.0,
+            INK,
+            "in the world",
+        ),
         _text(side + 34, 22, "gravity", "middle"),
         *_clock(path.times_s, keys, duration, side + 34, side - 40),
     ]
@@ -231,7 +254,11 @@ def _outline(path: SpherePath, plane: np.ndarray) -> np.ndarray:
     if path.shape == "box":
         farthest = np.sign(along.round(9)) * size / 2
     elif path.shape == "cylinder":
-        round_part = np.linalg.norm(along[:, :2], axis=1, keepdims=True)
+        round_part = np.linalg.norm(
+            along[:, :2],
+            axis=1,
+            keepdims=True,
+        )
         farthest = along / np.maximum(round_part, 1e-12) * size[0] / 2
         farthest[:, 2] = np.sign(along[:, 2].round(9)) * size[2] / 2
     else:
@@ -241,7 +268,10 @@ def _outline(path: SpherePath, plane: np.ndarray) -> np.ndarray:
     return np.asarray(flat[new])
 
 
-def _turns(path: SpherePath, plane: np.ndarray) -> tuple[np.ndarray, float]:
+def _turns(
+    path: SpherePath,
+    plane: np.ndarray,
+) -> tuple[np.ndarray, float]:
     """How far the container is turned in the world [rad], shape (K,), and how much of gravity one sees from there (0 to 1)."""
     first = path.world_from_container[0]
     along = first @ path.across / np.linalg.norm(path.across)
@@ -302,7 +332,13 @@ def _time_scale(path: SpherePath, number: int, x: float, y: float) -> str:
     )
 
 
-def _clock(times_s: np.ndarray, keys: np.ndarray, duration: float, x: float, y: float) -> list[str]:
+def _clock(
+    times_s: np.ndarray,
+    keys: np.ndarray,
+    duration: float,
+    x: float,
+    y: float,
+) -> list[str]:
     """The time, as one text per reading that is shown in its turn."""
     rows = _evenly(len(times_s), MOST_CLOCK_READINGS)
     parts = []
@@ -324,7 +360,11 @@ def _clock(times_s: np.ndarray, keys: np.ndarray, duration: float, x: float, y: 
 
 
 def _arrow(
-    middle: tuple[float, float], vector: np.ndarray, length: float, color: str, name: str
+    middle: tuple[float, float],
+    vector: np.ndarray,
+    length: float,
+    color: str,
+    name: str,
 ) -> str:
     """An arrow about ``middle`` (px); a dot in a ring where the vector points along the line of sight."""
     seen = float(np.linalg.norm(vector))
@@ -349,7 +389,13 @@ def _arrow(
     )
 
 
-def _text(x: float, y: float, words: str, anchor: str, extra: str = "") -> str:
+def _text(
+    x: float,
+    y: float,
+    words: str,
+    anchor: str,
+    extra: str = "",
+) -> str:
     return f'<text x="{_n(x)}" y="{_n(y)}" text-anchor="{anchor}"{extra}>{words}</text>'
 
 
@@ -366,7 +412,13 @@ def _n(value: float) -> str:
     return f"{round(float(value), 2) + 0.0:.6g}"
 
 
-def _svg(width: float, height: float, name: str, description: str, body: Sequence[str]) -> str:
+def _svg(
+    width: float,
+    height: float,
+    name: str,
+    description: str,
+    body: Sequence[str],
+) -> str:
     described = f"<desc>{description}</desc>" if description else ""
     return themed(
         f'<svg class="sphere" xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{name}" '

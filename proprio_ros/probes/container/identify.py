@@ -215,7 +215,10 @@ class WeighedSphere(Conclusion):
         harder = replace(
             facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e
         )
-        self.count(self._shift(self._with(harder), self.fit.values.copy()), "contact stiffness")
+        self.count(
+            self._shift(self._with(harder), self.fit.values.copy()),
+            "contact stiffness",
+        )
 
     def guess(self) -> list[Guess]:
         """The facts that were not stated, and what being off by their spread would do to the mass."""
@@ -245,7 +248,13 @@ class WeighedSphere(Conclusion):
                         - self.problem.unknowns[at].value
                     )
                 shifts.append(self._shift(other, values))
-            guesses.append(Guess(key, *words[key], float(np.linalg.norm(shifts))))
+            guesses.append(
+                Guess(
+                    key,
+                    *words[key],
+                    float(np.linalg.norm(shifts)),
+                )
+            )
         return guesses
 
     def _with(self, facts: ContainerFacts) -> ContainerProblem:
@@ -259,9 +268,19 @@ class WeighedSphere(Conclusion):
         # less deep in a harder wall
         for key in ((f"sphere_{axis}", row) for row in self.rolling for axis in "xyz"):
             at = other.index[key]
-            values[at] = np.clip(values[at], other.unknowns[at].lower, other.unknowns[at].upper)
-        soft, _, _ = self.problem.simulate(fit.values[None], self.problem.free[:1])
-        hard, _, _ = other.simulate(values[None], other.free[:1])
+            values[at] = np.clip(
+                values[at],
+                other.unknowns[at].lower,
+                other.unknowns[at].upper,
+            )
+        soft, _, _ = self.problem.simulate(
+            fit.values[None],
+            self.problem.free[:1],
+        )
+        hard, _, _ = other.simulate(
+            values[None],
+            other.free[:1],
+        )
         seen = self.problem.weight > 0.0
         off = ((soft - hard)[0] * self.problem.weight)[seen]
         return float((posterior.covariance @ posterior.sensitivity.T @ off)[fit.column(self.name)])
@@ -333,17 +352,29 @@ class WeighedSphere(Conclusion):
         options = self.search.options
         best = float(nominal.physical(self.name)[nominal.solution.best])
         return summary(
-            nominal, self.name, options.starts_kg, max(1e-4, DISTINCT * abs(best), self.assessed.std),
+            nominal, self.name, options.starts_kg, max(1e-4, DISTINCT * abs(best), self.assessed.std,),
             nominal.solution.iterations + self.fit.solution.iterations,
-            SearchOptions(integrator=options.integrator, step_s=self.problem.contact_step_s), final=self.fit,
+            SearchOptions(integrator=options.integrator, step_s=self.problem.contact_step_s,), final=self.fit,
         )  # fmt: skip
 
     def values(self, withheld: str) -> tuple[Value, ...]:
         shell = self.problem.index["payload_mass"]
         shell_std = float(np.sqrt(self.assessed.covariance[shell, shell]))
         return (
-            positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld),
-            positive("container_mass", "kg", float(self.fit.values[shell]), shell_std, withheld),
+            positive(
+                self.name,
+                "kg",
+                self.assessed.value,
+                self.assessed.std,
+                withheld,
+            ),
+            positive(
+                "container_mass",
+                "kg",
+                float(self.fit.values[shell]),
+                shell_std,
+                withheld,
+            ),
         )
 
     def detail(self, withheld: str) -> ContainerDetail:
@@ -358,7 +389,10 @@ class WeighedSphere(Conclusion):
         own = self.assessed.covariance[np.ix_(free, free)]
         enclosure = problem.container.enclosure
         inside = enclosure.shape, enclosure.inner_size, enclosure.radius
-        shown, _, _ = problem.simulate(self.fit.values[None], free[:1])
+        shown, _, _ = problem.simulate(
+            self.fit.values[None],
+            free[:1],
+        )
         paths = []
         for row, (x, dx), run in zip(
             self.rolling, problem.path(self.fit.values, free), special.sphere_runs, strict=True
@@ -378,7 +412,15 @@ class WeighedSphere(Conclusion):
             )
             std = np.sqrt(np.einsum("kif,fg,kig->ki", dx, own, dx))
             paths.append(
-                SpherePath(prepared.run.name, *inside, prepared.times_s, x, std, turns, run.axis)
+                SpherePath(
+                    prepared.run.name,
+                    *inside,
+                    prepared.times_s,
+                    x,
+                    std,
+                    turns,
+                    run.axis,
+                )
             )
         return tuple(paths)
 

@@ -74,7 +74,12 @@ class ContainerFacts:
     def shell(self) -> PayloadFacts:
         """The empty container as a payload."""
         walls = PayloadShape.hollow(self.enclosure.shape, self.enclosure.inner_size)
-        return PayloadFacts(self.centre, np.zeros(3), walls.turned(self.rotation), 0.1)
+        return PayloadFacts(
+            self.centre,
+            np.zeros(3),
+            walls.turned(self.rotation),
+            0.1,
+        )
 
     def sinks(self, pull: np.ndarray | float) -> np.ndarray | float:
         """How deep a wall lets a sphere of usual mass sink that is pulled into it [m], per pull [m/s^2]."""
@@ -84,7 +89,13 @@ class ContainerFacts:
     def contact(self) -> Contact:
         """Constants of a touch at the values that are expected; of the paper's law, with the lightest sphere."""
         if self.law == "paper":
-            return paper_contact(LIGHTEST_KG, self.k_e, self.k_d, self.k_f, self.friction.value)
+            return paper_contact(
+                LIGHTEST_KG,
+                self.k_e,
+                self.k_d,
+                self.k_f,
+                self.friction.value,
+            )
         return Contact.of(
             self.contact_frequency, self.damping_ratio.value, self.friction.value, self.traction
         )
@@ -115,7 +126,11 @@ class SphereTrack:
     def within(self, first_s: float, last_s: float) -> SphereTrack:
         """The part between two instants."""
         inside = (self.times_s >= first_s) & (self.times_s <= last_s)
-        return replace(self, times_s=self.times_s[inside], position=self.position[inside])
+        return replace(
+            self,
+            times_s=self.times_s[inside],
+            position=self.position[inside],
+        )
 
 
 def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> StartPrior:
@@ -145,7 +160,11 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     free = np.ones(3, dtype=bool)
     if facts.settled and facts.enclosure.shape == "box":
         free = np.abs(gravity) < LEVEL * weight
-        mean = np.where(free, 0.0, np.sign(gravity) * (room + facts.sinks(np.abs(gravity))))
+        mean = np.where(
+            free,
+            0.0,
+            np.sign(gravity) * (room + facts.sinks(np.abs(gravity))),
+        )
         std = np.where(free, std, RESTING_STD_M)
         lower = np.minimum(lower, mean)
         upper = np.maximum(upper, mean)
@@ -179,7 +198,13 @@ def sphere_run(robot: Robot, run: PreparedRun, facts: ContainerFacts, joint: Joi
     axis, gravity = axis_and_gravity(model)
     turned = body_from_payload[:3, :3] @ facts.rotation
     centre = body_from_payload[:3, :3] @ facts.centre + body_from_payload[:3, 3]
-    return SphereRun(joint, model.kinds[0], turned.T @ axis, -turned.T @ centre, turned.T @ gravity)
+    return SphereRun(
+        joint,
+        model.kinds[0],
+        turned.T @ axis,
+        -turned.T @ centre,
+        turned.T @ gravity,
+    )
 
 
 def container_unknowns(
@@ -197,7 +222,16 @@ def container_unknowns(
     unknowns = load_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
     unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
     lightest = LIGHTEST_KG if facts.law == "paper" else -0.2
-    unknowns.append(Unknown("sphere_mass", 0.01, np.inf, lightest, 5.0, asinh_scale=0.002))
+    unknowns.append(
+        Unknown(
+            "sphere_mass",
+            0.01,
+            np.inf,
+            lightest,
+            5.0,
+            asinh_scale=0.002,
+        )
+    )
     # the paper's law has a damping constant of its own
     damping = Quantity(facts.damping_ratio.value) if facts.law == "paper" else facts.damping_ratio
     for kind, known in (("contact_damping", damping), ("contact_friction", facts.friction)):
@@ -269,7 +303,14 @@ class ContainerProblem(Problem):
             times_s = runs[row].times_s
             inside = track.within(times_s[0], times_s[-1])
             rolling_row = int(self.rolling[:row].sum())
-            self._seen.append(_Seen(row, rolling_row, inside, _between(times_s, inside.times_s)))
+            self._seen.append(
+                _Seen(
+                    row,
+                    rolling_row,
+                    inside,
+                    _between(times_s, inside.times_s),
+                )
+            )
             if signals == "camera":
                 self.weight[row] = 0.0
 
@@ -294,7 +335,14 @@ class ContainerProblem(Problem):
             joint = replace(
                 run, step_s=min(run.step_s, step_s), fine_step_s=min(run.fine_step_s, step_s)
             )
-            rolling.append(sphere_run(self.robot, self._rolling_runs[row], self.container, joint))
+            rolling.append(
+                sphere_run(
+                    self.robot,
+                    self._rolling_runs[row],
+                    self.container,
+                    joint,
+                )
+            )
         special = SphereSimulator(rolling, self.container.enclosure, self.container.law, integrator)
         return MixedSimulator(
             special, [runs[row] for row in np.flatnonzero(~self.rolling)], self.rolling, integrator
@@ -305,7 +353,10 @@ class ContainerProblem(Problem):
             return bool(self.rolling[row])
         return super()._touches(unknown, row)
 
-    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _all_parameters(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
         at = self.index
         to = SPHERE_INDEX
@@ -326,7 +377,11 @@ class ContainerProblem(Problem):
                     p[:, row, to[parameter]] += values[:, at[key]]
                     dp[:, row, to[parameter], at[key]] += 1.0
             for name, share in self._turns[row]:
-                shift, by_unknown = self._shift(name, self.runs[row].run.held[name], values)
+                shift, by_unknown = self._shift(
+                    name,
+                    self.runs[row].run.held[name],
+                    values,
+                )
                 p[:, row, to["tilt"]] += share * shift
                 for column, factor in by_unknown:
                     dp[:, row, to["tilt"], column] += share * factor
@@ -407,7 +462,11 @@ class ContainerProblem(Problem):
         ]
         return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
 
-    def predict(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    def predict(
+        self,
+        values: np.ndarray,
+        columns: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:
         """What runs that have not been made would show, all of them with a sphere, in one launch.
 
         ``values``: of all unknowns, shape (N,); ``columns``: of those that matter to each run, shape (R, F).
@@ -419,9 +478,17 @@ class ContainerProblem(Problem):
         p, every = self._all_parameters(values[None])
         runs = len(self.runs)
         width = len(self.simulator.parameters)
-        dp = np.take_along_axis(every[0], columns[:, None, :], axis=2)
+        dp = np.take_along_axis(
+            every[0],
+            columns[:, None, :],
+            axis=2,
+        )
         with np.errstate(over="ignore", invalid="ignore"):
-            q, v, by_p = self.simulator.jacobian(self._worlds(1), p[0], self._identity(runs))
+            q, v, by_p = self.simulator.jacobian(
+                self._worlds(1),
+                p[0],
+                self._identity(runs),
+            )
             x, dx = self.simulator.special.last_path(width)
             dq = by_p @ dp
             dx = dx @ dp[:, None]
@@ -436,15 +503,26 @@ class ContainerProblem(Problem):
                 q[row], dq[row] = shown[0], slopes[0]
         return q, v, dq, x, dx
 
-    def path(self, values: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def path(
+        self,
+        values: np.ndarray,
+        columns: np.ndarray,
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Where the sphere is in the container in each run that has one, and how that changes with chosen unknowns (F,).
 
         Returns: x (K, 3) [m] and dx (K, 3, F) at the used samples of each rolling run.
         """
         p, dp = self.parameters(values[None], columns)
         rows = np.flatnonzero(self.rolling)
-        every = np.tile(np.eye(len(self.simulator.parameters)), (len(rows), 1, 1))
-        x, by_parameter = self.simulator.special.path(np.arange(len(rows)), p[0, rows], every)
+        every = np.tile(
+            np.eye(len(self.simulator.parameters)),
+            (len(rows), 1, 1),
+        )
+        x, by_parameter = self.simulator.special.path(
+            np.arange(len(rows)),
+            p[0, rows],
+            every,
+        )
         dx = np.einsum("rtkp,rpf->rtkf", by_parameter, dp[0, rows])
         return [
             (x[n, : self.runs[row].used], dx[n, : self.runs[row].used])

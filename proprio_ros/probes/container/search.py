@@ -95,7 +95,10 @@ class SphereSearch:
             search = search if row in rows else search.added(*made)
         return search
 
-    def before_lost(self, cut: Mapping[int, int]) -> tuple[SphereSearch, list[int]]:
+    def before_lost(
+        self,
+        cut: Mapping[int, int],
+    ) -> tuple[SphereSearch, list[int]]:
         """The runs up to where `lost_at` says that the sphere's place gets lost, and which are too short then and left out."""
         runs = [
             shortened(run, cut[row], UNPREDICTABLE) if row in cut else run
@@ -123,7 +126,12 @@ class SphereSearch:
         problem = ContainerProblem(robot, runs, facts, rolling, unknowns, *steps, *seen)
         return problem, [prior.guesses for prior in priors]
 
-    def solve(self, role: Role, start: FitResult | None = None, rough: bool = False) -> FitResult:
+    def solve(
+        self,
+        role: Role,
+        start: FitResult | None = None,
+        rough: bool = False,
+    ) -> FitResult:
         """Fit the runs from every guess, or from every end of another fit, which may have had fewer runs.
 
         ``rough`` is enough to choose the next run by, or to start another fit from.
@@ -250,11 +258,19 @@ def lost_at(fit: FitResult) -> dict[int, int]:
 
 def known_until(std: np.ndarray, facts: ContainerFacts) -> int:
     """How many samples come before the sphere's place is lost; std of it, shape (K,) [m]."""
-    known = max(LOST_SHARE * 2.0 * facts.enclosure.room.min(), LOST_GROWTH * float(std[0]))
+    known = max(
+        LOST_SHARE * 2.0 * facts.enclosure.room.min(),
+        LOST_GROWTH * float(std[0]),
+    )
     lost = np.flatnonzero(~(std < known))
     return int(lost[0]) if len(lost) else len(std)
 
 
 def shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
     """The first samples of a run, and why no more."""
-    return replace(run, used=used, sigma=run.sigma[:used], cut_reason=reason)
+    return replace(
+        run,
+        used=used,
+        sigma=run.sigma[:used],
+        cut_reason=reason,
+    )

@@ -119,7 +119,13 @@ class Container(objects.HandObject):
         )
         kind = mujoco.mjtGeom.mjGEOM_SPHERE
         radius = (self.sphere_radius_m, 0.0, 0.0)
-        ball.add_geom(type=kind, size=radius, contype=0, conaffinity=1, **touching)
+        ball.add_geom(
+            type=kind,
+            size=radius,
+            contype=0,
+            conaffinity=1,
+            **touching,
+        )
 
     def begin(self, arm: VirtualArm) -> None:
         """The sphere rests at the container's lowest place."""
@@ -130,7 +136,10 @@ class Container(objects.HandObject):
         axes = arm.data.body(CONTAINER).xmat.reshape(3, 3)
         down = axes.T @ gravity / max(float(np.linalg.norm(gravity)), 1e-9)
         room = 0.5 * np.array(self.inner_size_m) - self.sphere_radius_m
-        self.put_sphere(arm, np.where(np.abs(down) > LEVEL, np.sign(down), 0.0) * room)
+        self.put_sphere(
+            arm,
+            np.where(np.abs(down) > LEVEL, np.sign(down), 0.0) * room,
+        )
 
     def put_sphere(self, arm: VirtualArm, inside_m: FloatArray) -> None:
         """Put the sphere elsewhere in its container, moving with it: its centre from the container's [m], shape (3,)."""
@@ -142,7 +151,14 @@ class Container(objects.HandObject):
         offset = box.xmat.reshape(3, 3) @ inside_m
         speed = np.zeros(6)  # angular, then linear, in the base frame
         kind = arm.mujoco.mjtObj.mjOBJ_XBODY
-        arm.mujoco.mj_objectVelocity(arm.model, arm.data, kind, box.id, speed, 0)
+        arm.mujoco.mj_objectVelocity(
+            arm.model,
+            arm.data,
+            kind,
+            box.id,
+            speed,
+            0,
+        )
         ball.qpos[:] = (*(box.xpos + offset), 1.0, 0.0, 0.0, 0.0)
         ball.qvel[:] = (*(speed[3:] + np.cross(speed[:3], offset)), 0.0, 0.0, 0.0)
 

@@ -59,4 +59,10 @@ def contents_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContentsF
     known = (0.05, np.inf) if mass is None else (mass, std)
     rotation = rotation_from_rpy(said.pop("rpy"))
     bottom = np.array(said.pop("bottom"))
-    return ContentsFacts(bottom=bottom, rotation=rotation, mass=known[0], mass_std=known[1], **said)
+    return ContentsFacts(
+        bottom=bottom,
+        rotation=rotation,
+        mass=known[0],
+        mass_std=known[1],
+        **said,
+    )

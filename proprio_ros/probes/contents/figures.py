@@ -29,7 +29,13 @@ def moved_figure(detail: ContentsDetail) -> str:
     """How far the moving part was from the container's axis in each run."""
     with drawn(5.2, 3.2) as (figure, axes):
         for name, times_s, x in detail.moved:
-            axes.plot(times_s, 1e3 * x, "-", linewidth=1.2, label=plain(name))
+            axes.plot(
+                times_s,
+                1e3 * x,
+                "-",
+                linewidth=1.2,
+                label=plain(name),
+            )
         axes.set_xlabel("time since the current came on (s)")
         axes.set_ylabel("from the container's axis (mm)")
         axes.legend(loc="best")

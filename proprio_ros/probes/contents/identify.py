@@ -75,15 +75,28 @@ def left_over(fit: FitResult, rows: np.ndarray) -> float:
     return float(squares.sum() / np.count_nonzero(weight[rows]))
 
 
-def weighted(logs: np.ndarray, kinds: np.ndarray, explains: np.ndarray) -> np.ndarray:
+def weighted(
+    logs: np.ndarray,
+    kinds: np.ndarray,
+    explains: np.ndarray,
+) -> np.ndarray:
     """Probabilities of M models by logarithms of evidence, shape (M,), the first of nothing inside; whether each explains it."""
     logs, moves = logs.copy(), np.isin(kinds, MOVING)
-    rigid = max(np.flatnonzero(kinds == "rigid"), key=lambda row: logs[row])
+    rigid = max(
+        np.flatnonzero(kinds == "rigid"),
+        key=lambda row: logs[row],
+    )
     # what grains explain a robot's friction may; and where nothing that is rigid explains the recording, nobody says that it is
-    logs[rigid] = max(logs[rigid], logs[kinds == "granular"].max() - np.log(1.0 / UNSEEN - 1.0))
+    logs[rigid] = max(
+        logs[rigid],
+        logs[kinds == "granular"].max() - np.log(1.0 / UNSEEN - 1.0),
+    )
     plain = softmax(logs)
     least = UNSEEN if explains[rigid] else 0.5
-    share = max(float(plain[moves].sum()), least * (1.0 - float(plain[0])))
+    share = max(
+        float(plain[moves].sum()),
+        least * (1.0 - float(plain[0])),
+    )
     # each side by itself: beside the other's its evidence may be nothing
     within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (moves, ~moves))
     return share * within + (1.0 - share) * beside
@@ -109,7 +122,10 @@ def fitted(
         )
 
     problem = law.ContentsProblem(robot, runs, facts, filled, model)
-    starts = np.tile(problem.base, (len(STARTS_KG) if problem.inside else 1, 1))
+    starts = np.tile(
+        problem.base,
+        (len(STARTS_KG) if problem.inside else 1, 1),
+    )
     if problem.inside:
         starts[:, problem.index["contents_mass"]] = STARTS_KG
     fits = [search(problem, starts, problem.simulator.windows)]
@@ -118,13 +134,22 @@ def fitted(
         and len(fits) <= PASSES
         and (len(fits) < 2 or fits[-2].chi2 - fits[-1].chi2 > WORTH)
     ):
-        problem = law.ContentsProblem(robot, problem.held(fits[-1].values), facts, filled, model)
+        problem = law.ContentsProblem(
+            robot,
+            problem.held(fits[-1].values),
+            facts,
+            filled,
+            model,
+        )
         fits.append(search(problem, fits[-1].values[None], None))
     return [fits[0], min(fits, key=lambda fit: fit.chi2)]
 
 
 def find_contents(
-    robot: Robot, runs: Sequence[Run], facts: ContentsFacts, baseline: Sequence[Run] = ()
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: ContentsFacts,
+    baseline: Sequence[Run] = (),
 ) -> Estimate:
     """Identify what is in the container in all ``runs``; the baseline is runs with it empty.
 
@@ -160,7 +185,11 @@ def find_contents(
     inflation = ALIKE_RUNS * max(1.0, left_over(best, empty) if empty.any() else best.reduced_chi2)
     logs = np.array([evidence(Posterior(fit.problem, fit.values, inflation)) for fit in opened])
     logs -= np.log([np.sum(kind == KINDS) for kind in KINDS])  # each kind is as likely beforehand
-    weight = weighted(logs, KINDS, np.array([fit.explains for fit in opened]))
+    weight = weighted(
+        logs,
+        KINDS,
+        np.array([fit.explains for fit in opened]),
+    )
     first, best = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first, best, found, len(runs), opened, weight, facts).estimate()
 
@@ -274,7 +303,13 @@ class ContentsFound(Conclusion):
         total = float(self.fit.values[mass] + self.fit.values[shell])
         shares = zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True)
         return (
-            positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld),
+            positive(
+                self.name,
+                "kg",
+                self.assessed.value,
+                self.assessed.std,
+                withheld,
+            ),
             positive("total_mass", "kg", total, together, withheld),
             *(
                 Value(f"{kind}_inside", "1", None if withheld else share, reason=withheld)
@@ -329,7 +364,14 @@ class ContentsFound(Conclusion):
             if Z95 * fill_std <= FILL_SHARE * self.facts.height
             else "it is not known to a tenth of the container's height"
         )
-        yield positive("fill", "m", float(fill), float(fill_std), wide, self.facts.height)
+        yield positive(
+            "fill",
+            "m",
+            float(fill),
+            float(fill_std),
+            wide,
+            self.facts.height,
+        )
         if not self.fit.explains:
             yield from unsaid(1, "it moves otherwise than small waves do: push it less")
             return

@@ -64,7 +64,10 @@ class ContentsFacts:
     @cached_property
     def shell(self) -> PayloadFacts:
         """The empty container as a payload; where its centre is, a lid and a thick bottom may shift."""
-        walls = PayloadShape.hollow("cylinder", np.array([2.0 * self.radius] * 2 + [self.height]))
+        walls = PayloadShape.hollow(
+            "cylinder",
+            np.array([2.0 * self.radius] * 2 + [self.height]),
+        )
         centre = self.bottom + self.rotation @ np.array([0.0, 0.0, 0.5 * self.height])
         off = np.abs(self.rotation @ np.array([0.002, 0.002, 0.1 * self.height]))
         return PayloadFacts(centre, off, walls.turned(self.rotation), 0.3)
@@ -157,18 +160,28 @@ def inside_terms(
     area = np.pi * facts.radius**2
     axis = facts.rotation[:, 2]
 
-    def ten(part: np.ndarray, com: np.ndarray, tall: np.ndarray) -> np.ndarray:
+    def ten(
+        part: np.ndarray,
+        com: np.ndarray,
+        tall: np.ndarray,
+    ) -> np.ndarray:
         level = u["contents_spread"] * facts.radius**2 / 4.0
         up = u["contents_spread"] * tall**2 / 12.0
         along = np.outer(axis, axis)
         spread = level[:, None, None] * (np.eye(3) - along) + up[:, None, None] * along
-        whole = np.zeros((len(part), 4, 4), dtype=np.result_type(part, com, spread))
+        whole = np.zeros(
+            (len(part), 4, 4),
+            dtype=np.result_type(part, com, spread),
+        )
         whole[:, 0, 0], whole[:, 0, 1:] = part, part[:, None] * com
         whole[:, 1:, 1:] = (
             part[:, None, None] * (com[:, :, None] * com[:, None, :]) + mass[:, None, None] * spread
         )
         rows = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (2, 2), (3, 3), (1, 2), (1, 3), (2, 3)]
-        return np.stack([whole[:, i, j] for i, j in rows], axis=1)
+        return np.stack(
+            [whole[:, i, j] for i, j in rows],
+            axis=1,
+        )
 
     if model == "rigid":
         com = np.stack([u[f"contents_com_{name}"] for name in "xyz"], axis=1)
@@ -181,9 +194,11 @@ def inside_terms(
     )
     beside = beside - (beside @ axis)[:, None] * axis
     if model == "frozen":
-        return ten(mass, facts.bottom + beside + 0.5 * fill[:, None] * axis, fill), np.stack(
-            [zero] * 5, axis=1
-        )
+        return ten(
+            mass,
+            facts.bottom + beside + 0.5 * fill[:, None] * axis,
+            fill,
+        ), np.stack([zero] * 5, axis=1)
     slosh = Slosh.of(facts.radius, fill)
     share = slosh.share * u["slosh_share"]
     stiffness = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2
@@ -198,7 +213,10 @@ def inside_terms(
     )
 
 
-def slosh_of(facts: ContentsFacts, u: Mapping[str, np.ndarray]) -> np.ndarray:
+def slosh_of(
+    facts: ContentsFacts,
+    u: Mapping[str, np.ndarray],
+) -> np.ndarray:
     """Fill [m], slosh frequency [Hz] and damping ratio of a liquid, shape (S, 3); of complex unknowns, too."""
     moving = inside_terms("liquid", facts, u)[1]
     fill = np.sqrt(
@@ -206,11 +224,20 @@ def slosh_of(facts: ContentsFacts, u: Mapping[str, np.ndarray]) -> np.ndarray:
         + LOWEST_FILL_M**2
     )
     return np.stack(
-        [fill, np.sqrt(moving[:, 2]) / (2.0 * np.pi), np.exp(u["slosh_damping_log"])], axis=1
+        [
+            fill,
+            np.sqrt(moving[:, 2]) / (2.0 * np.pi),
+            np.exp(u["slosh_damping_log"]),
+        ],
+        axis=1,
     )
 
 
-def container_seen(robot: Robot, run: PreparedRun, facts: ContentsFacts) -> tuple[float, SloshRun]:
+def container_seen(
+    robot: Robot,
+    run: PreparedRun,
+    facts: ContentsFacts,
+) -> tuple[float, SloshRun]:
     """The cosine between the axes of the joint and the container, and what the law needs of a run's geometry."""
     model = reduced_model(robot, run.run, {})
     _, body_from_payload = model.frames[robot.payload_frame]
@@ -235,7 +262,7 @@ class ContentsProblem(Problem):
 
     def __init__(
         self, robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str
-    ) -> None:  # fmt: skip
+    ,) -> None:  # fmt: skip
         self.container, self.filled, self.model = facts, np.asarray(filled, dtype=bool), model
         self.inside = inside_unknowns(model, facts)
         self._prepared, self._turns = tuple(runs), [turning_with(robot, run) for run in runs]
@@ -244,7 +271,12 @@ class ContentsProblem(Problem):
         known[0] = replace(
             known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG
         ).at_role(Role.FREE)
-        super().__init__(robot, runs, facts.shell, [*self.inside, *known])
+        super().__init__(
+            robot,
+            runs,
+            facts.shell,
+            [*self.inside, *known],
+        )
         self._affine &= model == "nothing"
 
     def _simulator(
@@ -287,7 +319,10 @@ class ContentsProblem(Problem):
         )
 
     def _moving_part(
-        self, row: int, values: np.ndarray, payload: tuple[np.ndarray, dict[int, np.ndarray]] | None
+        self,
+        row: int,
+        values: np.ndarray,
+        payload: tuple[np.ndarray, dict[int, np.ndarray]] | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         if self.inside and self.filled[row]:
             assert payload is not None
@@ -295,11 +330,17 @@ class ContentsProblem(Problem):
             change = dict(zip(columns.tolist(), by_ten, strict=True))
             payload = (
                 payload[0] + ten,
-                {**payload[1], **{n: payload[1].get(n, 0.0) + each for n, each in change.items()}},
+                {
+                    **payload[1],
+                    **{n: payload[1].get(n, 0.0) + each for n, each in change.items()},
+                },
             )
         return super()._moving_part(row, values, payload)
 
-    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _all_parameters(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         if not self.inside:
             return super()._all_parameters(values)
         self._now = self._terms(values)
@@ -322,7 +363,11 @@ class ContentsProblem(Problem):
                 p[:, row, tilt] += values[:, zero]
                 dp[:, row, tilt, zero] += 1.0
             for name, share in self._turns[row]:
-                shift, by_unknown = self._shift(name, self.runs[row].run.held[name], values)
+                shift, by_unknown = self._shift(
+                    name,
+                    self.runs[row].run.held[name],
+                    values,
+                )
                 p[:, row, tilt] += share * shift
                 for column, factor in by_unknown:
                     dp[:, row, tilt, column] += share * factor
@@ -355,19 +400,32 @@ class ContentsProblem(Problem):
         )
         found = []
         for run, own, others in zip(self.runs, driven, motions, strict=True):
-            times_s, load = loads_of_yielding(self.robot, run.run, others, self.facts, 0.0, own)
+            times_s, load = loads_of_yielding(
+                self.robot,
+                run.run,
+                others,
+                self.facts,
+                0.0,
+                own,
+            )
             found.append(
                 replace(run, yielding_times_s=times_s, yielding_load=load) if others else run
             )
         return found
 
-    def path(self, values: np.ndarray) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    def path(
+        self,
+        values: np.ndarray,
+    ) -> list[tuple[str, np.ndarray, np.ndarray]]:
         """Of each filled run its name, times [s] and how far the moving part is from the container's axis [m]; none is rigid."""
         rows = np.flatnonzero(self.filled)
         if not isinstance(self.simulator, MixedSimulator):
             return []
         p, _ = self.parameters(values[None], self.free[:1])
-        x = self.simulator.special.path(np.arange(len(rows)), p[0, rows])
+        x = self.simulator.special.path(
+            np.arange(len(rows)),
+            p[0, rows],
+        )
         return [
             (run.run.name, run.times_s, x[n, : run.used])
             for n, run in enumerate(self.runs[row] for row in rows)

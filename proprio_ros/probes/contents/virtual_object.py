@@ -75,7 +75,14 @@ class Filled(HandObject):
 
     def _solid(self, mass: float, tall: float, hollow: float = 1.0) -> SixOfInertia:
         across = mass * (hollow * self.radius_m**2 / 4.0 + tall**2 / 12.0)
-        return (across, across, mass * hollow * self.radius_m**2 / 2.0, 0.0, 0.0, 0.0)
+        return (
+            across,
+            across,
+            mass * hollow * self.radius_m**2 / 2.0,
+            0.0,
+            0.0,
+            0.0,
+        )
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> None:
         import numpy as np
@@ -90,14 +97,31 @@ class Filled(HandObject):
         shell = self.emptied
         cup = hand.add_body(name="held/cylinder", pos=shell.com_m)
         set_inertia(cup, self.mass_kg, (0.0, 0.0, 0.0), shell.inertia)
-        lower = hand.add_body(name="held/still", pos=np.add(self.bottom_m, (0.0, 0.0, low)))
-        set_inertia(lower, rest, (0.0, 0.0, 0.0), self._solid(rest, self.fill_m))
+        lower = hand.add_body(
+            name="held/still",
+            pos=np.add(self.bottom_m, (0.0, 0.0, low)),
+        )
+        set_inertia(
+            lower,
+            rest,
+            (0.0, 0.0, 0.0),
+            self._solid(rest, self.fill_m),
+        )
         long = GRAVITY / float(slosh.stiffness)  # a pendulum's that swings as often
         upper = hand.add_body(
-            name="held/moving", pos=np.add(self.bottom_m, (0.0, 0.0, float(slosh.height)))
+            name="held/moving",
+            pos=np.add(
+                self.bottom_m,
+                (0.0, 0.0, float(slosh.height)),
+            ),
         )
         small = 0.01 * moving * long**2
-        set_inertia(upper, moving, (0.0, 0.0, 0.0), (small, small, small, 0.0, 0.0, 0.0))
+        set_inertia(
+            upper,
+            moving,
+            (0.0, 0.0, 0.0),
+            (small, small, small, 0.0, 0.0, 0.0),
+        )
         joint = upper.add_joint(
             name="held/slosh", type=mujoco.mjtJoint.mjJNT_BALL, pos=(0.0, 0.0, long)
         )

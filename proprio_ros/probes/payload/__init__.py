@@ -65,7 +65,12 @@ class Payload(
         sequences={"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"}, stated=("payload.com=[0,0,0]",),
     )  # fmt: skip
 
-    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> PayloadJob:
+    def facts(
+        self,
+        settings: Settings,
+        solver: str = "lm",
+        profile: str = "default",
+    ) -> PayloadJob:
         from proprio_ros.probes.payload.facts import payload_facts
         from proprio_ros.probes.payload.identify import WeighingOptions
         from proprio_ros.probes.payload.paper import PaperOptions
@@ -130,7 +135,12 @@ class Payload(
                 raise
             return identify_standing(*asked, robot.motion_calibration)
 
-    def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: PayloadJob) -> Estimate:
+    def identify_so_far(
+        self,
+        robot: Robot,
+        runs: Sequence[Run],
+        facts: PayloadJob,
+    ) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh
 
         return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
@@ -151,7 +161,12 @@ class Payload(
 
         return UntilSure(robot, facts.payload, sequence, whole)
 
-    def running(self, robot: Robot, facts: PayloadJob, held: dict[str, float]) -> StandingEstimator:
+    def running(
+        self,
+        robot: Robot,
+        facts: PayloadJob,
+        held: dict[str, float],
+    ) -> StandingEstimator:
         from proprio_ros.identification.regression.at_rest import StandingEstimator
         from proprio_ros.identification.regression.online import CENTRE_STD_M
 
@@ -191,16 +206,34 @@ class Payload(
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         return replace(load, inertia_kg_m2=tensor, inertia_is="identified")
 
-    def shapes(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> base.Shapes | None:
+    def shapes(
+        self,
+        robot: Robot,
+        facts: PayloadJob,
+        estimate: Estimate,
+    ) -> base.Shapes | None:
         import numpy as np
 
         mass = estimate.values[0].value
         if not isinstance(mass, float):
             return None
         # the ball of water that weighs as much
-        size = max((6.0 * max(mass, 1e-4) / (1000.0 * np.pi)) ** (1.0 / 3.0), 0.01)
+        size = max(
+            (6.0 * max(mass, 1e-4) / (1000.0 * np.pi)) ** (1.0 / 3.0),
+            0.01,
+        )
         centre = self._found_centre(estimate) or [float(axis) for axis in facts.payload.com]
-        return base.Shapes(centre, [base.Body("sphere", [size] * 3, np.eye(3), 0.7)])
+        return base.Shapes(
+            centre,
+            [
+                base.Body(
+                    "sphere",
+                    [size] * 3,
+                    np.eye(3),
+                    0.7,
+                )
+            ],
+        )
 
     @staticmethod
     def _found_centre(estimate: Estimate) -> list[float] | None:

@@ -117,17 +117,24 @@ def weigh(
         estimate, _, spoilt = _weigh(robot, kept, facts, options, baseline)
     if estimate.verdict is Verdict.REJECTED:
         cause = () if weighed is None else weighed.cause
-        return replace(first[0], reasons=(*cause, *first[0].reasons))
+        return replace(
+            first[0],
+            reasons=(*cause, *first[0].reasons),
+        )
     if not left_out:
         return estimate
     question = "was the object held as in the others, and nothing in the way?"
     said = Reason("runs_differ", gates.said_left_out(left_out, len(runs), question))
-    return replace(estimate, reasons=(*estimate.reasons, said), runs=len(runs))
+    return replace(
+        estimate,
+        reasons=(*estimate.reasons, said),
+        runs=len(runs),
+    )
 
 
 def _weigh(
     robot: Robot, runs: Sequence[Run], facts: PayloadFacts | None, options: WeighingOptions | None, baseline: Sequence[Run]
-) -> tuple[Estimate, Weighed | None, Run | None]:  # fmt: skip
+,) -> tuple[Estimate, Weighed | None, Run | None]:  # fmt: skip
     """The answer, what may tell the cause of a refusal, and the run that stands in its way, where there is one."""
     facts = facts or PayloadFacts()
     options = options or WeighingOptions()
@@ -171,7 +178,16 @@ def _weigh(
             "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, under its "
             "priors"
         )
-    weighed = Weighed(nominal, opened, found, len(runs), facts, options, still, against=drift)
+    weighed = Weighed(
+        nominal,
+        opened,
+        found,
+        len(runs),
+        facts,
+        options,
+        still,
+        against=drift,
+    )
     estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
         return estimate, weighed, None
@@ -196,7 +212,7 @@ def _weigh(
 
 def _weigh_swings(
     robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, found: gates.Findings, count: int
-) -> Estimate:  # fmt: skip
+,) -> Estimate:  # fmt: skip
     """From free swings; those that are followed worse than the calibration's count for less."""
     options = replace(options, starts_kg=swing_starts(robot, runs[0], facts))
     searched, opened, misfit = _followed(robot, runs, facts, options)
@@ -504,7 +520,10 @@ class Weighed(Conclusion):
         """How far an answer leans on zeros that one pose does not tell."""
         if not self.assessed.leans:
             return
-        joint, per_rad = max(self.assessed.leans.items(), key=lambda entry: abs(entry[1]))
+        joint, per_rad = max(
+            self.assessed.leans.items(),
+            key=lambda entry: abs(entry[1]),
+        )
         if LEAN_RAD * abs(per_rad) < Z95 * self.assessed.std:
             return
         more = shown("kg", per_rad * LEAN_RAD, spec="+.1f")
@@ -533,7 +552,13 @@ class Weighed(Conclusion):
 
     def values(self, withheld: str) -> tuple[Value, ...]:
         problem = self.fit.problem
-        mass = positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld)
+        mass = positive(
+            self.name,
+            "kg",
+            self.assessed.value,
+            self.assessed.std,
+            withheld,
+        )
         rows = [problem.index[axis] for axis in COM]
         if not any(problem.unknowns[row].std > 0.0 for row in rows):
             return (mass,)
@@ -590,7 +615,10 @@ def _centre_of_mass(
     stds = np.sqrt(np.diag(covariance)[rows])
     priors = np.array([fit.problem.unknowns[row].std for row in rows])
     silent = (priors > 0.0) & (stds > 0.7 * priors) | bool(withheld)
-    intervals = np.stack([values - Z95 * stds, values + Z95 * stds], axis=1)
+    intervals = np.stack(
+        [values - Z95 * stds, values + Z95 * stds],
+        axis=1,
+    )
     value, std, interval = (
         [None if off else each for each, off in zip(of.tolist(), silent, strict=True)]
         for of in (values, stds, intervals)

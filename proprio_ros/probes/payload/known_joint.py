@@ -71,7 +71,12 @@ def identify_known_joint(
             "servo, gain and supply are those of the calibration, as far as rotor and friction show it, and so its zero; arm and "
             "known loads are as they were stated: a longer arm is like a heavier load, and a mass errs as they do",
         ),
-        fit=Fit(fit.residual, calibration.residual, fit.residual / calibration.residual, "N m"),
+        fit=Fit(
+            fit.residual,
+            calibration.residual,
+            fit.residual / calibration.residual,
+            "N m",
+        ),
         budget=fit.parts,
         detail=MotionDetail(fit.stretches, (), STRETCH_S),
         shown=fit.shown,

@@ -217,7 +217,16 @@ def _identified(
     refusal = named
     mass = float(fit.values[0])
     std = float(fit.std[0])
-    values = [positive("payload_mass", "kg", mass, std, refusal.withheld, quantile=fit.quantile)]
+    values = [
+        positive(
+            "payload_mass",
+            "kg",
+            mass,
+            std,
+            refusal.withheld,
+            quantile=fit.quantile,
+        )
+    ]
     if not refusal.withheld and not centre_is_stated:
         values.extend(_place(fit))
     return motion_answer(
@@ -226,7 +235,12 @@ def _identified(
         refusal,
         values,
         _assumptions(robot, motions, calibration, fit),
-        fit=Fit(_rms(fit.residual), _rms(fit.empty_residual), fit.misfit, "N m"),
+        fit=Fit(
+            _rms(fit.residual),
+            _rms(fit.empty_residual),
+            fit.misfit,
+            "N m",
+        ),
         budget=list(fit.parts.items()),
         detail=MotionDetail(fit.stretches, fit.unseen()),
         beside=baseline,
@@ -273,10 +287,18 @@ def _without_trends(
     torque = max(abs(trend.torque) if trend.torque_is_clear else 0.0 for trend in clear)
     off = 0.5 * torque * fit.values
     parts = {**fit.parts, CHANGES: float(abs(off[0]))}
-    return noted, replace(fit, covariance=fit.covariance + np.outer(off, off), parts=parts)
+    return noted, replace(
+        fit,
+        covariance=fit.covariance + np.outer(off, off),
+        parts=parts,
+    )
 
 
-def _with_trend(refusal: Refusal, motions: Sequence[Motion], trends: Sequence[Trend]) -> Refusal:
+def _with_trend(
+    refusal: Refusal,
+    motions: Sequence[Motion],
+    trends: Sequence[Trend],
+) -> Refusal:
     """The refusal of a fit that does not explain its motions, with what changed along one of these."""
     if refusal.verdict is not Verdict.REJECTED:
         return refusal
@@ -349,7 +371,11 @@ def _elsewhere(
     ):
         return refusal
     name = motions[0].name
-    found = refusals.elsewhere(motions[0].name, stated[0], np.asarray(place))
+    found = refusals.elsewhere(
+        motions[0].name,
+        stated[0],
+        np.asarray(place),
+    )
     if refusal.verdict is not Verdict.REJECTED:
         found = next(refusals.centre_elsewhere(name, stated, fit, free), refusal)
     return found if found is refusal else replace(found, reasons=(*found.reasons, *refusal.reasons))
@@ -374,7 +400,11 @@ def drift(mass: float, std: float) -> Iterator[Refusal]:
         )
 
 
-def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
+def _refusals(
+    motions: Sequence[Motion],
+    fit: MotionFit,
+    known: str,
+) -> Iterator[Refusal]:
     name = motions[0].name
     for motion, trend in zip(motions, fit.trends, strict=True):
         yield from _changed_at_once(motion, trend)
@@ -498,7 +528,14 @@ def _place(fit: MotionFit) -> tuple[Value, Value]:
     if abs(mass) < refusals.LEAST_SIGMAS * std[0] or mass <= 0.0:
         nothing = "too little is held to say "
         return (
-            Value("payload_com", "m", [None] * 3, [None] * 3, [None] * 3, nothing + "where"),
+            Value(
+                "payload_com",
+                "m",
+                [None] * 3,
+                [None] * 3,
+                [None] * 3,
+                nothing + "where",
+            ),
             Value(
                 "payload_inertia",
                 "kg m^2",
@@ -517,7 +554,13 @@ def _place(fit: MotionFit) -> tuple[Value, Value]:
         [float(c - fit.quantile * s), float(c + fit.quantile * s)]
         for c, s in zip(centre, stds, strict=True)
     ]
-    return Value("payload_com", "m", centre.tolist(), stds.tolist(), bounds), _inertia(fit, body)
+    return Value(
+        "payload_com",
+        "m",
+        centre.tolist(),
+        stds.tolist(),
+        bounds,
+    ), _inertia(fit, body)
 
 
 def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
@@ -538,9 +581,19 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     reason = ""
     if names:
         reason = f"{', '.join(names)} not determined by this motion: turn the hand faster about the axes that it is about"
-    bounds = np.stack([value - fit.quantile * stds, value + fit.quantile * stds], axis=1)
+    bounds = np.stack(
+        [value - fit.quantile * stds, value + fit.quantile * stds],
+        axis=1,
+    )
 
     def told(values: np.ndarray) -> list[Any]:
         return [each if known else None for each, known in zip(values.tolist(), seen, strict=True)]
 
-    return Value("payload_inertia", "kg m^2", told(value), told(stds), told(bounds), reason)
+    return Value(
+        "payload_inertia",
+        "kg m^2",
+        told(value),
+        told(stds),
+        told(bounds),
+        reason,
+    )

@@ -151,7 +151,10 @@ def _weighed(
     inertia_std = np.hypot(arm_std * urdf_inertia, drive.armature.std) + object_inertia
     expected = inertia / moment
     expected_std = float(np.hypot(inertia_std / moment, expected * hangs.centre_std_m / length))
-    found = max(float(np.linalg.norm(fit.values[2:])), 1e-9)
+    found = max(
+        float(np.linalg.norm(fit.values[2:])),
+        1e-9,
+    )
     pointing = fit.values[2:] / found
     across = np.array([-pointing[1], pointing[0]])
     awry = float(np.arctan2(across @ expected_moment, pointing @ expected_moment))
@@ -343,7 +346,12 @@ def _estimate(
             f"torque constant as in {robot.source.name}, to {100.0 * weighed.torque_std:.1f} %: a mass errs as it does",
             "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset",
         ),
-        fit=Fit(fit.residual, fit.residual if empty is None else empty.residual, 1.0, "N m"),
+        fit=Fit(
+            fit.residual,
+            fit.residual if empty is None else empty.residual,
+            1.0,
+            "N m",
+        ),
         budget=weighed.parts,
         detail=MotionDetail(fit.stretches, (), STRETCH_S),
         shown=shown_of(

@@ -171,7 +171,12 @@ def last_frame_loss(
     """
     prepared = prepare_run(
         robot,
-        replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0), held_position={}),
+        replace(
+            run,
+            before_times_s=np.zeros(0),
+            before_position=np.zeros(0),
+            held_position={},
+        ),
     )
     last = (len(run.times_s) - 1) if options.loss_sample is None else options.loss_sample
     loss_time = float(run.times_s[last]) if options.loss_time_s is None else options.loss_time_s
@@ -180,7 +185,14 @@ def last_frame_loss(
             f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples"
         )
     step = FRAME_S / options.substeps
-    return LastFrame(robot, prepared, facts, step, loss_time, float(run.position[last]))
+    return LastFrame(
+        robot,
+        prepared,
+        facts,
+        step,
+        loss_time,
+        float(run.position[last]),
+    )
 
 
 def _without_interval(reason: str) -> str:
@@ -243,8 +255,17 @@ class LastFrame:
     ) -> None:
         self._target = target
         self.prepared, self.step_s, self.time_s = run, step_s, time_s
-        last = replace(run.run, times_s=np.array([time_s]), position=np.array([target]))
-        at_rest = replace(run, run=last, used=1, sigma=run.sigma[-1:])
+        last = replace(
+            run.run,
+            times_s=np.array([time_s]),
+            position=np.array([target]),
+        )
+        at_rest = replace(
+            run,
+            run=last,
+            used=1,
+            sigma=run.sigma[-1:],
+        )
         # nothing but the mass is unknown: everything else keeps the value of the robot file
         unknowns = [
             u if u.kind == "payload_mass" else replace(u, role=Role.FROZEN)
@@ -254,13 +275,21 @@ class LastFrame:
         self.whole = Problem(robot, [run], facts, unknowns, "semi_implicit", step_s)
         self._mass = np.array([self._problem.index["payload_mass"]])
 
-    def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self,
+        mass: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) and gradient (S, 1) at masses (S, 1)."""
         problem = self._problem
         p, dp = problem.parameters(problem.all_values(mass), self._mass)
         assert isinstance(problem.simulator, JointSimulator)
         q, _, dq = problem.simulator.jacobian(
-            np.zeros(len(mass), dtype=np.int32), p[:, 0], dp[:, 0]
+            np.zeros(
+                len(mass),
+                dtype=np.int32,
+            ),
+            p[:, 0],
+            dp[:, 0],
         )
         error = q[:, :1] - self._target
         return error[:, 0] ** 2, 2.0 * error * dq[:, 0]

@@ -186,10 +186,23 @@ class Softness(
             return f", Poisson's ratio {ratio.value:.2f} +- {Z95 * ratio.std:.2f}"
         return ", Poisson's ratio not determined"
 
-    def shapes(self, robot: Robot, facts: SoftnessJob, estimate: Estimate) -> base.Shapes | None:
+    def shapes(
+        self,
+        robot: Robot,
+        facts: SoftnessJob,
+        estimate: Estimate,
+    ) -> base.Shapes | None:
         rotation = block_rotation(robot, estimate.run_fits[0].joint)
         return base.Shapes(
-            [0.0, 0.0, 0.0], [base.Body("box", facts.block.size.tolist(), rotation, 0.6)]
+            [0.0, 0.0, 0.0],
+            [
+                base.Body(
+                    "box",
+                    facts.block.size.tolist(),
+                    rotation,
+                    0.6,
+                )
+            ],
         )
 
 
@@ -214,6 +227,12 @@ def block_rotation(robot: Robot, joint: str) -> np.ndarray:
     hand = robot.model.frame_transform(robot.payload_frame, pose)[:3, :3]
     carrier = robot.model.frame_transform(moved.parent, pose)[:3, :3] @ moved.origin[:3, :3]
     along = hand.T @ carrier @ moved.axis
-    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    across = np.cross(
+        along,
+        np.eye(3)[np.argmin(np.abs(along))],
+    )
     across /= np.linalg.norm(across)
-    return np.stack([along, across, np.cross(along, across)], axis=1)
+    return np.stack(
+        [along, across, np.cross(along, across)],
+        axis=1,
+    )

@@ -84,7 +84,13 @@ class SqueezesUntilSure(Chooser):
         self._heard = len(runs)
         if not self._usable:
             return self._found
-        self._fit = fit_squeezes(self.robot, self._usable, self._facts, self._options, self._fit)
+        self._fit = fit_squeezes(
+            self.robot,
+            self._usable,
+            self._facts,
+            self._options,
+            self._fit,
+        )
         modulus = float(self._fit.values[self._fit.problem.index["youngs_modulus"]])
         self._shared = SharedUnknowns(self._fit.problem)
         at = self._shared.at["youngs_modulus"]
@@ -97,7 +103,11 @@ class SqueezesUntilSure(Chooser):
             self._fit.reduced_chi2,
         )
 
-    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+    def ranked(
+        self,
+        pose: Mapping[str, float],
+        target_std: float,
+    ) -> list[Push]:
         if self._fit is None:
             return []
         joint = self._first.joint
@@ -107,14 +117,25 @@ class SqueezesUntilSure(Chooser):
         drive = self._usable[0].drive
         towards = float(np.sign(self._first.current_A))
         rubs_A = (drive.coulomb.value + 0.5 * drive.coulomb.std) / drive.torque_constant.value
-        least = min(max(LEAST_BEYOND * rubs_A, 0.5 * abs(self._first.current_A)), self._limit_A)
+        least = min(
+            max(LEAST_BEYOND * rubs_A, 0.5 * abs(self._first.current_A)),
+            self._limit_A,
+        )
         currents = [
             towards * size
             for size in np.geomspace(least, self._limit_A, CURRENTS).round(3).tolist()
         ]
         longest_s = max(DURATIONS_S)
         still = prepare_run(
-            self.robot, still_run(joint, start, currents[0], longest_s), KnownLoad(), past_fast=True
+            self.robot,
+            still_run(
+                joint,
+                start,
+                currents[0],
+                longest_s,
+            ),
+            KnownLoad(),
+            past_fast=True,
         )
         made = [
             replace(still, run=replace(still.run, input_current_A=np.array([current])))
@@ -157,22 +178,36 @@ class SqueezesUntilSure(Chooser):
         alive = np.isfinite(q) & np.isfinite(dq).all(axis=2) & (np.abs(v) < FASTEST)
         # it ends at the sample where it is seen to have gone so far
         alive &= np.concatenate(
-            [np.ones((len(runs), 1), bool), travel[:, :-1] < self._farthest_m], axis=1
+            [
+                np.ones((len(runs), 1), bool),
+                travel[:, :-1] < self._farthest_m,
+            ],
+            axis=1,
         )
         alive = np.cumprod(alive, axis=1).astype(bool)
-        sigma = np.hypot(runs[0].sigma[0], np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s)
+        sigma = np.hypot(
+            runs[0].sigma[0],
+            np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s,
+        )
         times = runs[0].times_s
         columns, variance = self._shared.columns_of(problem)
         at = np.searchsorted(problem.free, columns)
         rows = np.stack([dq[run][:, own] for run, own in enumerate(at)])
-        rows = np.where(alive[..., None], rows / sigma[..., None], 0.0)
+        rows = np.where(
+            alive[..., None],
+            rows / sigma[..., None],
+            0.0,
+        )
         stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
         place = self._shared.at["youngs_modulus"]
         now = self._covariance[place, place]
         pushes: list[Push] = []
         for duration in DURATIONS_S:
             for c, current in enumerate(currents):
-                last = min(int(np.searchsorted(times, duration + 1e-9)), int(alive[c].sum()))
+                last = min(
+                    int(np.searchsorted(times, duration + 1e-9)),
+                    int(alive[c].sum()),
+                )
                 # what its travel ends before is the same push
                 if last < MIN_USED or (
                     duration > DURATIONS_S[0] and times[last - 1] <= DURATIONS_S[0]
@@ -186,7 +221,17 @@ class SqueezesUntilSure(Chooser):
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-6 * now))) / lasts
                 ends = float(gone[np.argmax(np.abs(gone))])
                 pushes.append(
-                    Push(self._first.joint, start, current, 0.0, duration, lasts, std, gain, ends)
+                    Push(
+                        self._first.joint,
+                        start,
+                        current,
+                        0.0,
+                        duration,
+                        lasts,
+                        std,
+                        gain,
+                        ends,
+                    )
                 )
         return pushes
 
@@ -199,4 +244,8 @@ class SqueezesUntilSure(Chooser):
 
     def sequence_of(self, run: ExcitationRun) -> ExcitationSequence:
         """A sequence of one squeeze, after which the fingers let go."""
-        return replace(alone(self._sequence, run), from_here=(), home=dict(run.start))
+        return replace(
+            alone(self._sequence, run),
+            from_here=(),
+            home=dict(run.start),
+        )

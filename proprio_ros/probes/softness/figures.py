@@ -45,7 +45,10 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
     def flat(points: np.ndarray) -> np.ndarray:
         """On paper: what lies deeper is drawn a little to the right and higher."""
         x, deep, z = np.moveaxis(points, -1, 0)
-        return np.stack([left + x - VIEW[0] * deep, z - VIEW[2] * deep], -1)
+        return np.stack(
+            [left + x - VIEW[0] * deep, z - VIEW[2] * deep],
+            -1,
+        )
 
     aside = np.array([0.5 * (1.0 - shape.squeeze), 0.0, 0.0])
     half = 1.15 * np.abs(shape.points[:, 1:]).max(axis=0)
@@ -53,7 +56,10 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
         [[0.0, y * half[0], z * half[1]] for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     )
     seen = shape.points[shape.triangles]
-    normal = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
+    normal = np.cross(
+        seen[:, 1] - seen[:, 0],
+        seen[:, 2] - seen[:, 0],
+    )
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     front = normal @ VIEW < 0.0
     seen = seen[front]
@@ -83,7 +89,12 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
     """The block at a few instants of the first closing, as finite elements deform it, and force over squeeze of all closings."""
     shapes = curves[0].shapes
     rows = [1.0, 2.0] if shapes else [0.01, 2.0]
-    with drawn(5.2, 1.6 * sum(rows), nrows=2, height_ratios=rows) as (figure, (above, below)):
+    with drawn(
+        5.2,
+        1.6 * sum(rows),
+        nrows=2,
+        height_ratios=rows,
+    ) as (figure, (above, below)):
         floor = -1.7 * max(
             (float(np.abs(shape.points[:, 1:]).max()) for shape in shapes), default=0.0
         )
@@ -96,7 +107,14 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
             order = np.argsort(curve.squeeze)
             percent = 100.0 * curve.squeeze[order]
             force = curve.force_N[order]
-            below.plot(percent, force, "-o", markersize=3, linewidth=1.2, label=plain(curve.run))
+            below.plot(
+                percent,
+                force,
+                "-o",
+                markersize=3,
+                linewidth=1.2,
+                label=plain(curve.run),
+            )
         below.set_xlabel("squeeze (% of the block's length)")
         percent_mm = 10.0 * curves[0].length
         travel = below.secondary_xaxis(
@@ -118,13 +136,25 @@ def joint_figure(joint: JointInterval) -> str:
     with drawn(5.2, 3.9) as (figure, axes):
         axes.fill(mu, lam, color=ACCENT, alpha=0.25, linewidth=0)
         axes.plot(mu, lam, color=ACCENT, linewidth=1.2, label="holds both with 95 %")
-        axes.plot(*(factor * joint.value), "o", color=SIMULATED, markersize=5, label="estimate")
+        axes.plot(
+            *(factor * joint.value),
+            "o",
+            color=SIMULATED,
+            markersize=5,
+            label="estimate",
+        )
         right = 1.15 * mu.max()
         top = 1.15 * lam.max()
         for ratio in (0.1, 0.2, 0.3, 0.4, 0.45):
             slope = 2.0 * ratio / (1.0 - 2.0 * ratio)  # lambda over mu
             end = min(right, top / slope)
-            axes.plot([0.0, end], [0.0, slope * end], color=MUTED, linewidth=0.7, linestyle=":")
+            axes.plot(
+                [0.0, end],
+                [0.0, slope * end],
+                color=MUTED,
+                linewidth=0.7,
+                linestyle=":",
+            )
             axes.annotate(f"{ratio:g}", (end, slope * end), color=MUTED)
         axes.set_xlim(0.0, right)
         axes.set_ylim(0.0, top)

@@ -187,7 +187,13 @@ def fit_squeezes(
     before: FitResult | None = None,
 ) -> FitResult:
     """Fit squeezes, gripper and block together, without a verdict; ``before`` is what some of the same runs said."""
-    search = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options)
+    search = SqueezeSearch(
+        robot,
+        tuple(runs),
+        (True,) * len(runs),
+        facts,
+        options,
+    )
     if before is not None:
         fit = search.solve(Role.FREE, before)
         if fit.explains:
@@ -350,7 +356,10 @@ class Squeezed(Conclusion):
 
         With their covariance, shape (2, 2), and why the ratio, with what goes with it, is not the recording's: empty where it is.
         """
-        rows = [self.fit.problem.index["youngs_modulus"], self.fit.problem.index["poissons_ratio"]]
+        rows = [
+            self.fit.problem.index["youngs_modulus"],
+            self.fit.problem.index["poissons_ratio"],
+        ]
         modulus, ratio = self.fit.values[rows].tolist()
         both = self.assessed.covariance[np.ix_(rows, rows)]
         prior = self.search.facts.poissons_ratio

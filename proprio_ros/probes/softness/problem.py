@@ -67,7 +67,13 @@ class BlockFacts:
         """
         if self.mesh is not None:
             return response_of_mesh(self.mesh, self.law, self.contact, rebuild)
-        return response(self.size, self.law, self.contact, rebuild=rebuild, far=True)
+        return response(
+            self.size,
+            self.law,
+            self.contact,
+            rebuild=rebuild,
+            far=True,
+        )
 
 
 def closing_of(run: PreparedRun, facts: BlockFacts) -> np.ndarray:
@@ -147,7 +153,14 @@ class SqueezeProblem(Problem):
         for row in np.flatnonzero(self.squeezing):
             first, *bend = self._closing[row].tolist()
             squeezed.append(
-                SqueezeRun(runs[row], block.length, block.area, first, table, tuple(bend))
+                SqueezeRun(
+                    runs[row],
+                    block.length,
+                    block.area,
+                    first,
+                    table,
+                    tuple(bend),
+                )
             )
         others = [runs[row] for row in np.flatnonzero(~self.squeezing)]
         return MixedSimulator(
@@ -159,7 +172,10 @@ class SqueezeProblem(Problem):
             return bool(self.squeezing[row])
         return super()._touches(unknown, row)
 
-    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _all_parameters(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
         at = self.index
         to = SQUEEZE_INDEX
@@ -182,8 +198,15 @@ class SqueezeProblem(Problem):
 
     def squeezes(self, values: np.ndarray) -> list[np.ndarray]:
         """Squeeze relative to the block's length at the used samples of each run with it, as simulated; shapes (K,)."""
-        q, _, _ = self.simulate(values[None], self.free[:1])
+        q, _, _ = self.simulate(
+            values[None],
+            self.free[:1],
+        )
         p, _ = self.parameters(values[None], self.free[:1])
         rows = np.flatnonzero(self.squeezing)
-        squeeze = self.simulator.special.squeeze(np.arange(len(rows)), p[0, rows], q[0, rows])
+        squeeze = self.simulator.special.squeeze(
+            np.arange(len(rows)),
+            p[0, rows],
+            q[0, rows],
+        )
         return [squeeze[n, : self.runs[row].used] for n, row in enumerate(rows)]

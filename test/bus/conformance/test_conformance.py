@@ -68,7 +68,11 @@ class Bench:
         )
         return result, error & ~ALERT
 
-    def raw_read(self, address: int, length: int) -> tuple[bytes, int, int]:
+    def raw_read(
+        self,
+        address: int,
+        length: int,
+    ) -> tuple[bytes, int, int]:
         """Data, result and error number."""
         packets = sdk.PacketHandler(2.0)
         data, result, error = self._tried(
@@ -112,7 +116,10 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
         yield from opened(lambda fast: desk.bus(fast=fast), True)
 
 
-def opened(another: Callable[[bool], DynamixelBus], moves: bool) -> Iterator[Bench]:
+def opened(
+    another: Callable[[bool], DynamixelBus],
+    moves: bool,
+) -> Iterator[Bench]:
     bus = another(True)
     bus.open()
     bus.handshake()

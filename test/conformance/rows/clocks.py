@@ -11,7 +11,11 @@ _LOADED = ("loaded",)
 _TOLD = (ACCEPTED, "too_wide")
 
 
-def _pace(factor: float, velocity: str, of: tuple[str, ...] = ("loaded", "empty")) -> Bent:
+def _pace(
+    factor: float,
+    velocity: str,
+    of: tuple[str, ...] = ("loaded", "empty"),
+) -> Bent:
     return Bent("clock_at_another_pace", {"factor": factor, "velocity": velocity}, of)
 
 

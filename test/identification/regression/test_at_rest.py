@@ -43,7 +43,11 @@ def test_gravity_is_that_of_mujoco(robot: Robot, pose: list[float]) -> None:
     assert found == pytest.approx(wanted, abs=1e-6)
 
 
-def recorded(robot: Robot, goals: list[list[float]], rate_hz: float = 30.0) -> Motion:
+def recorded(
+    robot: Robot,
+    goals: list[list[float]],
+    rate_hz: float = 30.0,
+) -> Motion:
     """Each pose for 2 s, and a straight way of 1 s to the next; one count of noise."""
     random = np.random.default_rng(1)
     rows = [np.array(goals[0], float)]
@@ -77,15 +81,26 @@ def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
         [1, -1, 1, 0, 1],
     ]
     # a touch, the way it came
-    further = [*goals[:3], [0.1 - 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3]]
+    further = [
+        *goals[:3],
+        [0.1 - 0.5 * SAME_POSE_RAD, -0.9, 0.6, 0.0, 0.3],
+    ]
     assert Stances.of(robot, recorded(robot, further), JOINTS).position == pytest.approx(
         np.array([*further[:2], further[3]]), abs=1e-3
     )
     # the same pose from the other side is another stance
-    step = [goals[0], goals[2], [at + 0.02 for at in goals[2]], goals[2]]
+    step = [
+        goals[0],
+        goals[2],
+        [at + 0.02 for at in goals[2]],
+        goals[2],
+    ]
     assert Stances.of(robot, recorded(robot, step), JOINTS).way[:, 1].tolist() == [0, -1, 1, -1]
     # one that never rests has none
-    swaying = recorded(robot, [[0.1 * (-1) ** k] * 5 for k in range(4)])
+    swaying = recorded(
+        robot,
+        [[0.1 * (-1) ** k] * 5 for k in range(4)],
+    )
     ways = np.flatnonzero(np.abs(np.diff(swaying.position[:, 0])) > 2e-3)
     moving = Motion(
         "m",
@@ -127,7 +142,10 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
     from proprio_ros.pipeline.request import Options
 
     arm = Sticky(np.random.default_rng(1))
-    _, (pose, _) = arm.stood(0.3, np.random.default_rng(2))
+    _, (pose, _) = arm.stood(
+        0.3,
+        np.random.default_rng(2),
+    )
     still = {name: values[12:] for name, values in pose.items()}
     # and nothing was calibrated
     with pytest.raises(TooLittleMotion, match="no joint moved by more than"):

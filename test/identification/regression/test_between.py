@@ -53,7 +53,10 @@ def test_what_nobody_repeated_differs_as_published() -> None:
 
 def test_spreads_follow_recordings_where_there_are_many() -> None:
     stated = Between.published(FRICTION, np.zeros(6))
-    true = replace(stated, spreads={kind: 3.0 * spread for kind, spread in PUBLISHED.items()})
+    true = replace(
+        stated,
+        spreads={kind: 3.0 * spread for kind, spread in PUBLISHED.items()},
+    )
     off = np.random.default_rng(1).normal(size=(400, 13)) * true.std
     learnt = stated
     for _ in range(5):
@@ -102,7 +105,10 @@ def test_spreads_that_the_data_decide() -> None:
     cut = np.sqrt(max(FACTORS) / np.arctan(max(FACTORS)) - 1.0)
     assert np.sqrt(weights @ np.square(pairs)) == pytest.approx([cut, cut], rel=0.15)
     for true in (0.4, 1.3, 3.2):
-        says = np.sum(40.0 * (-np.log(pairs) - 0.5 * np.square(true / pairs)), axis=1)
+        says = np.sum(
+            40.0 * (-np.log(pairs) - 0.5 * np.square(true / pairs)),
+            axis=1,
+        )
         assert np.sqrt(likely(says, pairs)[0] @ np.square(pairs)) == pytest.approx(
             [true] * 2, rel=0.2
         )
@@ -112,7 +118,11 @@ def test_terms_are_followed_as_far_as_they_stand_out() -> None:
     kinds = np.array(["common_scale", "own_scale", "zero"])
     for found, least, most in ((0.3, 0.0, 0.05), (6.0, 5.5, 6.0)):
         # each seen to a third of what is stated
-        mean, wider, terms, weights = by_evidence(kinds, 9.0 * np.eye(3), 9.0 * np.full(3, found))
+        mean, wider, terms, weights = by_evidence(
+            kinds,
+            9.0 * np.eye(3),
+            9.0 * np.full(3, found),
+        )
         assert np.all(mean > least) and np.all(mean < most)
         assert len(terms) == len(weights) == len(FACTORS) ** 2 and set(wider) == set(kinds)
     assert wider["common_scale"] > 2.0

@@ -34,7 +34,10 @@ def motion(request: pytest.FixtureRequest) -> Motion:
     return Twin(5, SIX).record("loaded" if request.param else "empty", 12.0, payload)
 
 
-def efforts(factor: float, joint: str | None = None) -> Callable[[Motion], Motion]:
+def efforts(
+    factor: float,
+    joint: str | None = None,
+) -> Callable[[Motion], Motion]:
     def bent(motion: Motion) -> Motion:
         column = np.array([joint in (None, name) for name in motion.joints])
         return replace(motion, current_A=motion.current_A * np.where(column, factor, 1.0))
@@ -44,7 +47,10 @@ def efforts(factor: float, joint: str | None = None) -> Callable[[Motion], Motio
 
 def turned(motion: Motion) -> Motion:
     column = np.array([name == LIFT for name in motion.joints])
-    return replace(motion, position=motion.position * np.where(column, -1.0, 1.0))
+    return replace(
+        motion,
+        position=motion.position * np.where(column, -1.0, 1.0),
+    )
 
 
 @pytest.mark.parametrize(
@@ -107,7 +113,12 @@ def test_a_centre_that_is_stated_wrongly_is_named(robot: Robot) -> None:
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        answer = identify_in_motion(robot, [efforts(0.0, LIFT)(loaded)], [empty], right)
+        answer = identify_in_motion(
+            robot,
+            [efforts(0.0, LIFT)(loaded)],
+            [empty],
+            right,
+        )
     assert answer.verdict is Verdict.REJECTED and any(
         "% of the torque of j2" in reason for reason in answer.reasons
     )
@@ -122,7 +133,10 @@ def test_a_centre_stated_a_few_centimetres_off_is_named_by_an_answer_and_by_a_re
     empty = arm.record("empty", 15.0)
     loaded = arm.record("loaded", 12.0, held)
     for x in (0.06, 0.08):
-        facts = PayloadFacts(com=(x, 0.0, 0.05), com_std=(0.003, 0.003, 0.003))
+        facts = PayloadFacts(
+            com=(x, 0.0, 0.05),
+            com_std=(0.003, 0.003, 0.003),
+        )
         answer = identify_in_motion(robot, [loaded], [empty], facts, True)
         assert (
             answer.verdict is Verdict.REJECTED

@@ -75,11 +75,18 @@ class Solved(NamedTuple):
 def solved(pair: Pair, motion: Motion) -> Solved:
     rows = equations(pair.robot, motion, motion.joints)
     problem = Problem.of([rows], 1)
-    values = np.random.default_rng(1).uniform(0.5, 1.5, problem.matrix.shape[1])
+    values = np.random.default_rng(1).uniform(
+        0.5,
+        1.5,
+        problem.matrix.shape[1],
+    )
     # dry friction goes with the direction alone, which a slow joint's pace blurs
     count = problem.count
     waves = slice(10 + 13 * count, 10 + 17 * count)
-    coulomb = slice(problem.own(0).start + count, problem.own(0).start + 2 * count)
+    coulomb = slice(
+        problem.own(0).start + count,
+        problem.own(0).start + 2 * count,
+    )
     values[waves] = 0.0
     values[coulomb] = 0.0
     period_s = float(np.median(np.diff(motion.times_s)))
@@ -145,7 +152,12 @@ def test_torque_follows_the_lag_as_a_difference_quotient_says(twin: Pair, lag_s:
 def test_a_clock_that_keeps_time_is_left_alone(twin: Pair) -> None:
     (empty,) = with_clocks(twin.robot, [twin.empty])
     calibration = fit_empty(twin.robot, [empty])
-    (loaded,) = with_clocks(twin.robot, [twin.loaded], calibration, loaded=True)
+    (loaded,) = with_clocks(
+        twin.robot,
+        [twin.loaded],
+        calibration,
+        loaded=True,
+    )
     for before, after in ((twin.empty, empty), (twin.loaded, loaded)):
         assert after.times_s is before.times_s
         assert after.current_A is before.current_A

@@ -49,7 +49,12 @@ def six(tmp_path_factory: pytest.TempPathFactory) -> Pair:
     return pair_of(tmp_path_factory.mktemp("six"), SIX, 11)
 
 
-def turned(motion: Motion, joint: int, positions: bool = True, efforts: bool = False) -> Motion:
+def turned(
+    motion: Motion,
+    joint: int,
+    positions: bool = True,
+    efforts: bool = False,
+) -> Motion:
     """One joint counts the other way round."""
     sign = np.ones(len(motion.joints))
     sign[joint] = -1.0
@@ -65,7 +70,11 @@ def exchanged(motion: Motion, one: int, other: int) -> Motion:
     order = list(range(len(motion.joints)))
     order[one] = other
     order[other] = one
-    return replace(motion, position=motion.position[:, order], current_A=motion.current_A[:, order])
+    return replace(
+        motion,
+        position=motion.position[:, order],
+        current_A=motion.current_A[:, order],
+    )
 
 
 def assert_named(answer: Estimate, words: str) -> None:
@@ -87,7 +96,10 @@ def test_a_wrist_that_decides_nothing_but_bears_the_payload(six: Pair, efforts: 
 
 @pytest.mark.parametrize("joint", [1, 4])
 def test_the_loaded_recording_alone(six: Pair, joint: int) -> None:
-    answer = six.weighed(turned(six.loaded, joint, efforts=True), six.empty)
+    answer = six.weighed(
+        turned(six.loaded, joint, efforts=True),
+        six.empty,
+    )
     assert_named(answer, f"loaded: positions and efforts of j{joint + 1} are counted")
 
 
@@ -97,19 +109,28 @@ def test_the_baseline_alone(six: Pair) -> None:
 
 
 def test_two_joints_under_each_others_name(six: Pair) -> None:
-    answer = six.weighed(exchanged(six.loaded, 1, 2), exchanged(six.empty, 1, 2))
+    answer = six.weighed(
+        exchanged(six.loaded, 1, 2),
+        exchanged(six.empty, 1, 2),
+    )
     assert_named(answer, "all recordings: positions and efforts of j2 and j3 are exchanged")
 
 
 def test_an_effort_that_decides_nothing_does_not_stop_a_weighing(six: Pair) -> None:
-    answer = six.weighed(turned(six.loaded, 0, positions=False, efforts=True), six.empty)
+    answer = six.weighed(
+        turned(six.loaded, 0, positions=False, efforts=True),
+        six.empty,
+    )
     assert answer.verdict.value == "accepted"
 
 
 def nothing_is_named(pair: Pair) -> None:
     joints = len(pair.loaded.joints)
     louder = replace(pair.loaded, current_A=2.0 * pair.loaded.current_A)
-    elsewhere = replace(pair.loaded, position=pair.loaded.position + 0.3 * np.eye(joints)[2])
+    elsewhere = replace(
+        pair.loaded,
+        position=pair.loaded.position + 0.3 * np.eye(joints)[2],
+    )
     for motion in (pair.loaded, louder, elsewhere):
         assert misread(pair.robot, [motion], [pair.empty]) is None
     negated = [replace(each, current_A=-each.current_A) for each in (pair.loaded, pair.empty)]
@@ -124,7 +145,10 @@ def test_nothing_is_named_where_nothing_or_something_else_is_wrong(six: Pair) ->
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_a_small_arm(tmp_path: Path, joint: int) -> None:
     pair = pair_of(tmp_path, FOUR, 5)
-    answer = pair.weighed(turned(pair.loaded, joint), turned(pair.empty, joint))
+    answer = pair.weighed(
+        turned(pair.loaded, joint),
+        turned(pair.empty, joint),
+    )
     assert_named(answer, f"all recordings: positions of j{joint + 1} are counted")
 
 
@@ -136,7 +160,10 @@ def real() -> Pair:
     return Pair(robot, loaded, empty)
 
 
-def scopes(pair: Pair, joint: int) -> Sequence[tuple[str, Motion, Motion]]:
+def scopes(
+    pair: Pair,
+    joint: int,
+) -> Sequence[tuple[str, Motion, Motion]]:
     """Where it is turned round, as the sentence begins, and the recordings."""
     loaded = turned(pair.loaded, joint)
     empty = turned(pair.empty, joint)

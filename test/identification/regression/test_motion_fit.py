@@ -43,13 +43,21 @@ class Ideal:
 
     def terms(self) -> np.ndarray:
         """In the order of `term_keys`; gears lose nothing, and friction does not go with the place."""
-        model = RobotModel.from_urdf_string(urdf(*self.links)).lock(list(SIX.joints), {})
+        model = RobotModel.from_urdf_string(urdf(*self.links)).lock(
+            list(SIX.joints),
+            {},
+        )
         bodies = [body_parameters(pseudo) for pseudo in model.pseudo_inertia]
         return np.concatenate(
             [*bodies, self.armature, np.zeros(6 * 6), self.viscous, self.coulomb, np.zeros(6)]
         )
 
-    def motion(self, seconds: float, held: Held | None = None, phase_s: float = 0.0) -> Motion:
+    def motion(
+        self,
+        seconds: float,
+        held: Held | None = None,
+        phase_s: float = 0.0,
+    ) -> Motion:
         import mujoco
 
         times_s = np.arange(0.0, seconds, PERIOD_S)
@@ -120,8 +128,17 @@ def test_a_payload_adds_the_torque_of_its_parameters(
         loaded.payload @ (mass_kg * ball), more, atol=0.005 * np.abs(more).max()
     )
     # with its centre stated, one column says it all but for how it is spread
-    stated = equations(robot, arm.motion(5.0, (mass_kg, centre)), SIX.joints, centre)
-    np.testing.assert_allclose(mass_kg * stated.payload[:, 0], more, atol=0.02 * np.abs(more).max())
+    stated = equations(
+        robot,
+        arm.motion(5.0, (mass_kg, centre)),
+        SIX.joints,
+        centre,
+    )
+    np.testing.assert_allclose(
+        mass_kg * stated.payload[:, 0],
+        more,
+        atol=0.02 * np.abs(more).max(),
+    )
 
 
 @pytest.mark.parametrize("seed", [5, 6, 7])
@@ -130,9 +147,17 @@ def test_mass_and_place_are_found_by_what_the_empty_motion_said(robot: Robot, se
     mass_kg = 0.2 * seed
     centre = np.array([0.04, -0.03, 0.02])
     known = fit_empty(robot, [arm.motion(15.0)])
-    fit = fit_payload(robot, [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)], known)
+    fit = fit_payload(
+        robot,
+        [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)],
+        known,
+    )
     assert abs(fit.values[0] - mass_kg) < min(0.01 * mass_kg, fit.half_width)
-    np.testing.assert_allclose(fit.values[1:4] / fit.values[0], centre, atol=0.005)
+    np.testing.assert_allclose(
+        fit.values[1:4] / fit.values[0],
+        centre,
+        atol=0.005,
+    )
     assert np.all(np.abs(fit.off["own_scale"][0]) < 0.01)
     nothing = fit_payload(robot, [arm.motion(12.0, phase_s=3.0)], known)
     assert abs(nothing.values[0]) < min(0.003, nothing.half_width)
@@ -141,7 +166,10 @@ def test_mass_and_place_are_found_by_what_the_empty_motion_said(robot: Robot, se
 def test_friction_and_torques_are_those_of_the_arm(robot: Robot) -> None:
     """Single masses are not determined by torques; friction and what a motion needs are."""
     arm = Ideal(8)
-    known = fit_empty(robot, [arm.motion(20.0), arm.motion(20.0, phase_s=40.0)])
+    known = fit_empty(
+        robot,
+        [arm.motion(20.0), arm.motion(20.0, phase_s=40.0)],
+    )
     values = dict(zip(known.keys, known.values, strict=True))
     for n, joint in enumerate(SIX.joints):
         assert values["viscous", joint] == pytest.approx(arm.viscous[n], abs=0.03)
@@ -168,13 +196,23 @@ def test_a_calibration_is_the_mean_of_recordings_whose_torque_differs(
     rows = equations(robot, arm.motion(6.0, phase_s=90.0), SIX.joints)
     off = rows.torque - rows.design @ known.values
     assert np.sqrt(np.mean(off**2)) < 0.01 * np.sqrt(np.mean(rows.torque**2))
-    fit = fit_payload(robot, [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)], known)
+    fit = fit_payload(
+        robot,
+        [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)],
+        known,
+    )
     assert abs(fit.values[0] - mass_kg) < min(0.02 * mass_kg, fit.half_width)
 
 
 def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) -> None:
     arm = Ideal(9)
-    parts = [equations(robot, arm.motion(11.0, (0.5, np.zeros(3))), SIX.joints)]
+    parts = [
+        equations(
+            robot,
+            arm.motion(11.0, (0.5, np.zeros(3))),
+            SIX.joints,
+        )
+    ]
     parts.append(equations(robot, arm.motion(6.0), SIX.joints))
     problem = Problem.of(parts, 1)
     assert problem.matrix.shape == (
@@ -183,7 +221,10 @@ def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) ->
     )
     assert not problem.matrix[~problem.carrying, :10].any()
     early = problem.only(problem.carrying & (problem.stretch < 2))
-    np.testing.assert_array_equal(early.torque, parts[0].torque[parts[0].stretch < 2])
+    np.testing.assert_array_equal(
+        early.torque,
+        parts[0].torque[parts[0].stretch < 2],
+    )
     assert problem.stretches_of(problem.carrying, "loaded", 15.0) >= 4
     with pytest.raises(
         RecordingError,

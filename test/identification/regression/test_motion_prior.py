@@ -26,20 +26,40 @@ def test_the_posterior_is_that_of_the_normal_equations() -> None:
     factor = rng.normal(size=(4, 4)) * [1e-2, 1.0, 1e-3, 1.0]
     mean = rng.normal(size=4)
     prior = factor.T @ factor
-    values, covariance = posterior(rows.T @ rows, rows.T @ right, Prior(mean, prior))
+    values, covariance = posterior(
+        rows.T @ rows,
+        rows.T @ right,
+        Prior(mean, prior),
+    )
     precision = rows.T @ rows + np.linalg.inv(prior)
-    np.testing.assert_allclose(covariance, np.linalg.inv(precision), rtol=1e-6, atol=1e-12)
-    expected = np.linalg.solve(precision, rows.T @ right + np.linalg.solve(prior, mean))
+    np.testing.assert_allclose(
+        covariance,
+        np.linalg.inv(precision),
+        rtol=1e-6,
+        atol=1e-12,
+    )
+    expected = np.linalg.solve(
+        precision,
+        rows.T @ right + np.linalg.solve(prior, mean),
+    )
     np.testing.assert_allclose(values, expected, rtol=1e-6)
 
 
 def test_a_prior_that_leaves_a_direction_closed_needs_no_inverse() -> None:
     values, covariance = posterior(
-        np.eye(2), np.array([3.0, 0.0]), Prior(np.zeros(2), np.ones((2, 2)))
+        np.eye(2),
+        np.array([3.0, 0.0]),
+        Prior(
+            np.zeros(2),
+            np.ones((2, 2)),
+        ),
     )
     # one number, seen twice: 3 and 0
     np.testing.assert_allclose(values, [1.0, 1.0])
-    np.testing.assert_allclose(covariance, np.full((2, 2), 1.0 / 3.0))
+    np.testing.assert_allclose(
+        covariance,
+        np.full((2, 2), 1.0 / 3.0),
+    )
 
 
 def test_windows_that_share_an_error_count_less() -> None:
@@ -66,7 +86,11 @@ def robots(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Robot]:
 def recorded() -> tuple[Motion, Motion]:
     """Of an arm of six joints with something in its hand, and empty."""
     arm = Twin(11, SIX)
-    loaded = arm.record("loaded", 15.0, arm.payload(np.random.default_rng(11)))
+    loaded = arm.record(
+        "loaded",
+        15.0,
+        arm.payload(np.random.default_rng(11)),
+    )
     return loaded, arm.record("empty", 20.0)
 
 
@@ -89,7 +113,10 @@ def test_torques_in_another_unit_than_the_empty_ones_are_no_payload(
     codes: list[str],
 ) -> None:
     robot, (loaded, empty) = robots[6], recorded
-    factor = np.full(6, {"8 tenths": 0.8, "12 tenths": 1.2}.get(torque, 1.0))
+    factor = np.full(
+        6,
+        {"8 tenths": 0.8, "12 tenths": 1.2}.get(torque, 1.0),
+    )
     factor[1] *= 0.7 if torque == "one joint" else 1.0
     loaded = replace(loaded, current_A=loaded.current_A * factor)
     if calibrated:
@@ -119,7 +146,11 @@ def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
     arm = Twin(seed, build)
     mass, centre = arm.payload(np.random.default_rng(seed))
     known = fit_empty(robot, [arm.record("empty", 20.0)])
-    fit = fit_payload(robot, [arm.record("loaded", 15.0, (mass, centre))], known)
+    fit = fit_payload(
+        robot,
+        [arm.record("loaded", 15.0, (mass, centre))],
+        known,
+    )
     half_kg = fit.quantile * float(fit.std[0])
     # an interval of 95 % may miss: how often is for the benchmark
     assert abs(fit.values[0] - mass) < min(1.5 * half_kg, within_kg)
@@ -227,7 +258,11 @@ def test_what_is_too_short_or_of_another_arm_is_refused(robots: dict[int, Robot]
     with pytest.raises(RecordingError, match="record 10 s"):
         fit_payload(robot, [short], known)
     with pytest.raises(RecordingError, match="the calibration is of j1, j2, j3, j4"):
-        fit_payload(robot, [replace(motion, joints=("j1", "j2", "j3", "j5"))], known)
+        fit_payload(
+            robot,
+            [replace(motion, joints=("j1", "j2", "j3", "j5"))],
+            known,
+        )
 
 
 @pytest.mark.long

@@ -58,7 +58,12 @@ class Case:
 
 
 def rows_of(motion: Motion) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
-    return zip(motion.times_s.tolist(), motion.position, motion.current_A, strict=True)
+    return zip(
+        motion.times_s.tolist(),
+        motion.position,
+        motion.current_A,
+        strict=True,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +170,10 @@ def test_torque_constants_apart_and_friction_by_the_angle_are_known_from_the_cal
     arm = Twin(5, FOUR)
     arm.torque = arm.torque * np.array([1.0, 1.04, 0.96, 1.0])
     arm.place[:] = 0.3
-    known = fit_empty(robot, [arm.record(f"empty {n}", 20.0) for n in range(2)])
+    known = fit_empty(
+        robot,
+        [arm.record(f"empty {n}", 20.0) for n in range(2)],
+    )
     held = arm.record("held", 10.0, HELD)
     late: dict[str, np.ndarray] = {}
     for name, calibration in (("known", known), ("unknown", without_shares_and_waves(known))):

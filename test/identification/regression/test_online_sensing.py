@@ -41,7 +41,10 @@ class Case:
         self.known: MotionCalibration = fit_empty(
             self.robot, [arm.work(16.0, name=f"empty {n}") for n in range(2)]
         )
-        self.day = arm.work(12.0, [(TAKEN_S, arm.load(MASS_KG)), (LEFT_S, None)])
+        self.day = arm.work(
+            12.0,
+            [(TAKEN_S, arm.load(MASS_KG)), (LEFT_S, None)],
+        )
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +116,10 @@ def test_poses_that_the_calibration_did_not_cover_widen_the_interval(case: Case)
     arm = case.arm
     wide = case.arm.reached_rad
     arm.reached_rad = 0.1 * wide
-    near = fit_empty(case.robot, [arm.work(16.0, name=f"near {n}") for n in range(2)])
+    near = fit_empty(
+        case.robot,
+        [arm.work(16.0, name=f"near {n}") for n in range(2)],
+    )
     arm.reached_rad = wide
     motion = arm.work(6.0, [(0.0, arm.load(MASS_KG))])
     half = []

@@ -49,11 +49,20 @@ def moving(*joints: int) -> Twin:
 class Only:
     """Random numbers whose sines have no size for joints that stand."""
 
-    def __init__(self, rng: np.random.Generator, joints: tuple[int, ...]) -> None:
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        joints: tuple[int, ...],
+    ) -> None:
         self._rng = rng
         self._joints = list(joints)
 
-    def uniform(self, low: float, high: float, shape: tuple[int, int]) -> np.ndarray:
+    def uniform(
+        self,
+        low: float,
+        high: float,
+        shape: tuple[int, int],
+    ) -> np.ndarray:
         drawn = self._rng.uniform(low, high, shape)
         if (low, high) == SIX.size:
             stand = np.setdiff1d(np.arange(len(drawn)), self._joints)
@@ -181,7 +190,12 @@ def test_real_motions_of_different_joints(loaded: str, empty: str) -> None:
     [("ur10e_loaded_14", "ur10e_loaded_15"), ("ur10e_loaded_15", "ur10e_loaded_14")],
 )
 def test_a_real_tool_in_both_recordings(loaded: str, empty: str) -> None:
-    options = Options(probe="payload", robot="ur10e", driver="ur_current", baseline=[REAL / empty])
+    options = Options(
+        probe="payload",
+        robot="ur10e",
+        driver="ur_current",
+        baseline=[REAL / empty],
+    )
     estimate = replay(REAL / loaded, options)
     assert estimate.verdict.value == "rejected"
     assert [reason.code for reason in estimate.reasons] == ["hand_not_empty"]

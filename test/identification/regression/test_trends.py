@@ -95,7 +95,11 @@ def spliced(first: Motion, second: Motion, at_s: float) -> Motion:
 @pytest.mark.parametrize("at_s", [8.0, 15.0, 22.0])
 @pytest.mark.parametrize("picked_up", [True, False])
 def test_a_payload_that_changes_is_refused_with_its_time(
-    robot: Robot, twin: Twin, motions: tuple[Motion, Motion], at_s: float, picked_up: bool
+    robot: Robot,
+    twin: Twin,
+    motions: tuple[Motion, Motion],
+    at_s: float,
+    picked_up: bool,
 ) -> None:
     loaded, empty = motions
     other = twin.record("another empty one", SECONDS)

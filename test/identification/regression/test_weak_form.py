@@ -28,7 +28,10 @@ def test_the_regressor_is_mujocos_inverse_dynamics() -> None:
     import mujoco
 
     masses, coms, inertias = nominal()
-    model = RobotModel.from_urdf_string(urdf(masses, coms, inertias)).lock(list(SIX.joints), {})
+    model = RobotModel.from_urdf_string(urdf(masses, coms, inertias)).lock(
+        list(SIX.joints),
+        {},
+    )
     period_s = 1e-3
     times_s = np.arange(0.0, 2.0, period_s)
     position, velocity, acceleration = sines(times_s)
@@ -43,11 +46,18 @@ def test_the_regressor_is_mujocos_inverse_dynamics() -> None:
     regressor = torque_regressor(model, position, velocity, windows, period_s)
     bodies = np.array([body_parameters(pseudo) for pseudo in model.pseudo_inertia])
     ours = np.einsum("wjbp,bp->wj", regressor, bodies)
-    np.testing.assert_allclose(ours, windows.mean(torque), atol=2e-4 * np.abs(torque).max())
+    np.testing.assert_allclose(
+        ours,
+        windows.mean(torque),
+        atol=2e-4 * np.abs(torque).max(),
+    )
 
 
 def test_twists_are_the_derivatives_of_where_the_bodies_are() -> None:
-    model = RobotModel.from_urdf_string(urdf(*nominal())).lock(list(SIX.joints), {})
+    model = RobotModel.from_urdf_string(urdf(*nominal())).lock(
+        list(SIX.joints),
+        {},
+    )
     for time_s in (0.3, 0.9, 1.7):
         step_s = 1e-5
         times_s = time_s + step_s * np.array([-1.0, 0.0, 1.0])
@@ -61,17 +71,37 @@ def test_twists_are_the_derivatives_of_where_the_bodies_are() -> None:
             speed, twist[:, 3:] + np.cross(twist[:, :3], origin[1]), atol=1e-8
         )
         spin = (rotation[2] - rotation[0]) / (2.0 * step_s) @ np.swapaxes(rotation[1], 1, 2)
-        np.testing.assert_allclose(spin[:, 2, 1], twist[:, 0], atol=1e-8)
-        np.testing.assert_allclose(spin[:, 0, 2], twist[:, 1], atol=1e-8)
-        np.testing.assert_allclose(spin[:, 1, 0], twist[:, 2], atol=1e-8)
+        np.testing.assert_allclose(
+            spin[:, 2, 1],
+            twist[:, 0],
+            atol=1e-8,
+        )
+        np.testing.assert_allclose(
+            spin[:, 0, 2],
+            twist[:, 1],
+            atol=1e-8,
+        )
+        np.testing.assert_allclose(
+            spin[:, 1, 0],
+            twist[:, 2],
+            atol=1e-8,
+        )
 
 
 def test_test_functions_differentiate_by_parts() -> None:
     times_s = np.arange(0.0, 3.0, 0.01)
     windows = Windows.over(len(times_s), 50, 10)
-    np.testing.assert_allclose(windows.mean(np.ones_like(times_s)), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(
+        windows.mean(np.ones_like(times_s)),
+        1.0,
+        rtol=1e-12,
+    )
     slope = windows.derivative(np.sin(2.0 * times_s), 0.01)
-    np.testing.assert_allclose(slope, windows.mean(2.0 * np.cos(2.0 * times_s)), atol=1e-4)
+    np.testing.assert_allclose(
+        slope,
+        windows.mean(2.0 * np.cos(2.0 * times_s)),
+        atol=1e-4,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +148,17 @@ def test_how_a_long_payload_is_spread(tmp_path: Path) -> None:
     truth = (0.25, 0.25, 0.02)
     empty = arm.record("empty", 20.0)
     bar = identify_in_motion(
-        robot, [arm.record("bar", 20.0, (2.0, centre), truth)], [empty], PayloadFacts()
+        robot,
+        [
+            arm.record(
+                "bar",
+                20.0,
+                (2.0, centre),
+                truth,
+            )
+        ],
+        [empty],
+        PayloadFacts(),
     )
     inertia = bar.value("payload_inertia")
     told = [n for n in (0, 3, 5) if inertia.value[n] is not None]
@@ -130,7 +170,16 @@ def test_how_a_long_payload_is_spread(tmp_path: Path) -> None:
         for low, high in (inertia.ci95[n] for n in (1, 2, 4) if inertia.value[n] is not None)
     )
     ball = identify_in_motion(
-        robot, [arm.record("ball", 20.0, (2.0, centre))], [empty], PayloadFacts()
+        robot,
+        [
+            arm.record(
+                "ball",
+                20.0,
+                (2.0, centre),
+            )
+        ],
+        [empty],
+        PayloadFacts(),
     )
     assert ball.value("payload_inertia").value[0] is None
     assert "not determined by this motion" in ball.value("payload_inertia").reason
@@ -150,7 +199,12 @@ def test_an_empty_hand_weighs_nothing(twin: Recorded) -> None:
 def test_what_must_be_refused(twin: Recorded) -> None:
     robot, empty, loaded, again = twin
 
-    def refused(motion: Motion, baseline: list[Motion], verdict: Verdict, words: str) -> None:
+    def refused(
+        motion: Motion,
+        baseline: list[Motion],
+        verdict: Verdict,
+        words: str,
+    ) -> None:
         estimate = identify_in_motion(robot, [motion], baseline, PayloadFacts())
         assert estimate.verdict is verdict and words in estimate.reasons[0], estimate.reasons
         assert estimate.value("payload_mass").value is None
@@ -176,7 +230,13 @@ def test_what_must_be_refused(twin: Recorded) -> None:
     refused(longer, [empty], Verdict.REJECTED, "picked up")
     refused(empty, [loaded], Verdict.REJECTED, "mixed up")
     # another arm's baseline, and a payload that swings are misfits; a stuck sensor is one, too
-    frozen = replace(loaded, current_A=np.tile(loaded.current_A[:1], (len(loaded.times_s), 1)))
+    frozen = replace(
+        loaded,
+        current_A=np.tile(
+            loaded.current_A[:1],
+            (len(loaded.times_s), 1),
+        ),
+    )
     refused(frozen, [empty], Verdict.REJECTED, "")
 
 

@@ -85,7 +85,15 @@ def bend(
     def added(change: Change) -> Change:
         name = change.__name__
         assert name not in BENDS, name
-        BENDS[name] = Bend(kind, name, change, parameters, right, alone or right, needs)
+        BENDS[name] = Bend(
+            kind,
+            name,
+            change,
+            parameters,
+            right,
+            alone or right,
+            needs,
+        )
         return change
 
     return added

@@ -55,7 +55,13 @@ def push_zero_off(tape: Tape, rng: Rng, joint: str, zero_rad: float) -> Tape:
     step_rad=either_sign(0.005, 0.05),
     at=between(0.1, 0.9),
 )
-def push_joint_steps(tape: Tape, rng: Rng, joint: str, step_rad: float, at: float) -> Tape:
+def push_joint_steps(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    step_rad: float,
+    at: float,
+) -> Tape:
     """One joint's reading steps in the middle of a push."""
     return _shifted(tape, joint, step_rad, at)
 

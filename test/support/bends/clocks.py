@@ -76,7 +76,13 @@ def recorder_clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape
     return _stepped(tape, step_s, at, recorder=True, stamps=False)
 
 
-def _stepped(tape: Tape, step_s: float, at: float, recorder: bool, stamps: bool = True) -> Tape:
+def _stepped(
+    tape: Tape,
+    step_s: float,
+    at: float,
+    recorder: bool,
+    stamps: bool = True,
+) -> Tape:
     from_ns = tape.begin_ns + int(at * (tape.end_ns - tape.begin_ns))
     step_ns = round(1e9 * step_s)
     return tape.retimed(
@@ -121,7 +127,10 @@ def bursts_stamped_at_arrival(tape: Tape, rng: Rng, size: int, headers: bool) ->
     """Messages come in bursts: the recorder, or also the header, has the time at which a burst arrived."""
 
     def arrived(times_ns: TimeArray) -> TimeArray:
-        last = np.minimum(np.arange(len(times_ns)) // size * size + size - 1, len(times_ns) - 1)
+        last = np.minimum(
+            np.arange(len(times_ns)) // size * size + size - 1,
+            len(times_ns) - 1,
+        )
         within = np.arange(len(times_ns)) % size
         return times_ns[last] + 20_000 * within
 

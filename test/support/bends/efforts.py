@@ -23,7 +23,10 @@ EFFORT = r"effort|torque|current|unit|sign|friction"
 GONE = r"(effort|torque|current).*(stands? still|stood still|frozen|missing|zero|is 0|drop|was lost|left out)"
 
 
-def with_efforts(tape: Tape, change: Callable[[FloatArray, Stream], FloatArray]) -> Tape:
+def with_efforts(
+    tape: Tape,
+    change: Callable[[FloatArray, Stream], FloatArray],
+) -> Tape:
     """Other efforts in the joint states that have any; ``change`` may write into what it is handed, shape (T, J)."""
 
     def changed(states: Stream) -> Stream:
@@ -55,7 +58,12 @@ def effort_late(tape: Tape, rng: Rng, samples: int) -> Tape:
     joints=some_joints,
     factor=one_of((0.25, 0.5, 0.7, 1.3, 2, 4, 10)),
 )
-def joints_scaled(tape: Tape, rng: Rng, joints: list[str], factor: float) -> Tape:
+def joints_scaled(
+    tape: Tape,
+    rng: Rng,
+    joints: list[str],
+    factor: float,
+) -> Tape:
     """The effort of some joints is in another unit, as after a change of firmware."""
 
     def scaled(effort: FloatArray, states: Stream) -> FloatArray:

@@ -45,7 +45,11 @@ def bent(path: Path, bend: Bend, source: Path) -> Path:
 def commands_times(factor: float) -> Bend:
     """Commands that the motor was never given."""
 
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         if topic == "/current_command":
             message.data = message.data * factor
         return time_ns, message
@@ -57,12 +61,19 @@ def stamps_times(factor: float) -> Bend:
     """A clock of joint states that runs fast or slow."""
     first: list[int] = []
 
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         if topic == "/joint_states":
             stamp = message.header.stamp
             whole = stamp.sec * 10**9 + stamp.nanosec
             first.append(whole)
-            stamp.sec, stamp.nanosec = divmod(first[0] + round((whole - first[0]) * factor), 10**9)
+            stamp.sec, stamp.nanosec = divmod(
+                first[0] + round((whole - first[0]) * factor),
+                10**9,
+            )
         return time_ns, message
 
     return bend

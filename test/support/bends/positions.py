@@ -13,7 +13,11 @@ from support.bends.tape import Stream, Tape
 ZERO = r"zero|position|read from elsewhere|reversed|sign|direction"
 
 
-def with_position(tape: Tape, joint: str, change: Callable[[FloatArray], FloatArray]) -> Tape:
+def with_position(
+    tape: Tape,
+    joint: str,
+    change: Callable[[FloatArray], FloatArray],
+) -> Tape:
     """Other positions of one joint, shape (T,)."""
 
     def changed(states: Stream) -> Stream:
@@ -54,7 +58,13 @@ def joint_zero_off(tape: Tape, rng: Rng, joint: str, zero_rad: float) -> Tape:
     step_rad=either_sign(0.01, 0.3),
     at=between(0.2, 0.8),
 )
-def joint_slips(tape: Tape, rng: Rng, joint: str, step_rad: float, at: float) -> Tape:
+def joint_slips(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    step_rad: float,
+    at: float,
+) -> Tape:
     """One joint's reading steps in mid-run, as of a gear that slips."""
 
     def slipped(position: FloatArray) -> FloatArray:

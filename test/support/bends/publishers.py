@@ -119,8 +119,15 @@ def another_pose(tape: Tape, rng: Rng, rate: int) -> Tape:
     states = tape.states
     chosen = states.kept(np.arange(len(states.bag_ns)) % rate == 0)
     shape = chosen.values["position"].shape
-    pose = np.tile(np.round(rng.uniform(-2.0, 2.0, shape[1]), 2), (shape[0], 1))
-    values = {"position": pose, "velocity": np.zeros(shape), "effort": np.zeros(shape)}
+    pose = np.tile(
+        np.round(rng.uniform(-2.0, 2.0, shape[1]), 2),
+        (shape[0], 1),
+    )
+    values = {
+        "position": pose,
+        "velocity": np.zeros(shape),
+        "effort": np.zeros(shape),
+    }
     shift_ns = int(0.2 * np.median(np.diff(states.bag_ns)))
     other = replace(
         chosen,
@@ -143,7 +150,11 @@ def doubled_list(tape: Tape, rng: Rng, second: str, first: bool) -> Tape:
     def doubled(states: Stream) -> Stream:
         values = {}
         for name, table in states.values.items():
-            other = {"same": table, "zeros": 0.0 * table, "nothing": np.full(table.shape, np.nan)}
+            other = {
+                "same": table,
+                "zeros": 0.0 * table,
+                "nothing": np.full(table.shape, np.nan),
+            }
             both = [other[second], table] if first else [table, other[second]]
             values[name] = np.hstack(both)
         return replace(states, names=states.names * 2, values=values)
@@ -158,7 +169,13 @@ def doubled_list(tape: Tape, rng: Rng, second: str, first: bool) -> Tape:
     arm=one_of(("zeros", "late")),
     samples=one_of((1, 10)),
 )
-def gripper_names_the_arm(tape: Tape, rng: Rng, rate: int, arm: str, samples: int) -> Tape:
+def gripper_names_the_arm(
+    tape: Tape,
+    rng: Rng,
+    rate: int,
+    arm: str,
+    samples: int,
+) -> Tape:
     """The gripper's driver publishes the arm's joints, too: zeros, or what it heard some samples ago."""
     states = tape.states
     rows = np.arange(samples, len(states.bag_ns), rate)

@@ -42,7 +42,10 @@ def swapped(recording: Recording, joint: str, other: str) -> Recording:
     another = joints.column(other)
     order[one] = another
     order[another] = one
-    return replace(recording, joints=replace(joints, position=joints.position[:, order]))
+    return replace(
+        recording,
+        joints=replace(joints, position=joints.position[:, order]),
+    )
 
 
 def scaled_command(recording: Recording, factor: float) -> Recording:
@@ -72,7 +75,10 @@ def command_of(recording: Recording, joint: str) -> Recording:
     other = inputs.column(joint)
     order[driven] = other
     order[other] = driven
-    return replace(recording, inputs=replace(inputs, current_A=inputs.current_A[:, order]))
+    return replace(
+        recording,
+        inputs=replace(inputs, current_A=inputs.current_A[:, order]),
+    )
 
 
 def without_joint(recording: Recording, joint: str) -> Recording:

@@ -47,7 +47,12 @@ class Stream:
     def kept(self, rows: BoolArray) -> Stream:
         """The messages of some rows, shape (T,)."""
         values = {name: table[rows] for name, table in self.values.items()}
-        return replace(self, bag_ns=self.bag_ns[rows], stamp_ns=self.stamp_ns[rows], values=values)
+        return replace(
+            self,
+            bag_ns=self.bag_ns[rows],
+            stamp_ns=self.stamp_ns[rows],
+            values=values,
+        )
 
     def raw(self) -> list[RawMessage]:
         """As they go over a wire."""
@@ -92,7 +97,11 @@ class Tape:
         """The same with every stream of joint states changed."""
         return self.with_topic(STATES, change)
 
-    def with_topic(self, topic: str, change: Callable[[Stream], Stream]) -> Tape:
+    def with_topic(
+        self,
+        topic: str,
+        change: Callable[[Stream], Stream],
+    ) -> Tape:
         """The same with every stream of a topic changed."""
         streams = tuple(change(each) if each.topic == topic else each for each in self.streams)
         return replace(self, streams=streams)
@@ -165,11 +174,21 @@ def tape_of(bag: Path) -> Tape:
 def _columns(message: Any) -> tuple[Any, ...]:
     """What two messages of one stream have in common."""
     if hasattr(message, "data"):
-        return (tuple(each.label for each in message.layout.dim), len(message.data))
-    return (tuple(message.name), *(len(getattr(message, name)) for name in FIELDS))
+        return (
+            tuple(each.label for each in message.layout.dim),
+            len(message.data),
+        )
+    return (
+        tuple(message.name),
+        *(len(getattr(message, name)) for name in FIELDS),
+    )
 
 
-def _stream(topic: str, msgtype: str, found: list[tuple[int, Any]]) -> Stream:
+def _stream(
+    topic: str,
+    msgtype: str,
+    found: list[tuple[int, Any]],
+) -> Stream:
     bag_ns = np.array([time_ns for time_ns, _ in found], dtype=np.int64)
     messages = [message for _, message in found]
     first = messages[0]
@@ -195,7 +214,10 @@ def _joint_rows(stream: Stream) -> np.ndarray:
     bare = type(stream.first)(header, names, empty, empty, empty)
     raw = bytes(message_types().serialize_cdr(bare, JOINT_STATE))
     # three sequences without elements end it
-    head = np.frombuffer(raw[: len(raw) - len(FIELDS) * _COUNT], np.uint8)
+    head = np.frombuffer(
+        raw[: len(raw) - len(FIELDS) * _COUNT],
+        np.uint8,
+    )
     rows = np.tile(head, (len(stream.bag_ns), 1))
     seconds, nanoseconds = np.divmod(stream.stamp_ns, 10**9)
     rows[:, 4:8] = _bytes(seconds.astype("<i4")[:, None])
@@ -229,4 +251,11 @@ def _with_numbers(rows: np.ndarray, numbers: FloatArray | None) -> np.ndarray:
 
 def _bytes(numbers: np.ndarray) -> np.ndarray:
     """Of numbers, shape (T, N), their bytes, shape (T, N times the size of one)."""
-    return np.ascontiguousarray(numbers).view(np.uint8).reshape(len(numbers), -1)
+    return (
+        np.ascontiguousarray(numbers)
+        .view(np.uint8)
+        .reshape(
+            len(numbers),
+            -1,
+        )
+    )

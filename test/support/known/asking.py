@@ -65,7 +65,11 @@ def bent_bag(
     return path
 
 
-def asked(words: Sequence[str], files: Files, estimate: str = "payload_mass") -> Outcome:
+def asked(
+    words: Sequence[str],
+    files: Files,
+    estimate: str = "payload_mass",
+) -> Outcome:
     """What this package's command line answers; another tool is asked the same by another function."""
     places = {name: str(path) for name, path in files.items()}
     out = io.StringIO()
@@ -74,7 +78,11 @@ def asked(words: Sequence[str], files: Files, estimate: str = "payload_mass") ->
         code = proprio([*(word.format(**places) for word in words), "--json"])
     told = json.loads(out.getvalue() or "{}")
     verdict = told.get("verdict") or (UNREADABLE if code else ACCEPTED)
-    sentences = [*told.get("reasons", []), *told.get("notes", []), told.get("error", "")]
+    sentences = [
+        *told.get("reasons", []),
+        *told.get("notes", []),
+        told.get("error", ""),
+    ]
     # what is assumed anyway names no cause of a refusal
     if verdict == ACCEPTED:
         sentences += told.get("assumptions", [])
