@@ -19,7 +19,7 @@ def tree(folder: str) -> list[tuple[str, list[str]]]:
 
 setup(
     name="proprio_ros",
-    version="0.1.0",
+    version="0.9.0",
     description="A robot arm's sense of weight and softness from its own joints",
     packages=find_packages(include=["proprio_ros", "proprio_ros.*"]),
     package_data={

@@ -1,3 +1,3 @@
 """The version of the package; `package.xml`, `setup.py` and `CITATION.cff` say the same."""
 
-__version__ = "0.1.0"
+__version__ = "0.9.0"
