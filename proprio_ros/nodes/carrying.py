@@ -12,8 +12,9 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.live.carrying import Carrier, Load, capability_entries, way
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.inputs import Inputs
+from proprio_ros.nodes.managed_node import ManagedNode
+from proprio_ros.nodes.qos import COMMANDS, LATCHED
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
 from proprio_ros.robot import Robot
 
 EVERY = 10  # `~/capability` comes with each so many of `~/gravity_effort`

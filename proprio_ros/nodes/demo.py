@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.graph import Graph, Patience
-from proprio_ros.nodes.runtime import LATCHED
+from proprio_ros.nodes.qos import LATCHED
 from proprio_ros.probes.base import Example, HasBaseline, Probe
 
 SILENCE_S = 600.0

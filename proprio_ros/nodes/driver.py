@@ -19,8 +19,10 @@ from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.parameters import ROBOT, Parameter, fields_stated
-from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
+from proprio_ros.nodes.process import run_node
+from proprio_ros.nodes.qos import FROM_MANY, LATCHED, STREAM
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.topics import TEMPERATURES
 
@@ -224,7 +226,7 @@ class DriverNode(ManagedNode):
         if self._driver is None or not self.active or sender == OUTDATED:
             return ""
         now_ns = self.get_clock().now().nanoseconds
-        waited_ns = round(1e9 * self.waited_s())
+        waited_ns = round(1e9 * self.turns.waited_s())
         late_s = (
             senders.late_s(sender, now_ns - sent_ns, self._was_set_ns(now_ns), waited_ns)
             if sent_ns

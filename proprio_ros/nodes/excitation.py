@@ -26,17 +26,12 @@ from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
+from proprio_ros.nodes.managed_node import IDLE_PAUSE_S, ManagedNode
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, controller_of
 from proprio_ros.nodes.parameters import INPUT_TOPICS, ROBOT, Parameter, fields_stated, value_of
-from proprio_ros.nodes.runtime import (
-    COMMANDS,
-    IDLE_PAUSE_S,
-    LATCHED,
-    STREAM,
-    LongService,
-    ManagedNode,
-    run_node,
-)
+from proprio_ros.nodes.process import run_node
+from proprio_ros.nodes.qos import COMMANDS, LATCHED, STREAM
+from proprio_ros.nodes.services import LongService
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.recordings.description import robot_named
 

@@ -14,7 +14,8 @@ from std_srvs.srv import Trigger
 from proprio_ros import clock
 from proprio_ros.live.job import Job, JobError
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
+from proprio_ros.nodes.managed_node import ManagedNode
+from proprio_ros.nodes.qos import COMMANDS, LATCHED
 
 READY_S, SEEN_S = 4.0, 12.0
 """Patience with whoever is not there, and from the node's own start on: who uses DDS announces itself every 3 s, and on a busy

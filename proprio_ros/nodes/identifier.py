@@ -36,18 +36,14 @@ from proprio_ros.nodes.carrying import Carrying
 from proprio_ros.nodes.excitation_client import CALL_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.jobs import Jobs
+from proprio_ros.nodes.managed_node import IDLE_PAUSE_S, ManagedNode
 from proprio_ros.nodes.numeric import ACTION, WeighAction
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.payload_export import HandingOn
+from proprio_ros.nodes.process import run_node
+from proprio_ros.nodes.qos import LATCHED
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import (
-    IDLE_PAUSE_S,
-    LATCHED,
-    Answer,
-    LongService,
-    ManagedNode,
-    run_node,
-)
+from proprio_ros.nodes.services import Answer, LongService
 from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Guards, HasBaseline, Probe

@@ -18,7 +18,8 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.live.news import Arrival, Backlog, Lag
 from proprio_ros.live.session import LiveEstimate, Session, as_parameters
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
+from proprio_ros.nodes.managed_node import ManagedNode
+from proprio_ros.nodes.qos import LATCHED, STREAM
 from proprio_ros.pipeline.request import usable_driver
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.topics import (

@@ -37,9 +37,9 @@ from proprio_ros.live.session import (
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.excitation_client import READY_S, SEEN_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
 from proprio_ros.pipeline.replay import aged_robot, replay, write_report

@@ -28,7 +28,7 @@ from std_msgs.msg import Float64MultiArray
 
 from proprio_ros.clock import run_in_real_time
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.nodes.runtime import COMMANDS
+from proprio_ros.nodes.qos import COMMANDS
 from proprio_ros.nodes.switching import Controllers, switch_kind
 
 TOLD_PERIOD_S = 0.05

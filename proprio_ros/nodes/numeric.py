@@ -19,7 +19,9 @@ from proprio_ros.excitation.plans import Until
 from proprio_ros.live.holding import Holding
 from proprio_ros.live.job import WEIGH, Job
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.runtime import LATCHED, Answer, ManagedNode
+from proprio_ros.nodes.managed_node import ManagedNode
+from proprio_ros.nodes.qos import LATCHED
+from proprio_ros.nodes.services import Answer
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Probe
 

@@ -21,7 +21,7 @@ from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
-from proprio_ros.nodes.runtime import ManagedNode
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.robot import Robot
 
 RECORD_PERIOD_S = 0.01  # what is commanded is recorded when it changes, and so often

@@ -11,8 +11,9 @@ from typing import Any
 
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.live.payload_export import CONTROLLERS, check_tool, load_at, together
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import Answer, ManagedNode
+from proprio_ros.nodes.services import Answer, call, when_there
 
 ANSWER_S = 5.0  # a controller that takes longer has not heard
 NOT_KNOWN = "it is not known whether it took it: look at the controller before the arm moves"
@@ -107,10 +108,10 @@ class HandingOn:
 
         def found(there: bool) -> None:
             if there:
-                self._node.call(self._client, request, ANSWER_S, answered)
+                call(self._node, self._client, request, ANSWER_S, answered)
             else:
                 answer(
                     False, f"nothing was handed on: {service} is not there; start the arm's driver"
                 )
 
-        self._node.when_there(self._client, found)
+        when_there(self._node, self._client, found)

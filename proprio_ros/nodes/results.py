@@ -29,8 +29,9 @@ from proprio_ros.live.online_estimator import (
 )
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import messages
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.numeric import StampedEstimates
-from proprio_ros.nodes.runtime import LATCHED, ManagedNode
+from proprio_ros.nodes.qos import LATCHED
 from proprio_ros.pipeline.request import Request
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Carried, Carries, Probe, Shown

@@ -14,8 +14,8 @@ from proprio_ros.identification.regression.online import OnlineEstimate
 from proprio_ros.live.news import WARNED_S, WITHDRAWN_S, Arrival, Backlog, News
 from proprio_ros.live.online_estimator import OnlineFeed
 from proprio_ros.nodes.inputs import Inputs
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import ManagedNode
 
 RUNNING_PERIOD_S = 0.1
 UNFED_S, STALLED_S = 2.0, 0.5
@@ -162,7 +162,7 @@ class Running:
             return
         why = self._late
         # what is taken now was sent then; where nothing waits, all has been heard that came before the node's last turn
-        reached_s = self._node.turned_s if arrival is None else arrival.sent_s
+        reached_s = self._node.turns.begun_s if arrival is None else arrival.sent_s
         if reached_s - self._fed_s > (STALLED_S if self._feed.samples else UNFED_S):
             waits_for = self._feed.waits_for or "no joint states of the arm are coming"
             why = f"the running estimate waits: {waits_for}"

@@ -15,7 +15,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.nodes.runtime import Answer, ManagedNode
+from proprio_ros.nodes.managed_node import ManagedNode
+from proprio_ros.nodes.services import Answer, call, when_there
 
 if TYPE_CHECKING:
     from proprio_ros.nodes.excitation import ExcitationNode
@@ -95,8 +96,8 @@ class Switching:
                 )
             self.engaged = True  # from now on ours may be active, whatever the answer
             request = self.controllers.request(self._kind, engage)
-            return self._node.call(
-                self._client, request, ANSWER_S, answered, self.controllers.service
+            return call(
+                self._node, self._client, request, ANSWER_S, answered, self.controllers.service
             )
 
         def answered(response: Any, why: str) -> None:
@@ -107,7 +108,7 @@ class Switching:
                 self.engaged = engage != bool(why)
             then(why)
 
-        self._node.when_there(self._client, found)
+        when_there(self._node, self._client, found)
 
 
 def switching_of(node: ManagedNode, topic: str) -> Switching | None:

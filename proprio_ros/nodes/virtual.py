@@ -18,8 +18,10 @@ from proprio_ros import clock
 from proprio_ros.clock import Pacer
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.parameters import INPUT_TOPICS, ROBOT, Parameter
-from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
+from proprio_ros.nodes.process import run_node
+from proprio_ros.nodes.qos import FROM_MANY, LATCHED, STREAM
 from proprio_ros.probes import virtual_object, virtual_objects
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.virtual.arm import import_mujoco

@@ -21,10 +21,10 @@ from proprio_ros.live.session import Session
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.carrying import Carrying
 from proprio_ros.nodes.inputs import Inputs
+from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.running import Running
-from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import probe_at_work
 from proprio_ros.recordings.topics import JOINT_STATE

@@ -22,14 +22,14 @@ def main() -> None:
     from std_msgs.msg import Float64, Float64MultiArray
 
     from proprio_ros.clock import run_in_real_time
-    from proprio_ros.nodes.runtime import _leave_shared_memory
+    from proprio_ros.nodes.middleware import leave_shared_memory
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--goals", action="store_true")
     parser.add_argument("--rate", type=float, default=500.0)
     given = parser.parse_args()
-    _leave_shared_memory()
+    leave_shared_memory()
     rclpy.init()
     node, arm, lock = (
         rclpy.create_node("foreign_arm"),

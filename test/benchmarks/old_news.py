@@ -126,9 +126,10 @@ def play(file: Path) -> None:
 
     from proprio_ros.clock import run_in_real_time
     from proprio_ros.nodes.messages import joint_state
-    from proprio_ros.nodes.runtime import STREAM, _leave_shared_memory
+    from proprio_ros.nodes.middleware import leave_shared_memory
+    from proprio_ros.nodes.qos import STREAM
 
-    _leave_shared_memory()
+    leave_shared_memory()
     rclpy.init()
     node = rclpy.create_node("arm")
     publisher = node.create_publisher(JointState, "/joint_states", STREAM)
@@ -163,7 +164,7 @@ class Listener:
         from sensor_msgs.msg import JointState
         from support.listening import HEARD
 
-        from proprio_ros.nodes.runtime import STREAM
+        from proprio_ros.nodes.qos import STREAM
 
         rclpy.init()
         self.said: list[Said] = []

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from proprio_ros.nodes import runtime
+from proprio_ros.nodes import middleware
 
 SET_BY_THE_USER = [
     {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
@@ -22,15 +22,15 @@ SET_BY_THE_USER = [
 
 @pytest.fixture(autouse=True)
 def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in (*runtime._RANGE_SET_BY, "FASTDDS_BUILTIN_TRANSPORTS"):
+    for name in (*middleware.RANGE_SET_BY, "FASTDDS_BUILTIN_TRANSPORTS"):
         monkeypatch.setenv(name, "")  # so that what a test makes of it is undone
         monkeypatch.delenv(name)
 
 
 def test_by_default_nobody_on_the_network_finds_a_node() -> None:
-    runtime._stay_on_this_machine()
+    middleware.stay_on_this_machine()
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    runtime._leave_shared_memory()
+    middleware.leave_shared_memory()
     assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("localhost_udp.xml")
 
 
@@ -40,9 +40,9 @@ def test_what_the_user_has_set_counts(
 ) -> None:
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    runtime._stay_on_this_machine()
+    middleware.stay_on_this_machine()
     assert {
-        name: os.environ[name] for name in runtime._RANGE_SET_BY if name in os.environ
+        name: os.environ[name] for name in middleware.RANGE_SET_BY if name in os.environ
     } == environment
 
 
@@ -50,7 +50,7 @@ def test_peers_that_are_stated_are_kept(monkeypatch: pytest.MonkeyPatch) -> None
     """rmw reads them with this range only, not with the one that our own profile needs."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_STATIC_PEERS", "192.168.1.7")
-    runtime._stay_on_this_machine()
-    runtime._leave_shared_memory()
+    middleware.stay_on_this_machine()
+    middleware.leave_shared_memory()
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ

@@ -26,7 +26,8 @@ from proprio_ros.live.job import Job, JobError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.nodes.identifier import IdentifierNode
-from proprio_ros.nodes.runtime import IDLE_PAUSE_S, STREAM, ManagedNode
+from proprio_ros.nodes.managed_node import IDLE_PAUSE_S, ManagedNode
+from proprio_ros.nodes.qos import STREAM
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
 
@@ -292,7 +293,7 @@ def test_timers_have_their_turn_where_messages_come_faster_than_they_are_taken(
             yield data, info
         raise AssertionError("no end")
 
-    monkeypatch.setattr("proprio_ros.nodes.runtime.waiting", endless)
+    monkeypatch.setattr("proprio_ros.nodes.listening.waiting", endless)
     heard: list[int] = []
     identifier.listen(
         JointState,

@@ -31,7 +31,7 @@ from proprio_ros.inputs.resources import resource
 from proprio_ros.live.job import WEIGH, Job, JobError
 from proprio_ros.live.online_estimator import current_A
 from proprio_ros.live.session import Session, live_request
-from proprio_ros.nodes import driver, identifier, jobs, messages, runtime
+from proprio_ros.nodes import driver, identifier, jobs, managed_node, messages
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes import probe_named
 from proprio_ros.quantity import Sought
@@ -120,7 +120,7 @@ def entries_of(node: Any) -> dict[str, str]:
 def test_it_says_where_real_time_is_not_granted(
     nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, granted: bool
 ) -> None:
-    monkeypatch.setattr(runtime, "run_in_real_time", lambda threads: granted)
+    monkeypatch.setattr(managed_node, "run_in_real_time", lambda threads: granted)
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     said: list[str] = []
     monkeypatch.setattr(node, "say", lambda severity, words: said.append(words))
@@ -128,7 +128,7 @@ def test_it_says_where_real_time_is_not_granted(
     assert not said, "a thread beside others decides nothing for them"
     node.hearing = {1}
     node.hear_in_real_time()
-    assert said == [runtime.NOT_GRANTED] * (not granted)
+    assert said == [managed_node.NOT_GRANTED] * (not granted)
 
 
 def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> None:

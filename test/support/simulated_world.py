@@ -48,7 +48,7 @@ def _on_stand_ins() -> dict[str, ModuleType]:
         with simulated_ros.installed():
             return {
                 name: importlib.import_module(f"{room}.{name}")
-                for name in (*NODES, "runtime", "demo")
+                for name in (*NODES, "managed_node", "process", "demo")
             }
     finally:
         taken()
@@ -61,7 +61,7 @@ NODES = {
     "virtual": "VirtualNode", "driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode",
 }  # fmt: skip
 ROOM = _on_stand_ins()
-ROOM["runtime"].run_in_real_time = lambda *_: True  # nothing here is bound to any time
+ROOM["managed_node"].run_in_real_time = lambda *_: True  # nothing here is bound to any time
 LINK = "/simulated/arm"
 
 
@@ -91,7 +91,7 @@ class Process:
             self.node = self._make()
             return self.node
 
-        self.code = ROOM["runtime"].live(make, self._ended)
+        self.code = ROOM["process"].live(make, self._ended)
 
     @property
     def alive(self) -> bool:

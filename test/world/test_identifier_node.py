@@ -14,7 +14,7 @@ from support.simulated_live import running
 
 from proprio_ros.live.job import Job
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.runtime import IDLE_PAUSE_S
+from proprio_ros.nodes.managed_node import IDLE_PAUSE_S
 
 
 def test_an_idle_identifier_takes_what_waits_at_once(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ pytest.importorskip("mujoco")
 from std_msgs.msg import Bool
 from support.foreign_live import foreign
 
-from proprio_ros.nodes.runtime import LATCHED
+from proprio_ros.nodes.qos import LATCHED
 
 pytestmark = pytest.mark.long
 

@@ -21,7 +21,7 @@ from support.simulated_live import Client, running
 from support.virtual_pick_and_place import HIGHEST, LOWEST
 
 from proprio_ros.nodes.messages import labelled, time_ns, values_of
-from proprio_ros.nodes.runtime import COMMANDS, LATCHED
+from proprio_ros.nodes.qos import COMMANDS, LATCHED
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.request import Options
 from proprio_ros.records import JointRecord, Recording
