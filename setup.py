@@ -50,8 +50,6 @@ setup(
         "rosbags>=0.11.9,<0.12",
         "ruamel.yaml",
         "scipy>=1.11",
-        "matplotlib>=3.6",
-        "cma>=3.3,<5",
         "dynamixel-sdk",
         "pyserial",
         "threadpoolctl>=3.1",
@@ -70,9 +68,15 @@ setup(
         "batch": ["pyarrow>=15"],
         # one engine of batches; heavy
         "ray": ["ray[data]>=2.40", "pyarrow>=15"],
-        # one row of the speed table of `proprio paper`
-        "newton": ["newton>=1.8,<2"],
+        # pages with figures, and figures of notebooks
+        "report": ["matplotlib>=3.6"],
+        # one solver of three, which `--solver cma` and `proprio paper` ask for
+        "cma": ["cma>=3.3,<5"],
+        # `proprio paper` compares optimisers on recordings of a simulated arm
+        "paper": ["mujoco>=3.7,<5", "cma>=3.3,<5"],
         "test": [
+            "matplotlib>=3.6",
+            "cma>=3.3,<5",
             "meshio>=5.3",
             "pyarrow>=15",
             "pandas",
@@ -85,7 +89,12 @@ setup(
             "mypy",
         ],
         # the pages of docs/; equations become MathML when they are built
-        "docs": ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"],
+        "docs": [
+            "matplotlib>=3.6",
+            "mkdocs>=1.6,<2",
+            "mkdocs-material>=9.5,<10",
+            "latex2mathml>=3.77",
+        ],
     },
     entry_points={
         "console_scripts": [

@@ -146,9 +146,7 @@ ROS = {
 }
 # heavy or special libraries, and the only rooms that may import them
 ONLY_IN = {
-    # the paper's room for Newton only, whose models and gradients are Warp's
     "warp": {"sim", "paper"},
-    "newton": {"paper"},
     "rosbags": {"recordings"},
     "mujoco": {"virtual", "paper"},
     "dynamixel_sdk": {"bus"},

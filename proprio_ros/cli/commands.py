@@ -60,6 +60,9 @@ def _refuse_unwritable(report: str | None, force: bool, output: str = "") -> Non
         raise ConfigurationError(f"--report {report}: is --output, too: name another file")
     if report:
         check_page(Path(report), "--report", force)
+        from proprio_ros.report.figures import drawing_library
+
+        drawing_library()
 
 
 def _settings(pairs: Sequence[str]) -> dict[str, Any]:

@@ -282,7 +282,7 @@ def _paper(add: Callable[..., _Parser]) -> None:
         command=obey.paper,
         help="run the paper's experiments again and write one page",
         description="Run the experiments of the paper that this package follows, in its way and in ours, on recordings of a "
-        "simulated arm (extra sim), and write DIR/paper.html with its tables and figures. Rows are kept in DIR/rows: a run that "
+        "simulated arm (extra paper), and write DIR/paper.html with its tables and figures. Rows are kept in DIR/rows: a run that "
         "was stopped goes on.",
         epilog=GOES_ON,
     )

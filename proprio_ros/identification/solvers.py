@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -264,6 +264,20 @@ def adam(
     return replace(found, internal=found.internal * natural, path=found.path * natural)
 
 
+def cma_library() -> Any:
+    """Hansen's module ``cma``.
+
+    Raises `ConfigurationError`: It is not installed.
+    """
+    try:
+        import cma as library
+    except ImportError as error:
+        raise ConfigurationError(
+            "CMA-ES needs the package cma: pip install 'proprio_ros[cma]', or use --solver lm"
+        ) from error
+    return library
+
+
 def cma(
     problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed: int = 1
 ) -> Solution:
@@ -271,12 +285,7 @@ def cma(
 
     Raises `ConfigurationError`: The library is not installed.
     """
-    try:
-        import cma as library
-    except ImportError as error:
-        raise ConfigurationError(
-            "--solver cma needs the package 'cma': pip install cma, or use --solver lm"
-        ) from error
+    library = cma_library()
     coordinates = problem.coordinates
     natural = coordinates.natural
     bounds = [list(coordinates.lower / natural), list(coordinates.upper / natural)]

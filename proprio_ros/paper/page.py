@@ -471,9 +471,7 @@ def _speed(found: Sequence[Rows]) -> list[str]:
         '<h2 id="speed">Speed</h2>',
         "<p>One recording that comes with the package, a robot without friction in MuJoCo, 50 g at the elbow; five first guesses, "
         "one process, everything loaded and compiled. Unknown are the mass and how the joint began; in the paper's way the mass "
-        "only. None but ours states an interval. Newton: <code>SolverFeatherstone</code> with the paper's way's step, gradient "
-        "through <code>wp.Tape</code>, L-BFGS-B; its steps and their adjoints are recorded once for a recording, then played "
-        "again.</p>",
+        "only. None but ours states an interval.</p>",
         linked(
             "speed",
             ["way", "time of a processor (ms)", "error (g)", "interval (g)"],

@@ -14,10 +14,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.coefficients import reduced_model
 from proprio_ros.identification.solvers import levenberg_marquardt
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.paper.cases import one_lift
@@ -26,7 +24,6 @@ from proprio_ros.paper.ways import Answer, ours, paper_mass, timed
 from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
-from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.robot import inertia_about_origin
 from proprio_ros.sim.joint import INDEX
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
@@ -83,7 +80,6 @@ def speed(seed: int) -> dict[str, Any]:
             *rows,
             theirs.row(way="the paper's way", truth=TRUE_KG),
             _sysid_row(case),
-            *_newton_rows(case),
         ]
     }
 
@@ -338,179 +334,3 @@ def set_mass(body: Any, mass: float, case: _Case) -> None:
     """Give the payload body a mass [kg], and the inertia that goes with it."""
     body.mass = mass
     body.inertia = mass * np.diag(inertia_about_origin(case.facts.shape.second_moment_per_mass))
-
-
-def _newton_rows(case: _Case) -> list[dict[str, Any]]:
-    """With what comes before the search, which is needed once for every recording, and without."""
-    try:
-        from newton.solvers import SolverFeatherstone  # noqa: F401
-    except ImportError:
-        return [_row("Newton", None, why="not installed: pip install 'proprio_ros[newton]'")]
-    # the paper's way has it, too
-    step_s = last_frame_loss(case.robot, case.run, case.facts, PaperOptions()).step_s
-    arm, before = timed(lambda: NewtonArm(case, step_s))
-    mass, seconds = timed(
-        newton_search(case, arm), lambda: arm(case.problem.coordinates.prior_mean)
-    )
-    whole = _row("Newton: recording its steps, and the search", mass, before + seconds)
-    return [whole, _row("Newton: the search alone", mass, seconds)]
-
-
-class NewtonArm:
-    """The misfit of a recording in Newton, and its gradient through Newton's differentiable solver.
-
-    ``SolverFeatherstone``: reduced coordinates, semi-implicit Euler, single precision, and no dry friction of joints. What the
-    driven joint moves is one body, the payload another, on a fixed joint. All steps, and their adjoints by ``wp.Tape``, are
-    recorded once into two graphs, which are played again for each guess: launched one by one from Python they take some 70
-    times as long.
-    """
-
-    def __init__(self, case: _Case, step_s: float) -> None:
-        import newton
-
-        prepared, self._prior = case.prepared, case.problem.coordinates
-        locked = reduced_model(case.robot, case.run, {})
-        pseudo = locked.pseudo_inertia[0]
-        mass = pseudo[3, 3]
-        com = pseudo[:3, 3] / pseudo[3, 3]
-        second = pseudo[:3, :3] - mass * np.outer(com, com)
-        spread = case.facts.shape.second_moment_per_mass
-        self._inertia_per_kg = inertia_about_origin(spread)
-        builder = newton.ModelBuilder(gravity=tuple(locked.gravity))
-        moved = builder.add_link(
-            mass=mass, com=tuple(com), inertia=wp.mat33(inertia_about_origin(second))
-        )
-        self._payload = builder.add_link(
-            mass=STARTS_KG[0],
-            com=tuple(case.facts.com),
-            inertia=wp.mat33(STARTS_KG[0] * self._inertia_per_kg),
-        )
-        nothing = dict.fromkeys(("damping", "stiffness", "target_ke", "target_kd", "friction"), 0.0)
-        placement = _transform(locked.placement[0])
-        axis = tuple(locked.axes[0])
-        armature = prepared.drive.armature.value
-        hinge = builder.add_joint_revolute(
-            -1, moved, parent_xform=placement, axis=axis, armature=armature, **nothing
-        )
-        weld = builder.add_joint_fixed(
-            moved,
-            self._payload,
-            parent_xform=_transform(locked.frames[case.robot.payload_frame][1]),
-        )
-        builder.add_articulation([hinge, weld])
-        self._model = model = builder.finalize(device="cpu", requires_grad=True)
-        self._solver = newton.solvers.SolverFeatherstone(model)
-        self._control = model.control()
-        self._control.joint_f.fill_(
-            prepared.drive.torque_constant.value * float(case.run.input_current_A[0])
-        )
-
-        instants = np.maximum(prepared.times_s - case.robot.delay.value, 0.0) / step_s
-        steps = math.ceil(instants[-1] - 1e-6)
-        self._row = np.clip(
-            np.floor(instants).astype(int),
-            0,
-            steps - 1,
-        )
-        self._share = instants - self._row
-        self._position, self._sigma = prepared.position, prepared.sigma
-        self._states = [model.state() for _ in range(steps + 1)]
-        # a sample lies between two steps: the misfit's slope with respect to these goes into the tape
-        self._slopes = {
-            row: wp.zeros(1, dtype=wp.float32, device="cpu")
-            for row in np.union1d(self._row, self._row + 1)
-        }
-
-        def play() -> None:
-            # the payload's mass has changed
-            self._solver.notify_model_changed(newton.ModelFlags.BODY_INERTIAL_PROPERTIES)
-            for before, after in zip(self._states[:-1], self._states[1:], strict=True):
-                self._solver.step(before, after, self._control, None, step_s)
-
-        play()  # what it compiles and allocates is no part of a graph
-        tape = wp.Tape()
-        with wp.ScopedCapture(device="cpu") as forward, tape:
-            play()
-        into = {self._states[row].joint_q: slope for row, slope in self._slopes.items()}
-        tape.backward(grads=into)  # before, the tape does not know what it has to set to zero
-        with wp.ScopedCapture(device="cpu") as backward:
-            tape.zero()
-            tape.backward(grads=into)
-        self._tape, self._forward, self._backward = tape, forward.graph, backward.graph
-
-    def __call__(self, values: np.ndarray) -> tuple[float, np.ndarray]:
-        """Cost, half the sum of squares, and its gradient with respect to mass, position and velocity at the start, shape (3,)."""
-        off = (self.positions(values) - self._position) / self._sigma
-        slopes = np.zeros(len(self._states))
-        np.add.at(
-            slopes,
-            self._row,
-            (1.0 - self._share) * off / self._sigma,
-        )
-        np.add.at(
-            slopes,
-            self._row + 1,
-            self._share * off / self._sigma,
-        )
-        for row, slope in self._slopes.items():
-            slope.fill_(slopes[row])
-        wp.capture_launch(self._backward)
-        model = self._model
-        first = self._states[0]
-        by_mass = model.body_mass.grad.numpy()[self._payload]
-        by_inertia = model.body_inertia.grad.numpy()[self._payload]
-        by_start = first.joint_q.grad.numpy()[0], first.joint_qd.grad.numpy()[0]
-        gradient = np.array([by_mass + np.sum(by_inertia * self._inertia_per_kg), *by_start])
-        further = values - self._prior.prior_mean
-        pull = self._prior.prior_precision @ further
-        return 0.5 * float(off @ off + further @ pull), gradient + pull
-
-    def positions(self, values: np.ndarray) -> np.ndarray:
-        """Of the joint at the samples [rad], shape (T,), for a mass, a position and a velocity at the start."""
-        mass, q0, v0 = values
-        self._model.body_mass[self._payload : self._payload + 1].fill_(mass)
-        self._model.body_inertia[self._payload : self._payload + 1].fill_(
-            wp.mat33(mass * self._inertia_per_kg)
-        )
-        self._states[0].joint_q.fill_(q0)
-        self._states[0].joint_qd.fill_(v0)
-        wp.capture_launch(self._forward)
-        way = np.array(
-            [state.joint_q.numpy()[0] for state in self._states],
-            dtype=np.float64,
-        )
-        return (1.0 - self._share) * way[self._row] + self._share * way[self._row + 1]
-
-
-def newton_search(case: _Case, arm: NewtonArm) -> Callable[[], float]:
-    """scipy's L-BFGS-B on Newton's gradient, from all starts."""
-    from scipy.optimize import Bounds, minimize
-
-    coordinates = case.problem.coordinates
-    low, high = (coordinates.internal(np.array([mass, 0.0, 0.0]))[0] for mass in (1e-4, 2.0))
-    bounds = Bounds(
-        [low, -np.inf, -np.inf],
-        [high, np.inf, np.inf],
-    )
-
-    def cost(scaled: np.ndarray) -> tuple[float, np.ndarray]:
-        internal = scaled * coordinates.natural
-        value, gradient = arm(coordinates.physical(internal))
-        return value, gradient * coordinates.slope(internal) * coordinates.natural
-
-    def solve() -> float:
-        first = case.starts / coordinates.natural
-        ends = [
-            minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in first
-        ]
-        best = min(ends, key=lambda end: float(end.fun))
-        return float(case.masses(best.x[None] * coordinates.natural)[0])
-
-    return solve
-
-
-def _transform(matrix: np.ndarray) -> Any:
-    return wp.transform(
-        wp.vec3(*matrix[:3, 3]),
-        wp.quat_from_matrix(wp.mat33(matrix[:3, :3])),
-    )

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.identification.solvers import cma_library
 from proprio_ros.inputs.resources import share_directory, write_in_one_step
 from proprio_ros.paper.cases import Rows
 from proprio_ros.paper.experiments import EXPERIMENTS, experiment
@@ -120,6 +121,8 @@ def run(
     """
     wanted = tasks_of(names, seeds)
     missing = [task for task in wanted if store.read(task) is None]
+    if any(name == "optimisers" for name, _ in missing):
+        cma_library()  # whoever lacks it learns so now, not after hours
     tell(f"{len(wanted)} experiments and seeds, {len(wanted) - len(missing)} of them done before")
     began = time.monotonic()
     done = 0

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from html import escape
 from typing import Any
 
+from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import JointFit, RunFit
 from proprio_ros.records import TORQUE_OFF
 
@@ -28,10 +29,24 @@ _THEME = {
 """Colours of a figure, and the page's own that take their place, which follow the reader's colour scheme."""
 
 
+def drawing_library() -> Any:
+    """The module matplotlib.
+
+    Raises `ConfigurationError`: It is not installed.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise ConfigurationError(
+            "pages and figures need the package matplotlib: pip install 'proprio_ros[report]'"
+        ) from error
+    return matplotlib
+
+
 @contextmanager
 def drawn(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any]]:
     """A figure outside of pyplot's global state, in the page's style."""
-    import matplotlib
+    matplotlib = drawing_library()
     from matplotlib.figure import Figure
 
     style = {
@@ -64,8 +79,7 @@ def plain(words: str) -> str:
 
 def svg(figure: Any, description: str) -> str:
     """Inline SVG with a description for those who cannot see it."""
-    import matplotlib
-
+    matplotlib = drawing_library()
     buffer = io.StringIO()
     # words stay words: they can be searched and read aloud, and the page is half as large as with drawn letters
     with matplotlib.rc_context({"svg.fonttype": "none"}):
