@@ -12,10 +12,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from proprio_ros.identification.moving_part import (
+    InertialTerms,
+    MovingPart,
+    PoseShift,
+    moving_part,
+)
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.robot_unknowns import (
     DRIVE_TERMS,
@@ -36,6 +43,8 @@ from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.payload import PayloadFacts, payload_parameters, payload_parameters_by_com
 
 _GRAVITY_ROWS = slice(0, 4)
+_BEND_THE_PARAMETERS = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS, *OF_A_SWING}
+"""Unknowns on which the simulator's parameters depend non-linearly."""
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -43,11 +52,44 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
+@dataclass(eq=False)
+class _NormalEquations:
+    """Half a squared norm of whitened residuals and its derivatives, summed up part by part, for S guesses of F unknowns."""
+
+    cost: np.ndarray  # (S,)
+    gradient: np.ndarray  # (S, F)
+    matrix: np.ndarray  # Gauss-Newton's, (S, F, F)
+
+    @classmethod
+    def of_priors(cls, coordinates: Coordinates, physical: np.ndarray) -> _NormalEquations:
+        """The priors' part at guesses in physical units, shape (S, F)."""
+        off = physical - coordinates.prior_mean
+        pull = off @ coordinates.prior_precision
+        cost = 0.5 * np.einsum("sf,sf->s", off, pull)
+        return cls(cost, pull.copy(), np.tile(coordinates.prior_precision, (len(physical), 1, 1)))
+
+    def add(self, columns: np.ndarray, residual: np.ndarray, slopes: np.ndarray) -> None:
+        """Residuals (S, T) that depend on the unknowns of some columns (C,), with slopes (S, T, C)."""
+        across = slopes.transpose(0, 2, 1)
+        self.cost += 0.5 * np.einsum("st,st->s", residual, residual)
+        self.gradient[:, columns] += (across @ residual[..., None])[..., 0]
+        self.matrix[:, columns[:, None], columns] += across @ slopes
+
+
 class Problem:
     """The whitened residuals of all runs as a function of the unknowns, for many guesses at once.
 
-    The runs share payload and drive trains; of the robot supply and friction smoothing count. The unknowns are those of
-    ``load_unknowns``, or of ``robot_unknowns`` where every run's load is known; the step is the longest [s].
+    A subclass puts something else into the hand. It may override what stands under "Hooks" below and the public ``linearise``,
+    ``samples`` and ``other_information``, and nothing else; the hooks are called from here on, so it sets its own fields before it
+    calls ``super().__init__``.
+
+    Args:
+        robot: Supply and friction smoothing are its.
+        runs: They share payload and drive trains.
+        facts: What is stated about the payload.
+        unknowns: Those of ``load_unknowns``, or of ``robot_unknowns`` where every run's load is known.
+        integrator: ``"rk4"`` or ``"euler"``.
+        step_s: The longest step [s].
     """
 
     def __init__(
@@ -65,61 +107,40 @@ class Problem:
         self.unknowns = tuple(unknowns)
         self.index: dict[Key, int] = {u.key: row for row, u in enumerate(unknowns)}
         self.free = np.array([row for row, u in enumerate(unknowns) if u.role is Role.FREE])
-        calibration = prior_of(robot, runs)
-        if calibration is not None and calibration.swing_error > 0.0:
-            calibration = calibration.given(
-                {(kind, run.run.joint) for run in runs if run.run.free for kind in RISE}
-            )
-        free = [unknowns[row] for row in self.free]
-        belong = (
-            of_one_kind(robot, free)
-            if calibration is None
-            else (calibration.keys, calibration.covariance)
-        )
-        self.coordinates = Coordinates(free, belong)
+        free = self._free_unknowns()
+        self.coordinates = Coordinates(free, _known_together(robot, runs, free))
         self.base = np.array([u.value for u in unknowns])
-        self.simulator = self._simulator(
+        self.simulator = self.simulator_of(
             [self._joint_run(run, step_s) for run in runs],
             integrator,
         )
-        width = int(self.simulator.sample_counts.max())
-        self.measured = np.zeros((len(runs), width))
-        self.weight = np.zeros((len(runs), width))
-        for row, run in enumerate(runs):
-            self.measured[row, : run.used] = run.position
-            self.weight[row, : run.used] = 1.0 / run.sigma
-        # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
-        bent = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS, *OF_A_SWING}
-        kinds = {u.kind for u in free}
-        self._affine = kinds.isdisjoint(bent) and not kinds.issuperset(
-            {"torque_constant", "disturbance"}
-        )
-        self._ripple = [
-            (-1, -1)
-            if run.run.free
-            else tuple(self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS)
-            for run in self.runs
-        ]
+        self.measured, self.weight = self._observations()
+        self._ripple = [self._ripple_rows(run) for run in self.runs]
         seen = [row for pair in self._ripple for row in pair if row >= 0]
-        self._ripples = not kinds.isdisjoint(RIPPLE_TERMS) or bool(self.base[seen].any())
+        open_ripple = any(u.kind in RIPPLE_TERMS for u in free)
+        self.ripples = open_ripple or bool(self.base[seen].any())
+        """Whether any encoder has a once-per-turn error."""
+        self._affine = self.is_affine()
         self._affine_maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._world_runs: dict[int, np.ndarray] = {}
         self._identities: dict[int, np.ndarray] = {}
 
-    @functools.cached_property
-    def _touching(self) -> list[np.ndarray]:
-        """Which free unknowns can change anything in each run; of use to a fit only."""
-        free = [self.unknowns[row] for row in self.free]
-        return [
-            np.flatnonzero([self._touches(u, row) for u in free]) for row in range(len(self.runs))
-        ]
+    # ---------------------------------------------------------------------------------------------------------------- Hooks
 
-    def _simulator(
+    def simulator_of(
         self, runs: list[JointRun], integrator: str
     ) -> JointSimulator | MixedSimulator[Any]:
+        """What simulates the runs; its parameters begin with those of ``JointSimulator``."""
         return JointSimulator(runs, integrator)
 
-    def _touches(self, unknown: Unknown, row: int) -> bool:
+    def is_affine(self) -> bool:
+        """Whether the simulator's parameters are affine in the free unknowns: then their tangents need no guess."""
+        kinds = {u.kind for u in self._free_unknowns()}
+        return kinds.isdisjoint(_BEND_THE_PARAMETERS) and not kinds.issuperset(
+            {"torque_constant", "disturbance"}
+        )
+
+    def touches(self, unknown: Unknown, row: int) -> bool:
         """Whether an unknown can change anything in a run: its joints, its links, its own start, and what all share."""
         run = self.runs[row]
         owner = unknown.scope
@@ -136,6 +157,81 @@ class Problem:
             case "link":
                 return unknown.key in run.coefficients.links
         return True
+
+    def payload(self, values: np.ndarray) -> InertialTerms:
+        """The unknown payload at guesses (S, N), as a rigid body in the payload's frame."""
+        at = self.index
+        guesses = len(values)
+        mass = values[:, at["payload_mass"]]
+        com = values[:, [at[f"payload_com_{axis}"] for axis in "xyz"]]
+        scale = values[:, at["shape_scale"]]
+        spread = self.facts.shape.second_moment_per_mass
+        per_spread = payload_parameters(
+            np.ones(guesses),
+            np.zeros((guesses, 3)),
+            spread,
+        )
+        per_spread[:, 0] = 0.0
+        per_mass = (
+            payload_parameters(np.ones(guesses), com, np.zeros((3, 3)))
+            + scale[:, None] * per_spread
+        )
+        by_com = payload_parameters_by_com(mass, com)
+        changes = {
+            at["payload_mass"]: per_mass,
+            at["shape_scale"]: mass[:, None] * per_spread,
+        }
+        for axis, name in enumerate("xyz"):
+            changes[at[f"payload_com_{name}"]] = by_com[:, :, axis]
+        return InertialTerms(mass[:, None] * per_mass, changes)
+
+    def payload_in(self, row: int, payload: InertialTerms) -> InertialTerms:
+        """What the hand rigidly holds in a run whose load is not known, given the ``payload`` that all such runs share."""
+        return payload
+
+    def all_parameters(
+        self,
+        values: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``parameters``, by every unknown; a subclass fills in what its simulator has beyond a joint's parameters."""
+        guesses = len(values)
+        width = len(self.simulator.parameters)
+        p = np.zeros((guesses, len(self.runs), width))
+        dp = np.zeros((guesses, len(self.runs), width, len(self.unknowns)))
+        payload = self.payload(values) if "payload_mass" in self.index else None
+        for row in range(len(self.runs)):
+            self._fill(row, values, payload, p[:, row], dp[:, row])
+        return p, dp
+
+    # ------------------------------------------------------------------------------------------------- What the runs are made of
+
+    def _free_unknowns(self) -> list[Unknown]:
+        return [self.unknowns[row] for row in self.free]
+
+    def _observations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Measured positions and one over their standard deviations, shape (R, T) each, 0 behind a run's end."""
+        width = int(self.simulator.sample_counts.max())
+        measured = np.zeros((len(self.runs), width))
+        weight = np.zeros((len(self.runs), width))
+        for row, run in enumerate(self.runs):
+            measured[row, : run.used] = run.position
+            weight[row, : run.used] = 1.0 / run.sigma
+        return measured, weight
+
+    def _ripple_rows(self, run: PreparedRun) -> tuple[int, int]:
+        """Columns of the unknowns of the encoder's once-per-turn error, -1 where there are none."""
+        if run.run.free:
+            return -1, -1
+        of_cos, of_sin = (self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS)
+        return of_cos, of_sin
+
+    @functools.cached_property
+    def _touching(self) -> list[np.ndarray]:
+        """Which free unknowns can change anything in each run; of use to a fit only."""
+        free = self._free_unknowns()
+        return [
+            np.flatnonzero([self.touches(u, row) for u in free]) for row in range(len(self.runs))
+        ]
 
     def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
         drive = run.drive
@@ -194,109 +290,84 @@ class Problem:
 
         ``values``: all unknowns of each guess, shape (S, N); ``columns``: which unknowns to differentiate by, shape (F,).
         """
-        p, dp = self._all_parameters(values)
+        p, dp = self.all_parameters(values)
         return p, dp[..., columns]
 
-    def _all_parameters(
-        self,
-        values: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """As ``parameters``, by every unknown."""
-        guesses = len(values)
-        width = len(self.simulator.parameters)
-        p = np.zeros((guesses, len(self.runs), width))
-        dp = np.zeros((guesses, len(self.runs), width, len(self.unknowns)))
-        at = self.index
-        payload = self._payload(values) if "payload_mass" in at else None
-        for row, run in enumerate(self.runs):
-            joint = run.run.joint
-            p[:, row, _GRAVITY_ROWS], dp[:, row, _GRAVITY_ROWS] = self._moving_part(
-                row, values, payload
-            )
-            direct: dict[Key, str] = {(kind, joint): kind for kind in DRIVE_TERMS}
-            direct |= {("armature", joint): "inertia", "delay": "delay", ("onset", row): "delay"}
-            direct |= {("q0", row): "q0", ("v0", row): "v0"}
-            if run.run.free:
-                for kind in RISE:
-                    p[:, row, INDEX[kind]] = self.base[at[kind, joint]]
-                left_out = (*NOT_IN_A_SWING, *KEPT_IN_A_SWING)
-                direct = {key: to for key, to in direct.items() if to not in left_out}
-            for key, to in direct.items():
-                p[:, row, INDEX[to]] += values[:, at[key]]
-                dp[:, row, INDEX[to], at[key]] = 1.0
-            self._disturb(row, p, dp, values)
-            if run.run.free:
-                self._change_friction(row, p, dp, values)
-            elif run.load is None:
-                p[:, row, INDEX["carried"]] = values[:, at["payload_mass"]]
-                dp[:, row, INDEX["carried"], at["payload_mass"]] = 1.0
-            else:
-                p[:, row, INDEX["carried"]] = run.load.mass
-            self._start_reading(row, p, dp, values)
-        return p, dp
-
-    def _moving_part(
+    def _fill(
         self,
         row: int,
         values: np.ndarray,
-        payload: tuple[np.ndarray, dict[int, np.ndarray]] | None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Inertia and gravity load of arm and payload, shape (S, 4), and their derivative by every unknown, shape (S, 4, N)."""
+        payload: InertialTerms | None,
+        p: np.ndarray,
+        dp: np.ndarray,
+    ) -> None:
+        """A joint's parameters in one run, written into p (S, P) and dp (S, P, N), which are zero; see ``all_parameters``."""
         run = self.runs[row]
-        c = run.coefficients
+        part = self._moving_part(row, values, payload)
+        p[:, _GRAVITY_ROWS] = part.load
+        dp[:, _GRAVITY_ROWS] = part.by_unknown
+        if run.run.free:
+            for kind in RISE:
+                p[:, INDEX[kind]] = self.base[self.index[kind, run.run.joint]]
+        for key, parameter in self._direct(row).items():
+            column = self.index[key]
+            p[:, INDEX[parameter]] += values[:, column]
+            dp[:, INDEX[parameter], column] = 1.0
+        self._disturb(row, p, dp, values)
+        if run.run.free:
+            self._change_friction(row, p, dp, values)
+        elif run.load is None:
+            mass = self.index["payload_mass"]
+            p[:, INDEX["carried"]] = values[:, mass]
+            dp[:, INDEX["carried"], mass] = 1.0
+        else:
+            p[:, INDEX["carried"]] = run.load.mass
+        self._start_reading(row, p, dp, values)
+
+    def _direct(self, row: int) -> dict[Key, str]:
+        """Which unknowns are parameters of a run's simulation as they are, or are added to one."""
+        joint = self.runs[row].run.joint
+        direct: dict[Key, str] = {(kind, joint): kind for kind in DRIVE_TERMS}
+        direct["armature", joint] = "inertia"
+        direct["delay"] = "delay"
+        direct["onset", row] = "delay"
+        direct["q0", row] = "q0"
+        direct["v0", row] = "v0"
+        if not self.runs[row].run.free:
+            return direct
+        left_out = (*NOT_IN_A_SWING, *KEPT_IN_A_SWING)
+        return {key: to for key, to in direct.items() if to not in left_out}
+
+    def _moving_part(
+        self, row: int, values: np.ndarray, payload: InertialTerms | None
+    ) -> MovingPart:
+        """Inertia and gravity load of arm and payload in one run, as its encoder's reading sees them."""
+        run = self.runs[row]
         at = self.index
-        guesses = len(values)
-        arm_scale = values[:, at["arm_scale"]]
-        arm = np.tile(c.arm, (guesses, 1))
-        lever = np.tile(c.payload, (guesses, 1, 1))
-        shifts = [self._shift(name, run.run.held[name], values) for name in c.pose]
-        for h, (shift, _) in enumerate(shifts):
-            # the joint stands at its reading plus its zero, less the encoder's error
-            arm = arm + shift[:, None] * c.arm_by_pose[h]
-            lever = lever + shift[:, None, None] * c.payload_by_pose[h]
-        g = arm_scale[:, None] * arm
-        d = np.zeros((guesses, 4, len(self.unknowns)))
-        d[:, :, at["arm_scale"]] = arm
-        links = [at[key] for key in c.links]
-        g += values[:, links] @ c.arm_by_link
-        d[:, :, links] += c.arm_by_link.T
+        coefficients = run.coefficients
         if run.load is None:
             assert payload is not None
-            carried, by_unknown = payload
-            for column, change in by_unknown.items():
-                d[:, :, column] = np.einsum("sij,sj->si", lever, change)
+            load = self.payload_in(row, payload)
         else:
-            carried = np.tile(run.load.inertial_parameters, (guesses, 1))
-        g += np.einsum("sij,sj->si", lever, carried)
-        for h, (_, by_zero) in enumerate(shifts):
-            change = arm_scale[:, None] * c.arm_by_pose[h] + carried @ c.payload_by_pose[h].T
-            for column, factor in by_zero:
-                d[:, :, column] += factor * change
+            load = InertialTerms(np.tile(run.load.inertial_parameters, (len(values), 1)), {})
+        part = moving_part(
+            coefficients,
+            load,
+            [self.shift(name, run.run.held[name], values) for name in coefficients.pose],
+            values,
+            at["arm_scale"],
+            [at[key] for key in coefficients.links],
+        )
         zero = at.get(("zero", run.run.joint))
-        if zero is not None:
-            own = zero
-            z = values[:, zero]
-            if run.run.free:
-                own = at["swing_zero", row]
-                z = self.base[zero] + values[:, own]
-            cos = np.cos(z)
-            sin = np.sin(z)
-            ga = g[:, 1].copy()
-            gb = g[:, 2].copy()
-            da = d[:, 1].copy()
-            db = d[:, 2].copy()
-            g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
-            d[:, 1] = da * cos[:, None] + db * sin[:, None]
-            d[:, 2] = db * cos[:, None] - da * sin[:, None]
-            d[:, 1, own] += g[:, 2]
-            d[:, 2, own] -= g[:, 1]
+        if zero is not None and run.run.free:
+            own = at["swing_zero", row]
+            part.turn(self.base[zero] + values[:, own], own)
+        elif zero is not None:
+            part.turn(values[:, zero], zero)
         if run.run.free:
-            repeats = at["moment_change", row]
-            times = 1.0 + values[:, repeats]
-            d[:, 1:] *= times[:, None, None]
-            d[:, 1:, repeats] = g[:, 1:]
-            g[:, 1:] *= times[:, None]
-        return g, d
+            change = at["moment_change", row]
+            part.scale_gravity(1.0 + values[:, change], change)
+        return part
 
     def _disturb(
         self,
@@ -319,9 +390,9 @@ class Problem:
         stated = run.drive.torque_constant.value
         factor = values[:, constant] / stated
         to = INDEX["gravity_constant"]
-        p[:, row, to] -= factor * values[:, disturbance]
-        dp[:, row, to, disturbance] = -factor
-        dp[:, row, to, constant] -= values[:, disturbance] / stated
+        p[:, to] -= factor * values[:, disturbance]
+        dp[:, to, disturbance] = -factor
+        dp[:, to, constant] -= values[:, disturbance] / stated
 
     def _change_friction(
         self,
@@ -340,9 +411,9 @@ class Problem:
         change = at["friction_change", row]
         factor = 1.0 + values[:, change]
         for kind in ("coulomb", "viscous"):
-            p[:, row, INDEX[kind]] *= factor
-            dp[:, row, INDEX[kind], at[kind, joint]] = factor
-            dp[:, row, INDEX[kind], change] = values[:, at[kind, joint]]
+            p[:, INDEX[kind]] *= factor
+            dp[:, INDEX[kind], at[kind, joint]] = factor
+            dp[:, INDEX[kind], change] = values[:, at[kind, joint]]
         run = self.runs[row]
         load_friction = at["load_friction", joint]
         mass = run.arm_as_payload + (
@@ -350,47 +421,22 @@ class Problem:
         )
         lost = values[:, load_friction]
         carried = INDEX["carried"]
-        p[:, row, carried] = factor * lost * mass
-        dp[:, row, carried, load_friction] = factor * mass
-        dp[:, row, carried, change] = lost * mass
+        p[:, carried] = factor * lost * mass
+        dp[:, carried, load_friction] = factor * mass
+        dp[:, carried, change] = lost * mass
         if run.load is None:
-            dp[:, row, carried, at["payload_mass"]] = factor * lost
+            dp[:, carried, at["payload_mass"]] = factor * lost
 
-    def _payload(
-        self,
-        values: np.ndarray,
-    ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-        """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""
-        at = self.index
-        guesses = len(values)
-        mass = values[:, at["payload_mass"]]
-        com = values[:, [at[f"payload_com_{axis}"] for axis in "xyz"]]
-        scale = values[:, at["shape_scale"]]
-        spread = self.facts.shape.second_moment_per_mass
-        per_spread = payload_parameters(
-            np.ones(guesses),
-            np.zeros((guesses, 3)),
-            spread,
-        )
-        per_spread[:, 0] = 0.0
-        per_mass = (
-            payload_parameters(np.ones(guesses), com, np.zeros((3, 3)))
-            + scale[:, None] * per_spread
-        )
-        by_com = payload_parameters_by_com(mass, com)
-        changes = {
-            at["payload_mass"]: per_mass,
-            at["shape_scale"]: mass[:, None] * per_spread,
-        }
-        changes |= {
-            at[f"payload_com_{name}"]: by_com[:, :, axis] for axis, name in enumerate("xyz")
-        }
-        return mass[:, None] * per_mass, changes
+    def shift(self, name: str, reading: float, values: np.ndarray) -> PoseShift:
+        """True position less reading of a locked joint.
 
-    def _shift(
-        self, name: str, reading: float, values: np.ndarray
-    ) -> tuple[np.ndarray, list[tuple[int, float]]]:
-        """True position less reading of a locked joint, shape (S,), and what it changes with."""
+        Args:
+            name: The joint.
+            reading: Where its encoder has it [rad].
+            values: All unknowns of each guess, shape (S, N).
+
+        Returns: the difference [rad], and what it changes with.
+        """
         terms = [
             ("zero", 1.0),
             ("ripple_cos", -np.cos(reading)),
@@ -401,9 +447,10 @@ class Problem:
             for kind, factor in terms
             if (kind, name) in self.index
         ]
-        return sum(
-            (values[:, row] * factor for row, factor in present), np.zeros(len(values))
-        ), present
+        total = np.zeros(len(values))
+        for column, factor in present:
+            total = total + values[:, column] * factor
+        return PoseShift(total, present)
 
     def _start_reading(
         self,
@@ -414,20 +461,20 @@ class Problem:
     ) -> None:
         """``q0`` is what the encoder shows at the start; the simulator wants it without the encoder's error."""
         cos_row, sin_row = self._ripple[row]
-        if not self._ripples or cos_row < 0:
+        if not self.ripples or cos_row < 0:
             return
         a = values[:, cos_row]
         b = values[:, sin_row]
         start = INDEX["q0"]
-        q = p[:, row, start].copy()
+        q = p[:, start].copy()
         cos = np.cos(q)
         sin = np.sin(q)
-        p[:, row, start] = q - a * cos - b * sin
-        dp[:, row, start, self.index["q0", row]] = 1.0 + a * sin - b * cos
-        dp[:, row, start, cos_row] = -cos
-        dp[:, row, start, sin_row] = -sin
+        p[:, start] = q - a * cos - b * sin
+        dp[:, start, self.index["q0", row]] = 1.0 + a * sin - b * cos
+        dp[:, start, cos_row] = -cos
+        dp[:, start, sin_row] = -sin
 
-    def _observe(
+    def observe(
         self,
         row: int,
         values: np.ndarray,
@@ -455,7 +502,7 @@ class Problem:
         values[:, self.free] = free_values
         return values
 
-    def _kernel_parameters(
+    def kernel_parameters(
         self,
         free_values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -476,14 +523,14 @@ class Problem:
         p = offset + np.tensordot(free_values, slope, axes=(1, 2))
         return p.reshape(-1, p.shape[-1]), tangents
 
-    def _worlds(self, guesses: int) -> np.ndarray:
+    def worlds(self, guesses: int) -> np.ndarray:
         if guesses not in self._world_runs:
             self._world_runs[guesses] = _read_only(
                 np.tile(np.arange(len(self.runs), dtype=np.int32), guesses)
             )
         return self._world_runs[guesses]
 
-    def _identity(self, worlds: int) -> np.ndarray:
+    def identity(self, worlds: int) -> np.ndarray:
         """Tangent directions along the simulator's own parameters, shape (W, P, P)."""
         if worlds not in self._identities:
             self._identities[worlds] = _read_only(
@@ -506,9 +553,9 @@ class Problem:
         direct = dp.shape[-1] <= len(self.simulator.parameters)
         runs = len(self.runs)
         guesses = len(p) // runs
-        tangents = dp if direct else self._identity(len(p))
+        tangents = dp if direct else self.identity(len(p))
         q, v, dq = self.simulator.jacobian(
-            self._worlds(guesses),
+            self.worlds(guesses),
             p,
             tangents,
             counts,
@@ -532,48 +579,62 @@ class Problem:
             Half the squared norm of the whitened residuals, shape (S,), gradient (S, F), matrix (S, F, F). A guess whose rollout
             diverged, or whose moving part would have no inertia, has an infinite cost and zero gradient.
         """
-        coordinates = self.coordinates
-        physical = coordinates.physical(internal)
-        slope = coordinates.slope(internal)
-        guesses, size = internal.shape
-        p, dp = self._kernel_parameters(physical)
-        runs = len(self.runs)
-        counts = self.simulator.sample_counts if counts is None else counts
-        values = self.all_values(physical) if self._ripples else physical
-        off = physical - coordinates.prior_mean
-        pull = off @ coordinates.prior_precision
-        cost = 0.5 * np.einsum("sf,sf->s", off, pull)
-        gradient = pull.copy()
-        matrix = np.tile(coordinates.prior_precision, (guesses, 1, 1))
+        physical = self.coordinates.physical(internal)
+        p, dp = self.kernel_parameters(physical)
+        normal = _NormalEquations.of_priors(self.coordinates, physical)
+        slope = self.coordinates.slope(internal)
         with np.errstate(over="ignore", invalid="ignore"):
-            q, _, dq, direct = self._rollout(p, dp, counts)
-            dp = dp.reshape(guesses, runs, *dp.shape[1:])
-            # run by run: a run is touched by few of many unknowns
-            for row in range(runs):
-                columns = self._touching[row]
-                count = int(counts[row])
-                shown = q[:, row, :count]
-                slopes = dq[:, row, :count]
-                slopes = slopes[:, :, columns] if direct else slopes @ dp[:, row][:, :, columns]
-                if self._ripples:
-                    shown, slopes = self._observe(
-                        row, values, shown.copy(), slopes, self.free[columns]
-                    )
-                weight = self.weight[row, :count]
-                residual = (shown - self.measured[row, :count]) * weight
-                slopes = slopes * weight[:, None]
-                across = slopes.transpose(0, 2, 1)
-                cost += 0.5 * np.einsum("st,st->s", residual, residual)
-                gradient[:, columns] += (across @ residual[..., None])[..., 0]
-                matrix[:, columns[:, None], columns] += across @ slopes
-            gradient = gradient * slope
-            matrix = matrix * slope[:, :, None] * slope[:, None, :]
-        massless = (p[:, INDEX["inertia"]] <= 0.0).reshape(guesses, runs).any(axis=1)
+            self._add_runs(
+                normal,
+                physical,
+                p,
+                dp,
+                self.simulator.sample_counts if counts is None else counts,
+            )
+            cost = normal.cost
+            gradient = normal.gradient * slope
+            matrix = normal.matrix * slope[:, :, None] * slope[:, None, :]
+        guesses, size = internal.shape
+        massless = (p[:, INDEX["inertia"]] <= 0.0).reshape(guesses, -1).any(axis=1)
         bad = massless | ~(np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2)))
         if bad.any():
-            cost[bad], gradient[bad] = np.inf, 0.0
+            cost[bad] = np.inf
+            gradient[bad] = 0.0
             matrix[bad] = np.eye(size)
         return cost, gradient, matrix
+
+    def _add_runs(
+        self,
+        normal: _NormalEquations,
+        physical: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray,
+    ) -> None:
+        """The runs' part of the normal equations.
+
+        Args:
+            normal: Where it is added.
+            physical: Free unknowns of each guess, shape (S, F).
+            p: Parameters of each world, shape (S R, P).
+            dp: Their tangents, shape (S R, P, F).
+            counts: Leading samples to use per run, shape (R,).
+        """
+        guesses = len(physical)
+        values = self.all_values(physical) if self.ripples else physical
+        q, _, dq, direct = self._rollout(p, dp, counts)
+        dp = dp.reshape(guesses, len(self.runs), *dp.shape[1:])
+        # run by run: a run is touched by few of many unknowns
+        for row, columns in enumerate(self._touching):
+            count = int(counts[row])
+            shown = q[:, row, :count]
+            slopes = dq[:, row, :count]
+            slopes = slopes[:, :, columns] if direct else slopes @ dp[:, row][:, :, columns]
+            if self.ripples:
+                shown, slopes = self.observe(row, values, shown.copy(), slopes, self.free[columns])
+            weight = self.weight[row, :count]
+            residual = (shown - self.measured[row, :count]) * weight
+            normal.add(columns, residual, slopes * weight[:, None])
 
     @property
     def samples(self) -> int:
@@ -599,9 +660,9 @@ class Problem:
             q = q.copy()
             v = v.copy()
             dq = dq.copy() if direct else dq @ dp.reshape(*q.shape[:2], *dp.shape[1:])
-        if self._ripples:
+        if self.ripples:
             for row in range(len(self.runs)):
-                q[:, row], dq[:, row] = self._observe(
+                q[:, row], dq[:, row] = self.observe(
                     row,
                     values,
                     q[:, row],
@@ -609,3 +670,17 @@ class Problem:
                     columns,
                 )
         return q, v, dq
+
+
+def _known_together(
+    robot: Robot, runs: Sequence[PreparedRun], free: Sequence[Unknown]
+) -> tuple[Sequence[Key], np.ndarray]:
+    """Keys and joint covariance of those free unknowns whose priors are correlated."""
+    calibration = prior_of(robot, runs)
+    if calibration is None:
+        return of_one_kind(robot, free)
+    if calibration.swing_error > 0.0:
+        calibration = calibration.given(
+            {(kind, run.run.joint) for run in runs if run.run.free for kind in RISE}
+        )
+    return calibration.keys, calibration.covariance

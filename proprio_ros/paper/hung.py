@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 from proprio_ros.identification import solvers
 from proprio_ros.identification.coefficients import axis_and_gravity, reduced_model
 from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.moving_part import InertialTerms
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.problem import Problem
@@ -220,26 +221,26 @@ class HungProblem(Problem):
                 robot.model.frame_transform(robot.payload_frame, pose)[:3, :3].T @ robot.gravity
             )
         super().__init__(robot, runs, KnownLoad().facts, unknowns)
-        self._affine = False  # stiffness and damping are products of two unknowns
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> HungSimulator:  # type: ignore[override]
+    def is_affine(self) -> bool:
+        return False  # stiffness and damping are products of two unknowns
+
+    def simulator_of(self, runs: list[JointRun], integrator: str) -> HungSimulator:  # type: ignore[override]
         models = [reduced_model(self.robot, run.run, {}) for run in self._prepared]
         return HungSimulator(models, runs, self.hung, self.robot.payload_frame)
 
-    def _touches(self, unknown: Unknown, row: int) -> bool:
-        return unknown.kind == "payload_mass" or super()._touches(unknown, row)
+    def touches(self, unknown: Unknown, row: int) -> bool:
+        return unknown.kind == "payload_mass" or super().touches(unknown, row)
 
-    def _payload(
-        self,
-        values: np.ndarray,
-    ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-        return np.zeros((len(values), 10)), {}  # it is not part of the driven body
+    def payload(self, values: np.ndarray) -> InertialTerms:
+        # it is not part of the driven body
+        return InertialTerms(np.zeros((len(values), 10)), {})
 
-    def _all_parameters(
+    def all_parameters(
         self,
         values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        p, dp = super()._all_parameters(values)
+        p, dp = super().all_parameters(values)
         at = self.index
         to = {name: column for column, name in enumerate(self.simulator.parameters)}
         mass = values[:, at["payload_mass"]]

@@ -118,14 +118,14 @@ class SpringProblem(Problem):
 
     with_spring: int
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator:
+    def simulator_of(self, runs: list[JointRun], integrator: str) -> JointSimulator:
         return SpringSimulator(runs, integrator)
 
-    def _all_parameters(
+    def all_parameters(
         self,
         values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        p, dp = super()._all_parameters(values)
+        p, dp = super().all_parameters(values)
         p[:, : self.with_spring, STIFFNESS] = values[:, None, self.index["spring_stiffness"]]
         dp[:, : self.with_spring, STIFFNESS, self.index["spring_stiffness"]] = 1.0
         return p, dp

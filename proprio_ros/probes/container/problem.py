@@ -295,7 +295,6 @@ class ContainerProblem(Problem):
         self._rolling_runs = tuple(runs)
         self._turns = [turning_with(robot, run) for run in runs]
         super().__init__(robot, runs, facts.shell, unknowns, integrator, step_s)
-        self._affine &= facts.law != "paper"  # its constants go with one over the mass
         self._seen: list[_Seen] = []
         for row, track in enumerate(tracks):
             if track is None or not self.rolling[row] or signals == "joint":
@@ -314,6 +313,10 @@ class ContainerProblem(Problem):
             if signals == "camera":
                 self.weight[row] = 0.0
 
+    def is_affine(self) -> bool:
+        # the constants of the paper's law go with one over the mass
+        return super().is_affine() and self.container.law != "paper"
+
     @property
     def samples(self) -> int:
         return super().samples + sum(seen.track.position.size for seen in self._seen)
@@ -327,7 +330,9 @@ class ContainerProblem(Problem):
             if rolls
         )
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SphereSimulator]:
+    def simulator_of(
+        self, runs: list[JointRun], integrator: str
+    ) -> MixedSimulator[SphereSimulator]:
         step_s = self.container.contact.step_s(self.container.enclosure.inertia_factor, integrator)
         rolling: list[SphereRun] = []
         for row in np.flatnonzero(self.rolling):
@@ -348,16 +353,16 @@ class ContainerProblem(Problem):
             special, [runs[row] for row in np.flatnonzero(~self.rolling)], self.rolling, integrator
         )
 
-    def _touches(self, unknown: Unknown, row: int) -> bool:
+    def touches(self, unknown: Unknown, row: int) -> bool:
         if unknown.kind in ("sphere_mass", "contact_damping", "contact_friction"):
             return bool(self.rolling[row])
-        return super()._touches(unknown, row)
+        return super().touches(unknown, row)
 
-    def _all_parameters(
+    def all_parameters(
         self,
         values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        p, dp = super()._all_parameters(values)
+        p, dp = super().all_parameters(values)
         at = self.index
         to = SPHERE_INDEX
         facts = self.container
@@ -377,13 +382,13 @@ class ContainerProblem(Problem):
                     p[:, row, to[parameter]] += values[:, at[key]]
                     dp[:, row, to[parameter], at[key]] += 1.0
             for name, share in self._turns[row]:
-                shift, by_unknown = self._shift(
+                posed = self.shift(
                     name,
                     self.runs[row].run.held[name],
                     values,
                 )
-                p[:, row, to["tilt"]] += share * shift
-                for column, factor in by_unknown:
+                p[:, row, to["tilt"]] += share * posed.shift
+                for column, factor in posed.by_unknown:
                     dp[:, row, to["tilt"], column] += share * factor
             if facts.law == "paper":
                 for constant, parameter in (
@@ -414,7 +419,7 @@ class ContainerProblem(Problem):
         x = x.reshape(guesses, -1, *x.shape[1:])
         dx = dx.reshape(guesses, -1, *dx.shape[1:])
         slope = self.coordinates.slope(internal)
-        _, dp = self._kernel_parameters(self.coordinates.physical(internal))
+        _, dp = self.kernel_parameters(self.coordinates.physical(internal))
         dp = dp.reshape(guesses, len(self.runs), width, size)
         good = np.flatnonzero(np.isfinite(cost))
         for seen in self._seen:
@@ -475,7 +480,7 @@ class ContainerProblem(Problem):
             q, v (R, T) and dq (R, T, F) of what the encoder shows; x (R, T, 3) [m] and dx (R, T, 3, F) of the sphere in the
             container.
         """
-        p, every = self._all_parameters(values[None])
+        p, every = self.all_parameters(values[None])
         runs = len(self.runs)
         width = len(self.simulator.parameters)
         dp = np.take_along_axis(
@@ -485,9 +490,9 @@ class ContainerProblem(Problem):
         )
         with np.errstate(over="ignore", invalid="ignore"):
             q, v, by_p = self.simulator.jacobian(
-                self._worlds(1),
+                self.worlds(1),
                 p[0],
-                self._identity(runs),
+                self.identity(runs),
             )
             x, dx = self.simulator.special.last_path(width)
             dq = by_p @ dp
@@ -495,9 +500,9 @@ class ContainerProblem(Problem):
         q = q.copy()
         v = v.copy()
         x = x.copy()
-        if self._ripples:
+        if self.ripples:
             for row in range(runs):
-                shown, slopes = self._observe(
+                shown, slopes = self.observe(
                     row, values[None], q[None, row], dq[None, row], columns[row]
                 )
                 q[row], dq[row] = shown[0], slopes[0]

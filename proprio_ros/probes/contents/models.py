@@ -17,6 +17,7 @@ import numpy as np
 from proprio_ros.identification.coefficients import axis_and_gravity, reduced_model
 from proprio_ros.identification.held_by_servos import give_way
 from proprio_ros.identification.locked_joints import Followed, loads_of_yielding
+from proprio_ros.identification.moving_part import InertialTerms
 from proprio_ros.identification.prepared_runs import PreparedRun, turning_with
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import PAYLOAD_TERMS, load_unknowns
@@ -277,9 +278,11 @@ class ContentsProblem(Problem):
             facts.shell,
             [*self.inside, *known],
         )
-        self._affine &= model == "nothing"
 
-    def _simulator(
+    def is_affine(self) -> bool:
+        return super().is_affine() and self.model == "nothing"
+
+    def simulator_of(
         self, runs: list[JointRun], integrator: str
     ) -> JointSimulator | MixedSimulator[SloshSimulator]:
         if self.model not in MOVING:
@@ -292,10 +295,10 @@ class ContentsProblem(Problem):
         plain = [runs[row] for row in np.flatnonzero(~self.filled)]
         return MixedSimulator(SloshSimulator(moving, integrator), plain, self.filled, integrator)
 
-    def _touches(self, unknown: Unknown, row: int) -> bool:
+    def touches(self, unknown: Unknown, row: int) -> bool:
         if any(unknown.key == own.key for own in self.inside):
             return bool(self.filled[row])
-        return super()._touches(unknown, row)
+        return super().touches(unknown, row)
 
     def _terms(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """`inside_terms` at values (S, N), and their derivatives by each of the contents' unknowns, by complex steps."""
@@ -318,33 +321,20 @@ class ContentsProblem(Problem):
             *(np.array([slope[n] for slope in slopes]) for n in (0, 1)),
         )
 
-    def _moving_part(
-        self,
-        row: int,
-        values: np.ndarray,
-        payload: tuple[np.ndarray, dict[int, np.ndarray]] | None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        if self.inside and self.filled[row]:
-            assert payload is not None
-            ten, _, columns, by_ten, _ = self._now
-            change = dict(zip(columns.tolist(), by_ten, strict=True))
-            payload = (
-                payload[0] + ten,
-                {
-                    **payload[1],
-                    **{n: payload[1].get(n, 0.0) + each for n, each in change.items()},
-                },
-            )
-        return super()._moving_part(row, values, payload)
+    def payload_in(self, row: int, payload: InertialTerms) -> InertialTerms:
+        if not self.inside or not self.filled[row]:
+            return payload
+        ten, _, columns, by_ten, _ = self._now
+        return payload.plus(ten, dict(zip(columns.tolist(), by_ten, strict=True)))
 
-    def _all_parameters(
+    def all_parameters(
         self,
         values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         if not self.inside:
-            return super()._all_parameters(values)
+            return super().all_parameters(values)
         self._now = self._terms(values)
-        p, dp = super()._all_parameters(values)
+        p, dp = super().all_parameters(values)
         _, moving, columns, _, by_moving = self._now
         mass = self.index["contents_mass"]
         names = list(self.simulator.parameters)
@@ -363,13 +353,13 @@ class ContentsProblem(Problem):
                 p[:, row, tilt] += values[:, zero]
                 dp[:, row, tilt, zero] += 1.0
             for name, share in self._turns[row]:
-                shift, by_unknown = self._shift(
+                posed = self.shift(
                     name,
                     self.runs[row].run.held[name],
                     values,
                 )
-                p[:, row, tilt] += share * shift
-                for column, factor in by_unknown:
+                p[:, row, tilt] += share * posed.shift
+                for column, factor in posed.by_unknown:
                     dp[:, row, tilt, column] += share * factor
         if first:
             p[:, ~self.filled, first + 2] = 1.0
@@ -382,7 +372,7 @@ class ContentsProblem(Problem):
             replace(run, sample_times_s=np.arange(0.0, run.sample_times_s[-1] + FINE_S, FINE_S))
             for run in self.simulator.runs
         ]
-        q, v, _ = self._simulator(fine, "rk4").jacobian(
+        q, v, _ = self.simulator_of(fine, "rk4").jacobian(
             np.arange(len(p), dtype=np.int32), p, np.zeros((*p.shape, 1))
         )
         driven = [

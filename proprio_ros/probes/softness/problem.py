@@ -144,9 +144,13 @@ class SqueezeProblem(Problem):
                 )
         self._closing = [closing_of(run, facts) for run in runs]
         super().__init__(robot, runs, PayloadFacts(), unknowns, integrator, step_s)
-        self._affine = False  # viscosity is a product of two unknowns
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SqueezeSimulator]:
+    def is_affine(self) -> bool:
+        return False  # viscosity is a product of two unknowns
+
+    def simulator_of(
+        self, runs: list[JointRun], integrator: str
+    ) -> MixedSimulator[SqueezeSimulator]:
         block = self.block
         table = self.block.table()
         squeezed = []
@@ -167,16 +171,16 @@ class SqueezeProblem(Problem):
             SqueezeSimulator(squeezed, integrator), others, self.squeezing, integrator
         )
 
-    def _touches(self, unknown: Unknown, row: int) -> bool:
+    def touches(self, unknown: Unknown, row: int) -> bool:
         if unknown.kind in ("youngs_modulus", "poissons_ratio", "block_relaxation"):
             return bool(self.squeezing[row])
-        return super()._touches(unknown, row)
+        return super().touches(unknown, row)
 
-    def _all_parameters(
+    def all_parameters(
         self,
         values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        p, dp = super()._all_parameters(values)
+        p, dp = super().all_parameters(values)
         at = self.index
         to = SQUEEZE_INDEX
         modulus = values[:, at["youngs_modulus"]]
