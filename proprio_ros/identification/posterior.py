@@ -83,6 +83,18 @@ class Posterior:
         followed: np.ndarray = -(self.covariance @ self.sensitivity.T @ by_others)[place]
         return followed
 
+    def follows_clock(self, name: str) -> float:
+        """By how much a free unknown would follow stamps that run fast, to first order, per unit of relative pace.
+
+        A sample that is stamped (1 + e) t was taken at t, where the joint was v t e behind.
+        """
+        times_s = np.concatenate(
+            [run.times_s for run in self.problem.runs]
+        )  # since each onset, (M,)
+        behind = -self.velocity * times_s * self._weight  # (M,)
+        place = list(self.problem.free).index(self.problem.index[name])
+        return float(self.covariance[place] @ (self.sensitivity.T @ behind))
+
     def leverage(self) -> np.ndarray:
         """Variance of the fitted value of each sample in units of the sample's own, shape (M,)."""
         return np.einsum("mf,fg,mg->m", self.sensitivity, self.covariance, self.sensitivity)

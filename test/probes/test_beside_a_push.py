@@ -121,6 +121,36 @@ def test_zeros_that_are_known_to_repeat_cost_nothing(arm: Robot) -> None:
     assert narrow.std < asked(arm, recorded(BALL)).values[0].std < 1.2 * narrow.std
 
 
+@pytest.mark.parametrize("folder", [BALL, HEAVY_BALL, CUBE, LOWERED])
+def test_an_answer_says_what_a_clock_that_is_off_would_change(arm: Robot, folder: Path) -> None:
+    """Against weighing the same samples with other stamps, by up to one percent."""
+    facts = simulated.facts_of(folder)
+    (run,) = runs_in(recorded(folder))
+    (said,) = (each for each in weigh(arm, [run], facts).assumptions if "keep time" in each)
+    match = re.search(r"by up to ([0-9.]+) g", said)
+    assert match is not None
+    per_percent = 1e-3 * float(match[1])
+    for part in (0.003, 0.006, 0.01):
+        masses = []
+        for pace in (1.0 + part, 1.0 - part):
+            mass = weigh(arm, [stretched(run, pace)], facts).values[0].value
+            assert mass is not None
+            masses.append(mass)
+        assert abs(masses[0] - masses[1]) == pytest.approx(200.0 * part * per_percent, rel=0.15)
+
+
+def stretched(run: Run, pace: float) -> Run:
+    """The same samples, stamped by a clock that runs so many times as fast."""
+    return replace(
+        run,
+        times_s=pace * run.times_s,
+        before_times_s=pace * run.before_times_s,
+        input_times_s=pace * run.input_times_s,
+        after_times_s=pace * run.after_times_s,
+        duration_s=pace * run.duration_s,
+    )
+
+
 def test_an_answer_leans_as_far_as_moving_the_prior_moves_it(arm: Robot) -> None:
     """Against differences, at three recordings and two sizes."""
     for folder in (BALL, CUBE, LOWERED):

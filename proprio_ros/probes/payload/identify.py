@@ -590,9 +590,17 @@ class Weighed(Conclusion):
             f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}{changes}",
             f"{free if self.swings else 'each probe starts from rest'}; the held joints stand at their recorded mean",
             f"{stated_in(robot)}; {file}{'' if self.swings else tilt}",
+            f"stamps keep time: a clock that runs 1 % fast or slow changes the mass by up to {self._by_clock()}",
             f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
             f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
         )
+
+    def _by_clock(self) -> str:
+        """What it is worth that all stamps run one percent too fast or too slow."""
+        if not np.isfinite(self.fit.chi2):
+            return "an unknown amount"
+        per_pace = self.assessed.posterior.follows_clock(self.name)
+        return shown("kg", abs(0.01 * per_pace), spec=".2g")
 
     def _tilted(self, degrees: float) -> float:
         """What it is worth that gravity pulls from elsewhere about a driven joint, by the balance at rest of the worst run [kg]."""
