@@ -10,13 +10,14 @@ and a linearisation that follows them promises the more the less it can be trust
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from proprio_ros.excitation.plans import LEAST_SHAKES, ExcitationSequence
 from proprio_ros.experiment_design import candidates
 from proprio_ros.experiment_design.choosing import Found, passes, time_of
+from proprio_ros.experiment_design.forecast import Forecast, gain_per_s, until_broken, whitened
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.experiment_design.sequential import (
     DURATIONS_S,
@@ -63,6 +64,28 @@ TILT_MARGIN = LEVEL
 ROLLED_SHARE = 0.5
 
 
+@dataclass(frozen=True)
+class _SphereForecast(Forecast):
+    """Of a joint, in rad, and of the sphere that it moves."""
+
+    rolled: np.ndarray  # how far the sphere is from its start [m], (C, T)
+    predictable: np.ndarray  # how many samples there are until its place is lost, (C,)
+
+    def is_worth_looking_at(self, n: int, push: candidates.Push, duration_s: float) -> bool:
+        """Whether a push of such a duration is another one than a shorter one, and moves joint and sphere."""
+        least = np.searchsorted(self.times_s, duration_s - 0.15)
+        ends_before = duration_s > DURATIONS_S[0] and self.counted[n] < least
+        if ends_before or (push.shake_A and duration_s < LEAST_SHAKES * SHAKE_PERIOD_S):
+            return False
+        samples = self.samples_in(n, duration_s)
+        rolls = self.rolled[n, :samples].max() >= STILL_M
+        return bool(rolls and abs(self.farthest(n, samples)) >= LITTLE_TRAVEL)
+
+    def std_after(self, n: int, samples: int) -> float:
+        """Of the sphere's mass after the first samples of a push, of which those count that come before its place is lost [kg]."""
+        return float(self.stds[n, min(samples, int(self.predictable[n])) - 1])
+
+
 class SphereUntilSure(CatalogueChooser):
     """One weighing of a sphere whose pushes are chosen one by one; the catalogue has shell and sphere as one rigid load.
 
@@ -99,24 +122,7 @@ class SphereUntilSure(CatalogueChooser):
         if weighed is not None:
             facts = replace(facts, mass=weighed.value_of("payload_mass"))
         self._search = replace(search, facts=facts)
-        rest = bent_pose(robot)
-        still = tuple(
-            prepare_run(
-                robot, candidates.still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell
-            )
-            for joint in joints
-        )
-        every = self._problem(still)
-        self._shared = SharedUnknowns(every)
-        # what is not known at all leaves nothing to be inverted
-        for mass in ("payload_mass", "sphere_mass"):
-            at = self._shared.at[mass]
-            self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
-        self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
-        self._values |= {
-            ("coulomb", joint): candidates.expected_coulomb(every, joint) for joint in joints
-        }
-        self._covariance = np.linalg.inv(self._shared.prior)
+        self._before_any_run(joints)
         if weighed is not None:
             self._believe(weighed)
         self._fit: FitResult | None = None
@@ -128,6 +134,24 @@ class SphereUntilSure(CatalogueChooser):
         ]
         self._as_rigid[self.catalogue.at["payload_mass"], self._shared.at["sphere_mass"]] = 1.0
         self._found = Found(float(np.mean(self._unknown_kg)), UNKNOWN_STD_KG)
+
+    def _before_any_run(self, joints: Sequence[str]) -> None:
+        """The unknowns that all pushes of these joints share, and their priors."""
+        robot = self.robot
+        rest = bent_pose(robot)
+        shell = self._search.facts.shell
+        longest_s = max(DURATIONS_S)
+        still = [candidates.still_run(joint, rest, 0.01, longest_s) for joint in joints]
+        every = self._problem([prepare_run(robot, run, None, shell) for run in still])
+        self._shared = SharedUnknowns(every)
+        # what is not known at all leaves nothing to be inverted
+        for mass in ("payload_mass", "sphere_mass"):
+            at = self._shared.at[mass]
+            self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
+        self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
+        for joint in joints:
+            self._values["coulomb", joint] = candidates.expected_coulomb(every, joint)
+        self._covariance = np.linalg.inv(self._shared.prior)
 
     def learn(self, runs: Sequence[Run]) -> Found:
         new = [
@@ -184,22 +208,20 @@ class SphereUntilSure(CatalogueChooser):
         target_std: float,
     ) -> list[candidates.Push]:
         beside = time_of(self.robot, self._sequence, pose)
+        low, high = self._unknown_kg
+        sphere = self._found.value if self._found.runs else float(np.mean((low, high)))
         shell = self._values["payload_mass"]
-        low, high = (shell + mass for mass in self._unknown_kg)
-        sphere = self._found.value if self._found.runs else float(np.mean(self._unknown_kg))
-        at = self._shared.at["sphere_mass"]
-        as_rigid = self._as_rigid
-        towards = as_rigid @ self._covariance[:, at], float(self._covariance[at, at])
-        covariance = as_rigid @ self._covariance @ as_rigid.T
-        rigid = Known(
-            shell + sphere, self._found.std, covariance, self._found.runs, towards=towards
+        ranked = self.catalogue.rank(
+            self._known_as_rigid(shell + sphere),
+            beside,
+            target_std,
+            (shell + low, shell + high),
+            durations_s=DURATIONS_S[-1:],
         )
         chosen: list[candidates.Push] = []
         blocked: list[candidates.Push] = []
         ways: dict[tuple[object, ...], bool] = {}
-        for push in self.catalogue.rank(
-            rigid, beside, target_std, (low, high), durations_s=DURATIONS_S[-1:]
-        ):
+        for push in ranked:
             if not self._rolls(push):
                 continue
             begins = (push.joint, *push.start.values())
@@ -212,105 +234,100 @@ class SphereUntilSure(CatalogueChooser):
             (chosen if ways[begins] else blocked).append(push)
             if len(chosen) == SIMULATED:
                 break
-        return (
-            candidates.best_first(self.promised(chosen, sphere, beside), target_std)
-            if chosen
-            else blocked
+        if not chosen:
+            return blocked
+        return candidates.best_first(self.promised(chosen, sphere, beside), target_std)
+
+    def _known_as_rigid(self, mass: float) -> Known:
+        """What is known, with shell and sphere as one rigid load of so much [kg], of which the sphere is sought."""
+        at = self._shared.at["sphere_mass"]
+        across = self._as_rigid @ self._covariance[:, at]
+        return Known(
+            mass,
+            self._found.std,
+            self._as_rigid @ self._covariance @ self._as_rigid.T,
+            self._found.runs,
+            towards=(across, float(self._covariance[at, at])),
         )
 
     def promised(
         self, pushes: Sequence[candidates.Push], sphere_kg: float, time_beside: candidates.TimeOf
     ) -> list[candidates.Push]:
-        """What pushes of the catalogue would tell of a sphere, each with every duration in which joint and sphere move far enough.
+        """Pushes of the catalogue, with every duration in which joint and sphere move far enough.
 
-        ``time_beside`` is how long a push takes beside itself, as in `Catalogue.rank`.
+        Args:
+            pushes: To be simulated.
+            sphere_kg: What the sphere is taken to weigh [kg].
+            time_beside: How long a push takes beside itself, as in `Catalogue.rank`.
+
+        Returns:
+            With what each would tell of the sphere's mass.
         """
-        times = self.catalogue.still(pushes[0]).times_s
-        off, rolled, counts, stds = self._simulated(pushes, sphere_kg)
+        forecast = self._forecast(pushes, sphere_kg)
         at = self._shared.at["sphere_mass"]
         now = self._covariance[at, at]
-        beside = time_beside([push.start for push in pushes])
+        beside_s = time_beside([push.start for push in pushes])
         found: list[candidates.Push] = []
         for n, push in enumerate(pushes):
-            counted, told = counts[n].tolist()
-            if told < MIN_USED:
+            if forecast.predictable[n] < MIN_USED:
                 continue
             for duration in DURATIONS_S:
-                last = min(int(np.searchsorted(times, duration + 1e-9)), counted)
-                if duration > DURATIONS_S[0] and counted < np.searchsorted(times, duration - 0.15):
-                    continue  # travel ends it before
-                if push.shake_A and duration < LEAST_SHAKES * SHAKE_PERIOD_S:
+                if not forecast.is_worth_looking_at(n, push, duration):
                     continue
-                far = int(np.argmax(np.abs(off[n, :last])))
-                if abs(off[n, far]) < LITTLE_TRAVEL or rolled[n, :last].max() < STILL_M:
-                    continue
-                std = float(stds[n, min(last, told) - 1])
-                travel = float(off[n, far])
-                seconds = float(beside[n] + times[last - 1])
-                gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
+                last = forecast.samples_in(n, duration)
+                std = forecast.std_after(n, last)
+                seconds = float(beside_s[n] + forecast.times_s[last - 1])
                 found.append(
                     replace(
-                        push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel
+                        push,
+                        duration_s=duration,
+                        time_s=seconds,
+                        std=std,
+                        gain=gain_per_s(now, max(std**2, 1e-12), seconds),
+                        travel=forecast.farthest(n, last),
                     )
                 )
         return found
 
-    def _simulated(
-        self, pushes: Sequence[candidates.Push], sphere_kg: float
-    ) -> tuple[np.ndarray, ...]:
-        """Pushes over the longest duration, all in one launch.
-
-        Returns:
-            How far the joint is from its start [rad] and the sphere from its own [m], shapes (C, T); how many samples there are
-            until travel or speed ends a push, and until the sphere's place is lost, shape (C, 2); the standard deviation of the
-            sphere's mass after each sample [kg], shape (C, T).
-        """
-        problem = self._problem(tuple(self.catalogue.standing(push) for push in pushes))
+    def _forecast(self, pushes: Sequence[candidates.Push], sphere_kg: float) -> _SphereForecast:
+        """What pushes would show with a sphere of such a mass [kg], all in one launch."""
+        problem = self._problem([self.catalogue.standing(push) for push in pushes])
+        runs = problem.runs
         known = self._values | {"sphere_mass": sphere_kg}
         values = np.array([known.get(unknown.key, unknown.value) for unknown in problem.unknowns])
-        runs = problem.runs
-        keys = self._shared.keys
         columns, variance = self._shared.columns_of(problem)
         q, v, dq, x, dx = problem.predict(values, columns)
         # of joints that none of them drives
-        lacks = [place for place, key in enumerate(keys) if key not in problem.index]
-        dq[..., lacks] = dx[..., lacks] = 0.0
+        lacks = [place for place, key in enumerate(self._shared.keys) if key not in problem.index]
+        dq[..., lacks] = 0.0
+        dx[..., lacks] = 0.0
         off = q - np.array([run.rest.value for run in runs])[:, None]
-        usable = np.array([run.drive.usable_velocity for run in runs])
-        alive = (
+        fastest = np.array([run.drive.usable_velocity for run in runs])
+        alive = until_broken(
             np.isfinite(q)
             & np.isfinite(x).all(axis=2)
-            & (np.abs(v) < usable[:, None])
+            & (np.abs(v) < fastest[:, None])
             & (np.abs(off) < MAX_TRAVEL)
         )
-        alive = np.cumprod(alive, axis=1).astype(bool)
-        sigma = np.hypot(
-            np.array([run.sigma[0] for run in runs])[:, None], np.abs(v) * self.robot.stamp_jitter_s
-        )
+        reading_std = np.array([run.sigma[0] for run in runs])
+        rows = whitened(dq, v, alive, reading_std, self.robot.stamp_jitter_s)
+        # what the container sees of the sphere across the joint's axis, (C, 3, 3)
         across = np.array([run.across for run in problem.simulator.special.sphere_runs])
-        rows = np.where(
-            alive[..., None],
-            dq / sigma[..., None],
-            0.0,
-        )
-        seen = np.where(
-            alive[..., None, None],
-            across[:, None] @ dx,
-            0.0,
-        )
+        seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
         stds, spreads = self._shared.stds_along(
             rows, variance, self._covariance, "sphere_mass", seen
         )
         counted = alive.sum(axis=1)
-        told = np.minimum(
-            [known_until(spread, self._search.facts) for spread in spreads],
+        known_until_lost = [known_until(spread, self._search.facts) for spread in spreads]
+        moved = np.einsum("rij,rtj->rti", across, x - x[:, :1])
+        return _SphereForecast(
+            self.catalogue.still(pushes[0]).times_s,
+            off,
             counted,
+            stds,
+            np.linalg.norm(moved, axis=2),
+            np.minimum(known_until_lost, counted),
         )
-        rolled = np.linalg.norm(
-            np.einsum("rij,rtj->rti", across, x - x[:, :1]),
-            axis=2,
-        )
-        return off, rolled, np.stack([counted, told], axis=1), stds
 
     def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
         """Runs that have not been made as a problem."""

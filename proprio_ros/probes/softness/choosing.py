@@ -19,6 +19,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.experiment_design.candidates import Push, best_first, still_run
 from proprio_ros.experiment_design.choosing import Chooser, Found, alone, time_of
+from proprio_ros.experiment_design.forecast import Forecast, gain_per_s, until_broken, whitened
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.experiment_design.sequential import FASTEST
 from proprio_ros.identification.fit import FitResult
@@ -26,7 +27,7 @@ from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.identify import SqueezeOptions, SqueezeSearch, fit_squeezes
-from proprio_ros.probes.softness.problem import BlockFacts
+from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem
 from proprio_ros.quantity import Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -64,7 +65,8 @@ class SqueezesUntilSure(Chooser):
         )
         if not sequence.runs:
             raise ConfigurationError(f"{sequence.name}: state a first squeeze under 'runs'")
-        self._facts, self._options = facts, options
+        self._facts = facts
+        self._options = options
         self._first = sequence.runs[0]
         self._farthest_m = max(run.max_travel for run in sequence.runs)
         stated = [run.max_current_A for run in sequence.runs if run.max_current_A is not None]
@@ -114,112 +116,92 @@ class SqueezesUntilSure(Chooser):
         if self._began is None:
             self._began = float(pose[joint])
         start = {**zero_pose(self.robot), **pose, joint: self._began}
-        drive = self._usable[0].drive
-        towards = float(np.sign(self._first.current_A))
-        rubs_A = (drive.coulomb.value + 0.5 * drive.coulomb.std) / drive.torque_constant.value
-        least = min(
-            max(LEAST_BEYOND * rubs_A, 0.5 * abs(self._first.current_A)),
-            self._limit_A,
-        )
-        currents = [
-            towards * size
-            for size in np.geomspace(least, self._limit_A, CURRENTS).round(3).tolist()
-        ]
-        longest_s = max(DURATIONS_S)
+        currents_A = self._currents()
         still = prepare_run(
             self.robot,
-            still_run(
-                joint,
-                start,
-                currents[0],
-                longest_s,
-            ),
+            still_run(joint, start, currents_A[0], max(DURATIONS_S)),
             KnownLoad(),
             past_fast=True,
         )
-        made = [
+        squeezes = [
             replace(still, run=replace(still.run, input_current_A=np.array([current])))
-            for current in currents
+            for current in currents_A
         ]
-        seconds = float(time_of(self.robot, self._sequence, pose)([start])[0])
-        return best_first(self._promised(currents, made, start, seconds), target_std)
+        beside_s = float(time_of(self.robot, self._sequence, pose)([start])[0])
+        forecast = self._forecast(self._fit, squeezes)
+        return best_first(self._promised(currents_A, forecast, start, beside_s), target_std)
+
+    def _currents(self) -> list[float]:
+        """What could be squeezed with, from a little beyond friction to the limit [A]."""
+        drive = self._usable[0].drive
+        towards = float(np.sign(self._first.current_A))
+        rubs_A = (drive.coulomb.value + 0.5 * drive.coulomb.std) / drive.torque_constant.value
+        least_A = min(
+            max(LEAST_BEYOND * rubs_A, 0.5 * abs(self._first.current_A)),
+            self._limit_A,
+        )
+        sizes = np.geomspace(least_A, self._limit_A, CURRENTS).round(3)
+        return [towards * size for size in sizes.tolist()]
+
+    def _forecast(self, fit: FitResult, runs: Sequence[PreparedRun]) -> Forecast:
+        """What squeezes from one start would show, at the modulus found, (C, T)."""
+        search = SqueezeSearch(
+            self.robot, tuple(runs), (True,) * len(runs), self._facts, self._options
+        )
+        problem = search.problem(Role.FREE)
+        values = _carried_over(fit, problem)
+        with np.errstate(over="ignore", invalid="ignore"):
+            q, v, dq = problem.simulate(values[None], problem.free)
+        position = q[0]  # (C, T)
+        velocity = v[0]
+        slopes = dq[0]  # by the free unknowns, (C, T, free)
+        away = position - runs[0].rest.value
+        transmission = runs[0].drive.transmission
+        close_enough = np.abs(away) * abs(transmission) < self._farthest_m
+        holds = (
+            np.isfinite(position) & np.isfinite(slopes).all(axis=2) & (np.abs(velocity) < FASTEST)
+        )
+        # it ends at the sample where it is seen to have gone so far
+        holds[:, 1:] &= close_enough[:, :-1]
+        alive = until_broken(holds)
+        columns, variance = self._shared.columns_of(problem)
+        at = np.searchsorted(problem.free, columns)
+        by_unknown = np.stack([slopes[run][:, own] for run, own in enumerate(at)])
+        reading_std = np.array([run.sigma[0] for run in runs])
+        rows = whitened(by_unknown, velocity, alive, reading_std, self.robot.stamp_jitter_s)
+        stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
+        return Forecast(
+            runs[0].times_s,
+            away * transmission,
+            alive.sum(axis=1),
+            stds,
+        )
 
     def _promised(
         self,
-        currents: Sequence[float],
-        runs: Sequence[PreparedRun],
+        currents_A: Sequence[float],
+        forecast: Forecast,
         start: dict[str, float],
         beside_s: float,
     ) -> list[Push]:
-        """What squeezes from one start would tell of the modulus, each with every duration in which the fingers move far enough."""
-        fit = self._fit
-        robot = self.robot
-        facts = self._facts
-        options = self._options
-        assert fit is not None
-        problem = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options).problem(
-            Role.FREE
-        )
-        found = list(zip(fit.problem.unknowns, fit.values.tolist(), strict=True))
-        gap = float(np.mean([value for unknown, value in found if unknown.kind == "gap"]))
-        known = {unknown.key: value for unknown, value in found if unknown.shared}
-        values = np.array(
-            [gap if u.kind == "gap" else known.get(u.key, u.value) for u in problem.unknowns]
-        )
-        with np.errstate(over="ignore", invalid="ignore"):
-            q, v, dq = problem.simulate(values[None], problem.free)
-        q = q[0]
-        v = v[0]
-        dq = dq[0]
-        drive = runs[0].drive
-        rest = runs[0].rest.value
-        per_rad = abs(drive.transmission)
-        travel = np.abs(q - rest) * per_rad
-        alive = np.isfinite(q) & np.isfinite(dq).all(axis=2) & (np.abs(v) < FASTEST)
-        # it ends at the sample where it is seen to have gone so far
-        alive &= np.concatenate(
-            [
-                np.ones((len(runs), 1), bool),
-                travel[:, :-1] < self._farthest_m,
-            ],
-            axis=1,
-        )
-        alive = np.cumprod(alive, axis=1).astype(bool)
-        sigma = np.hypot(
-            runs[0].sigma[0],
-            np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s,
-        )
-        times = runs[0].times_s
-        columns, variance = self._shared.columns_of(problem)
-        at = np.searchsorted(problem.free, columns)
-        rows = np.stack([dq[run][:, own] for run, own in enumerate(at)])
-        rows = np.where(
-            alive[..., None],
-            rows / sigma[..., None],
-            0.0,
-        )
-        stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
+        """Squeezes from one start, with every duration in which the fingers move far enough."""
         place = self._shared.at["youngs_modulus"]
         now = self._covariance[place, place]
         pushes: list[Push] = []
         for duration in DURATIONS_S:
-            for c, current in enumerate(currents):
-                last = min(
-                    int(np.searchsorted(times, duration + 1e-9)),
-                    int(alive[c].sum()),
-                )
+            for c, current in enumerate(currents_A):
+                last = forecast.samples_in(c, duration)
+                if last < MIN_USED:
+                    continue
+                ends_s = float(forecast.times_s[last - 1])
                 # what its travel ends before is the same push
-                if last < MIN_USED or (
-                    duration > DURATIONS_S[0] and times[last - 1] <= DURATIONS_S[0]
-                ):
+                if duration > DURATIONS_S[0] and ends_s <= DURATIONS_S[0]:
                     continue
-                gone = (q[c, :last] - rest) * drive.transmission
-                if np.abs(gone).max() < self._first.min_travel:
+                travel = forecast.farthest(c, last)
+                if abs(travel) < self._first.min_travel:
                     continue
-                lasts = beside_s + float(times[last - 1])
-                std = float(stds[c, last - 1])
-                gain = 0.5 * float(np.log(now / max(std**2, 1e-6 * now))) / lasts
-                ends = float(gone[np.argmax(np.abs(gone))])
+                std = float(forecast.stds[c, last - 1])
+                seconds = beside_s + ends_s
                 pushes.append(
                     Push(
                         self._first.joint,
@@ -227,10 +209,10 @@ class SqueezesUntilSure(Chooser):
                         current,
                         0.0,
                         duration,
-                        lasts,
+                        seconds,
                         std,
-                        gain,
-                        ends,
+                        gain_per_s(now, max(std**2, 1e-6 * now), seconds),
+                        travel,
                     )
                 )
         return pushes
@@ -249,3 +231,16 @@ class SqueezesUntilSure(Chooser):
             from_here=(),
             home=dict(run.start),
         )
+
+
+def _carried_over(fit: FitResult, problem: SqueezeProblem) -> np.ndarray:
+    """Values of the unknowns of squeezes that have not been made: what all runs share, and the mean gap, (N,)."""
+    found = list(zip(fit.problem.unknowns, fit.values.tolist(), strict=True))
+    gap = float(np.mean([value for unknown, value in found if unknown.kind == "gap"]))
+    shared = {unknown.key: value for unknown, value in found if unknown.shared}
+    return np.array(
+        [
+            gap if unknown.kind == "gap" else shared.get(unknown.key, unknown.value)
+            for unknown in problem.unknowns
+        ]
+    )
