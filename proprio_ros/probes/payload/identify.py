@@ -98,81 +98,112 @@ def weigh(
     options: WeighingOptions | None = None,
     baseline: Sequence[Run] = (),
 ) -> Estimate:
-    """Identify the payload that all ``runs`` share; without facts it is a ball of unknown size at the payload frame.
+    """Identify the payload that all ``runs`` share.
 
     Of four runs or more of one recording, one in four at most is left out that contradicts the others, is not stamped as its joint
     moved, or begins otherwise than is known: a computer that is busy elsewhere pushes late now and then. What is left must agree.
-    Another recording may be of another object. The baseline is runs with nothing in the hand, fitted together with the others; they
-    show whether the robot has changed since its calibration.
+    Another recording may be of another object.
 
-    Raises `RecordingError`: A run cannot be related to the robot at all (unknown joint, missing held joint).
+    Args:
+        robot: As its file or its calibration states it.
+        runs: With the payload.
+        facts: Of the payload; default a ball of unknown size at the payload frame.
+        options: Of the solver.
+        baseline: Runs with nothing in the hand, fitted together with the others; they show whether the robot has changed since its
+            calibration.
+
+    Raises:
+        RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
+    facts = facts or PayloadFacts()
+    options = options or WeighingOptions()
     kept = list(runs)
     left_out = list[str]()
-    estimate, weighed, spoilt = first = _weigh(robot, kept, facts, options, baseline)
+    first = _weigh(robot, kept, facts, options, baseline)
+    last = first
     one = len({run.name.rpartition("#")[0] or run.name for run in runs}) == 1
-    while one and spoilt is not None and len(left_out) + 1 <= gates.LEFT_OUT_AT_MOST * len(runs):
-        left_out.append(spoilt.name)
-        kept = [run for run in kept if run is not spoilt]
-        estimate, _, spoilt = _weigh(robot, kept, facts, options, baseline)
-    if estimate.verdict is Verdict.REJECTED:
-        cause = () if weighed is None else weighed.cause
-        return replace(
-            first[0],
-            reasons=(*cause, *first[0].reasons),
-        )
+    while one and last.spoilt is not None:
+        if len(left_out) + 1 > gates.LEFT_OUT_AT_MOST * len(runs):
+            break
+        left_out.append(last.spoilt.name)
+        kept = [run for run in kept if run is not last.spoilt]
+        last = _weigh(robot, kept, facts, options, baseline)
+    if last.estimate.verdict is Verdict.REJECTED:
+        cause = () if first.weighed is None else first.weighed.cause
+        return replace(first.estimate, reasons=(*cause, *first.estimate.reasons))
     if not left_out:
-        return estimate
+        return last.estimate
     question = "was the object held as in the others, and nothing in the way?"
-    said = Reason("runs_differ", gates.said_left_out(left_out, len(runs), question))
+    reason = Reason("runs_differ", gates.said_left_out(left_out, len(runs), question))
     return replace(
-        estimate,
-        reasons=(*estimate.reasons, said),
+        last.estimate,
+        reasons=(*last.estimate.reasons, reason),
         runs=len(runs),
     )
 
 
-def _weigh(
-    robot: Robot, runs: Sequence[Run], facts: PayloadFacts | None, options: WeighingOptions | None, baseline: Sequence[Run]
-,) -> tuple[Estimate, Weighed | None, Run | None]:  # fmt: skip
-    """The answer, what may tell the cause of a refusal, and the run that stands in its way, where there is one."""
-    facts = facts or PayloadFacts()
-    options = options or WeighingOptions()
-    found = gates.Findings()
-    weighing = 0
+@dataclass(frozen=True)
+class _Attempt:
+    """The answer from some runs."""
+
+    estimate: Estimate
+    weighed: Weighed | None = None  # what may tell the cause of a refusal
+    spoilt: Run | None = None  # the run that stands in its way, where there is one
+
+
+@dataclass(frozen=True)
+class _Usable:
+    """Runs that a fit can use, those of the weighing before the empty hand's."""
+
+    runs: list[PreparedRun]
+    recorded: list[Run]  # what these were made from
+    weighing: int  # how many of them are of the weighing
+    still: list[PreparedRun]  # of no use, because their joint hardly moved
+
+
+def _usable(
+    robot: Robot,
+    runs: Sequence[Run],
+    baseline: Sequence[Run],
+    facts: PayloadFacts,
+    found: gates.Findings,
+) -> _Usable:
+    """The usable ones of all runs; ``found`` gets why others are not."""
     usable: list[PreparedRun] = []
-    given: list[Run] = []  # what these were made from
+    recorded: list[Run] = []
     still: list[PreparedRun] = []
+    weighing = 0
     for run, load in [*((run, None) for run in runs), *((run, KnownLoad()) for run in baseline)]:
         prepared = prepare_run(robot, run, load, facts)
         if gates.admitted(robot, prepared, found):
             usable.append(prepared)
-            given.append(run)
+            recorded.append(run)
             weighing += load is None
         elif prepared.used >= gates.MIN_USED:
             still.append(prepared)
-    if not weighing:
-        return (
+    return _Usable(usable, recorded, weighing, still)
+
+
+def _weigh(
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    baseline: Sequence[Run],
+) -> _Attempt:
+    found = gates.Findings()
+    usable = _usable(robot, runs, baseline, facts, found)
+    if not usable.weighing:
+        return _Attempt(
             no_answer(
                 "payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes
-            ),
-            None,
-            None,
+            )
         )
-    if swings.are_free_responses(usable):
-        return _weigh_swings(robot, usable, facts, options, found, len(runs)), None, None
-    drift = _drift(robot, usable[weighing:], facts, options)
-    known = robot.is_calibrated(joints_of(usable))
-
-    def solve(role: Role, start: FitResult | None = None) -> FitResult:
-        return solve_load(
-            robot, usable, facts, options, role, start, rough=known and role is Role.FROZEN
-        )
-
-    nominal, opened = fit_both(
-        solve, lambda nominal, opened: not (opened if known else nominal).explains
-    )
-    open_file = not robot.is_calibrated() and not known_exactly(robot, usable)
+    if swings.are_free_responses(usable.runs):
+        return _Attempt(_weigh_swings(robot, usable.runs, facts, options, found, len(runs)))
+    drift = _drift(robot, usable.runs[usable.weighing :], facts, options)
+    nominal, opened = _nominal_and_open(robot, usable.runs, facts, options)
+    open_file = not robot.is_calibrated() and not known_exactly(robot, usable.runs)
     if open_file and not nominal.explains and opened.chi2 < 0.5 * nominal.chi2:
         found.notes.append(
             "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, under its "
@@ -185,18 +216,39 @@ def _weigh(
         len(runs),
         facts,
         options,
-        still,
+        usable.still,
         against=drift,
     )
     estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
-        return estimate, weighed, None
+        return _Attempt(estimate, weighed)
+    return _Attempt(estimate, weighed, _spoilt(weighed, estimate, usable))
+
+
+def _nominal_and_open(
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
+) -> tuple[FitResult, FitResult]:
+    """The fit with the robot as it is stated, and the one in which all that is open moves."""
+    known = robot.is_calibrated(joints_of(runs))
+
+    def solve(role: Role, start: FitResult | None = None) -> FitResult:
+        rough = known and role is Role.FROZEN
+        return solve_load(robot, runs, facts, options, role, start, rough=rough)
+
+    def again(nominal: FitResult, opened: FitResult) -> bool:
+        return not (opened if known else nominal).explains
+
+    return fit_both(solve, again)
+
+
+def _spoilt(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run | None:
+    """The run of the weighing that stands in the way of an answer, where there is one."""
     off = [reason for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off"]
-    rows = [
-        row
-        for row, run in enumerate(usable)
-        if any(reason.startswith(f"{run.run.name}: ") for reason in off)
-    ]
+    rows = []
+    for row, run in enumerate(usable.runs):
+        name = run.run.name
+        if any(reason.startswith(f"{name}: ") for reason in off):
+            rows.append(row)
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
     # a push that came late for a stall: only with another onset of its own is it followed
@@ -206,13 +258,17 @@ def _weigh(
         if isinstance(unknown.scope, int)
     ]
     rows += [row for pull, row in sorted(own, reverse=True) if pull > FAR]
-    spoilt = next((given[row] for row in rows if usable[row].load is None), None)
-    return estimate, weighed, spoilt
+    return next((usable.recorded[row] for row in rows if usable.runs[row].load is None), None)
 
 
 def _weigh_swings(
-    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, found: gates.Findings, count: int
-,) -> Estimate:  # fmt: skip
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    found: gates.Findings,
+    count: int,
+) -> Estimate:
     """From free swings; those that are followed worse than the calibration's count for less."""
     options = replace(options, starts_kg=swing_starts(robot, runs[0], facts))
     searched, opened, misfit = _followed(robot, runs, facts, options)
@@ -224,17 +280,21 @@ def _weigh_swings(
         anew = replace(drive, zero=replace(drive.zero, std=ANY_ZERO_RAD / ZERO_REPEATS))
         elsewhere = replace(robot, drive_trains={**robot.drive_trains, joint: anew})
         again_searched, again, worse = _followed(elsewhere, runs, facts, options)
-        before, after = (fit.problem.robot.swing_error for fit in (opened, again))
-        if not worse and (misfit or before > BETTER_FOLLOWED * after):
+        better = (
+            opened.problem.robot.swing_error > BETTER_FOLLOWED * again.problem.robot.swing_error
+        )
+        if not worse and (misfit or better):
             searched = again_searched
             opened = again
             misfit = worse
-            said = f"{joint} swings as if its zero were {opened.value_of(('swing_zero', 0)):+.3f} rad off what the file says: was "
-            found.notes.append(f"{said}the horn put on anew? The zero was fitted, too")
+            off = opened.value_of(("swing_zero", 0))
+            found.notes.append(
+                f"{joint} swings as if its zero were {off:+.3f} rad off what the file says: was the horn put on anew? The zero was "
+                "fitted, too"
+            )
         elif not worse:
             either_kg = again.value_of("payload_mass") - opened.value_of("payload_mass")
-    against: list[Refusal] = []
-    against += _of_another_joint(opened.problem.robot, runs, facts, options)
+    against = list(_of_another_joint(opened.problem.robot, runs, facts, options))
     if misfit:
         against.append(rejected("misfit", "the model does not explain the recording", misfit))
     if not robot.is_calibrated(joints_of(runs)) and not known_exactly(robot, runs):
@@ -275,14 +335,15 @@ def _followed(
         robot = replace(robot, swing_error=error)
         runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
         opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
+    misfit = ""
     if (share := swings.missed_share(posterior)) > swings.MISSED_SHARE:
-        return searched, opened, swings.said_missed(share)
-    if known and error > swings.MUCH_WORSE * known:
-        return searched, opened, (
+        misfit = swings.said_missed(share)
+    elif known and error > swings.MUCH_WORSE * known:
+        misfit = (
             f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
             "torque off all the time, and is the object's place and shape as stated?"
-        )  # fmt: skip
-    return searched, opened, ""
+        )
+    return searched, opened, misfit
 
 
 def _drift(
@@ -332,11 +393,9 @@ class Weighed(Conclusion):
     @property
     def fit(self) -> FitResult:
         """The nominal one where it explains what no calibration knows better."""
-        return (
-            self.nominal
-            if self.nominal.explains and not self.known and not self.swings
-            else self.opened
-        )
+        if self.nominal.explains and not self.known and not self.swings:
+            return self.nominal
+        return self.opened
 
     def widen(self) -> None:
         mass = self.assessed.value
@@ -371,16 +430,21 @@ class Weighed(Conclusion):
                 f"{name} contradicts {together}: has the robot changed meanwhile?"
             )
         # where they say the same, the run is coarser than the others, and the fit's residuals show by how much
-        one, rest = (
-            fit_opened(partial(solve_load, self.robot, group, self.facts, self.options)).value_of(
-                self.name
-            )
-            for group in ([self.runs[outlier]], others)
-        )
         question = "was the same object held in the same place, and does the base stand as it did?"
         return gates.contradiction(
-            name, "kg", one, rest, ALIKE_SHARE * abs(mass), ALIKE_KG, question
+            name,
+            "kg",
+            self._mass_of([self.runs[outlier]]),
+            self._mass_of(others),
+            ALIKE_SHARE * abs(mass),
+            ALIKE_KG,
+            question,
         )
+
+    def _mass_of(self, runs: Sequence[PreparedRun]) -> float:
+        """What some of the runs say by themselves [kg]."""
+        fit = fit_opened(partial(solve_load, self.robot, runs, self.facts, self.options))
+        return fit.value_of(self.name)
 
     def guess(self) -> list[Guess]:
         """Where the centre of mass is, unless that was stated: on a wrist joint 5 mm are 4 % of the mass."""
@@ -407,12 +471,11 @@ class Weighed(Conclusion):
                 f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?",
             )
         if not fit.explains and not self.swings:
-            if jump := driven_jump(
-                Posterior(fit.problem, fit.values), fit.chi2, gates.chi2_limit(fit.dof)
-            ):
+            posterior = Posterior(fit.problem, fit.values)
+            if jump := driven_jump(posterior, fit.chi2, gates.chi2_limit(fit.dof)):
                 yield self.misfit_of(jumped(jump))
-        if moving := [] if fit.explains or self.swings else self._moving_starts():
-            yield self.misfit_of(*moving)
+            if moving := self._moving_starts():
+                yield self.misfit_of(*moving)
         yield from self.misfit()
         calibrate = (
             "has the robot changed since? calibrate it again"
@@ -581,11 +644,9 @@ class Weighed(Conclusion):
             free += "another rotor or arm with such friction swings like another load"
         stay = self.fit is self.nominal and not self.swings
         tilt = f"; 1 degree of tilt of its base changes the mass by up to {shown('kg', self._tilted(1.0), spec='.2g')}"
-        file = (
-            "its values stay where the file puts them"
-            if stay
-            else "what it leaves open was fitted under its priors"
-        )
+        file = "what it leaves open was fitted under its priors"
+        if stay:
+            file = "its values stay where the file puts them"
         return (
             f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}{changes}",
             f"{free if self.swings else 'each probe starts from rest'}; the held joints stand at their recorded mean",
@@ -605,13 +666,14 @@ class Weighed(Conclusion):
     def _tilted(self, degrees: float) -> float:
         """What it is worth that gravity pulls from elsewhere about a driven joint, by the balance at rest of the worst run [kg]."""
         worst = 0.0
-        for run in (run for run in self.runs if run.load is None):
+        for run in self.runs:
+            if run.load is not None:
+                continue
             per_kg = run.coefficients.per_kg(self.facts)
             _, cos, sin, _ = run.coefficients.arm + self.assessed.value * per_kg
             turned = run.weight_at_rest(np.array([0.0, sin, -cos, 0.0]))
-            worst = max(
-                worst, abs(np.radians(degrees) * turned / (run.weight_at_rest(per_kg) or np.inf))
-            )
+            weight = run.weight_at_rest(per_kg) or np.inf
+            worst = max(worst, abs(np.radians(degrees) * turned / weight))
         return worst
 
 

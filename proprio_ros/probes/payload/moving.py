@@ -161,6 +161,54 @@ def _naming_what_is_missing(motions: Sequence[Motion]) -> Iterator[None]:
         raise TooLittleMotion(f"{left_out[0]}; {error}") from None
 
 
+@dataclass(frozen=True)
+class _Weighing:
+    """Motions with a payload, and what the arm is known by."""
+
+    motions: Sequence[Motion]
+    baseline: Sequence[Motion]
+    calibration: MotionCalibration
+    known: str  # "calibration" or "baseline"
+    centre: Centre | None  # of the payload, where it was stated
+
+    def fitted(self, robot: Robot, motions: Sequence[Motion], *, stated: bool = True) -> MotionFit:
+        """A fit of motions, with the payload's centre where it was ``stated``, or looking for it."""
+        return fit_payload(
+            robot,
+            motions,
+            self.calibration,
+            empty=self.baseline if self.known == "calibration" else (),
+            centre=self.centre if stated else None,
+        )
+
+    def arm_refusals(self, robot: Robot) -> Iterator[Refusal]:
+        """What the empty hand's motions say against what the arm is known by."""
+        if self.known == "baseline":
+            yield from calibration_refusals(robot, self.baseline, self.calibration)
+        elif self.baseline:
+            fit = fit_payload(robot, self.baseline, self.calibration)
+            yield from drift(float(fit.values[0]), float(fit.std[0]))
+
+
+def _weighing(
+    robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], centre: Centre | None
+) -> _Weighing | None:
+    """By the robot's calibration or that of its baseline, with clocks followed; None where it has neither."""
+    calibration = robot.motion_calibration
+    known = "calibration"
+    if calibration is not None:
+        motions = with_clocks(robot, motions, calibration, loaded=True)
+        baseline = with_clocks(robot, baseline, calibration)
+    elif baseline:
+        known = "baseline"
+        baseline = with_clocks(robot, baseline)
+        calibration = fit_empty(robot, baseline)
+        motions = with_clocks(robot, motions, calibration, loaded=True)
+    else:
+        return None
+    return _Weighing(motions, baseline, calibration, known, centre)
+
+
 def _identified(
     robot: Robot,
     motions: Sequence[Motion],
@@ -170,71 +218,37 @@ def _identified(
 ) -> Estimate:
     """As `identify_in_motion`, of joints whose efforts were measured."""
     centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
-    calibration = robot.motion_calibration
-    as_stamped = (motions, baseline)
-    if calibration is not None:
-        motions = with_clocks(robot, motions, calibration, loaded=True)
-        baseline = with_clocks(robot, baseline, calibration)
-        fit = fit_payload(robot, motions, calibration, empty=baseline, centre=centre)
-        of_arm = _drifted(robot, baseline, calibration)
-        known = "calibration"
-    elif baseline:
-        baseline = with_clocks(robot, baseline)
-        calibration = fit_empty(robot, baseline)
-        motions = with_clocks(robot, motions, calibration, loaded=True)
-        fit = fit_payload(robot, motions, calibration, centre=centre)
-        of_arm = calibration_refusals(robot, baseline, calibration)
-        known = "baseline"
-    else:
-        unknown = not_identifiable(
-            "no_empty_motion",
-            "nothing says what the arm itself weighs",
-            "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about "
-            "the same motion with an empty hand and add it with --baseline, or calibrate with it (`proprio calibrate`)",
-        )
-        nothing = [positive("payload_mass", "kg", 0.0, 0.0, unknown.withheld)]
-        assumptions = _assumptions(robot, motions, None, None)
-        return motion_answer(
-            robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None
-        )
-    beside = baseline if robot.motion_calibration is not None else ()
-    fitted = partial(fit_payload, robot, calibration=calibration, empty=beside)
+    weighing = _weighing(robot, motions, baseline, centre)
+    if weighing is None:
+        return _of_an_unknown_arm(robot, motions)
+    fit = weighing.fitted(robot, weighing.motions)
     trends = fit.trends
-    motions, fit = _without_trends(robot, motions, fit, partial(fitted, centre=centre))
-    refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
-    share = float(np.nan_to_num(fit.unexplained).max())
-    named = _each_by_itself(refusal, motions, fitted, known)
-    if named is refusal:
-        named = with_cause(refusal, robot, *as_stamped, share)
-        if named is not refusal:
-            # what explains the torques by their stamps bent the clock, too
-            motions, baseline = as_stamped
-    if named is refusal:
-        refusal = with_clocks_named(refusal, (*motions, *baseline))
-        named = _with_trend(refusal, motions, trends)
-        if named is refusal and centre is not None:
-            named = _elsewhere(refusal, motions, centre, fit, fitted(motions), known)
-    refusal = named
-    mass = float(fit.values[0])
-    std = float(fit.std[0])
-    values = [
-        positive(
-            "payload_mass",
-            "kg",
-            mass,
-            std,
-            refusal.withheld,
-            quantile=fit.quantile,
+    followed, fit = _without_trends(robot, weighing.motions, fit, partial(weighing.fitted, robot))
+    weighing = replace(weighing, motions=followed)
+    refusal = judge(
+        chain(
+            weighing.arm_refusals(robot),
+            _refusals(followed, fit, weighing.known),
+            _too_wide(fit),
         )
-    ]
-    if not refusal.withheld and not centre_is_stated:
-        values.extend(_place(fit))
+    )
+    as_stamped = (motions, baseline)
+    refusal, weighing = _with_what_is_wrong(refusal, robot, weighing, as_stamped, fit, trends)
+    mass = positive(
+        "payload_mass",
+        "kg",
+        float(fit.values[0]),
+        float(fit.std[0]),
+        refusal.withheld,
+        quantile=fit.quantile,
+    )
+    place = () if refusal.withheld or centre_is_stated else _place(fit)
     return motion_answer(
         robot,
-        motions,
+        weighing.motions,
         refusal,
-        values,
-        _assumptions(robot, motions, calibration, fit),
+        (mass, *place),
+        _assumptions(robot, weighing.motions, weighing.calibration, fit),
         fit=Fit(
             _rms(fit.residual),
             _rms(fit.empty_residual),
@@ -243,13 +257,64 @@ def _identified(
         ),
         budget=list(fit.parts.items()),
         detail=MotionDetail(fit.stretches, fit.unseen()),
-        beside=baseline,
+        beside=weighing.baseline,
         notes=(
             *refusals.moved_only_loaded(fit),
             *refusals.passed_over(fit.joints, fit.tells, fit.unexplained),
         ),
         shown=fit.shown,
     )
+
+
+def _of_an_unknown_arm(robot: Robot, motions: Sequence[Motion]) -> Estimate:
+    """The answer where nothing says what the arm itself weighs."""
+    unknown = not_identifiable(
+        "no_empty_motion",
+        "nothing says what the arm itself weighs",
+        "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about "
+        "the same motion with an empty hand and add it with --baseline, or calibrate with it (`proprio calibrate`)",
+    )
+    nothing = [positive("payload_mass", "kg", 0.0, 0.0, unknown.withheld)]
+    assumptions = _assumptions(robot, motions, None, None)
+    return motion_answer(
+        robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None
+    )
+
+
+def _with_what_is_wrong(
+    refusal: Refusal,
+    robot: Robot,
+    weighing: _Weighing,
+    as_stamped: tuple[Sequence[Motion], Sequence[Motion]],
+    fit: MotionFit,
+    trends: Sequence[Trend],
+) -> tuple[Refusal, _Weighing]:
+    """The refusal with the first cause that is found for it, and the motions that it speaks of.
+
+    Args:
+        refusal: Of all motions together; an accepted answer stays as it is.
+        robot: As it was weighed with.
+        weighing: What was fitted.
+        as_stamped: Its motions and its baseline before clocks were followed.
+        fit: Of the weighing.
+        trends: Of its motions, before they were followed.
+    """
+    motions = weighing.motions
+    known = weighing.known
+    search = partial(weighing.fitted, robot, stated=False)
+    named = _each_by_itself(refusal, motions, search, known)
+    if named is not refusal:
+        return named, weighing
+    unexplained = float(np.nan_to_num(fit.unexplained).max())
+    named = with_cause(refusal, robot, *as_stamped, unexplained)
+    if named is not refusal:
+        # what explains the torques by their stamps bent the clock, too
+        return named, replace(weighing, motions=as_stamped[0], baseline=as_stamped[1])
+    refusal = with_clocks_named(refusal, (*motions, *weighing.baseline))
+    named = _with_trend(refusal, motions, trends)
+    if named is refusal and weighing.centre is not None:
+        named = _elsewhere(refusal, motions, weighing.centre, fit, search(motions), known)
+    return named, weighing
 
 
 def _without_trends(
@@ -379,14 +444,6 @@ def _elsewhere(
     if refusal.verdict is not Verdict.REJECTED:
         found = next(refusals.centre_elsewhere(name, stated, fit, free), refusal)
     return found if found is refusal else replace(found, reasons=(*found.reasons, *refusal.reasons))
-
-
-def _drifted(
-    robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration
-) -> Iterator[Refusal]:
-    if baseline:
-        fit = fit_payload(robot, baseline, calibration)
-        yield from drift(float(fit.values[0]), float(fit.std[0]))
 
 
 def drift(mass: float, std: float) -> Iterator[Refusal]:

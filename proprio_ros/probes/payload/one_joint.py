@@ -20,6 +20,7 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE, relative_torque_std
 from proprio_ros.identification.regression.one_joint_fit import (
     STRETCH_S,
+    Carried,
     OneJointFit,
     carried_by,
     fit_one_joint,
@@ -108,69 +109,97 @@ def identify_one_joint(
     return _estimate(robot, motions, fit, empty, weighed, refusal, mass_refusal)
 
 
+@dataclass(frozen=True)
+class _Arm:
+    """What the arm without its payload pulls with about the joint."""
+
+    moment: np.ndarray  # first moment along both directions of `Hinge` [kg m], (2,)
+    std: float  # of it, along the payload's lever [kg m]
+    over_urdf: float | None  # its size over the URDF's; None without a motion of the empty hand
+
+
+def _arm_std(robot: Robot, joint: str) -> float:
+    """How well the URDF's bodies are known, relative."""
+    return robot.arm_scale.std if robot.is_calibrated([joint]) else URDF_SHARE
+
+
+def _arm(
+    robot: Robot, joint: str, hangs: Carried, empty: OneJointFit | None, toward: np.ndarray
+) -> _Arm:
+    """As the empty hand's motion shows it, else by the URDF; ``toward`` is the unit vector along the payload's lever."""
+    by_urdf = hangs.arm[1:]
+    size = float(np.linalg.norm(by_urdf))
+    if empty is None:
+        return _Arm(by_urdf, _arm_std(robot, joint) * size, None)
+    moment = empty.values[2:]
+    return _Arm(
+        moment,
+        float(np.sqrt(toward @ empty.covariance[2:, 2:] @ toward)),
+        float(np.linalg.norm(moment) / max(size, 1e-9)),
+    )
+
+
 def _weighed(
     robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit | None, facts: PayloadFacts
 ) -> Weighed:
-    drive = robot.drive_trains[fit.joint]
     hangs = carried_by(robot, fit.joint, motion, facts)
-    urdf_inertia = float(hangs.arm[0])
-    urdf_moment = hangs.arm[1:]
-    lever = hangs.per_kg[1:]
+    lever = hangs.per_kg[1:]  # (2,)
     length = max(float(np.linalg.norm(lever)), 1e-6)
     toward = lever / length
-    arm_std = robot.arm_scale.std if robot.is_calibrated([fit.joint]) else URDF_SHARE
-    if empty is None:
-        arm = urdf_moment
-        arm_moment_std = arm_std * float(np.linalg.norm(urdf_moment))
-    else:
-        arm = empty.values[2:]
-        arm_moment_std = float(np.sqrt(toward @ empty.covariance[2:, 2:] @ toward))
-    carried = fit.values[2:] - arm
+    arm = _arm(robot, fit.joint, hangs, empty, toward)
+    carried = fit.values[2:] - arm.moment
     mass = float(carried @ toward) / length
     relative = torque_std(robot, fit.joint)
-    ratio = None
-    if empty is not None:
-        ratio = float(np.linalg.norm(empty.values[2:]) / max(np.linalg.norm(urdf_moment), 1e-9))
-        if abs(ratio - 1.0) > URDF_SHARE:
-            relative = float(np.hypot(relative, ratio - 1.0))
+    if arm.over_urdf is not None and abs(arm.over_urdf - 1.0) > URDF_SHARE:
+        relative = float(np.hypot(relative, arm.over_urdf - 1.0))
     # against the URDF an error of the scale takes its share of the whole moment, against the empty arm of the payload's alone
     scaled = mass if empty is not None else float(fit.values[2:] @ toward) / length
+    differs = float(np.sqrt(toward @ fit.covariance[2:, 2:] @ toward)) / length
     parts = (
-        (
-            "what differs from stretch to stretch",
-            float(np.sqrt(toward @ fit.covariance[2:, 2:] @ toward)) / length,
-        ),
+        ("what differs from stretch to stretch", differs),
         ("torque constants", abs(scaled) * relative),
-        ("the arm itself", arm_moment_std / length),
+        ("the arm itself", arm.std / length),
         ("place of the payload", abs(mass) * hangs.centre_std_m / length),
     )
-    expected_moment = urdf_moment + mass * lever
-    moment = max(float(np.linalg.norm(expected_moment)), 1e-9)
-    object_inertia = abs(mass) * float(np.trace(facts.shape.second_moment_per_mass))
-    inertia = urdf_inertia + drive.armature.value + mass * length**2
-    inertia_std = np.hypot(arm_std * urdf_inertia, drive.armature.std) + object_inertia
-    expected = inertia / moment
-    expected_std = float(np.hypot(inertia_std / moment, expected * hangs.centre_std_m / length))
-    found = max(
-        float(np.linalg.norm(fit.values[2:])),
-        1e-9,
-    )
-    pointing = fit.values[2:] / found
-    across = np.array([-pointing[1], pointing[0]])
-    awry = float(np.arctan2(across @ expected_moment, pointing @ expected_moment))
-    awry_std = float(np.sqrt(across @ fit.covariance[2:, 2:] @ across)) / found
+    expected_moment = hangs.arm[1:] + mass * lever
     return Weighed(
         mass,
         float(np.sqrt(sum(part**2 for _, part in parts))),
         parts,
         relative,
-        (expected, expected_std),
-        (awry, awry_std),
-        float(np.linalg.norm(arm)),
+        _expected_length(robot, fit.joint, hangs, mass, facts),
+        _awry(fit, expected_moment),
+        float(np.linalg.norm(arm.moment)),
         length,
-        ratio,
+        arm.over_urdf,
         hangs.per_kg,
     )
+
+
+def _expected_length(
+    robot: Robot, joint: str, hangs: Carried, mass: float, facts: PayloadFacts
+) -> tuple[float, float]:
+    """Of the pendulum that arm, rotor and payload make by the robot file, inertia over first moment, and its std [m]."""
+    lever = hangs.per_kg[1:]
+    length = max(float(np.linalg.norm(lever)), 1e-6)
+    moment = max(float(np.linalg.norm(hangs.arm[1:] + mass * lever)), 1e-9)
+    arm_inertia = float(hangs.arm[0])
+    armature = robot.drive_trains[joint].armature
+    inertia = arm_inertia + armature.value + mass * length**2
+    object_inertia = abs(mass) * float(np.trace(facts.shape.second_moment_per_mass))
+    inertia_std = np.hypot(_arm_std(robot, joint) * arm_inertia, armature.std) + object_inertia
+    expected = inertia / moment
+    std = float(np.hypot(inertia_std / moment, expected * hangs.centre_std_m / length))
+    return expected, std
+
+
+def _awry(fit: OneJointFit, expected_moment: np.ndarray) -> tuple[float, float]:
+    """Angle from where gravity's moment points to where the robot file says, and its standard deviation [rad]."""
+    size = max(float(np.linalg.norm(fit.values[2:])), 1e-9)
+    pointing = fit.values[2:] / size
+    across = np.array([-pointing[1], pointing[0]])
+    angle = float(np.arctan2(across @ expected_moment, pointing @ expected_moment))
+    return angle, float(np.sqrt(across @ fit.covariance[2:, 2:] @ across)) / size
 
 
 def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Refusal]:

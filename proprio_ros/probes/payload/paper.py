@@ -32,7 +32,7 @@ from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import load_unknowns
-from proprio_ros.identification.solvers import adam_descent
+from proprio_ros.identification.solvers import Solution, adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh
 from proprio_ros.quantity import shown
@@ -78,6 +78,12 @@ def identify_as_paper(
     The value is the least-error mass. It carries no interval, because the method has none; the verdict comes from the whole
     trajectory, and from the default profile, whose reasons are repeated.
 
+    Args:
+        robot: As its file states it.
+        runs: One.
+        facts: Where the payload's centre is, and its shape.
+        options: Of the paper's search.
+
     Raises:
         ConfigurationError: More than one run.
         RecordingError: See ``weigh``.
@@ -93,55 +99,45 @@ def identify_as_paper(
         return honest
     loss = last_frame_loss(robot, run, facts, options)
     starts = np.array(options.starts_kg)[:, None]
-    scheduled, extended = (
-        adam_descent(loss, starts, options.learning_rate, iterations, lower=1e-6)
-        for iterations in (options.iterations, options.extended_iterations)
+    scheduled = adam_descent(loss, starts, options.learning_rate, options.iterations, lower=1e-6)
+    extended = adam_descent(
+        loss, starts, options.learning_rate, options.extended_iterations, lower=1e-6
     )
-    frozen = scheduled.internal[:, 0]
-    found = extended.internal[:, 0].tolist()
-    best = found[extended.best]
-    paths = []
-    for s, start in enumerate(starts[:, 0].tolist()):
-        agrees = abs(found[s] - best) <= 0.005 * best
-        path = (extended.path[:, s, 0], extended.path_cost[:, s])
-        paths.append(
-            StartPath(
-                start, found[s], float(extended.cost[s]), agrees, *path, scheduled=float(frozen[s])
-            )
-        )
-    fits, rms, expected = run_fits(
-        loss.whole, loss.whole.all_values(np.array([[best]]))[0], [loss.prepared]
+    stopped = scheduled.internal[:, 0]  # where the schedule as stated leaves each start [kg]
+    best = float(extended.internal[extended.best, 0])
+    whole = loss.whole.all_values(np.array([[best]]))[0]
+    fits, rms, expected = run_fits(loss.whole, whole, [loss.prepared])
+    fit = Fit(
+        rms,
+        expected,
+        float(np.mean(((fits[0].simulated - fits[0].measured) / fits[0].sigma) ** 2)),
     )
-    reduced = float(np.mean(((fits[0].simulated - fits[0].measured) / fits[0].sigma) ** 2))
     masses = scan_masses(best)
-    reasons = [_without_interval(reason) for reason in honest.reasons]
-    verdict = honest.verdict
-    if reduced > MISFIT_LIMIT:
-        verdict = Verdict.REJECTED
-        missed = (
-            f"the mass that meets the last frame ({shown('kg', best, spec='.1f')}) misses the trajectory by "
-            f"{shown('rad', rms, spec='.1f')} rms where the encoder explains "
-            f"{shown('rad', expected, spec='.2f')}: the last frame alone is no weighing"
-        )
-        reasons.insert(0, missed)
-    reasons.append(
-        f"the schedule of {options.iterations} iterations stops at {shown('kg', *frozen, spec='.1f', between=', ')}; "
-        f"the least error is at {shown('kg', best, spec='.1f')}"
-    )
     mass = Value(
         "payload_mass",
         "kg",
         best,
         reason="least error of the last frame; the method gives no interval",
     )
+    misses = fit.reduced_chi2 > MISFIT_LIMIT
     return replace(
         honest,
-        verdict=verdict,
-        reasons=tuple(reasons),
+        verdict=Verdict.REJECTED if misses else honest.verdict,
+        reasons=(
+            *([_missed(best, fit)] if misses else []),
+            *(_without_interval(reason) for reason in honest.reasons),
+            f"the schedule of {options.iterations} iterations stops at {shown('kg', *stopped, spec='.1f', between=', ')}; "
+            f"the least error is at {shown('kg', best, spec='.1f')}",
+        ),
         values=(mass,),
-        fit=Fit(rms, expected, reduced),
+        fit=fit,
         solver=SolverSummary(
-            "adam", "paper", options.iterations, tuple(paths), "semi_implicit", loss.step_s
+            "adam",
+            "paper",
+            options.iterations,
+            _paths(starts[:, 0], stopped, extended, best),
+            "semi_implicit",
+            loss.step_s,
         ),
         run_fits=fits,
         unknowns=(),
@@ -160,10 +156,46 @@ def identify_as_paper(
     )
 
 
+def _paths(
+    starts_kg: np.ndarray, stopped_kg: np.ndarray, extended: Solution, best_kg: float
+) -> tuple[StartPath, ...]:
+    """Every start's way to the least error that it finds, and where the schedule as stated leaves it."""
+    paths = []
+    for s, start in enumerate(starts_kg.tolist()):
+        found = float(extended.internal[s, 0])
+        paths.append(
+            StartPath(
+                start,
+                found,
+                float(extended.cost[s]),
+                abs(found - best_kg) <= 0.005 * best_kg,
+                extended.path[:, s, 0],
+                extended.path_cost[:, s],
+                scheduled=float(stopped_kg[s]),
+            )
+        )
+    return tuple(paths)
+
+
+def _missed(mass: float, fit: Fit) -> str:
+    """Why a mass [kg] that meets the last frame is no weighing."""
+    return (
+        f"the mass that meets the last frame ({shown('kg', mass, spec='.1f')}) misses the trajectory by "
+        f"{shown('rad', fit.rms, spec='.1f')} rms where the encoder explains "
+        f"{shown('rad', fit.expected_rms, spec='.2f')}: the last frame alone is no weighing"
+    )
+
+
 def last_frame_loss(
     robot: Robot, run: Run, facts: PayloadFacts, options: PaperOptions
 ) -> LastFrame:
     """The paper's loss of a run, as a function of the mass.
+
+    Args:
+        robot: As its file states it.
+        run: From rest.
+        facts: Where the payload's centre is, and its shape.
+        options: Which frame is compared, and how many steps it takes.
 
     Raises:
         ConfigurationError: The loss wants a sample that the run does not have.
@@ -178,8 +210,12 @@ def last_frame_loss(
             held_position={},
         ),
     )
-    last = (len(run.times_s) - 1) if options.loss_sample is None else options.loss_sample
-    loss_time = float(run.times_s[last]) if options.loss_time_s is None else options.loss_time_s
+    last = options.loss_sample
+    if last is None:
+        last = len(run.times_s) - 1
+    loss_time = options.loss_time_s
+    if loss_time is None:
+        loss_time = float(run.times_s[last])
     if not 0 <= last < len(run.times_s) or loss_time <= 0.0:
         raise ConfigurationError(
             f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples"
@@ -211,7 +247,13 @@ def _without_interval(reason: str) -> str:
 def as_published(
     paper: PaperOptions, setting: Mapping[str, Any], stated: Container[str]
 ) -> PaperOptions:
-    """The setting that came with a recording of the authors, in which they fitted it; keys that the user stated stay."""
+    """The setting that came with a recording of the authors, in which they fitted it.
+
+    Args:
+        paper: The setting without it.
+        setting: Sections `simulation` and `fit` of the recording's file.
+        stated: Keys that the user stated, whose values stay.
+    """
     simulation = setting.get("simulation", {})
     changes: dict[str, Any] = {}
     if "substeps" in simulation and "paper.substeps" not in stated:
