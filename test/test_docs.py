@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 import proprio_ros
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = sorted((REPOSITORY / "docs" / "pages").glob("*.md"))
+PAGES = sorted((REPOSITORY / "docs" / "pages").rglob("*.md"))
 TEXTS = [
     REPOSITORY / "README.md",
     REPOSITORY / "CONTRIBUTING.md",
@@ -96,18 +96,40 @@ def test_generated_pages_are_current(without_ros: bool) -> None:
 
 
 def test_tables_of_figures_are_those_of_the_results() -> None:
-    found = {path: path.read_text(encoding="utf-8") for path in (REPOSITORY / "README.md", *PAGES)}
-    blocks = {
-        path.name: [name for _, name, _ in figures.BLOCK.findall(text)]
-        for path, text in found.items()
-    }
-    assert blocks["README.md"] == ["readme", "speed in short"] and len(blocks["validation.md"]) > 10
-    for path, text in found.items():
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    assert [name for _, name, _ in figures.BLOCK.findall(readme)] == ["readme", "speed in short"]
+    for path in (REPOSITORY / "README.md", *PAGES):
+        text = path.read_text(encoding="utf-8")
         assert figures.filled(text) == text, f"{path.name}: run python docs/generate.py figures"
-    assert 5 < len(figures.summary().splitlines()) - 2 <= 15
     assert len(figures.readme().splitlines()) - 2 == len(figures.IN_README) == 6, (
         "a table for two minutes"
     )
+
+
+def test_validation_begins_with_a_table_of_questions_and_has_a_page_behind_each() -> None:
+    page = (REPOSITORY / "docs" / "pages" / "validation.md").read_text(encoding="utf-8")
+    assert page.index("<!-- results: summary -->") < page.index("\n## ")
+    asked = figures.questions()
+    assert 10 < len(asked) <= 16
+    behind = {path.stem for path in (REPOSITORY / "docs" / "pages" / "validation").glob("*.md")}
+    assert {name for *_, name in asked} == behind
+    for question, _, _, name in asked:
+        title = (REPOSITORY / "docs" / "pages" / "validation" / f"{name}.md").read_text(
+            encoding="utf-8"
+        )
+        assert title.startswith(f"# {question}\n"), name
+
+
+def tables_by_hand(text: str) -> list[str]:
+    """Lines of tables that stand in no generated block."""
+    return re.findall(r"^\|.*$", figures.BLOCK.sub("", text), re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in PAGES if path.parent.name == "validation"], ids=lambda path: path.stem
+)
+def test_no_table_of_figures_is_written_by_hand(path: Path) -> None:
+    assert tables_by_hand(path.read_text(encoding="utf-8")) == []
 
 
 @pytest.mark.parametrize("path", sorted(figures.RESULTS.glob("*.json")), ids=lambda path: path.stem)
@@ -122,14 +144,34 @@ def test_a_file_of_results_says_what_was_run(path: Path) -> None:
         "of a committed state, without changes"
     )
     assert all(table["rows"] and table["columns"] for table in kept["tables"].values())
-    shown = (REPOSITORY / "docs" / "pages" / "validation.md").read_text(encoding="utf-8")
+    shown = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert f"<!-- results: {path.stem}" in shown, "no page shows it"
+
+
+@pytest.mark.parametrize(
+    "path", sorted((figures.RESULTS / "earlier").glob("*.json")), ids=lambda path: path.stem
+)
+def test_a_table_of_an_earlier_version_says_so(path: Path) -> None:
+    name = f"earlier/{path.stem}"
+    script = figures.kept(name)["command"].split(",")[0].split()[1:]
+    assert any((REPOSITORY / word).is_file() for word in script)
+    assert figures.source(name).startswith("Earlier version: ")
+    shown = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert f"<!-- results: {name}.{path.stem} -->" in shown, "no page shows it"
 
 
 def test_a_number_that_is_missing_is_a_dash() -> None:
     assert figures.cells({"a": "{a:.1f} g", "b": "{b}"}, {"a": None, "b": 3}) == ["-", "3"]
     with pytest.raises(LookupError, match="0 rows"):
         figures.numbers("simulated", "weighing", level="of nobody")
+
+
+def test_a_block_shows_the_rows_that_are_asked_for() -> None:
+    shown = figures.shown("live.live where held=all").splitlines()
+    assert shown[0] == figures.source("live")
+    assert 3 < len(shown[4:]) == sum("| all |" in line for line in shown)
+    with pytest.raises(LookupError, match="held=a cow"):
+        figures.shown("live.live where held=a cow")
 
 
 def test_the_design_page_has_the_rooms_and_the_classes_of_probes() -> None:

@@ -56,7 +56,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         str(site),
     ]
     subprocess.run(build, cwd=ROOT, check=True)
-    return sorted(path for path in site.glob("*.html") if path.name != "404.html")
+    return sorted(path for path in site.rglob("*.html") if path.name != "404.html")
 
 
 def measured(look: Look, pages: list[Path], width: int, *more: str) -> dict[str, dict[str, Any]]:
@@ -70,7 +70,7 @@ def measured(look: Look, pages: list[Path], width: int, *more: str) -> dict[str,
 
 
 def test_every_page_is_built(pages: list[Path]) -> None:
-    assert len(pages) >= len(list((ROOT / "docs" / "pages").glob("*.md"))) > 20
+    assert len(pages) >= len(list((ROOT / "docs" / "pages").rglob("*.md"))) > 40
 
 
 @pytest.mark.parametrize("width", [1400, 400])
