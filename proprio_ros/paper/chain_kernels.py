@@ -1,7 +1,7 @@
 """A chain's dynamics for Warp, unrolled over the joints of each tree, and its walk through time: see ``chain.py``.
 
-The walk here is that of ``rollout.py`` written out for this law, because a thread here takes a block of directions of a world,
-whose parameters it reads from rows that blocks share.
+The walk here is that of ``rollout_kernels.py`` written out for this law, because a thread here takes a block of directions of a
+world, whose parameters it reads from rows that blocks share.
 """
 
 from functools import cache
@@ -12,7 +12,7 @@ import warp as wp
 
 from proprio_ros.sim import runtime
 from proprio_ros.sim.joint_kernels import BACK_EMF, RESISTANCE, VEC3, VOLTAGE, limited_current
-from proprio_ros.sim.rollout import TIME_EPS
+from proprio_ros.sim.rollout_kernels import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT
 
 JOINT_PARAMETERS = (

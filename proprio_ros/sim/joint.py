@@ -9,8 +9,10 @@ the default integrator is RK4, because the substep error of the paper's equation
 mass. ``integrator="semi_implicit"`` is equation (2) to the letter.
 
 Tests hold the forward sensitivities of the rollout against ``wp.Tape`` over a kernel that stores every state. The law is in
-``joint_kernels.py``, the walk through time in ``rollout.py``.
+``joint_kernels.py``, the walk through time in ``rollout_kernels.py``.
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +24,7 @@ import warp as wp
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
 from proprio_ros.sim.joint_kernels import PARAMETERS, VEC3, JointData, joint_law
-from proprio_ros.sim.rollout import TIME_EPS, rollout
+from proprio_ros.sim.rollout_kernels import TIME_EPS, Law, rollout
 from proprio_ros.sim.runtime import FLOAT
 
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
@@ -56,6 +58,38 @@ class JointRun:
     input_load: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class _Padded:
+    """All runs of a simulator side by side, each with zeros behind its end."""
+
+    sample_counts: np.ndarray  # (R,), int32
+    input_counts: np.ndarray  # (R,), int32
+    sample_times_s: np.ndarray  # (R, T)
+    input_times_s: np.ndarray  # (R, S)
+    inputs: np.ndarray  # current, and the two of ``input_load``, (R, S, 3)
+    constants: np.ndarray  # supply and friction velocity, (R, 4)
+    steps_s: np.ndarray  # coarse and fine, (R, 2)
+
+    @classmethod
+    def of(cls, runs: Sequence[JointRun]) -> _Padded:
+        sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
+        input_counts = np.array([len(run.input_times_s) for run in runs], dtype=np.int32)
+        samples = np.zeros((len(runs), int(sample_counts.max())))
+        switch_times = np.zeros((len(runs), int(input_counts.max())))
+        inputs = np.zeros((*switch_times.shape, 3))
+        constants = np.zeros((len(runs), 4))
+        steps = np.zeros((len(runs), 2))
+        for row, run in enumerate(runs):
+            samples[row, : sample_counts[row]] = run.sample_times_s
+            switch_times[row, : input_counts[row]] = run.input_times_s
+            inputs[row, : input_counts[row], 0] = run.input_current_A
+            if run.input_load is not None:
+                inputs[row, : input_counts[row], 1:] = run.input_load
+            constants[row] = (*run.supply, run.friction_velocity)
+            steps[row] = run.step_s, min(run.fine_step_s, run.step_s)
+        return cls(sample_counts, input_counts, samples, switch_times, inputs, constants, steps)
+
+
 class JointSimulator:
     """Rolls out many worlds (guesses) of one or more runs of single joints in one launch.
 
@@ -84,36 +118,59 @@ class JointSimulator:
             )
         self.runs = tuple(runs)
         self.integrator = integrator
-        self.sample_counts = np.array(
-            [len(run.sample_times_s) for run in runs],
-            dtype=np.int32,
-        )
+        padded = _Padded.of(runs)
+        self.sample_counts = padded.sample_counts
         self.sample_counts.setflags(write=False)
         self._width = int(self.sample_counts.max())
-        input_counts = np.array(
-            [len(run.input_times_s) for run in runs],
-            dtype=np.int32,
-        )
-        samples = np.zeros((len(runs), self._width))
-        switch_times = np.zeros((len(runs), int(input_counts.max())))
-        inputs = np.zeros((*switch_times.shape, 3))
-        constants = np.zeros((len(runs), 4))
-        steps = np.zeros((len(runs), 2))
-        for row, run in enumerate(runs):
-            samples[row, : self.sample_counts[row]] = run.sample_times_s
-            switch_times[row, : input_counts[row]] = run.input_times_s
-            inputs[row, : input_counts[row], 0] = run.input_current_A
-            if run.input_load is not None:
-                inputs[row, : input_counts[row], 1:] = run.input_load
-            constants[row] = (*run.supply, run.friction_velocity)
-            steps[row] = run.step_s, min(run.fine_step_s, run.step_s)
-        self._samples = self._array(samples)
-        self._switch_times = self._array(switch_times)
-        self._inputs = wp.array(inputs, dtype=VEC3, device="cpu")
-        self._constants, self._steps = self._array(constants), self._array(steps)
-        self._input_counts = wp.array(input_counts, dtype=wp.int32, device="cpu")
+        self._samples = self._array(padded.sample_times_s)
+        self._switch_times = self._array(padded.input_times_s)
+        self._inputs = wp.array(padded.inputs, dtype=VEC3, device="cpu")
+        self._constants = self._array(padded.constants)
+        self._steps = self._array(padded.steps_s)
+        self._input_counts = wp.array(padded.input_counts, dtype=wp.int32, device="cpu")
         self._full_counts = wp.array(self.sample_counts, dtype=wp.int32, device="cpu")
         self._launches: dict[tuple[int, int, bool], _Launch] = {}
+
+    # A simulator of something else in the hand is a subclass that overrides the class attributes above and these:
+
+    def law_of(self, size: int, stribeck: bool) -> Law:
+        """What moves, with so many tangents, where friction may rise towards standstill or not."""
+        return joint_law(size, stribeck)
+
+    def law_data(self) -> Any:
+        """The law's struct of what is known about the runs."""
+        data = JointData()
+        data.constants = self._constants
+        return data
+
+    def output_arrays(self, worlds: int, size: int) -> list[wp.array]:
+        """Arrays for the fields of the law's struct of results, in their order."""
+        vec = wp.types.vector(length=size, dtype=FLOAT)
+        return [self._zeros((worlds, self._width), kind) for kind in (FLOAT, FLOAT, vec)]
+
+    def launch(
+        self,
+        world_run: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        counts: np.ndarray | None,
+    ) -> tuple[np.ndarray, ...]:
+        """All results of one launch, padded to one of ``tangent_sizes`` directions; arguments as in ``jacobian``."""
+        worlds, _, directions = dp.shape
+        size = next((s for s in self.tangent_sizes if s >= directions), directions)
+        stribeck = bool(p[:, INDEX["stribeck"]].any() or dp[:, INDEX["stribeck"]].any())
+        launch = self._launches.get((worlds, size, stribeck))
+        if launch is None:
+            launch = _Launch(self, worlds, size, stribeck)
+            self._launches[worlds, size, stribeck] = launch
+        lost = ~np.isfinite(p).all(axis=1)
+        if lost.any():  # a rollout of what is no number would not end
+            p = np.where(lost[:, None], self.harmless, p)
+        results = launch(world_run, p, dp, self.sample_counts if counts is None else counts)
+        if lost.any():
+            results[0][lost] = np.nan
+            results[1][lost] = np.nan
+        return results
 
     def _array(self, values: np.ndarray) -> wp.array:
         return wp.array(
@@ -160,40 +217,8 @@ class JointSimulator:
             q (W, T), v (W, T), dq (W, T, D). Columns past a run's count hold stale numbers. The arrays are views of
             buffers that the next call of the same shape overwrites.
         """
-        q, v, dq, *_ = self._launch(world_run, p, dp, counts)
+        q, v, dq, *_ = self.launch(world_run, p, dp, counts)
         return q, v, dq[:, :, : dp.shape[2]]
-
-    def _launch(
-        self,
-        world_run: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        counts: np.ndarray | None,
-    ) -> tuple[np.ndarray, ...]:
-        """All outputs of the tangent kernel; its directions are padded to one of ``tangent_sizes``."""
-        worlds, _, directions = dp.shape
-        size = next((s for s in self.tangent_sizes if s >= directions), directions)
-        stribeck = bool(p[:, INDEX["stribeck"]].any() or dp[:, INDEX["stribeck"]].any())
-        launch = self._launches.get((worlds, size, stribeck))
-        if launch is None:
-            launch = self._launches[worlds, size, stribeck] = _Launch(self, worlds, size, stribeck)
-        lost = ~np.isfinite(p).all(axis=1)
-        if lost.any():  # a rollout of what is no number would not end
-            p = np.where(lost[:, None], self.harmless, p)
-        results = launch(world_run, p, dp, self.sample_counts if counts is None else counts)
-        if lost.any():
-            results[0][lost] = results[1][lost] = np.nan
-        return results
-
-    def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
-        """The kernel with tangents, and the struct of its results."""
-        law = joint_law(size, stribeck)
-        return rollout(law, self.integrator), law.out
-
-    def _data(self) -> Any:
-        data = JointData()
-        data.constants = self._constants
-        return data
 
     def _run_data(self, counts: wp.array) -> list[Any]:
         """What every kernel knows about the runs, in its order."""
@@ -206,12 +231,8 @@ class JointSimulator:
             inputs,
             self._input_counts,
             self._steps,
-            self._data(),
+            self.law_data(),
         ]
-
-    def _outputs(self, worlds: int, size: int) -> list[wp.array]:
-        vec = wp.types.vector(length=size, dtype=FLOAT)
-        return [self._zeros((worlds, self._width), kind) for kind in (FLOAT, FLOAT, vec)]
 
     def rollout(
         self,
@@ -281,14 +302,19 @@ class _Launch:
         world_run = owner._zeros(worlds, wp.int32)
         p = owner._zeros(shape)
         dp = owner._zeros(shape, vec)
-        self._outputs = owner._outputs(worlds, size)
-        kernel, out_type = owner._kernel(size, stribeck)
-        out = out_type()
-        for name, array in zip(out_type.vars, self._outputs, strict=True):
+        self._outputs = owner.output_arrays(worlds, size)
+        law = owner.law_of(size, stribeck)
+        out = law.out()
+        for name, array in zip(law.out.vars, self._outputs, strict=True):
             setattr(out, name, array)
         inputs = [*owner._run_data(counts), world_run, p, dp]
         self._command = runtime.launch(
-            kernel, dim=worlds, inputs=inputs, outputs=[out], device="cpu", record_cmd=True
+            rollout(law, owner.integrator),
+            dim=worlds,
+            inputs=inputs,
+            outputs=[out],
+            device="cpu",
+            record_cmd=True,
         )
         # on the CPU a Warp array is the host's own memory: written and read in place, without a copy
         self._views = [array.numpy() for array in (world_run, counts, p, dp)]

@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from proprio_ros.sim import runtime
-from proprio_ros.sim.rollout import Law
+from proprio_ros.sim.rollout_kernels import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 PARAMETERS = (
@@ -72,41 +72,16 @@ def limited_current(
     return i, slope
 
 
-@wp.func
-def acceleration(
-    q: FLOAT,
-    v: FLOAT,
-    command: FLOAT,
-    extra: FLOAT,
-    p: FLOATS,
-    world: wp.int32,
-    constants: FLOATS,
-    run: wp.int32,
-):
-    i, _slope = limited_current(
-        command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE]
-    )
-    motor = p[world, TORQUE_CONSTANT] * i
-    dry = p[world, COULOMB] + p[world, LOAD_FRICTION] * wp.abs(motor)
-    if p[world, STRIBECK_VELOCITY] > FLOAT(0.0):
-        slow = v / p[world, STRIBECK_VELOCITY]
-        dry = dry * (FLOAT(1.0) + p[world, STRIBECK] * wp.exp(-slow * slow))
-    friction = dry * wp.tanh(v / constants[run, FRICTION_VELOCITY]) + p[world, VISCOUS] * v
-    load = (
-        p[world, GRAVITY_COS] * wp.cos(q)
-        + p[world, GRAVITY_SIN] * wp.sin(q)
-        + p[world, GRAVITY_CONSTANT]
-        + extra
-    )
-    return (motor - friction - load) / p[world, INERTIA]
-
-
 @cache
 def linearised_acceleration(directions: int, stribeck: bool) -> Any:
     """The joint's acceleration and its exact change along ``directions`` tangents, as a Warp function.
 
-    Without ``stribeck`` its terms are left out at compile time: a robot whose friction does not rise towards standstill does not
-    pay for the exponential.
+    Equation (1) of the paper for one joint, in the symbols of how_it_works.md, with tau = k_t i:
+
+        J a = tau - (f_c + f_l |tau|) (1 + s exp(-(v / w)^2)) tanh(v / v_s) - f_v v - g_a cos q - g_b sin q - load
+
+    Without ``stribeck`` the rise s towards standstill is left out at compile time: a robot without it does not pay for the
+    exponential.
     """
     vec = wp.types.vector(length=directions, dtype=FLOAT)
 
@@ -117,67 +92,63 @@ def linearised_acceleration(directions: int, stribeck: bool) -> Any:
         dq: vec,
         dv: vec,
         command: FLOAT,
-        gc: FLOAT,
-        d_gc: vec,
+        load: FLOAT,
+        d_load: vec,
         p: FLOATS,
         dp: wp.array2d(dtype=vec),
         w: wp.int32,
         constants: FLOATS,
         r: wp.int32,
     ):
-        """``gc`` is the load that neither angle nor speed changes."""
-        i, slope = limited_current(
+        """``load`` is what neither angle nor speed changes."""
+        current, current_by_v = limited_current(
             command, v, constants[r, VOLTAGE], constants[r, BACK_EMF], constants[r, RESISTANCE]
         )
-        vs = constants[r, FRICTION_VELOCITY]
-        ga = p[w, GRAVITY_COS]
-        gb = p[w, GRAVITY_SIN]
-        kt = p[w, TORQUE_CONSTANT]
-        fc = p[w, COULOMB]
-        fv = p[w, VISCOUS]
-        fl = p[w, LOAD_FRICTION]
-        motor = kt * i
-        side = wp.tanh(v / vs)
-        load = wp.abs(motor)
-        c = wp.cos(q)
-        s = wp.sin(q)
-        inverse = FLOAT(1.0) / p[w, INERTIA]
+        smoothing = constants[r, FRICTION_VELOCITY]
+        gravity_cos = p[w, GRAVITY_COS]
+        gravity_sin = p[w, GRAVITY_SIN]
+        torque_constant = p[w, TORQUE_CONSTANT]
+        viscous = p[w, VISCOUS]
+        load_friction = p[w, LOAD_FRICTION]
+
+        motor = torque_constant * current
+        motor_size = wp.abs(motor)
+        dry = p[w, COULOMB] + load_friction * motor_size
+        side = wp.tanh(v / smoothing)
+        level = FLOAT(1.0)
         if wp.static(stribeck):
             rise = p[w, STRIBECK]
             width = p[w, STRIBECK_VELOCITY]
             slow = v / width
             bump = wp.exp(-slow * slow)
             level = FLOAT(1.0) + rise * bump
-            dry = fc + fl * load
-            a = (motor - dry * level * side - fv * v - ga * c - gb * s - gc) * inverse
-            # d motor / d(.) enters the friction through |motor| as well
-            gain = FLOAT(1.0) - fl * level * wp.sign(motor) * side
-            by_q = ga * s - gb * c
-            by_v = gain * kt * slope - dry * level * (FLOAT(1.0) - side * side) / vs - fv
+        c = wp.cos(q)
+        s = wp.sin(q)
+        inverse = FLOAT(1.0) / p[w, INERTIA]
+        a = (
+            motor - dry * level * side - viscous * v - gravity_cos * c - gravity_sin * s - load
+        ) * inverse
+
+        # the motor's torque enters the friction through its size as well
+        by_motor = FLOAT(1.0) - load_friction * level * wp.sign(motor) * side
+        by_q = gravity_cos * s - gravity_sin * c
+        by_v = (
+            by_motor * torque_constant * current_by_v
+            - dry * level * (FLOAT(1.0) - side * side) / smoothing
+            - viscous
+        )
+        if wp.static(stribeck):
             by_v = by_v + FLOAT(2.0) * dry * rise * bump * slow / width * side
-            total = by_q * dq + by_v * dv + (gain * i) * dp[w, TORQUE_CONSTANT]
-            total = total - (level * side) * dp[w, COULOMB] - v * dp[w, VISCOUS]
-            total = total - (load * level * side) * dp[w, LOAD_FRICTION]
-            total = total - (dry * bump * side) * dp[w, STRIBECK]
-            total = (
-                total
-                - (FLOAT(2.0) * dry * rise * bump * slow * slow / width * side)
-                * dp[w, STRIBECK_VELOCITY]
-            )
-        else:
-            a = (motor - (fc + fl * load) * side - fv * v - ga * c - gb * s - gc) * inverse
-            gain = FLOAT(1.0) - fl * wp.sign(motor) * side
-            by_q = ga * s - gb * c
-            by_v = gain * kt * slope - (fc + fl * load) * (FLOAT(1.0) - side * side) / vs - fv
-            total = by_q * dq + by_v * dv + (gain * i) * dp[w, TORQUE_CONSTANT]
-            total = (
-                total
-                - side * dp[w, COULOMB]
-                - v * dp[w, VISCOUS]
-                - (load * side) * dp[w, LOAD_FRICTION]
-            )
-        total = total - c * dp[w, GRAVITY_COS] - s * dp[w, GRAVITY_SIN] - d_gc - a * dp[w, INERTIA]
-        return a, inverse * total
+        change = by_q * dq + by_v * dv + (by_motor * current) * dp[w, TORQUE_CONSTANT]
+        change = change - (level * side) * dp[w, COULOMB] - v * dp[w, VISCOUS]
+        change = change - (motor_size * level * side) * dp[w, LOAD_FRICTION]
+        if wp.static(stribeck):
+            change = change - (dry * bump * side) * dp[w, STRIBECK]
+            narrower = FLOAT(2.0) * dry * rise * bump * slow * slow / width * side
+            change = change - narrower * dp[w, STRIBECK_VELOCITY]
+        change = change - c * dp[w, GRAVITY_COS] - s * dp[w, GRAVITY_SIN] - d_load
+        change = change - a * dp[w, INERTIA]
+        return a, inverse * change
 
     return linearised
 

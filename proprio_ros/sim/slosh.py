@@ -23,7 +23,7 @@ import warp as wp
 
 from proprio_ros.sim import runtime
 from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
-from proprio_ros.sim.rollout import rollout
+from proprio_ros.sim.rollout_kernels import Law, rollout
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS, STIFFNESS, SloshData, slosh_law
 
@@ -59,24 +59,24 @@ class SloshSimulator(JointSimulator):
 
     def path(self, world_run: np.ndarray, p: np.ndarray) -> np.ndarray:
         """How far the moving part is from the container's axis at the samples [m], shape (W, T), a copy."""
-        outputs = self._launch(
+        outputs = self.launch(
             np.asarray(world_run, dtype=np.int32), p, np.zeros((*p.shape, 1)), None
         )
         return np.array(outputs[3])
 
-    def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
-        law = slosh_law(size, stribeck)
-        return rollout(law, self.integrator), law.out
+    def law_of(self, size: int, stribeck: bool) -> Law:
+        return slosh_law(size, stribeck)
 
-    def _data(self) -> Any:
+    def law_data(self) -> Any:
         data = SloshData()
-        data.constants, data.geometry = self._constants, self._geometry
+        data.constants = self._constants
+        data.geometry = self._geometry
         return data
 
-    def _outputs(self, worlds: int, size: int) -> list[wp.array]:
+    def output_arrays(self, worlds: int, size: int) -> list[wp.array]:
         vec = wp.types.vector(length=size, dtype=FLOAT)
         return [
-            *super()._outputs(worlds, size),
+            *super().output_arrays(worlds, size),
             *(self._zeros((worlds, self._width), kind) for kind in (FLOAT, vec)),
         ]
 

@@ -19,7 +19,7 @@ from proprio_ros.sim.joint_kernels import (
     linearised_acceleration,
     standstill,
 )  # fmt: skip
-from proprio_ros.sim.rollout import Law
+from proprio_ros.sim.rollout_kernels import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 SLOSH_TERMS = (

@@ -23,7 +23,7 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
 from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.joint_kernels import VEC3
-from proprio_ros.sim.rollout import rollout
+from proprio_ros.sim.rollout_kernels import Law, rollout
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.sim.sphere_kernels import SPHERE_PARAMETERS, SphereData, sphere_law
 
@@ -177,7 +177,7 @@ class SphereSimulator(JointSimulator):
 
         Returns: x (W, T, 3) [m], dx (W, T, 3, D), copies.
         """
-        self._launch(
+        self.launch(
             np.asarray(world_run, dtype=np.int32),
             p,
             dp,
@@ -186,7 +186,7 @@ class SphereSimulator(JointSimulator):
         x, dx = self.last_path(dp.shape[2])
         return x.copy(), dx.copy()
 
-    def _launch(
+    def launch(
         self,
         world_run: np.ndarray,
         p: np.ndarray,
@@ -195,9 +195,9 @@ class SphereSimulator(JointSimulator):
     ) -> tuple[np.ndarray, ...]:
         most = self.tangent_sizes[-1]
         if dp.shape[2] <= most:
-            self._last = super()._launch(world_run, p, dp, counts)
+            self._last = super().launch(world_run, p, dp, counts)
         else:
-            one = super()._launch
+            one = super().launch
             blocks = [dp[:, :, at : at + most] for at in range(0, dp.shape[2], most)]
             found = [[each.copy() for each in one(world_run, p, block, counts)] for block in blocks]
             q, v, _, x, _ = found[0]
@@ -208,20 +208,20 @@ class SphereSimulator(JointSimulator):
             self._last[3][lost] = np.nan
         return self._last
 
-    def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
-        law = sphere_law(size, stribeck, self.enclosure.shape, self.law)
-        return rollout(law, self.integrator), law.out
+    def law_of(self, size: int, stribeck: bool) -> Law:
+        return sphere_law(size, stribeck, self.enclosure.shape, self.law)
 
-    def _data(self) -> Any:
+    def law_data(self) -> Any:
         data = SphereData()
-        data.constants, data.geometry = self._constants, self._geometry
+        data.constants = self._constants
+        data.geometry = self._geometry
         return data
 
-    def _outputs(self, worlds: int, size: int) -> list[wp.array]:
+    def output_arrays(self, worlds: int, size: int) -> list[wp.array]:
         mat = wp.types.matrix(shape=(3, size), dtype=FLOAT)
         shape = (worlds, self._width)
         return [
-            *super()._outputs(worlds, size),
+            *super().output_arrays(worlds, size),
             self._zeros(shape, VEC3),
             self._zeros(shape, mat),
         ]

@@ -1,9 +1,9 @@
 """The law of a joint with an enclosed sphere, for Warp: its rates and their exact change along any direction.
 
 Joint and sphere are one state of 11 entries. The compiler takes apart its matrix of tangents up to 16 columns, where the walk of
-``rollout.py`` takes 0.89 to 0.97 of the time of one written out for this law (5 and 16 directions, 8 worlds: 2.9 and 4.2 ms), and
-not above: 23 columns take 2.1 times as long. So all 23 directions go in two launches of 16 and 8, which together take 0.86 of the
-time of one launch of a walk of its own (7.2 against 8.4 ms). The numbers are the same to the last bit.
+``rollout_kernels.py`` takes 0.89 to 0.97 of the time of one written out for this law (5 and 16 directions, 8 worlds: 2.9 and
+4.2 ms), and not above: 23 columns take 2.1 times as long. So all 23 directions go in two launches of 16 and 8, which together take
+0.86 of the time of one launch of a walk of its own (7.2 against 8.4 ms). The numbers are the same to the last bit.
 """
 
 from functools import cache
@@ -25,7 +25,7 @@ from proprio_ros.sim.joint_kernels import (
     linearised_acceleration,
     standstill,
 )
-from proprio_ros.sim.rollout import Law
+from proprio_ros.sim.rollout_kernels import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 SPHERE_TERMS = (

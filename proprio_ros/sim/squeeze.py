@@ -27,7 +27,7 @@ from proprio_ros.sim import runtime
 from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.response import Response
 from proprio_ros.sim.response_kernels import VEC4
-from proprio_ros.sim.rollout import rollout
+from proprio_ros.sim.rollout_kernels import Law, rollout
 from proprio_ros.sim.squeeze_kernels import GAP, SQUEEZE_PARAMETERS, SqueezeData, squeeze_law
 
 SQUEEZE_INDEX = {name: row for row, name in enumerate(SQUEEZE_PARAMETERS)}
@@ -112,18 +112,15 @@ class SqueezeSimulator(JointSimulator):
         ]
         return (q * (travel + q * (second + q * third)) - p[:, GAP : GAP + 1]) / length
 
-    def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
-        law = squeeze_law(size, stribeck)
-        return rollout(law, self.integrator), law.out
+    def law_of(self, size: int, stribeck: bool) -> Law:
+        return squeeze_law(size, stribeck)
 
-    def _data(self) -> Any:
+    def law_data(self) -> Any:
         data = SqueezeData()
-        data.constants, data.block, data.grid, data.nodes = (
-            self._constants,
-            self._block,
-            self._grid,
-            self._nodes,
-        )
+        data.constants = self._constants
+        data.block = self._block
+        data.grid = self._grid
+        data.nodes = self._nodes
         return data
 
 

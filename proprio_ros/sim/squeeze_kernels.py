@@ -17,7 +17,7 @@ from proprio_ros.sim.joint_kernels import (
     one_joint_law,
 )
 from proprio_ros.sim.response_kernels import VEC4, tabulated
-from proprio_ros.sim.rollout import Law
+from proprio_ros.sim.rollout_kernels import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 BLOCK_TERMS = ("youngs_modulus", "poissons_ratio", "block_viscosity", "gap")

@@ -18,7 +18,7 @@ from proprio_ros.paper.chain_kernels import (
     module_of,
 )
 from proprio_ros.robot import ReducedModel
-from proprio_ros.sim.rollout import TIME_EPS
+from proprio_ros.sim.rollout_kernels import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT
 from support.taped import MAX_STEPS
 

@@ -15,7 +15,6 @@ from proprio_ros.sim.joint_kernels import (
     Q0,
     V0,
     VEC3,
-    acceleration,
     standstill,
 )
 from proprio_ros.sim.runtime import FLOAT, FLOATS
@@ -49,7 +48,7 @@ from proprio_ros.sim.sphere_kernels import (
 )
 from proprio_ros.sim.squeeze import SqueezeSimulator
 from proprio_ros.sim.squeeze_kernels import SqueezeData, excitation_of_block
-from support.taped import PlainLaw, TapedRollout, forward, plain_joint_law, tape
+from support.taped import PlainLaw, TapedRollout, acceleration, forward, plain_joint_law, tape
 
 
 @wp.func

@@ -46,7 +46,7 @@ from proprio_ros.sim.joint_kernels import (
     one_joint_law,
 )
 from proprio_ros.sim.payload import PayloadFacts
-from proprio_ros.sim.rollout import Law, rollout
+from proprio_ros.sim.rollout_kernels import Law
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.virtual.objects import HandObject
 
@@ -85,9 +85,8 @@ class SpringSimulator(JointSimulator):
     parameters = (*PARAMETERS, "spring_stiffness")
     harmless = harmless(parameters)
 
-    def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
-        law = spring_law(size, stribeck)
-        return rollout(law, self.integrator), law.out
+    def law_of(self, size: int, stribeck: bool) -> Law:
+        return spring_law(size, stribeck)
 
 
 @dataclass(frozen=True)

@@ -12,20 +12,34 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
 from proprio_ros.sim.joint import JointSimulator
 from proprio_ros.sim.joint_kernels import (
+    BACK_EMF,
     CARRIED,
+    COULOMB,
     CURRENT,
     DELAY,
+    FRICTION_VELOCITY,
+    GRAVITY_CONSTANT,
+    GRAVITY_COS,
+    GRAVITY_SIN,
+    INERTIA,
     LOAD,
+    LOAD_FRICTION,
     LOAD_PER_KG,
     Q0,
+    RESISTANCE,
+    STRIBECK,
+    STRIBECK_VELOCITY,
+    TORQUE_CONSTANT,
     V0,
     VEC2,
     VEC3,
+    VISCOUS,
+    VOLTAGE,
     JointData,
-    acceleration,
+    limited_current,
     standstill,
 )
-from proprio_ros.sim.rollout import TIME_EPS
+from proprio_ros.sim.rollout_kernels import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 MAX_STEPS = 200_000
@@ -210,6 +224,36 @@ def observe(law: PlainLaw) -> Any:
             sampled_out[w, k] = y_in[w, n][0]
 
     return kernel
+
+
+@wp.func
+def acceleration(
+    q: FLOAT,
+    v: FLOAT,
+    command: FLOAT,
+    extra: FLOAT,
+    p: FLOATS,
+    world: wp.int32,
+    constants: FLOATS,
+    run: wp.int32,
+):
+    """Of one joint: the law of ``linearised_acceleration``, written down a second time."""
+    i, _slope = limited_current(
+        command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE]
+    )
+    motor = p[world, TORQUE_CONSTANT] * i
+    dry = p[world, COULOMB] + p[world, LOAD_FRICTION] * wp.abs(motor)
+    if p[world, STRIBECK_VELOCITY] > FLOAT(0.0):
+        slow = v / p[world, STRIBECK_VELOCITY]
+        dry = dry * (FLOAT(1.0) + p[world, STRIBECK] * wp.exp(-slow * slow))
+    friction = dry * wp.tanh(v / constants[run, FRICTION_VELOCITY]) + p[world, VISCOUS] * v
+    load = (
+        p[world, GRAVITY_COS] * wp.cos(q)
+        + p[world, GRAVITY_SIN] * wp.sin(q)
+        + p[world, GRAVITY_CONSTANT]
+        + extra
+    )
+    return (motor - friction - load) / p[world, INERTIA]
 
 
 @wp.func
@@ -411,7 +455,7 @@ class TapedRollout:
         self._sampled = owner._zeros((worlds, width), requires_grad=True)
         y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
         steps = [
-            owner._data(),
+            owner.law_data(),
             runs,
             self._p,
             owner._array(p[:, DELAY]),
@@ -419,7 +463,7 @@ class TapedRollout:
         ]
         samples = [
             owner._samples,
-            owner._data(),
+            owner.law_data(),
             runs,
             self._p,
             sample_step,

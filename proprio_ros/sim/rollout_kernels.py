@@ -11,9 +11,6 @@ change along any direction in state and parameters. What a kernel does with a la
 
 State and rates are one vector, tangents one matrix with a column for each direction. They cost no time against code written
 out for each law: the compiler takes them apart again, for the sphere's 11 rows up to 16 columns (``sphere_kernels.py``).
-
-Beside the walk with tangents there is one without, which writes down every step that it takes, and a kernel for ``wp.Tape`` that
-takes those steps again. Its adjoint is right because every step writes its own row: no state is overwritten.
 """
 
 from collections.abc import Callable
