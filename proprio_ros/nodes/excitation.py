@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from proprio_ros import clock
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.commands import Command, JointSample, JointStates
-from proprio_ros.excitation.controllers import UNITS
+from proprio_ros.excitation.effort_controller import UNITS
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.machine import ExcitationMachine, Phase

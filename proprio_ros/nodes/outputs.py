@@ -6,7 +6,9 @@ at every joint state what holds the joints, and says what it can before it ends.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from array import array
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.duration import Duration
@@ -16,9 +18,12 @@ from std_msgs.msg import Float64MultiArray
 from proprio_ros import clock
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
-from proprio_ros.excitation.controllers import EffortController, GoalController, StampClock
+from proprio_ros.excitation.controllers import Controller
+from proprio_ros.excitation.effort_controller import EffortController
+from proprio_ros.excitation.goal_controller import GoalController
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.plans import ExcitationSequence
+from proprio_ros.excitation.remote_clock import RemoteClock
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.managed_node import ManagedNode
@@ -31,34 +36,40 @@ ON_THE_WAY_NS = 500_000
 LET_GO_S = 0.3
 
 
-def controller_of(node: ManagedNode, robot: Robot, topic: str) -> EffortController | GoalController:
+def controller_of(node: ManagedNode, robot: Robot, topic: str) -> Controller:
     """As the node's parameters state it; the log says what that means for whoever stands beside the arm.
 
-    Raises `ConfigurationError`: They do not fit the robot.
+    Args:
+        node: Whose parameters they are.
+        robot: The arm.
+        topic: Where the controller listens.
+
+    Raises:
+        ConfigurationError: The parameters do not fit the robot.
     """
     values = node.values
     joints = values["controller_joints"]
     jump_rad = values["max_jump"]
-    switches = (
-        ""
-        if values["controller_manager"]
-        else "this node switches no controllers: activate that one first, and "
-    )
-    controller: EffortController | GoalController
+    switches = "this node switches no controllers: activate that one first, and "
+    if values["controller_manager"]:
+        switches = ""
+    controller: Controller
     if values["command_interface"] == "effort":
         gains = HoldGains(
             values["hold_frequency"], jump_rad=jump_rad, max_velocity_rad_s=values["max_velocity"]
         )
         controller = EffortController(robot, joints, values["effort_unit"], gains)
-        said = f"efforts go to {topic}; this node alone holds the arm then; {switches}keep a hand near the emergency stop"
+        goes = f"efforts go to {topic}; this node alone holds the arm then"
+        beside = "keep a hand near the emergency stop"
     else:
         controller = GoalController(robot, joints, jump_rad)
-        said = f"goals go to {topic}; {switches}keep a hand near the servos' supply"
-    node.say("warning", f"{said} (docs: hardware and safety)")
+        goes = f"goals go to {topic}"
+        beside = "keep a hand near the servos' supply"
+    node.say("warning", f"{goes}; {switches}{beside} (docs: hardware and safety)")
     return controller
 
 
-class Output:
+class Output(ABC):
     """Takes what the state machine commands.
 
     Attributes:
@@ -67,36 +78,54 @@ class Output:
     """
 
     holds = False
-    controller: EffortController | GoalController | None = None
+    controller: Controller | None = None
 
+    @abstractmethod
     def check(self, sequence: ExcitationSequence) -> None:
-        """Raises: ExcitationError: It cannot be made now."""
-        raise NotImplementedError
+        """Whether a sequence can be made now.
 
+        Raises:
+            ExcitationError: It cannot.
+        """
+
+    @abstractmethod
     def send(self, command: Command, slipped: bool) -> None:
         """A command; ``slipped``: after an encoder has, positions from before are other places."""
-        raise NotImplementedError
 
+    @abstractmethod
     def release(self) -> str:
         """Let go, if it is this that holds the arm; says what was done."""
-        raise NotImplementedError
 
+    @abstractmethod
     def finish(self) -> None:
         """Last words, after which the process may end."""
 
+    @abstractmethod
     def begin(self) -> None:
         """A sequence begins."""
 
+    @abstractmethod
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
-        """A joint state has come, with ``whole`` all joints of the arm seen; returns why it is not held any more, if so."""
-        return ""
+        """A joint state has come.
 
+        Args:
+            message: The joint state.
+            now_s: When it came, on the node's clock [s].
+            whole: Whether all joints of the arm were seen of late.
+
+        Returns:
+            Why the arm is not held any more, where it was until now; else an empty string.
+        """
+
+    @abstractmethod
     def unheard(self) -> None:
         """No joint states come."""
 
+    @abstractmethod
     def hand_over(self) -> None:
         """Others hold the arm from now on."""
 
+    @abstractmethod
     def close(self) -> None:
         """What it has opened is not needed any more."""
 
@@ -128,37 +157,60 @@ class DriverOutput(Output):
     def finish(self) -> None:
         self._currents.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
 
+    def begin(self) -> None:
+        """The driver holds the arm already."""
+
+    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
+        return ""
+
+    def unheard(self) -> None:
+        """The driver ends a push by itself."""
+
+    def hand_over(self) -> None:
+        """The driver takes commands only."""
+
+    def close(self) -> None:
+        """Publishers are the node's."""
+
 
 class ControllerOutput(Output):
     """Efforts or goals to a `forward_command_controller`, or another that takes the same.
 
-    ``node``: that publishes; ``controller``: whose commands they are; ``commands``: publisher to it; ``applied``: publisher of what
-    pushes, or of the goals, for whoever records; ``speaker``: speaks where this process cannot any more.
+    Args:
+        node: Publishes.
+        controller: Whose commands they are.
+        commands: Publisher to the controller.
+        applied: Publisher of what pushes, or of the goals, for whoever records.
+        speaker: Speaks where this process cannot any more.
     """
 
     holds = True
-
-    controller: EffortController | GoalController
+    controller: Controller
 
     def __init__(
         self,
         node: ManagedNode,
-        controller: EffortController | GoalController,
+        controller: Controller,
         commands: Any,
         applied: Any,
         speaker: LastWords,
     ) -> None:
-        self._node, self.controller = node, controller
+        self._node = node
+        self.controller = controller
         self._let_go_at_end = controller.can_let_go and node.values["on_end"] == "zero"
-        self._commands, self._applied, self._last_words = commands, applied, speaker
+        self._commands = commands
+        self._applied = applied
+        self._last_words = speaker
         self._topic = self._commands.topic_name
-        self._clock = StampClock()  # of the joint states
-        self._heard = self._blind = False
+        self._clock = RemoteClock()  # of the joint states
+        self._heard = False
+        self._blind = False
         self._said_ns = clock.now_ns()
         self._recorded: dict[str, float] = {}
         # by when it was sent, on the clock of the joint states
         self._untaken: dict[int, dict[str, float]] = {}
-        self._recorded_at_s = self._lost_at_s = -1e9
+        self._recorded_at_s = -1e9
+        self._lost_at_s = -1e9
 
     def check(self, sequence: ExcitationSequence) -> None:
         if self._node.count_subscribers(self._topic) == 0:
@@ -193,19 +245,17 @@ class ControllerOutput(Output):
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         stamp_ns = messages.time_ns(message.header.stamp)
-        self._clock.hear(
-            stamp_ns or self._node.get_clock().now().nanoseconds,
-            clock.now_ns(),
-        )
+        now_ns = self._node.get_clock().now().nanoseconds
+        self._clock.hear(stamp_ns or now_ns, clock.now_ns())
         stamp_ns = stamp_ns or self._clock.at(clock.now_ns())
         controller = self.controller
-        lost = self.controller.lost
-        controller.observe(
-            1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s
-        )
+        lost = controller.lost
+        position = dict(zip(message.name, message.position, strict=False))
+        controller.observe(1e-9 * stamp_ns or now_s, position, now_s)
         if self._blind:  # it is not where it was, and would be thrown back
             controller.take_here()
-        self._heard, self._blind = True, False
+        self._heard = True
+        self._blind = False
         self._take_up(stamp_ns)
         if controller.holding:
             self._say(controller.commands() if whole else controller.steady())
@@ -259,9 +309,8 @@ class ControllerOutput(Output):
         self._said_ns = clock.now_ns()
         self._commands.publish(Float64MultiArray(data=array("d", commands)))
         if self._last_words.due:
-            self._last_words.tell(
-                [0.0] * len(commands) if self._let_go_at_end else self.controller.last_words()
-            )
+            zeros = [0.0] * len(commands)
+            self._last_words.tell(zeros if self._let_go_at_end else self.controller.last_words())
 
     def _let_go(self) -> None:
         self._say(self.controller.release())
@@ -274,7 +323,8 @@ class ControllerOutput(Output):
         if not self._heard or not record:
             return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
-            self._recorded, self._recorded_at_s = record, now_s
+            self._recorded = record
+            self._recorded_at_s = now_s
             said_ns = self._said_ns if self.controller.holding else clock.now_ns()
             self._untaken[self._clock.at(said_ns)] = record
 
@@ -283,15 +333,17 @@ class ControllerOutput(Output):
 
         Without one, what was sent is stamped as it was.
         """
-        taken = [
-            sent_ns
-            for sent_ns in self._untaken
-            if stamp_ns is None or sent_ns + ON_THE_WAY_NS <= stamp_ns
-        ]
-        records = {sent_ns: self._untaken.pop(sent_ns) for sent_ns in taken}
-        for sent_ns in taken if stamp_ns is None else taken[-1:]:
-            values = {self.controller.recorded_as: list(records[sent_ns].values())}
-            when_ns = (sent_ns if stamp_ns is None else stamp_ns) + round(
-                1e9 * self.controller.late_s
-            )
-            self._applied.publish(messages.joint_state(when_ns, list(records[sent_ns]), **values))
+        if stamp_ns is None:
+            for sent_ns, record in self._untaken.items():
+                self._publish_applied(sent_ns, record)
+            self._untaken.clear()
+            return
+        taken = [sent_ns for sent_ns in self._untaken if sent_ns + ON_THE_WAY_NS <= stamp_ns]
+        records = [self._untaken.pop(sent_ns) for sent_ns in taken]
+        if records:  # an update takes the newest command
+            self._publish_applied(stamp_ns, records[-1])
+
+    def _publish_applied(self, taken_ns: int, record: Mapping[str, float]) -> None:
+        when_ns = taken_ns + round(1e9 * self.controller.late_s)
+        values = {self.controller.recorded_as: list(record.values())}
+        self._applied.publish(messages.joint_state(when_ns, list(record), **values))

@@ -8,8 +8,8 @@ from collections import deque
 import numpy as np
 import pytest
 
-from proprio_ros.excitation.controllers import EffortController
 from proprio_ros.excitation.delay import LONGEST_S, NUDGE_RAD_S2, NUDGE_RAISED, NUDGES, Delay, Nudge
+from proprio_ros.excitation.effort_controller import EffortController
 from proprio_ros.excitation.first import first_sequence
 from proprio_ros.robot import load_robot
 

@@ -6,8 +6,9 @@ import pytest
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
-from proprio_ros.excitation.controllers import EffortController, StampClock
+from proprio_ros.excitation.effort_controller import EffortController
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
+from proprio_ros.excitation.remote_clock import RemoteClock
 from proprio_ros.robot import load_robot
 
 ROBOT = load_robot("open_manipulator_x")
@@ -157,7 +158,7 @@ def test_joint_states_in_bursts_are_refused_and_one_late_one_is_not() -> None:
 
 
 def test_commands_are_stamped_on_the_clock_of_the_joint_states_however_late_these_come() -> None:
-    clock = StampClock()
+    clock = RemoteClock()
     assert clock.at(5) == 5
     late_ms = [7, 3, 9, 1, 12, 4, 8, 15]
     for step, late in enumerate(late_ms):

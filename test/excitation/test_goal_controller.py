@@ -12,7 +12,8 @@ import pytest
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command, JointStates
-from proprio_ros.excitation.controllers import LARGEST_SUM_RAD, EffortController, GoalController
+from proprio_ros.excitation.effort_controller import EffortController
+from proprio_ros.excitation.goal_controller import LARGEST_SUM_RAD, GoalController
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, as_text, load_sequence
 from proprio_ros.robot import load_robot

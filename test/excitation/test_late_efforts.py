@@ -15,7 +15,7 @@ from support.foreign_arm import BROADCAST, JOINTS, ORDER, Busy, ForeignArm, writ
 
 from proprio_ros.cli import main as proprio
 from proprio_ros.excitation.commands import JointSample, JointStates
-from proprio_ros.excitation.controllers import EffortController
+from proprio_ros.excitation.effort_controller import EffortController
 from proprio_ros.excitation.first import first_sequence
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
