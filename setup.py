@@ -27,8 +27,8 @@ setup(
             "resource/*",
             "report/*.css",
             "report/*.js",
-            "batch/*.css",
-            "batch/*.js",
+            "addons/*/*.css",
+            "addons/*/*.js",
             "py.typed",
         ]
     },

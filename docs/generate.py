@@ -486,13 +486,13 @@ def _parameter(parameter: Any) -> tuple[str, str, str, str]:
 
 def settings() -> str:
     """The page about settings, robot files, calibrations and limits."""
+    from proprio_ros.addons.contents.facts import FORMS as OF_CONTENTS
     from proprio_ros.calibration_files.pushes import NOISE, RANGES
     from proprio_ros.inputs import reading
     from proprio_ros.inputs.forms import REQUIRED
     from proprio_ros.inputs.settings import SEARCH, probe_file
     from proprio_ros.kinds import KINDS
     from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
-    from proprio_ros.probes.contents.facts import FORMS as OF_CONTENTS
     from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
     from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
     from proprio_ros.recordings import reader, storage, text

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from proprio_ros.paper.cases import Rows
-from proprio_ros.paper.experiments import published
-from proprio_ros.paper.page import paper_parts
+from proprio_ros.addons.paper.cases import Rows
+from proprio_ros.addons.paper.experiments import published
+from proprio_ros.addons.paper.page import paper_parts
 from proprio_ros.report.html import STYLE
 
 PAGES = Path(__file__).resolve().parent / "pages"

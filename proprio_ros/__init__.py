@@ -14,24 +14,24 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from proprio_ros import registry
 from proprio_ros.version import __version__
 
 if TYPE_CHECKING:
-    from proprio_ros.batch.drift import drift
     from proprio_ros.pipeline.api import calibrate, check, plan, weigh
 
-__all__ = ["__version__", "calibrate", "check", "drift", "plan", "weigh"]
+__all__ = ["__version__", "calibrate", "check", "plan", "weigh"]
 
 
 def __getattr__(name: str) -> Any:
     """The calls for scripts and notebooks, loaded with all they need when they are first asked for."""
     if name in __all__:
-        return getattr(
-            import_module(f"proprio_ros.{'batch.drift' if name == 'drift' else 'pipeline.api'}"),
-            name,
-        )
+        return getattr(import_module("proprio_ros.pipeline.api"), name)
+    # what Python itself asks for is nobody's call
+    if not name.startswith("_") and name in registry.calls():
+        return registry.loaded(registry.calls()[name])
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *registry.calls()})

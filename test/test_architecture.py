@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ BASE = {
     "threads",
     "clock",
     "whole_files",
+    "registry",
 }
 # each room below stands on those above it; its row says on which
 ROOMS: dict[str, set[str]] = {
@@ -90,33 +92,6 @@ ROOMS: dict[str, set[str]] = {
         ),
         *("experiment_design", "report", "probes", "pipeline", "live"),
     },
-    # users of the package: many recordings, and the paper's experiments again
-    "batch": {
-        *(
-            "inputs",
-            "calibration_files",
-            "robot",
-            "recordings",
-            "identification",
-            "report",
-            "probes",
-            "pipeline",
-        )
-    },
-    "paper": {
-        *(
-            "inputs",
-            "robot",
-            "recordings",
-            "excitation",
-            "virtual",
-            "sim",
-            "identification",
-            "report",
-            "probes",
-        ),
-        "pipeline",
-    },
     "cli": {
         *(
             "inputs",
@@ -127,9 +102,47 @@ ROOMS: dict[str, set[str]] = {
             "probes",
             "pipeline",
             "nodes",
-            "batch",
-        ),
-        "paper",
+        )
+    },
+    # what can be deleted: `registry` finds it, and nothing above looks at it
+    "addons.contents": {
+        *(
+            "inputs",
+            "robot",
+            "virtual",
+            "sim",
+            "identification",
+            "report",
+            "probes",
+        )
+    },
+    "addons.fleet": {
+        *(
+            "inputs",
+            "calibration_files",
+            "robot",
+            "recordings",
+            "identification",
+            "report",
+            "probes",
+            "pipeline",
+            "cli",
+        )
+    },
+    "addons.paper": {
+        *(
+            "inputs",
+            "robot",
+            "recordings",
+            "excitation",
+            "virtual",
+            "sim",
+            "identification",
+            "report",
+            "probes",
+            "pipeline",
+            "cli",
+        )
     },
 }
 ROS = {
@@ -146,28 +159,34 @@ ROS = {
 }
 # heavy or special libraries, and the only rooms that may import them
 ONLY_IN = {
-    "warp": {"sim", "paper"},
+    "warp": {"sim", "addons.contents", "addons.paper"},
     "rosbags": {"recordings"},
-    "mujoco": {"virtual", "paper"},
+    "mujoco": {"virtual", "addons.paper"},
     "dynamixel_sdk": {"bus"},
     "matplotlib": {"report", "probes", "pipeline"},
     "pandas": {"pipeline"},
     "cma": {"identification"},
     "meshio": {"sim"},
-    "pyarrow": {"recordings", "batch"},
-    "ray": {"batch"},
+    "pyarrow": {"recordings", "addons.fleet"},
+    "ray": {"addons.fleet"},
 }
 
 
 def room_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return room_named(path.relative_to(PACKAGE).with_suffix("").parts)
+
+
+def room_named(parts: Sequence[str]) -> str:
+    """The room of a module, of its path or dotted name below the package; each add-on is one."""
+    return ".".join(parts[:2]) if parts[0] == "addons" else parts[0]
 
 
 def modules() -> list[Path]:
     return [
         path
         for path in sorted(PACKAGE.rglob("*.py"))
-        if path != PACKAGE / "__init__.py" and "launch" not in path.parts
+        if path.parent not in (PACKAGE / "launch", PACKAGE / "addons")
+        and path != PACKAGE / "__init__.py"
     ]
 
 
@@ -191,7 +210,7 @@ def test_no_arrow_points_up(path: Path) -> None:
     for name in imports(path):
         top, _, rest = name.partition(".")
         if top == "proprio_ros":
-            target = rest.split(".")[0]
+            target = room_named(rest.split("."))
             assert target in may, f"{room} must not look at {target}"
         assert top not in ROS or room == "nodes", f"{room} must not import {top}"
         assert room in ONLY_IN.get(top, {room}), f"{room} must not import {top}"
@@ -200,7 +219,7 @@ def test_no_arrow_points_up(path: Path) -> None:
 def test_no_room_but_the_probes_names_a_probe() -> None:
     """Command line, services, report, demo and launch file ask the registry."""
     # what a hand holds in a sequence is called the same
-    may = {"probes", "excitation", "paper"}
+    may = {"probes", "excitation", "addons.paper"}
     for path in PACKAGE.rglob("*.py"):
         if room_of(path) in may:
             continue
@@ -211,11 +230,11 @@ def test_no_room_but_the_probes_names_a_probe() -> None:
                 )
 
 
-def test_only_the_paper_looks_into_a_probe() -> None:
+def test_only_add_ons_look_into_a_probe() -> None:
     """All others ask the registry."""
     inside = tuple(f"proprio_ros.probes.{name}" for name in PROBES)
     for path in PACKAGE.rglob("*.py"):
-        if room_of(path) not in ("probes", "paper"):
+        if room_of(path) != "probes" and not room_of(path).startswith("addons."):
             looks = [name for name in imports(path) if name.startswith(inside)]
             assert not looks, f"{path} looks at {looks}"
 
@@ -236,9 +255,17 @@ def test_nodes_name_no_probe() -> None:
                 )
 
 
+def test_the_core_names_no_add_on() -> None:
+    """Only `registry` knows where they are; each can be deleted."""
+    for path in PACKAGE.rglob("*.*"):
+        if path.suffix in (".py", ".css", ".js") and not room_of(path).startswith("addons"):
+            if path != PACKAGE / "registry.py":
+                assert "addons" not in path.read_text(encoding="utf-8"), path
+
+
 def test_few_modules_stand_on_top() -> None:
     on_top = [path.name for path in PACKAGE.glob("*.py")]
-    assert len(on_top) <= 11, on_top
+    assert len(on_top) <= 12, on_top
 
 
 def test_rooms_stand_on_those_above() -> None:

@@ -25,9 +25,9 @@ SLOW = {"contents"}
 
 
 def test_there_is_one_per_probe() -> None:
-    from proprio_ros.probes import PROBES
+    from proprio_ros.probes import registry
 
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(TRUTH) == set(PROBES)
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(TRUTH) == set(registry())
 
 
 @pytest.mark.parametrize(

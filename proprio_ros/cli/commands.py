@@ -9,7 +9,6 @@ import argparse
 import os
 import shlex
 import signal
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import fields
@@ -19,7 +18,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from proprio_ros import schema
 from proprio_ros.cli import terminal
 from proprio_ros.cli.terminal import (
-    EXIT_BAD_INPUT,
     EXIT_INTERRUPTED,
     EXIT_NO_ANSWER,
     EXIT_OK,
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
 LONGEST_SEARCH_S = 1e6
 
 
-def _command(given: Sequence[str]) -> str:
+def command_line(given: Sequence[str]) -> str:
     """The command line as it was given."""
     return shlex.join(["proprio", *given])
 
@@ -73,7 +71,7 @@ def _settings(pairs: Sequence[str]) -> dict[str, Any]:
     return parse_settings(pairs)
 
 
-def _asked(options: argparse.Namespace, **read: Any) -> Options:
+def asked_options(options: argparse.Namespace, **read: Any) -> Options:
     """What the options of a command state; some were read already."""
     settings = _settings(options.set)
     from proprio_ros.pipeline.request import Options
@@ -89,14 +87,14 @@ def _asked(options: argparse.Namespace, **read: Any) -> Options:
 def replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio replay``: an estimate; returns the exit code."""
     _refuse_unwritable(options.report, options.force)
-    asked = _asked(options, span=_span(options.span))
+    asked = asked_options(options, span=_span(options.span))
     from proprio_ros.pipeline.replay import replay, write_report
 
     estimate = replay(options.bags, asked)
     if (
         options.report
     ):  # before anything is printed: where it cannot be written, that is what is said
-        how = {"command": _command(given), "sources": options.bags, "force": options.force}
+        how = {"command": command_line(given), "sources": options.bags, "force": options.force}
         write_report(estimate, Path(options.report), **how)
     terminal.show(options.json, estimate.as_json(), terminal.estimate_as_text(estimate))
     if options.report:
@@ -113,7 +111,7 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
             "--refresh takes runs with an empty hand; with a --reference calibrate from the start"
         )
     how = (
-        _asked(options, calibration=options.refresh),
+        asked_options(options, calibration=options.refresh),
         options.output,
         say_progress,
         options.force,
@@ -133,7 +131,7 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         from proprio_ros.report import write_calibration_report
 
         about = {
-            "command": _command(given),
+            "command": command_line(given),
             "sources": [*options.bags, *map(str, references)],
             "force": options.force,
         }
@@ -148,7 +146,7 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 def check(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio check``: what is in bags; returns the exit code."""
-    asked = _asked(options)
+    asked = asked_options(options)
     from proprio_ros.pipeline.check import check_bags
     from proprio_ros.pipeline.looked_into import as_json
 
@@ -169,7 +167,7 @@ def plan(options: argparse.Namespace, given: Sequence[str]) -> int:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
     if not 0.0 <= options.seconds <= LONGEST_SEARCH_S:
         raise ConfigurationError(f"--seconds {options.seconds:g}: choose 0 to {LONGEST_SEARCH_S:g}")
-    asked = _asked(options)
+    asked = asked_options(options)
     from proprio_ros.pipeline.api import Plans
     from proprio_ros.pipeline.calibrate import plan_excitations
 
@@ -281,92 +279,9 @@ def warmup(options: argparse.Namespace, given: Sequence[str]) -> int:
     from proprio_ros.pipeline.replay import compile_for
 
     for name in [options.probe] if options.probe else [probe.name for probe in all_probes()]:
-        compile_for(_asked(options, probe=name))
+        compile_for(asked_options(options, probe=name))
         print(f"{name}: ready")
     return EXIT_OK
-
-
-def paper(options: argparse.Namespace, given: Sequence[str]) -> int:
-    """``proprio paper``: a page; returns the exit code."""
-    for name, least, most in (("seeds", 1, 1000), ("jobs", 1, 64)):
-        value = getattr(options, name)
-        if value is not None and not least <= value <= most:
-            raise ConfigurationError(f"--{name} {value}: choose {least} to {most}")
-    if problem := path_problem(options.out):
-        raise ConfigurationError(f"--out {one_line(options.out, 60)}: {problem}")
-    from proprio_ros.paper.experiments import published
-    from proprio_ros.paper.page import write_paper_page
-    from proprio_ros.paper.store import Store, processors, run, tasks_of
-
-    folder = Path(options.out)
-    check_page(folder / "paper.html", "--out")
-    tasks_of(options.only, options.seeds)  # a name that is none is refused before anything is made
-    recording = None if options.recording is None else published(Path(options.recording))
-    found = run(
-        Store(folder),
-        options.only,
-        options.seeds,
-        options.jobs or processors(),
-        say,
-    )
-    page = folder / "paper.html"
-    write_paper_page(found, page, _command(given), options.seeds, recording)
-    print(printable(str(page)))
-    return EXIT_OK
-
-
-def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
-    """``proprio batch``: rows and a page; returns the exit code."""
-    if options.jobs is not None and not 1 <= options.jobs <= 1024:
-        raise ConfigurationError(f"--jobs {options.jobs}: choose 1 to 1024")
-    if options.reports < 0:
-        raise ConfigurationError(f"--reports {options.reports}: choose 0 or more")
-    for flag, engine in (("address", "ray"), ("jobs", "local")):
-        if getattr(options, flag) is not None and options.engine != engine:
-            raise ConfigurationError(
-                f"--{flag} goes with --engine {engine}: add that, or leave it out"
-            )
-    asked = _asked(options)
-    from proprio_ros.batch.job import refuse_device, run_batch
-    from proprio_ros.batch.rows import Job
-
-    refuse_device(options.device)
-    outcome = run_batch(
-        options.sources,
-        Job(asked, options.grasps),
-        options.out,
-        say,
-        engine=options.engine,
-        processes=options.jobs,
-        address=options.address,
-        bars=sys.stderr is not None and sys.stderr.isatty(),
-        command=_command(given),
-        empty=options.empty,
-        empty_first_s=options.empty_first,
-        reports=options.reports,
-    )
-    done = {
-        "episodes": outcome.episodes,
-        "done_before": outcome.before,
-        "undone": outcome.undone,
-        "verdicts": outcome.verdicts,
-    }
-    text = f"{outcome.episodes} episodes: " + ", ".join(
-        f"{count} {name}" for name, count in outcome.verdicts.items()
-    )
-    text += f"\nrows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}"
-    whole = {
-        **schema.header("batch"),
-        "folder": str(outcome.folder),
-        **done,
-    }
-    if outcome.undone:
-        text += (
-            f"\n{outcome.undone} episodes were not answered, since this computer could not: mend what is said above, and give the "
-            "same command again"
-        )
-    terminal.show(options.json, whole, text, terminal.table_of_episodes(outcome.first))
-    return EXIT_BAD_INPUT if outcome.undone else EXIT_OK
 
 
 def completion(options: argparse.Namespace, given: Sequence[str]) -> int:

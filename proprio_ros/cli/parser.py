@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from proprio_ros import registry
 from proprio_ros.cli import commands as obey
 from proprio_ros.cli.completion import SHELLS
 from proprio_ros.cli.terminal import EXIT_BAD_INPUT
@@ -74,7 +75,9 @@ class _Once(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
+    """Of ``proprio`` or one of its commands; ``command`` is the function that obeys it."""
+
     def __init__(self, *arguments: Any, command: Any = None, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.register("action", None, _Once)
@@ -94,7 +97,7 @@ class _Parser(argparse.ArgumentParser):
 
 def make_parser() -> argparse.ArgumentParser:
     """Of the whole command line; what it gives has the command to obey as ``command``."""
-    parser = _Parser(prog="proprio", description="A robot arm's sense of weight and softness.")
+    parser = Parser(prog="proprio", description="A robot arm's sense of weight and softness.")
     parser.add_argument("--version", action="version", version=f"proprio {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for make in (
@@ -105,8 +108,7 @@ def make_parser() -> argparse.ArgumentParser:
         _robot,
         _table,
         _warmup,
-        _paper,
-        _batch,
+        *(registry.loaded(place) for place in registry.commands().values()),
         _demo,
         _completion,
     ):
@@ -114,7 +116,7 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _replay(add: Callable[..., _Parser]) -> None:
+def _replay(add: Callable[..., Parser]) -> None:
     it = add(
         "replay",
         command=obey.replay,
@@ -124,7 +126,7 @@ def _replay(add: Callable[..., _Parser]) -> None:
     )
     folders = "bag folder or file, or a folder with trajectory.csv, setting.json"
     it.add_argument("bags", nargs="+", metavar="BAG", help=folders)
-    it.add_argument("--probe", required=True, choices=_names(), help="what to identify")
+    it.add_argument("--probe", required=True, choices=probe_names(), help="what to identify")
     it.share("robot", "calibration")
     it.add_argument(
         "--baseline",
@@ -152,7 +154,7 @@ def _replay(add: Callable[..., _Parser]) -> None:
     it.share("json", "report", "force")
 
 
-def _calibrate(add: Callable[..., _Parser]) -> None:
+def _calibrate(add: Callable[..., Parser]) -> None:
     it = add(
         "calibrate",
         command=obey.calibrate,
@@ -186,7 +188,7 @@ def _calibrate(add: Callable[..., _Parser]) -> None:
     it.share("force", "robot", "set", *TOPICS, "json", "report")
 
 
-def _check(add: Callable[..., _Parser]) -> None:
+def _check(add: Callable[..., Parser]) -> None:
     it = add(
         "check",
         command=obey.check,
@@ -198,7 +200,7 @@ def _check(add: Callable[..., _Parser]) -> None:
     it.share("robot", "set", *TOPICS, "json")
 
 
-def _plan(add: Callable[..., _Parser]) -> None:
+def _plan(add: Callable[..., Parser]) -> None:
     it = add(
         "plan",
         command=obey.plan,
@@ -219,7 +221,7 @@ def _plan(add: Callable[..., _Parser]) -> None:
     it.share("robot", "calibration", "set", "json")
 
 
-def _robot(add: Callable[..., _Parser]) -> None:
+def _robot(add: Callable[..., Parser]) -> None:
     it = add(
         "robot",
         help="a robot file for another arm",
@@ -253,7 +255,7 @@ def _robot(add: Callable[..., _Parser]) -> None:
     export.share("force", "json")
 
 
-def _table(add: Callable[..., _Parser]) -> None:
+def _table(add: Callable[..., Parser]) -> None:
     it = add(
         "table",
         command=obey.table,
@@ -264,7 +266,7 @@ def _table(add: Callable[..., _Parser]) -> None:
     it.share("set", "json")
 
 
-def _warmup(add: Callable[..., _Parser]) -> None:
+def _warmup(add: Callable[..., Parser]) -> None:
     it = add(
         "warmup",
         command=obey.warmup,
@@ -272,90 +274,11 @@ def _warmup(add: Callable[..., _Parser]) -> None:
         description="Simulations run in kernels that are compiled where they run, once on each computer. The first call waits for "
         "that, and so does the identifier when it starts; this does it now, for instance after an installation.",
     )
-    it.add_argument("--probe", choices=_names(), help="only what this one needs (default all)")
+    it.add_argument("--probe", choices=probe_names(), help="only what this one needs (default all)")
     it.share("robot", "set")
 
 
-def _paper(add: Callable[..., _Parser]) -> None:
-    it = add(
-        "paper",
-        command=obey.paper,
-        help="run the paper's experiments again and write one page",
-        description="Run the experiments of the paper that this package follows, in its way and in ours, on recordings of a "
-        "simulated arm (extra paper), and write DIR/paper.html with its tables and figures. Rows are kept in DIR/rows: a run that "
-        "was stopped goes on.",
-        epilog=GOES_ON,
-    )
-    it.add_argument("--out", required=True, metavar="DIR", help="for the page and its rows")
-    it.add_argument(
-        "--seeds", type=int, default=5, metavar="N", help="robots that are drawn (default 5)"
-    )
-    it.add_argument(
-        "--only",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME",
-        help="experiments (default all)",
-    )
-    it.add_argument(
-        "--jobs", type=int, metavar="N", help="processes (default one per processor, 2 at most)"
-    )
-    public = (
-        "the paper's public recording (trajectory.csv and setting.json), for a section of its own"
-    )
-    it.add_argument("--recording", metavar="FOLDER", help=public)
-
-
-def _batch(add: Callable[..., _Parser]) -> None:
-    it = add(
-        "batch",
-        command=obey.batch,
-        help="the same over many recordings and data sets",
-        description="Identify what the hand held in every recording of folders and LeRobot data sets (extra batch), each as "
-        "`proprio replay` would, and write a row per episode to DIR/rows (parquet) and a page, DIR/batch.html. A run that was "
-        "stopped goes on. An episode that cannot be read is a row with its reason.",
-        epilog=GOES_ON,
-    )
-    sources = "bags, LeRobot data sets (2.1 and 3), folders of them, or globs"
-    it.add_argument("sources", nargs="+", metavar="SOURCE", help=sources)
-    it.add_argument("--out", required=True, metavar="DIR", help="for rows and page")
-    it.add_argument("--probe", default="payload", choices=_names(), help="default payload")
-    it.share("robot", "calibration", "set", *TOPICS)
-    it.add_argument(
-        "--grasps",
-        action="store_true",
-        help="a row for each stretch with one load, too: held, slipped or released, and how heavy (needs a calibration of motions)",
-    )
-    it.add_argument(
-        "--empty",
-        metavar="COLUMN",
-        help="calibrate the arm with the episodes whose column of this name is nowhere zero: the hand is known to be empty there",
-    )
-    it.add_argument(
-        "--empty-first",
-        type=float,
-        metavar="SECONDS",
-        help="calibrate the arm with the first seconds of episodes: the hand is known to be empty then, and what it holds later is "
-        "asked",
-    )
-    pages = "rows whose own pages are written, what looks odd first (default 12; a large number: all that have an answer)"
-    it.add_argument("--reports", type=int, default=12, metavar="N", help=pages)
-    engines = "local: processes of this machine (default); ray: a Ray cluster (extra ray)"
-    it.add_argument("--engine", default="local", choices=("local", "ray"), help=engines)
-    it.add_argument(
-        "--jobs", type=int, metavar="N", help="processes of the local engine (default one per core)"
-    )
-    it.add_argument(
-        "--address", metavar="HOST:PORT", help="of the Ray cluster (default the one that runs here)"
-    )
-    it.add_argument(
-        "--device", default="cpu", choices=("cpu", "cuda"), help="cuda is refused for now"
-    )
-    it.share("json")
-
-
-def _demo(add: Callable[..., _Parser]) -> None:
+def _demo(add: Callable[..., Parser]) -> None:
     it = add(
         "demo",
         command=obey.demo,
@@ -392,7 +315,7 @@ def _demo(add: Callable[..., _Parser]) -> None:
     it.share("robot")
 
 
-def _completion(add: Callable[..., _Parser]) -> None:
+def _completion(add: Callable[..., Parser]) -> None:
     it = add(
         "completion",
         command=obey.completion,
@@ -403,5 +326,6 @@ def _completion(add: Callable[..., _Parser]) -> None:
     it.add_argument("shell", choices=SHELLS, help="the shell")
 
 
-def _names() -> list[str]:
+def probe_names() -> list[str]:
+    """All that ``--probe`` can name."""
     return [probe.name for probe in all_probes()]

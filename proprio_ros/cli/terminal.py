@@ -174,22 +174,6 @@ def table_of_checks(checks: Sequence[Any]) -> Table:
     return rows
 
 
-def table_of_episodes(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Answers of a batch."""
-    table = [("episode", "answer", "95 % interval", "verdict", "")]
-    for row in rows:
-        unit = row["unit"]
-        spec = spec_for(row["unit"], row["std"])
-        answer = "-"
-        interval = "-"
-        if row["value"] is not None:
-            answer = shown(unit, row["value"], spec=spec)
-            interval = shown(unit, row["low"], row["high"], spec=spec)
-        codes = ", ".join(row["reason_codes"] or ())
-        table.append((printable(str(row["episode"])), answer, interval, row["verdict"], codes))
-    return table
-
-
 def plan_as_text(plan: Any) -> str:
     """A run to make, in a line."""
     start = ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items())

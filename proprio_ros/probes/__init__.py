@@ -4,31 +4,31 @@ from __future__ import annotations
 
 import os
 from functools import cache
-from importlib import import_module
 from typing import Any, cast
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.probes.base import Online, Probe
+from proprio_ros.registry import loaded
+from proprio_ros.registry import probes as addon_probes
 from proprio_ros.virtual.objects import HandObject, parse_object
 
 PROBES = {
     "payload": "proprio_ros.probes.payload:Payload",
     "container": "proprio_ros.probes.container:Container",
     "softness": "proprio_ros.probes.softness:Softness",
-    "contents": "proprio_ros.probes.contents:Contents",
 }
-"""Module and class of each probe, by name."""
+"""Module and class of each probe of the core, by name."""
 
 VARIABLE = "PROPRIO_PROBES"
 """Environment variable with probes that live outside this package: ``NAME=module:Class``, separated by commas."""
 
 
 def registry() -> dict[str, str]:
-    """Module and class of each probe, by name, those of the environment last.
+    """Module and class of each probe, by name: the core's, those of add-ons, those of the environment.
 
     Raises `ConfigurationError`: The environment variable is not of its form.
     """
-    found = dict(PROBES)
+    found = {**PROBES, **addon_probes()}
     for line in filter(None, os.environ.get(VARIABLE, "").split(",")):
         name, _, place = line.partition("=")
         if not name.isidentifier() or ":" not in place:
@@ -39,13 +39,12 @@ def registry() -> dict[str, str]:
 
 @cache
 def _load(place: str) -> Probe[Any]:
-    module, _, name = place.partition(":")
     try:
-        loaded = getattr(import_module(module), name)()
+        probe = loaded(place)()
     except (ImportError, AttributeError) as error:
         raise ConfigurationError(f"probe {place}: cannot be loaded ({error})") from error
-    assert isinstance(loaded, Probe), f"{place} is no Probe"
-    return loaded
+    assert isinstance(probe, Probe), f"{place} is no Probe"
+    return probe
 
 
 def probe_named(name: str) -> Probe[Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from case import Case, Row, compare
 
-from proprio_ros.paper.speed import sysid_search
+from proprio_ros.addons.paper.speed import sysid_search
 
 GOAL = 30.0
 

@@ -32,8 +32,8 @@ import numpy as np
 from support.fleet import FOUR, SETTINGS, Arm, write_bag, write_robot
 from support.lerobot_layout import write_data_set
 
-from proprio_ros.batch.episodes import episodes_of
-from proprio_ros.batch.rows import Job, rows_of
+from proprio_ros.addons.fleet.episodes import episodes_of
+from proprio_ros.addons.fleet.rows import Job, rows_of
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options

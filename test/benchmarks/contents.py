@@ -33,12 +33,12 @@ from filled_arm import CONTAINERS, EXCHANGE_S, FILLS_M, VISCOSITIES, all_recorde
 from results import Results, parser_of
 from support.contents import sloshing, theory_hz
 
+from proprio_ros.addons.contents.models import ContentsFacts, ContentsProblem
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import read_for, replay
 from proprio_ros.pipeline.request import Options, request_of
-from proprio_ros.probes.contents.models import ContentsFacts, ContentsProblem
 
 KINDS = ("nothing", "rigid", "liquid", "granular")
 SAID = 0.95

@@ -18,13 +18,13 @@ import numpy as np
 from results import Results, parser_of
 from support.contents import shake_period_s
 
+from proprio_ros.addons.contents.models import ContentsFacts, ContentsProblem, Slosh, damping_ratio
 from proprio_ros.identification import solvers
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Options, request_of
-from proprio_ros.probes.contents.models import ContentsFacts, ContentsProblem, Slosh, damping_ratio
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot

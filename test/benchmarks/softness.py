@@ -20,14 +20,14 @@ from case import Kept, Row, Timing, measure, measure_in_turn
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
 
-from proprio_ros.paper.softbody import (
+from proprio_ros.addons.paper.softbody import (
     FRICTION_VELOCITY,
     SOFT_INDEX,
     SOFT_PARAMETERS,
     SoftBody,
     SoftRun,
 )
-from proprio_ros.paper.softbody_kernels import MAT33, VEC3, _law_functions, frame_kernel
+from proprio_ros.addons.paper.softbody_kernels import MAT33, VEC3, _law_functions, frame_kernel
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box

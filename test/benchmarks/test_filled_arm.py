@@ -17,10 +17,10 @@ from filled_arm import CONTAINERS, EXCHANGE_S, PUSHES, Case, Filled, filled, pro
 from random_arm import JOINTS, STEP_S, HiddenRobot, simulate
 from support.contents import Cylinder, Grains, Liquid, library, sloshing, theory_hz
 
-from proprio_ros.probes.contents.models import Slosh
+from proprio_ros.addons.contents.models import Slosh
+from proprio_ros.addons.contents.slosh import SloshRun, SloshSimulator
+from proprio_ros.addons.contents.slosh_kernels import SLOSH_PARAMETERS
 from proprio_ros.sim.joint import JointRun
-from proprio_ros.sim.slosh import SloshRun, SloshSimulator
-from proprio_ros.sim.slosh_kernels import SLOSH_PARAMETERS
 
 CYLINDER = Cylinder(0.035, 0.1)
 FILL_M = 0.06

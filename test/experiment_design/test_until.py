@@ -18,13 +18,13 @@ import yaml
 from support.pushed_arm import Hand
 from support.spring_probe import Spring
 
+from proprio_ros.addons.paper import hand as paper_hand
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import JointSample
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import Until, as_text, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.experiment_design.until import UntilSure, chosen_known
-from proprio_ros.paper import hand as paper_hand
 from proprio_ros.probes.base import chooser_of
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.robot import load_robot

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from proprio_ros.addons.paper import hand as paper_hand
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import Until, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.gates import LITTLE_TRAVEL
 from proprio_ros.inputs.settings import Settings, parse_settings
-from proprio_ros.paper import hand as paper_hand
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.container.choosing import SphereUntilSure
 from proprio_ros.probes.container.identify import find_sphere, half_of

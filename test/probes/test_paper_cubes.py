@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from proprio_ros.addons.paper.softbody import SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.paper.softbody import SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.records import Run

@@ -30,7 +30,7 @@ from support.small_bags import (
     write_bag,
 )
 
-from proprio_ros.batch.episodes import episodes_of
+from proprio_ros.addons.fleet.episodes import episodes_of
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.storage import zstd
 

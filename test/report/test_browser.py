@@ -18,9 +18,9 @@ from support.machines import pendulum_urdf
 from support.paper_rows import synthetic
 from support.servo_bag import write
 
+from proprio_ros.addons.paper.page import write_paper_page
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.paper.page import write_paper_page
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options

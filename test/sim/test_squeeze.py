@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from support.plain_laws import taped_squeeze
 
+from proprio_ros.addons.paper.softbody import SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.errors import SimulationError
-from proprio_ros.paper.softbody import SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box

@@ -7,9 +7,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from proprio_ros.errors import SimulationError
-from proprio_ros.paper.chain import ChainSimulator, constants_of, doubles, inertial_parameters
-from proprio_ros.paper.chain_kernels import (
+from proprio_ros.addons.paper.chain import (
+    ChainSimulator,
+    constants_of,
+    doubles,
+    inertial_parameters,
+)
+from proprio_ros.addons.paper.chain_kernels import (
     INERTIAL,
     JOINT_PARAMETERS,
     TABLE,
@@ -17,6 +21,7 @@ from proprio_ros.paper.chain_kernels import (
     dynamics,
     module_of,
 )
+from proprio_ros.errors import SimulationError
 from proprio_ros.robot import ReducedModel
 from proprio_ros.sim.rollout_kernels import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-import proprio_ros.batch.local as local
-from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import Job
+import proprio_ros.addons.fleet.local as local
+from proprio_ros.addons.fleet.episodes import Episode
+from proprio_ros.addons.fleet.rows import Job
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import JointRecord, Recording
 from support.arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from proprio_ros.paper import cases
-from proprio_ros.paper.store import Rows
+from proprio_ros.addons.paper import cases
+from proprio_ros.addons.paper.store import Rows
 
 
 def synthetic() -> dict[str, list[Rows]]:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from proprio_ros.addons.paper import hand as paper_hand
 from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import ExcitationSequence
-from proprio_ros.paper import hand as paper_hand
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot

@@ -1,0 +1,423 @@
+"""From runs with a filled container to what is inside: every model is fitted, and their evidence compared.
+
+The evidence of a model is Laplace's: its fit's probability times the share of the prior that the recording leaves (MacKay 2003,
+Information Theory, Inference and Learning Algorithms, chapter 28). Under each model held joints shake as their servos let them
+(`held_by_servos`), or what they leave would look like a liquid. Where the best model leaves more of the empty container's runs than
+the encoder explains, residuals count for less, in all models alike. Masses are averaged over what is probable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import softmax
+
+from proprio_ros.addons.contents import models as law
+from proprio_ros.addons.contents.detail import KINDS_INSIDE, MOVING, ContentsDetail
+from proprio_ros.addons.contents.models import ContentsFacts
+from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.identification import solvers
+from proprio_ros.identification.conclude import Conclusion, stated_in
+from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
+from proprio_ros.identification.fit import FitResult, SearchOptions, summary, unknown_rows
+from proprio_ros.identification.gates import Findings, admitted
+from proprio_ros.identification.judge import Refusal, Useful, positive
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.identification.reasons import Reason
+from proprio_ros.quantity import Z95
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+
+SURE = 0.95  # probability from which on a kind is said
+# robot and held joints are models, too: what is inside differs by so many times less than chi-square says
+ALIKE_RUNS = 2.0
+# probability at least that what seems rigid moves (honey, still sand), and that what seems to be grains is rigid
+UNSEEN = 0.1
+STARTS_KG = (0.03, 0.1, 0.3)
+# held joints give way anew below this reduced chi-square, so often, while it gains so much
+HOPELESS = 100.0
+PASSES = 6
+WORTH = 1.0
+# of its prior's standard deviation: what a recording must leave at most for a value to be its own
+LEARNT = 0.6
+CLASSES = (
+    (0.02, "thin, like water or alcohol"),
+    (0.3, "like oil or syrup"),
+    (np.inf, "thick, like honey"),
+)
+"""Dynamic viscosity below which a liquid is of a class [Pa s]."""
+KINDS = np.array([*law.MODELS.values()])  # of each model
+# standard deviations of frequency and density together from which on a cylinder is not as stated
+UNLIKE = 3.0
+FILL_SHARE = 0.1  # of the container's height: how well a fill has to be known
+
+
+def evidence(known: Posterior) -> float:
+    """Logarithm of a model's evidence, but for what all models share."""
+    coordinates = known.problem.coordinates
+    off = known.values[known.problem.free] - coordinates.prior_mean
+    fit = float(known.residual @ known.residual) + float(off @ coordinates.prior_precision @ off)
+    kept = sum(
+        np.linalg.slogdet(matrix)[1] for matrix in (coordinates.prior_precision, known.covariance)
+    )
+    return 0.5 * (float(kept) - fit)
+
+
+def left_over(fit: FitResult, rows: np.ndarray) -> float:
+    """Mean square of what is left of some runs, in that of their encoders."""
+    shown = fit.problem.simulate(fit.values[None], fit.problem.free[:1])[0][0]
+    weight = fit.problem.weight
+    squares = np.square((shown - fit.problem.measured) * weight)[rows]
+    return float(squares.sum() / np.count_nonzero(weight[rows]))
+
+
+def weighted(
+    logs: np.ndarray,
+    kinds: np.ndarray,
+    explains: np.ndarray,
+) -> np.ndarray:
+    """Probabilities of M models by logarithms of evidence, shape (M,), the first of nothing inside; whether each explains it."""
+    logs, moves = logs.copy(), np.isin(kinds, MOVING)
+    rigid = max(
+        np.flatnonzero(kinds == "rigid"),
+        key=lambda row: logs[row],
+    )
+    # what grains explain a robot's friction may; and where nothing that is rigid explains the recording, nobody says that it is
+    logs[rigid] = max(
+        logs[rigid],
+        logs[kinds == "granular"].max() - np.log(1.0 / UNSEEN - 1.0),
+    )
+    plain = softmax(logs)
+    least = UNSEEN if explains[rigid] else 0.5
+    share = max(
+        float(plain[moves].sum()),
+        least * (1.0 - float(plain[0])),
+    )
+    # each side by itself: beside the other's its evidence may be nothing
+    within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (moves, ~moves))
+    return share * within + (1.0 - share) * beside
+
+
+def fitted(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: ContentsFacts,
+    filled: Sequence[bool],
+    model: str,
+) -> list[FitResult]:
+    """A model's search from all starts, and the best from there on, with held joints as the motion before moves them."""
+
+    def search(
+        problem: law.ContentsProblem,
+        starts: np.ndarray,
+        windows: Callable[[float], np.ndarray] | None,
+    ) -> FitResult:
+        internal = problem.coordinates.internal(starts[:, problem.free])
+        return FitResult.of(
+            problem, solvers.levenberg_marquardt(problem, internal, windows, tolerance=1e-2)
+        )
+
+    problem = law.ContentsProblem(robot, runs, facts, filled, model)
+    starts = np.tile(
+        problem.base,
+        (len(STARTS_KG) if problem.inside else 1, 1),
+    )
+    if problem.inside:
+        starts[:, problem.index["contents_mass"]] = STARTS_KG
+    fits = [search(problem, starts, problem.simulator.windows)]
+    while (
+        fits[0].reduced_chi2 < HOPELESS
+        and len(fits) <= PASSES
+        and (len(fits) < 2 or fits[-2].chi2 - fits[-1].chi2 > WORTH)
+    ):
+        problem = law.ContentsProblem(
+            robot,
+            problem.held(fits[-1].values),
+            facts,
+            filled,
+            model,
+        )
+        fits.append(search(problem, fits[-1].values[None], None))
+    return [fits[0], min(fits, key=lambda fit: fit.chi2)]
+
+
+def find_contents(
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: ContentsFacts,
+    baseline: Sequence[Run] = (),
+) -> Estimate:
+    """Identify what is in the container in all ``runs``; the baseline is runs with it empty.
+
+    Raises:
+        ConfigurationError: Neither a baseline nor the container's mass.
+        RecordingError: A run cannot be related to the robot, or does not move the container across its axis.
+    """
+    if not baseline and not np.isfinite(facts.mass_std):
+        raise ConfigurationError(
+            "the empty container is not known: give its recording (--baseline), or its mass (--set contents.mass=KG)"
+        )
+    found = Findings()
+    used = []
+    filled = []
+    for run, has in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
+        prepared = prepare_run(robot, run, None, facts.shell)
+        if abs(law.container_seen(robot, prepared, facts)[0]) > law.LEVEL:
+            said = f"{run.name}: {run.joint} turns the container about its own axis, so that nothing in it has to move"
+            raise RecordingError(
+                f"{said}; drive a joint whose axis is level, or state contents.rpy"
+            )
+        if admitted(robot, prepared, found):
+            used.append(prepared)
+            filled.append(has)
+    if not any(filled):
+        return no_answer(
+            "contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes
+        )
+    models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
+    opened = [fit for _, fit in models]
+    empty = ~np.array(filled)
+    best = min(opened, key=lambda fit: fit.reduced_chi2)
+    inflation = ALIKE_RUNS * max(1.0, left_over(best, empty) if empty.any() else best.reduced_chi2)
+    logs = np.array([evidence(Posterior(fit.problem, fit.values, inflation)) for fit in opened])
+    logs -= np.log([np.sum(kind == KINDS) for kind in KINDS])  # each kind is as likely beforehand
+    weight = weighted(
+        logs,
+        KINDS,
+        np.array([fit.explains for fit in opened]),
+    )
+    first, best = models[1 + int(np.argmax(weight[1:]))]
+    return ContentsFound(first, best, found, len(runs), opened, weight, facts).estimate()
+
+
+@dataclass(eq=False)
+class ContentsFound(Conclusion):
+    """What the models together say: values are those of the most probable one that has contents."""
+
+    models: list[FitResult]
+    weights: np.ndarray  # their probabilities
+    facts: ContentsFacts
+
+    probe = "contents"
+    name = "contents_mass"
+    check = "check contents.radius, contents.bottom and the robot file's inertias"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        assert isinstance(self.opened.problem, law.ContentsProblem)
+        self.problem = self.opened.problem
+        self.probabilities = np.array([self.weights[kind == KINDS].sum() for kind in KINDS_INSIDE])
+
+    def kind(self, sure: float = SURE) -> str:
+        """What is inside, where that is so sure; empty where it is not."""
+        return (
+            KINDS_INSIDE[int(np.argmax(self.probabilities))]
+            if float(self.probabilities.max()) >= sure
+            else ""
+        )
+
+    def widen(self) -> None:
+        # by how far apart the models' masses are, as probable as they are
+        off = (
+            np.array([0.0, *(model.value_of(self.name) for model in self.models[1:])])
+            - self.assessed.value
+        )
+        self.count(float(np.sqrt(self.weights @ off**2)), "models of the contents")
+
+    def comparable(self) -> bool:
+        return False  # the models are compared, not the runs
+
+    def refusals(self) -> Iterator[Refusal]:
+        yield from self.misfit()
+        yield from self.lighter(
+            "the container", "was the baseline empty, and held in the same place?"
+        )
+
+    def useful(self) -> Useful:
+        return Useful(0.5, 0.02)
+
+    def remarks(self) -> Iterator[str]:
+        if not self.kind():
+            order = np.argsort(-self.probabilities)
+            each = ", ".join(
+                f"{KINDS_INSIDE[n]} {100.0 * self.probabilities[n]:.0f} %" for n in order
+            )
+            cure = "shake it harder, or with the container further from the joint"
+            yield Reason(
+                "kind_open", f"the recording does not tell what is inside ({each}): {cure}"
+            )
+        if self.kind() == "liquid" and (words := self.viscosity_class):
+            yield f"the liquid is {words}"
+
+    @property
+    def log_damping(self) -> tuple[float, float] | None:
+        """Logarithm of the damping ratio and its standard deviation, where the recording says it."""
+        row = self.problem.index.get("slosh_damping_log")
+        if row is None:
+            return None
+        std = float(np.sqrt(self.assessed.covariance[row, row]))
+        return (
+            None
+            if std > LEARNT * self.problem.unknowns[row].std
+            else (float(self.fit.values[row]), std)
+        )
+
+    @property
+    def viscosity_class(self) -> str:
+        """In words, where its whole interval is in one class."""
+        if (known := self.log_damping) is None:
+            return ""
+        ends = [self.viscosity(known[0] + side * Z95 * known[1]) for side in (-1.0, 1.0)]
+        words = [next(said for limit, said in CLASSES if end < limit) for end in ends]
+        return words[0] if words[0] == words[1] else ""
+
+    def viscosity(self, log_damping: float) -> float:
+        """Dynamic viscosity [Pa s] that gives this damping, by Mikishev and Dorozhkin."""
+        fill = float(self.of_liquid[0][0])
+        per_root = law.damping_ratio(self.facts.radius, fill, 1.0)
+        return float((np.exp(log_damping) / per_root) ** 2 * self.facts.density)
+
+    @cached_property
+    def of_liquid(self) -> tuple[np.ndarray, np.ndarray]:
+        """Fill [m], slosh frequency [Hz] and damping ratio of the liquid, and their standard deviations; shape (3,)."""
+        names = [unknown.kind for unknown in self.problem.inside]
+        rows = [self.problem.index[name] for name in names]
+        at = {name: np.array([self.fit.values[row]]) for name, row in zip(names, rows, strict=True)}
+        slopes = np.zeros((3, len(rows)))
+        for n, name in enumerate(names):
+            changed = {**at, name: at[name] + 1j * law.COMPLEX_STEP}
+            slopes[:, n] = law.slosh_of(self.facts, changed)[0].imag / law.COMPLEX_STEP
+        own = self.assessed.covariance[np.ix_(rows, rows)]
+        return law.slosh_of(self.facts, at)[0], np.sqrt(
+            np.einsum("in,nm,im->i", slopes, own, slopes)
+        )
+
+    def values(self, withheld: str) -> tuple[Value, ...]:
+        mass, shell = (self.problem.index[name] for name in (self.name, "payload_mass"))
+        covariance = self.assessed.covariance
+        together = float(np.sqrt(np.sum(covariance[np.ix_((mass, shell), (mass, shell))])))
+        total = float(self.fit.values[mass] + self.fit.values[shell])
+        shares = zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True)
+        return (
+            positive(
+                self.name,
+                "kg",
+                self.assessed.value,
+                self.assessed.std,
+                withheld,
+            ),
+            positive("total_mass", "kg", total, together, withheld),
+            *(
+                Value(f"{kind}_inside", "1", None if withheld else share, reason=withheld)
+                for kind, share in shares
+            ),
+            *self.liquid_values(withheld),
+        )
+
+    def liquid_values(self, withheld: str) -> Iterator[Value]:
+        """What is said of a liquid; with the reason where it is not."""
+        withheld = withheld or (
+            "" if self.kind() == "liquid" else "the recording does not say that it is a liquid"
+        )
+        names = (
+            ("fill", "m"),
+            ("slosh_frequency", "Hz"),
+            ("slosh_damping", "1"),
+            ("viscosity", "Pa s"),
+        )
+
+        def unsaid(first: int, why: str) -> Iterator[Value]:
+            return (Value(*of, None, reason=why) for of in names[first:])
+
+        if withheld:
+            yield from unsaid(0, withheld)
+            return
+        rows = unknown_rows(self.fit, self.assessed.covariance)
+        if (
+            np.linalg.norm(
+                [
+                    row.pull or 0.0
+                    for row in rows
+                    if row.kind in ("slosh_tuning", "contents_density")
+                ]
+            )
+            > UNLIKE
+        ):
+            yield from unsaid(
+                0,
+                "it sloshes as its mass does in another cylinder: check contents.radius and contents.density",
+            )
+            return
+        if self.fit.explains:
+            (fill, turn, _), (fill_std, turn_std, _) = self.of_liquid
+        else:  # its mass says how high it stands, however it moves
+            facts = self.facts
+            mass = self.assessed
+            fill = mass.value / (facts.density * np.pi * facts.radius**2)
+            fill_std = fill * np.hypot(mass.std / mass.value, facts.density_std / facts.density)
+        wide = (
+            ""
+            if Z95 * fill_std <= FILL_SHARE * self.facts.height
+            else "it is not known to a tenth of the container's height"
+        )
+        yield positive(
+            "fill",
+            "m",
+            float(fill),
+            float(fill_std),
+            wide,
+            self.facts.height,
+        )
+        if not self.fit.explains:
+            yield from unsaid(1, "it moves otherwise than small waves do: push it less")
+            return
+        yield positive("slosh_frequency", "Hz", float(turn), float(turn_std))
+        if (damping := self.log_damping) is None:
+            yield from unsaid(2, "the recording says too little of how fast the sloshing dies")
+            return
+        log, std = damping
+        ends = [log + side * Z95 * std for side in (-1.0, 1.0)]
+        yield Value(
+            "slosh_damping",
+            "1",
+            float(np.exp(log)),
+            float(np.exp(log)) * std,
+            np.exp(ends).tolist(),
+        )
+        value = self.viscosity(log)
+        limits = [self.viscosity(end) for end in ends]
+        yield Value("viscosity", "Pa s", value, 2.0 * std * value, limits)
+
+    def detail(self, withheld: str) -> ContentsDetail:
+        shares = dict(zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True))
+        kind = "" if withheld else self.kind()
+        moved = () if withheld else tuple(self.problem.path(self.fit.values))
+        return ContentsDetail(kind, shares, moved if self.kind(0.0) in MOVING else ())
+
+    def solver(self) -> SolverSummary:
+        used = self.nominal.solution.iterations + self.fit.solution.iterations
+        return summary(
+            self.nominal,
+            self.name,
+            STARTS_KG,
+            max(2e-3, self.assessed.std),
+            used,
+            SearchOptions(),
+            final=self.fit,
+        )
+
+    def assumptions(self) -> tuple[str, ...]:
+        facts = self.facts
+        place = ", ".join(f"{1e3 * each:g}" for each in facts.bottom)
+        return (
+            f"an upright cylinder of {2e3 * facts.radius:g} mm inside, {1e3 * facts.height:g} mm high, the middle of its bottom at "
+            f"[{place}] mm in {self.robot.payload_frame}, held upright and at rest when the current came on",
+            f"a liquid weighs {facts.density:g} +- {facts.density_std:g} kg/m^3: its fill is its mass over that, as far as its "
+            "frequency does not say it",
+            "one of four: nothing, one rigid thing, a liquid (first sloshing mode), grains; each as likely as another beforehand",
+            stated_in(self.robot),
+        )

@@ -1,0 +1,93 @@
+"""What is inside: liquid, grains or one rigid thing in an upright cylinder, and how full it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, ClassVar
+
+from proprio_ros.addons.contents.detail import KINDS_INSIDE
+from proprio_ros.addons.contents.virtual_object import Filled
+from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.kinds import Kind
+from proprio_ros.probes import base
+
+if TYPE_CHECKING:
+    from proprio_ros.addons.contents.models import ContentsFacts
+    from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.robot import Robot
+
+
+class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]):
+    """An upright cylinder with something in it."""
+
+    name = "contents"
+    subject = "contents"
+    answer = ("contents_mass", "kg")
+    numbers = MappingProxyType(
+        {"mass": "contents_mass", "fill": "fill", "liquid_inside": "liquid_inside"}
+    )
+    keys = ("contents.",)
+    unknowns: ClassVar[Mapping[str, Kind]] = {
+        "contents_mass": Kind("kg", "mass of the contents"), "total_mass": Kind("kg", "container with contents"),
+        **{f"contents_com_{axis}": Kind("m", f"centre of the contents, {axis}") for axis in "xyz"},
+        "contents_density": Kind("kg/m^3", "density of the contents"),
+        "contents_spread": Kind("1", "inertia of the contents over that of a solid cylinder"),
+        "slosh_tuning": Kind("1", "slosh frequency over that of the theory"),
+        "slosh_share": Kind("1", "moving share over that of the theory"),
+        "slosh_damping_log": Kind("1", "logarithm of the slosh's damping ratio"),
+        "grain_friction": Kind("1", "friction between grains"),
+        **{
+            f"{kind}_inside": Kind("1", f"probability of {said}")
+            for kind, said in zip(KINDS_INSIDE, ("nothing", "one rigid thing", "a liquid", "grains"), strict=True)
+        },
+        "fill": Kind("m", "fill height"), "slosh_frequency": Kind("Hz", "slosh frequency"),
+        "slosh_damping": Kind("1", "damping ratio of the slosh"), "viscosity": Kind("Pa s", "viscosity"),
+    }  # fmt: skip
+    hand = "the filled container has to be upright in the hand"
+    default_sequence = "contents"
+    virtual_object = Filled
+    prepares = "sloshing: once on a computer it is compiled, half a minute"
+    baseline = base.Baseline(
+        noun="empty container",
+        hand="the container has to be in the hand with nothing in it",
+        question="is the container empty?",
+        missing="put it into the hand empty and call ~/record_contents_baseline, or state its mass (settings: contents.mass=KG)",
+    )
+    example = base.Example(
+        help="of the liquid in it", truth=0.15, lowest=0.01, highest=0.5, held="filled:0.05,liquid={truth:g}",
+        now="now there is a liquid in the container", was="the liquid in the virtual container weighed", takes="two minutes",
+        sequences={"robot_sequence": "empty_hand_container"},
+        stated=("contents.radius=0.035", "contents.height=0.1", "contents.bottom=[0.015,0,-0.04]"),
+    )  # fmt: skip
+
+    def facts(
+        self, settings: Settings, solver: str = "lm", profile: str = "default"
+    ) -> ContentsFacts:
+        from proprio_ros.addons.contents.facts import contents_facts
+
+        return contents_facts(settings, probe_file(self.name, ("contents",))["contents"])
+
+    def needs_baseline(self, facts: ContentsFacts) -> bool:
+        return facts.mass_std == float("inf")
+
+    def baseline_settings(self, facts: ContentsFacts) -> dict[str, object]:
+        from proprio_ros.probes.payload.facts import settings_of
+
+        return settings_of(facts.shell)
+
+    def compile(self, robot: Robot, facts: ContentsFacts) -> None:
+        from proprio_ros.addons.contents.slosh import compile_kernels
+
+        super().compile(robot, facts)
+        compile_kernels(rises=robot.friction_rises)
+
+    def identify(self, robot: Robot, recorded: base.Recorded, facts: ContentsFacts) -> Estimate:
+        from proprio_ros.addons.contents.identify import find_contents
+
+        return find_contents(robot, recorded.runs, facts, recorded.baseline)
+
+    def sections(self, estimate: Estimate) -> list[str]:
+        from proprio_ros.addons.contents.figures import sections
+
+        return sections(estimate)

@@ -1,0 +1,344 @@
+"""One batch from sources to a folder with rows and a page."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from proprio_ros.addons.fleet.drift import (
+    Drift,
+    check_drift,
+    drift_of,
+    evenly,
+    readable,
+    write_drift,
+)
+from proprio_ros.addons.fleet.episodes import Episode, episodes_of
+from proprio_ros.addons.fleet.listing import asked, named, path_of, span_of
+from proprio_ros.addons.fleet.local import CHUNK, processors, run_local
+from proprio_ros.addons.fleet.on_ray import ray_or_refuse, run_ray
+from proprio_ros.addons.fleet.page import COLUMNS, odd, write_batch_page
+from proprio_ros.addons.fleet.rows import FAILED, GRASP, Job, Row
+from proprio_ros.addons.fleet.store import Store
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
+from proprio_ros.inputs.resources import check_page
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options, request_of
+from proprio_ros.recordings.datasets import marked, open_data_set
+from proprio_ros.recordings.drivers import load_driver
+from proprio_ros.recordings.motions import SHORTEST_S
+from proprio_ros.recordings.text import is_text_recording
+from proprio_ros.report import bars_figure, small_table
+from proprio_ros.threads import pool_of
+from proprio_ros.whole_files import real_path
+
+# rows whose pages are written unless told otherwise; more are written by several processes
+MOST_REPORTS = 12
+MOST_SHOWN = 20  # rows that a terminal shows
+MOST_EMPTY = 20  # episodes that calibrate an arm
+# of each episode, where its first seconds are those of an empty hand
+LEAST_FIRST_S = SHORTEST_S
+LONGEST_FIRST_S = 86_400.0  # a day
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a batch did: episodes there are, those done before, verdicts, the folder, some rows, and how the arm drifts."""
+
+    episodes: int
+    before: int
+    verdicts: dict[str, int]
+    folder: Path
+    first: Sequence[Row] = ()
+    drift: Drift = field(default_factory=lambda: Drift(()))
+    # that this computer could not do: without memory, space or a folder that can be written; they are asked again next time
+    undone: int = 0
+
+    def plot(self) -> Any:
+        """How many rows have which verdict, as a matplotlib ``Figure``."""
+        bars = [
+            (name.replace("_", " "), float(count), name == "accepted")
+            for name, count in self.verdicts.items()
+        ]
+        return bars_figure(f"{self.episodes} episodes", "rows", bars)
+
+    def _repr_html_(self) -> str:
+        rows = [(name.replace("_", " "), str(count)) for name, count in self.verdicts.items()]
+        page = f"each with its reasons and what to do: {self.folder / 'batch.html'}"
+        return small_table(f"{self.episodes} episodes", ("verdict", "rows"), rows, [page])
+
+
+def run_batch(
+    sources: Sequence[str | Path],
+    job: Job,
+    out: str | Path,
+    tell: Callable[[str], Any],
+    *,
+    engine: str = "local",
+    processes: int | None = None,
+    address: str | None = None,
+    chunk: int = CHUNK,
+    bars: bool = False,
+    command: str = "",
+    empty: str | None = None,
+    empty_first_s: float | None = None,
+    reports: int = MOST_REPORTS,
+) -> Outcome:
+    """Do what is not done yet of all episodes of the sources.
+
+    Args:
+        sources: Bags, data sets, folders, globs.
+        job: What is asked of each.
+        out: Folder for rows; a job that was stopped goes on there.
+        tell: Hears how far it is.
+        engine: ``local`` or ``ray``.
+        processes: Of the local engine; None: one per core.
+        address: Of a Ray cluster.
+        chunk: Episodes per file at most.
+        bars: Whether Ray shows its progress bars.
+        command: The command line, for the page.
+        empty: Column of the data sets that is not zero where the hand is known to be empty: such episodes calibrate the arm.
+        empty_first_s: In every episode the hand is known to be empty for so long [s]: these seconds calibrate the arm, and what is
+            asked is what it holds later.
+        reports: Rows whose own pages are written, what looks odd first.
+
+    Raises:
+        ConfigurationError, RobotError: An option is wrong; found before any episode is read.
+    """
+    _check_options(engine, job.options, empty, empty_first_s)
+    job = replace(job, options=_located(job.options))
+    episodes = episodes_of(sources)
+    _check_units(episodes, job.options)
+    plain = job.options
+    empties = list[Episode]()
+    if empty is not None:
+        empties = _marked(episodes, empty)
+        job = replace(
+            job,
+            options=self_calibrated(empties, plain, "--empty", Path(out), tell),
+        )
+    elif empty_first_s is not None:
+        empties = [
+            each for each in episodes if not each.problem and not is_text_recording(each.path)
+        ]
+        plain = replace(plain, span=(0, round(1e9 * empty_first_s)))
+        options = self_calibrated(empties, plain, "--empty-first", Path(out), tell)
+        job = replace(job, options=options, empty_first_s=empty_first_s)
+    with closing(Store(Path(out), job)) as store:
+        check_page(store.folder / "batch.html", "--out")
+        if empties:
+            check_drift(store.folder / "drift.csv")
+        done = store.done()
+        missing = [each for each in episodes if (each.source, each.name) not in done]
+        before = len(episodes) - len(missing)
+        tell(f"{len(episodes)} episodes, {before} of them done before")
+        if missing and engine == "ray":
+            run_ray(missing, job, store, address, tell, chunk, quiet=not bars)
+        elif missing:
+            run_local(missing, job, store, processes or processors(), tell, chunk)
+        done = store.done()
+        undone = sum((each.source, each.name) not in done for each in episodes)
+        rows = store.read(COLUMNS)
+        stamps = {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
+        drift = drift_of(empties, stamps, plain, tell) if empties else Drift(())
+        if drift:
+            write_drift(drift, store.folder / "drift.csv")
+        pages = _reports(store.folder, rows, job, reports, processes or processors(), tell)
+        write_batch_page(rows, store.folder / "batch.html", command, pages, drift, job.options)
+        rows = [row for row in rows if row["kind"] != GRASP]
+        rows.sort(
+            key=lambda row: (
+                row["source"],
+                row["episode_index"] or 0,
+                row["episode"],
+                row["segment"],
+            )
+        )
+        verdicts = dict(sorted(Counter(row["verdict"] for row in rows).items()))
+        first = rows[:MOST_SHOWN]
+        return Outcome(len(episodes), before, verdicts, store.folder, first, drift, undone)
+
+
+def _check_options(
+    engine: str, options: Options, empty: str | None, empty_first_s: float | None
+) -> None:
+    """What is wrong for every episode is said once; Raises as `run_batch` does."""
+    if empty is None and empty_first_s is None:
+        request_of(options)
+    elif options.calibration is not None:
+        option = "--empty" if empty is not None else "--empty-first"
+        raise ConfigurationError(
+            f"{option} makes a calibration, and --calibration names one: give one of them"
+        )
+    elif empty is not None and empty_first_s is not None:
+        raise ConfigurationError(
+            "--empty and --empty-first both say when the hand is empty: give one of them"
+        )
+    if empty_first_s is not None and not LEAST_FIRST_S <= empty_first_s <= LONGEST_FIRST_S:
+        raise ConfigurationError(
+            f"--empty-first {empty_first_s:g}: {LEAST_FIRST_S:g} s of motion with an empty hand are the least that say anything"
+            f", and {LONGEST_FIRST_S:g} s the most"
+        )
+    if engine == "ray":
+        ray_or_refuse()
+
+
+def _check_units(episodes: Sequence[Episode], options: Options) -> None:
+    """Raises: ConfigurationError: nobody says what the numbers of a data set are in."""
+    driver = None if options.driver is None else load_driver(options.driver)
+    if any(episode.index is not None for episode in episodes) and (
+        driver is None or driver.columns is None
+    ):
+        raise ConfigurationError(
+            "a data set does not say what its positions and its effort are in: give --driver lerobot (degrees), "
+            "lerobot_openarm, lerobot_rad, or your own file with columns"
+        )
+
+
+def self_calibrated(
+    empty: Sequence[Episode],
+    options: Options,
+    option: str,
+    out: Path,
+    tell: Callable[[str], Any],
+) -> Options:
+    """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
+
+    The span of the options is what of each episode is empty; what comes back is for all of each. ``option`` of the command line is
+    named in what is said.
+
+    Raises `ConfigurationError`: They do not calibrate the arm.
+    """
+    path = real_path(out) / "calibration.yaml"
+    if path.exists() and not path.with_name("job.json").exists():
+        raise ConfigurationError(
+            f"{option}: {path} is no calibration of a job here: move it away, or give it with --calibration"
+        )
+    if not path.exists():
+        request = request_of(options)
+        # evenly over all of them: an arm drifts
+        chosen = [each for each in evenly(empty, MOST_EMPTY) if readable([each], 1, request)]
+        if not chosen:
+            raise ConfigurationError(
+                f"{option}: no motion of an empty hand can be read; is anything moving there?"
+            )
+        what = (
+            "episodes that are marked as empty"
+            if options.span is None
+            else "episodes, whose hand is empty at first"
+        )
+        tell(f"calibrating with {len(chosen)} of {len(empty)} {what}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        estimate = calibrate_from_bags(
+            [each.path for each in chosen], {}, options, path, lambda words: None
+        )
+        if estimate.verdict.value != "accepted":
+            why = next(iter(estimate.reasons), "the arm cannot be calibrated with them")
+            raise ConfigurationError(f"{option}: {why}")
+    return replace(options, calibration=str(path), robot=None, span=None)
+
+
+def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
+    """The episodes of data sets whose column is nowhere zero; ConfigurationError: one lacks it, or no episode is marked."""
+    found = []
+    for episode in episodes:
+        if episode.index is None:
+            continue
+        data = open_data_set(episode.source)
+        if column not in data.features:
+            there = ", ".join(data.features)
+            raise ConfigurationError(
+                f"--empty {column}: {data.folder} has no such column; it has: {there}"
+            )
+        with suppress(RecordingError):  # its row will say why
+            if marked(data, episode.index, column):
+                found.append(episode)
+    if not found:
+        raise ConfigurationError(
+            f"--empty {column}: no episode of a data set has anything but zero there throughout"
+        )
+    return found
+
+
+def _reports(
+    folder: Path,
+    rows: Sequence[Row],
+    job: Job,
+    most: int,
+    processes: int,
+    tell: Callable[[str], Any],
+) -> dict[str, str]:
+    """Write the pages of rows, what looks odd first; returns their places beside the page, by what `named` calls the row.
+
+    A page that a stopped job left is of the same row and options: it stays.
+    """
+    rows = [row for row in rows if row["kind"] not in (GRASP, FAILED)]
+    first = odd(rows)
+    known = {named(row) for row in first}
+    chosen = (first + [row for row in rows if named(row) not in known])[:most]
+    places = {
+        named(row): f"reports/{hashlib.sha256(named(row).encode()).hexdigest()[:16]}.html"
+        for row in chosen
+    }
+    missing = [row for row in chosen if not (folder / places[named(row)]).exists()]
+    if missing:
+        (folder / "reports").mkdir(exist_ok=True)
+        tell(f"writing the pages of {len(missing)} rows")
+    each = [(named(row), path_of(row), replace(job.options, span=span_of(row))) for row in missing]
+    work = [(*one, folder / places[one[0]]) for one in each]
+    if len(work) > MOST_REPORTS:
+        with pool_of(processes) as pool:
+            written = list(pool.map(_write_page, *zip(*work, strict=True)))
+    else:
+        written = [_write_page(*one) for one in work]
+    lost = {name: why for (name, *_), why in zip(work, written, strict=True) if why}
+    for name, why in lost.items():
+        tell(f"{name} has no page: {why}")
+    return {name: place for name, place in places.items() if name not in lost}
+
+
+def _write_page(name: str, path: str, options: Options, place: Path) -> str:
+    """The page of one row, or why it cannot be written: the recording may have gone since."""
+    try:
+        write_report(
+            replay(path, options),
+            place,
+            command=f"proprio replay {name}{asked(options)}",
+            sources=[path],
+        )
+    except ProprioError as error:
+        return str(error)
+    except Exception as error:  # whatever one row holds, all others are done
+        return one_line(f"unexpected: {type(error).__name__}: {error}")
+    return ""
+
+
+def _located(options: Options) -> Options:
+    """The same with absolute paths: another process may run elsewhere."""
+
+    def absolute(name: str | Path | None) -> str | None:
+        return None if name is None else str(real_path(name)) if Path(name).is_file() else str(name)
+
+    robot, calibration, driver = map(
+        absolute,
+        (options.robot, options.calibration, options.driver),
+    )
+    return replace(options, robot=robot, calibration=calibration, driver=driver)
+
+
+def refuse_device(device: str) -> None:
+    """Raises: ConfigurationError: It is anything but the processor, which is all that the engines have."""
+    if device != "cpu":
+        there = any(Path("/dev").glob("nvidia[0-9]*"))
+        why = (
+            "a batch runs on the processor only for now"
+            if there
+            else "there is no NVIDIA GPU on this machine"
+        )
+        raise ConfigurationError(f"--device {device}: {why}; leave it out")

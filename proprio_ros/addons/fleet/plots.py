@@ -1,0 +1,129 @@
+"""The plots of a batch: values of each source over time with their intervals, and how often which value was accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timezone
+
+import numpy as np
+
+from proprio_ros.addons.fleet.rows import Row
+from proprio_ros.quantity import shown_unit
+from proprio_ros.report.chart import Axis, Panel, Series, chart
+from proprio_ros.report.html import framed
+
+MOST_POINTS = 10_000  # of a plot
+# recordings that begin within less are shown in their order, which says more
+SHORTEST_NS = 60 * 10**9
+
+
+def values_figure(own: Sequence[Row], name: str) -> str:
+    """Of one source; ``number`` of a row is kept for the script that opens the row of a dot."""
+    own = own[:: -(-len(own) // MOST_POINTS)]
+    (x, axis), (factor, unit) = _over_time(own), shown_unit(own[0]["unit"])
+    columns = [
+        [row["value"] if row[key] is None else row[key] for row in own]
+        for key in ("value", "low", "high")
+    ]
+    value, low, high = factor * np.array(columns, dtype=float)
+    accepted = np.array([row["verdict"] == "accepted" for row in own])
+    # an interval of a metre must not make all others invisible
+    seen = accepted if accepted.any() else np.full(len(own), True)
+    bottom = min(
+        value[seen].min(),
+        np.percentile(low[seen], 2),
+    )
+    top = max(
+        value[seen].max(),
+        np.percentile(high[seen], 98),
+    )
+    bottom, top = 1.5 * bottom - 0.5 * top, 1.5 * top - 0.5 * bottom
+    inside = (value >= bottom) & (value <= top)
+    ends = np.clip(np.column_stack([low, high]), bottom, top)
+    series = []
+    dots = []
+    for words, color, mask in (
+        ("not accepted", "apart", ~accepted),
+        ("accepted", "agreeing", accepted),
+    ):
+        mask = mask & inside
+        if mask.any():
+            series.append(
+                Series(
+                    "",
+                    np.repeat(x[mask], 2),
+                    ends[mask].ravel(),
+                    color,
+                    "pairs",
+                )
+            )
+            series.append(
+                Series(
+                    words,
+                    x[mask],
+                    value[mask],
+                    color,
+                    "dots",
+                )
+            )
+            dots.append(
+                ",".join(str(row["number"]) for row, drawn in zip(own, mask, strict=True) if drawn)
+            )
+    title = own[0]["quantity"].replace("_", " ") + f" ({unit})" * bool(unit)
+    caption = f"{name}: dots with their 95 % intervals"
+    if outside := int((~inside).sum()):
+        caption += f"; {outside} that were not accepted lie outside of the picture"
+    svg = chart([Panel(title, unit, series, 220.0)], axis, f"Values of {name}")
+    return f"<div data-dots='{' '.join(dots)}'>{framed(svg, caption)}</div>"
+
+
+def _over_time(rows: Sequence[Row]) -> tuple[np.ndarray, Axis]:
+    """Where each stands: over time where all stamps say it, else in their order."""
+    stamps = np.array(
+        [row["recorded_ns"] or 0 for row in rows],
+        dtype=np.int64,
+    )
+    if not stamps.all() or np.ptp(stamps) < SHORTEST_NS:
+        return np.arange(len(rows), dtype=float), Axis("rows in their order", "")
+    seconds = 1e-9 * (stamps - stamps.min())
+    units = ((86400, "days"), (3600, "hours"), (60, "minutes"))
+    size, unit = next(
+        (size, unit) for size, unit in units if seconds.max() > 2 * size or size == 60
+    )
+    begin = datetime.fromtimestamp(1e-9 * float(stamps.min()), timezone.utc)
+    return seconds / size, Axis(f"{unit} since {begin:%Y-%m-%d %H:%M} UTC", unit)
+
+
+def histogram(accepted: Sequence[Row]) -> list[str]:
+    """In steps that are round numbers, not much finer than the values' errors; nothing for fewer than ten."""
+    if len(accepted) < 10:
+        return []
+    factor, unit = shown_unit(accepted[0]["unit"])
+    values = factor * np.array([row["value"] for row in accepted])
+    # some that are far off must not make one bar of all others
+    low, high = np.percentile(values, (25, 75))
+    reach = 3.0 * max(high - low, 1e-6 * abs(high), 1e-9)
+    inside = values[(values >= low - reach) & (values <= high + reach)]
+    std = factor * float(np.median([row["std"] or 0.0 for row in accepted]))
+    least = max(np.ptp(inside) / 80.0, 1e-3 * reach, 0.5 * std)
+    power = 10.0 ** np.floor(np.log10(least))
+    step = next(power * digit for digit in (1, 2, 5, 10) if power * digit >= least * (1.0 - 1e-9))
+    edges = step * np.arange(np.floor(inside.min() / step), np.floor(inside.max() / step) + 2)
+    counts = np.append(np.histogram(inside, edges)[0], 0).astype(float)
+    bars = Series(
+        "rows",
+        np.append(edges[0], edges),
+        np.append(0.0, counts),
+        "agreeing filled",
+        "steps",
+        False,
+    )
+    quantity = accepted[0]["quantity"].replace("_", " ")
+    axis = Axis(f"accepted {quantity}" + f" ({unit})" * bool(unit), unit)
+    svg = chart(
+        [Panel(f"rows, in steps of {step:g} {unit}", "", [bars], 120.0)],
+        axis,
+        f"Histogram: {axis.title}",
+    )
+    left = len(values) - len(inside)
+    return [framed(svg, f"{left} accepted rows lie further off" if left else "")]

@@ -1,0 +1,336 @@
+"""The speed table: one recording, one problem, five first guesses, and who needs how long to find the mass.
+
+The recording is one that comes with the package, of a robot without friction in MuJoCo, so that general tools need no law of
+friction: 50 g at the elbow. Unknown are the mass and where and how fast the joint began, under the same priors for everyone; the
+paper's way knows the mass only. Each has its library loaded and its kernels compiled.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.addons.paper.cases import one_lift
+from proprio_ros.addons.paper.hand import stated_robot
+from proprio_ros.addons.paper.ways import Answer, ours, paper_mass, timed
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification.solvers import levenberg_marquardt
+from proprio_ros.inputs.resources import share_directory
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
+from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.robot import inertia_about_origin
+from proprio_ros.sim.joint import INDEX
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+
+BAG = "quantised_s00_fixed_heavy_ball_50g_joint3"
+TRUE_KG = 0.05
+STARTS_KG = (0.005, 0.016, 0.05, 0.16, 0.5)
+RTOL = 1e-8
+ATOL = 1e-10
+
+
+class _Case:
+    """The recording and the problem that everyone solves."""
+
+    def __init__(self) -> None:
+        robot = stated_robot()
+        (run,) = bag_runs(share_directory() / "bags" / BAG / "bag_mcap", Request(robot))
+        self.robot, self.run = robot, run
+        self.facts = PayloadFacts(shape=PayloadShape.of("sphere", 0.04))
+        self.problem = one_lift(robot, run, self.facts)
+        (self.prepared,) = self.problem.runs
+        names = [self.problem.unknowns[row].kind for row in self.problem.free]
+        if names != ["payload_mass", "q0", "v0"] or len(run.input_times_s) != 1:
+            wanted = "the comparison wants one constant current, and a robot file without friction"
+            raise ConfigurationError(f"{BAG}: {wanted}")
+        first = np.tile(
+            self.problem.coordinates.prior_mean,
+            (len(STARTS_KG), 1),
+        )
+        first[:, 0] = STARTS_KG
+        self.starts = self.problem.coordinates.internal(first)
+
+    def masses(self, internal: np.ndarray) -> np.ndarray:
+        """[kg], shape (S,)."""
+        return self.problem.coordinates.physical(internal)[:, 0]
+
+
+def speed(seed: int) -> dict[str, Any]:
+    """The table; the recording is the same for every seed, and the times are taken again."""
+    case = _Case()
+    whole = ours(
+        partial(weigh, case.robot, [case.run], case.facts),
+        "payload_mass",
+    )
+    rows = [whole.row(way="ours: weighing with interval and verdict", truth=TRUE_KG)]
+    for way, solve in (
+        ("ours: the search alone", _ours),
+        ("scipy: least_squares and solve_ivp", _scipy),
+    ):
+        rows.append(_row(way, *timed(solve(case))))
+    theirs = paper_mass(case.robot, case.run, case.facts)
+    return {
+        "rows": [
+            *rows,
+            theirs.row(way="the paper's way", truth=TRUE_KG),
+            _sysid_row(case),
+        ]
+    }
+
+
+def _row(
+    way: str,
+    mass: float | None,
+    seconds: float | None = None,
+    why: str = "",
+) -> dict[str, Any]:
+    return Answer(mass, seconds=seconds, why=why).row(
+        way=way,
+        truth=TRUE_KG,
+    )
+
+
+def _ours(case: _Case) -> Callable[[], float]:
+    def solve() -> float:
+        found = levenberg_marquardt(case.problem, case.starts, case.problem.simulator.windows)
+        return float(case.masses(found.internal)[found.best])
+
+    return solve
+
+
+def _scipy(case: _Case) -> Callable[[], float]:
+    """scipy's general tools: DOP853 at a relative tolerance of 1e-8, Jacobian by forward differences."""
+    from scipy.integrate import solve_ivp
+    from scipy.optimize import least_squares
+
+    coordinates = case.problem.coordinates
+    prepared = case.prepared
+    values = coordinates.prior_mean[None].copy()
+    values[0, 0] = 0.0
+    p, dp = case.problem.parameters(
+        case.problem.all_values(values),
+        case.problem.free,
+    )
+    empty = p[0, 0]
+    per_kg = dp[0, 0, :, 0]
+    torque = empty[INDEX["torque_constant"]] * float(case.run.input_current_A[0])
+    times = prepared.times_s - empty[INDEX["delay"]]
+    weight = np.sqrt(np.diag(coordinates.prior_precision))
+
+    def residual(internal: np.ndarray) -> np.ndarray:
+        now = coordinates.physical(internal)
+        inertia, cosine, sine, constant = (empty + now[0] * per_kg)[:4]
+
+        def law(_t: float, y: np.ndarray) -> tuple[float, float]:
+            q, v = y.tolist()
+            return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
+
+        rolled = solve_ivp(
+            law, (0.0, float(times[-1])), now[1:], "DOP853", times, rtol=RTOL, atol=ATOL
+        )
+        off = (rolled.y[0] - prepared.position) / prepared.sigma
+        return np.append(
+            off,
+            ((now - coordinates.prior_mean) * weight)[1:],
+        )
+
+    def solve() -> float:
+        ends = [
+            least_squares(residual, start, x_scale=coordinates.natural) for start in case.starts
+        ]
+        best = ends[int(np.argmin([end.cost for end in ends]))]
+        return float(case.masses(best.x[None])[0])
+
+    return solve
+
+
+def _sysid_row(case: _Case) -> dict[str, Any]:
+    try:
+        from absl import logging
+        from mujoco import sysid
+
+        sysid.optimize  # noqa: B018 - a part of an extra: is it there?
+    except (ImportError, AttributeError):
+        return _row("mujoco.sysid", None, why="not installed")
+    logging.set_verbosity(logging.ERROR)
+    (_, mass), seconds = timed(sysid_search(case, float(case.problem.simulator.runs[0].step_s)))
+    return _row("mujoco.sysid", mass, seconds)
+
+
+def sysid_search(
+    case: _Case,
+    step_s: float,
+) -> Callable[[], tuple[np.ndarray, float]]:
+    """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, no resampling, RK4.
+
+    Returns: A function that identifies from all starts and returns where they end, shape (5,), and the best of these [kg].
+    """
+    from mujoco import sysid
+
+    coordinates = case.problem.coordinates
+    prepared = case.prepared
+    spec = welded(case, step_s)
+    times = step_s * np.arange(int(np.ceil(prepared.times_s[-1] / step_s - 1e-9)) + 1)
+    model = spec.compile()
+    control = sysid.TimeSeries(
+        times,
+        np.full(
+            (len(times), 1),
+            case.run.input_current_A[0],
+        ),
+    )
+    encoder = sysid.TimeSeries.from_names(
+        prepared.times_s,
+        prepared.position[:, None],
+        model,
+    )
+    initial = sysid.create_initial_state(model, np.array([prepared.rest.value]))
+    sequences = sysid.ModelSequences("arm", spec, "probe", initial, control, encoder)
+
+    def rollout(
+        models: Any,
+        datas: Any,
+        control_signal: Any,
+        param_dicts: Any,
+        initial_states: Any,
+        **maps: Any,
+    ) -> Any:
+        # one recording, so one state per column of finite differences
+        states = [
+            sysid.create_initial_state(model, one["q0"].value, one["v0"].value)
+            for one in param_dicts
+        ]
+        names = ("rollout_signal_mapping", "rollout_state_mapping", "ctrl_mapping")
+        chosen = {name: maps[name] for name in names}
+        return sysid.sysid_rollout(
+            models=models,
+            datas=datas,
+            control_signal=control_signal,
+            initial_states=states,
+            **chosen,
+        )
+
+    def whitened(
+        params: Any,
+        predicted: Any,
+        measured: Any,
+        model: Any,
+        everything: bool,
+        state: Any,
+    ) -> Any:
+        values = params.as_vector()
+        seen = np.interp(
+            prepared.times_s, np.append(0.0, state[:, 0]), np.append(values[1], state[:, 1])
+        )
+        off = (seen - prepared.position) / prepared.sigma
+        prior = ((values - coordinates.prior_mean) * np.sqrt(np.diag(coordinates.prior_precision)))[
+            1:
+        ]
+        return np.concatenate([off, prior])[:, None], measured, measured
+
+    residual = sysid.build_residual_fn(
+        models_sequences=[sequences],
+        modify_residual=whitened,
+        custom_rollout=rollout,
+        resample_true=False,
+    )
+
+    def heavier(spec: Any, parameter: Any) -> None:
+        set_mass(spec.body("payload"), float(parameter.value[0]), case)
+
+    def solve() -> tuple[np.ndarray, float]:
+        masses = []
+        costs = []
+        for mass in STARTS_KG:
+            first = sysid.ParameterDict()
+            first.add(sysid.Parameter("mass", mass, 1e-4, 2.0, modifier=heavier))
+            rest = prepared.rest.value
+            first.add(sysid.Parameter("q0", rest, rest - 0.1, rest + 0.1))
+            first.add(
+                sysid.Parameter(
+                    "v0",
+                    coordinates.prior_mean[2],
+                    -1.0,
+                    1.0,
+                )
+            )
+            found, _ = sysid.optimize(
+                first,
+                residual,
+                verbose=False,
+                output=io.StringIO(),
+            )
+            (end,), _, _ = residual(found.as_vector(), found)
+            masses.append(float(found["mass"].value[0]))
+            costs.append(float(end @ end))
+        return np.array(masses), masses[int(np.argmin(costs))]
+
+    return solve
+
+
+def welded(case: _Case, step_s: float) -> Any:
+    """``MjSpec`` of the arm with one hinge, and a payload body at the payload frame; RK4 with that step, no constraints."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(share_directory() / "urdf" / "open_manipulator_x.urdf"))
+    spec.compiler.fusestatic = False  # the payload must stay a body of its own
+    for equality in list(spec.equalities):
+        spec.delete(equality)
+    positions = dict(case.run.held)
+    for joint in case.robot.model.joints:
+        if joint.mimic is not None:
+            source, multiplier, offset = joint.mimic
+            positions[joint.name] = multiplier * positions[source] + offset
+    for joint in list(spec.joints):
+        if joint.name == case.run.joint:
+            joint.armature = case.prepared.drive.armature.value
+            continue
+        body = joint.parent
+        axis = np.array(joint.axis)
+        q = positions[joint.name]
+        if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+            moved = np.zeros(3)
+            mujoco.mju_rotVecQuat(moved, axis * q, np.array(body.quat))
+            body.pos = np.array(body.pos) + moved
+        else:
+            turn = np.zeros(4)
+            turned = np.zeros(4)
+            mujoco.mju_axisAngle2Quat(turn, axis, q)
+            mujoco.mju_mulQuat(turned, np.array(body.quat), turn)
+            body.quat = turned
+        spec.delete(joint)
+    payload = spec.body(case.robot.payload_frame).add_body(
+        name="payload",
+        pos=case.facts.com,
+    )
+    payload.explicitinertial = True
+    set_mass(payload, STARTS_KG[0], case)
+    motor = spec.add_actuator(
+        name="motor", target=case.run.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
+    motor.gainprm[0] = case.prepared.drive.torque_constant.value
+    sensor = mujoco.mjtSensor.mjSENS_JOINTPOS
+    seen = mujoco.mjtObj.mjOBJ_JOINT
+    spec.add_sensor(
+        name="encoder",
+        type=sensor,
+        objtype=seen,
+        objname=case.run.joint,
+    )
+    spec.option.gravity, spec.option.timestep = case.robot.gravity, step_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    off = mujoco.mjtDisableBit
+    spec.option.disableflags = int(off.mjDSBL_CONSTRAINT | off.mjDSBL_CONTACT | off.mjDSBL_LIMIT)
+    return spec
+
+
+def set_mass(body: Any, mass: float, case: _Case) -> None:
+    """Give the payload body a mass [kg], and the inertia that goes with it."""
+    body.mass = mass
+    body.inertia = mass * np.diag(inertia_about_origin(case.facts.shape.second_moment_per_mass))
