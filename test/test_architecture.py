@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from proprio_ros.probes import PROBES
+from proprio_ros.public import MODULES
 
 PACKAGE = Path(__file__).resolve().parents[1] / "proprio_ros"
 
@@ -26,6 +27,7 @@ BASE = {
     "clock",
     "whole_files",
     "registry",
+    "public",
 }
 # each room below stands on those above it; its row says on which
 ROOMS: dict[str, set[str]] = {
@@ -263,9 +265,26 @@ def test_the_core_names_no_add_on() -> None:
                 assert "addons" not in path.read_text(encoding="utf-8"), path
 
 
+def test_add_ons_use_the_public_part_of_the_core() -> None:
+    public = {
+        ".".join(filter(None, ("proprio_ros", room, name)))
+        for room, names in MODULES.items()
+        for name in names
+    }
+    used = set()
+    for path in (PACKAGE / "addons").glob("*/*.py"):
+        for name in imports(path):
+            if name.startswith("proprio_ros.") and not name.startswith("proprio_ros.addons."):
+                module = name if name in public else name.rpartition(".")[0]
+                assert module in public, f"{path}: {name} is not of the public part of the core"
+                assert "._" not in name, f"{path}: {name} is private"
+                used.add(module)
+    assert used == public and len(public) <= 80, f"no add-on uses {public - used}"
+
+
 def test_few_modules_stand_on_top() -> None:
     on_top = [path.name for path in PACKAGE.glob("*.py")]
-    assert len(on_top) <= 12, on_top
+    assert len(on_top) <= 13, on_top
 
 
 def test_rooms_stand_on_those_above() -> None:
