@@ -1,4 +1,5 @@
-"""Tables of figures in README and on the validation pages, from what benchmarks kept in `results/`, and from nothing else.
+"""Tables of figures in README and on the validation pages, from what benchmarks kept in `results/`, and from nothing else;
+and the design page's table of heavy libraries, from the code (`code_map`).
 
 A page has ``<!-- results: NAME -->`` and ``<!-- end of results -->``; what stands between them is replaced. NAME is one of `VIEWS`,
 or FILE.TABLE: a table of a file as the benchmark prints it, with the command, the date and the commit that made it. Behind
@@ -16,6 +17,8 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import code_map
 
 RESULTS = Path(__file__).resolve().parent / "results"
 BLOCK = re.compile(r"(<!-- results: (.+?) -->\n).*?(<!-- end of results -->)", re.DOTALL)
@@ -423,7 +426,13 @@ def speed_in_short() -> str:
     )
 
 
+def libraries() -> str:
+    """The design page's table of heavy libraries."""
+    return table_of(("library", "for", "imported in"), code_map.libraries())
+
+
 VIEWS: dict[str, Callable[[], str]] = {
+    "libraries": libraries,
     "readme": readme,
     "summary": summary,
     "speed": speed,
