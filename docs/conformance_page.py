@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -12,19 +14,23 @@ TESTS = Path(__file__).resolve().parents[1] / "test"
 Table = Callable[[tuple[str, ...], list[Any]], str]
 ABOUT = """# Conformance
 
-Recordings in which one thing has gone wrong, and what is right to say of each: a set that this package passes
-(`pytest test/conformance`), and that another tool can be asked, too.
+Recordings in which one thing has gone wrong, and what is right of each: a set that this package passes (`pytest
+test/conformance`), and that another tool can be asked, too.
 
-- **Recordings** are named below, with the command. Those under `bags/` ship with the package; real ones of other people's machines
-  do not, and rows that need them are skipped without.
-- **Bends** are functions of `test/support/bends/`, which turn a bag into another; parameters stand beside them. "In LOADED" means
-  that the empty hand's recording stays as it is.
-- **Right** are the verdicts ([Results](results.md#verdicts)); *unreadable* is a refusal in one sentence as the recording is read,
-  exit code 2. Wherever an answer is given, its 95 % interval has to hold the truth. A refusal carries one of the
-  codes ([Refusals](refusals.md)), where any stand there, and what is said names the cause: it matches the regular expression.
+- **Recordings** are named below; `test/support/known/bases.py` has the command of each. Those under `bags/` ship with the
+  package; real ones of other people's machines do not, and rows that need them are skipped without.
+- **Bends** are functions of `test/support/bends/`, which turn a bag into another. "In LOADED" means that the empty hand's
+  recording stays.
+- **Rows** of one bend for which the same is right stand together, with the first one's trouble; `test/conformance/rows` has
+  each with its parameters.
+- **Right** are the verdicts ([Results](results.md#verdicts)). *Unreadable* is a refusal as the recording is read, exit code 2;
+  *any* is every verdict and this, *no answer* all but `accepted`. Wherever an answer is given, its 95 % interval has to hold
+  the truth. A refusal carries one of the codes ([Refusals](refusals.md)), where any stand there, and its message matches the
+  regular expression.
 
-To ask another tool, write `asked` of `test/support/known/asking.py` for it: of a command and its files the verdict, the
-value, the interval and what was said."""
+To ask another tool, write `asked` of `test/support/known/asking.py` for it: of a command and its files the verdict, the value,
+the interval and the message."""
+ANSWERLESS = {"too_wide", "rejected", "not_identifiable", "unreadable"}
 
 
 def page(note: str, table: Table) -> str:
@@ -40,50 +46,79 @@ def page(note: str, table: Table) -> str:
     from support.known.bases import BASES
 
     parts = [note, ABOUT, "## Recordings"]
-    bases = [
-        (f"`{base.name}`", base.about, f"{base.truth:g}", _code(base.command))
-        for base in BASES.values()
-    ]
-    parts.append(table(("name", "recordings", "truth, SI", "command"), bases))
+    parts.append(table(("name", "recordings"), _recordings(BASES.values())))
     for section, rows in groupby(all_rows(), key=lambda row: row.section):
-        cells = [(row.trouble, f"`{row.base}`", _bent(row), _right(row)) for row in rows]
-        titles = ("trouble", "recordings", "bends", "right")
-        parts += [f"## {section}", table(titles, cells)]
+        titles = ("rows", "trouble", "recordings", "bends", "right")
+        parts += [f"## {section}", table(titles, _together(rows))]
     bends = [(f"`{bend.name}`", bend.kind, bend.meaning) for bend in all_bends().values()]
     parts += ["## Bends", table(("name", "kind", "what it does"), bends)]
     return "\n\n".join(parts) + "\n"
 
 
-def _code(words: tuple[str, ...]) -> str:
-    return f"`proprio {' '.join(words)}`"
+def _recordings(bases: Iterable[Any]) -> list[tuple[str, str]]:
+    """Recordings that differ by their masses or files alone stand together."""
+    alike: dict[str, list[str]] = defaultdict(list)
+    for base in bases:
+        about = re.sub(r" \([\w, ]+\)$", "", base.about)
+        about = re.sub(r"\b[\d.]+ (k?g)\b", r".. \1", about)
+        alike[about.replace("; uncalibrated", "").replace("; calibrated", "")].append(base.name)
+    return [(_codes(names), about) for about, names in alike.items()]
+
+
+def _together(rows: Iterable[Any]) -> list[tuple[str, str, str, str, str]]:
+    """Rows of the same bends for which the same is right are one row."""
+    alike: dict[tuple[str, str], list[Any]] = defaultdict(list)
+    for row in rows:
+        alike[_bent(row), _right(row)].append(row)
+    return [
+        (
+            str(len(found)),
+            found[0].trouble,
+            _codes(row.base for row in found),
+            bends,
+            right,
+        )
+        for (bends, right), found in alike.items()
+    ]
+
+
+def _codes(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in dict.fromkeys(names))
 
 
 def _bent(row: Any) -> str:
-    """Bends of a row, with parameters, and the command where it has its own."""
+    """Bends of a row, and whether it asks or makes something of its own."""
     found = [_one_bend(each) for each in row.bends]
     if row.make is not None and row.make.__doc__:
         found.append(row.make.__doc__.splitlines()[0].rstrip("."))
     if row.command:
-        found.append(f"asked: {_code(row.command)}")
+        found.append("asked by a command of its own")
     if row.more:
         found.append(f"further: `{' '.join(row.more)}`")
     return "; ".join(found)
 
 
 def _one_bend(bent: Any) -> str:
-    parameters = ", ".join(f"{name} {value}" for name, value in bent.parameters.items())
     where = "" if len(bent.of) > 1 else f", in {bent.of[0].upper()}"
-    return f"`{bent.name}` {parameters}".strip() + where
+    return f"`{bent.name}`" + where
+
+
+def _verdicts(verdicts: tuple[str, ...]) -> str:
+    if set(verdicts) == ANSWERLESS:
+        return "no answer"
+    if set(verdicts) == ANSWERLESS | {"accepted"}:
+        return "any"
+    return " or ".join(verdicts)
 
 
 def _right(row: Any) -> str:
-    found = [" or ".join(row.verdicts)]
+    found = [_verdicts(row.verdicts)]
     if row.codes:
         found.append(" or ".join(f"`{code}`" for code in row.codes))
     if row.cause:
-        found.append(f"says `{row.cause}`")
+        found.append(f"`{row.cause}`")
     if row.unsaid:
-        found.append(f"never says `{row.unsaid}`")
+        found.append(f"never `{row.unsaid}`")
     if row.narrow is not None:
         found.append(f"at most {row.narrow:g} half wide")
     if row.pending:
