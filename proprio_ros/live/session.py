@@ -29,13 +29,14 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.resources import paths_of, private_folder, write_in_one_step
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.loading import bag_runs, check_motors, standing
+from proprio_ros.pipeline.loading import bag_runs, motors_notes, read_options, standing
 from proprio_ros.pipeline.request import Options, Request, read_request, request_of, robot_of
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Probe
+from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.runs import cut_runs
-from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.sources import Attempt, BagSource
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.sim.joint import compile_kernels
@@ -312,20 +313,20 @@ def check_input(
     robot = request.robot
     options = request.options
     command = options.command_topic
+    heard = any(message.topic == command for message in messages)
+    asked = replace(
+        read_options(request),
+        # at rest nothing says what it means, and nothing asks
+        effort=Effort(request.unit or "raw", request.effort_per_current),
+        command_topic=command if heard else None,
+        span=None,
+        states_only=False,
+    )
     try:
-        recording = read_recording(
-            bag,
-            state_topic=options.state_topic,
-            command_topic=command
-            if any(message.topic == command for message in messages)
-            else None,
-            # at rest nothing says what it means, and nothing asks
-            effort_unit=request.unit or "raw",
-            conventions=request.conventions,
-            nominal_torque_constants=request.effort_per_current,
-            joint_order=list(robot.drive_trains),
-        )
-        about_motors = check_motors(bag, robot, options.state_topic)
+        with BagSource(bag) as source:
+            recording = source.recording(asked)
+            motors = Attempt.to(lambda: source.motors(options.state_topic))
+        about_motors = motors_notes(bag, robot, motors)
     except RecordingError as error:
         raise RecordingError(str(error).removeprefix(f"{bag}: ")) from error
     finally:

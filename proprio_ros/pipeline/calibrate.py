@@ -6,7 +6,7 @@ import io
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -48,22 +48,16 @@ from proprio_ros.inputs.resources import (
     write_in_one_step,
 )
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.loading import (
-    Recordings,
-    bag_recording,
-    bag_runs,
-    bag_runs_or_motion,
-    runs_or_motion,
-)
+from proprio_ros.pipeline.distinct import Distinct
+from proprio_ros.pipeline.loading import Read, found_in, read_bag, runs_in, runs_or_motion
 from proprio_ros.pipeline.replay import aged_robot, moment_of
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import probe_that
 from proprio_ros.probes.base import Carries
 from proprio_ros.quantity import Z95, Quantity, shown
-from proprio_ros.recordings.contents import read_motors
-from proprio_ros.recordings.datasets import episode_of
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.voltage import with_stall_currents
+from proprio_ros.records import Recording, Run
 from proprio_ros.robot import Robot, is_description, nested_settings
 from proprio_ros.schema import calibration_used
 from proprio_ros.sim.payload import PayloadFacts
@@ -101,6 +95,44 @@ def calibrate_from_bags(
     """
     paths = paths_of(paths)
     started = time.perf_counter()
+    request = _calibration_request(paths, references, options, output, force)
+    loads = [(Path(path), KnownLoad()) for path in paths]
+    loads += [(Path(path), KnownLoad(mass, request.facts)) for path, mass in references.items()]
+    recorded = _read([path for path, _ in loads], request, progress)
+    masses = [load.mass for _, load in loads]
+    request = _with_learnt_delay(request, recorded.recordings, masses, progress)
+    runs, motions = _found(request, recorded, [load for _, load in loads])
+    read = time.perf_counter()
+    if motions:
+        estimate = _from_motions(request, motions, progress)
+    else:
+        estimate = with_advice(
+            request.robot, solvable(calibrate)(request.robot, runs, progress), progress=progress
+        )
+    if estimate.calibration is not None:
+        made = moment_of([each.run for each in runs], recorded.reads)
+        known = replace(estimate.calibration, motors=recorded.motors, made=made)
+        estimate = replace(estimate, calibration=known)
+    if references:
+        swings = bool(runs) and runs[0].run.free
+        estimate = _with_implied_scale(estimate, request.robot, swings)
+    used = {fit.name for fit in estimate.run_fits}
+    unused = tuple(
+        recorded_run(request.robot, each.run) for each in runs if each.run.name not in used
+    )
+    weighed = [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()]
+    origin = {"bags": [str(path) for path in paths], "references": weighed}
+    return _written(replace(estimate, unused=unused), output, request, origin, read - started)
+
+
+def _calibration_request(
+    paths: Sequence[str | Path],
+    references: Mapping[str | Path, float],
+    options: Options | None,
+    output: str | Path | None,
+    force: bool,
+) -> Request:
+    """What is asked of a calibration from the start; raises as `calibrate_from_bags` does where that cannot be."""
     _check_given([*paths, *references], output, force)
     for path, mass in references.items():
         if not 0.0 < mass <= HEAVIEST_REFERENCE_KG:
@@ -112,52 +144,56 @@ def calibrate_from_bags(
         raise ConfigurationError(
             f"--output {output}: is the robot file, and the calibration extends it: name another"
         )
-    loads = [(Path(path), KnownLoad()) for path in paths]
-    loads += [(Path(path), KnownLoad(mass, request.facts)) for path, mass in references.items()]
-    once = Recordings([path for path, _ in loads])
-    motors = _motors_of([path for path, _ in loads], request)
-    request = _with_learnt_delay(request, loads, progress)
+    return request
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """All recordings that a calibration is made from, each opened once."""
+
+    distinct: Distinct
+    reads: tuple[Read, ...]
+    recordings: tuple[Recording, ...]  # what each holds
+    motors: dict[str, MotorIdentity]  # of the one arm that they are of, as far as they say it
+
+
+def _read(paths: Sequence[Path], request: Request, progress: Callable[[str], None]) -> _Recorded:
+    """Read recordings of one arm. Raises `RecordingError`: One cannot be read, or they are of several."""
+    distinct = Distinct(paths)
+    motors: dict[str, MotorIdentity] = {}
+    reads = []
+    for number, path in enumerate(paths, start=1):
+        progress(f"reading {path} ({number} of {len(paths)})")
+        read = read_bag(path, request)
+        found = read.motors.get()
+        if differences := other_arm(motors, found):
+            raise RecordingError(
+                f"{path}: another arm than that of the recordings before it: {differences}"
+            )
+        motors |= found
+        reads.append(read)
+    recordings = tuple(each.recording.get() for each in reads)
+    return _Recorded(distinct, tuple(reads), recordings, motors)
+
+
+def _found(
+    request: Request, recorded: _Recorded, loads: Sequence[KnownLoad]
+) -> tuple[list[LoadedRun], list[tuple[Motion, float]]]:
+    """Runs, or motions with the mass of what was held [kg], and never both."""
     runs: list[LoadedRun] = []
     motions: list[tuple[Motion, float]] = []
-    for number, (path, load) in enumerate(loads, start=1):
-        progress(f"reading {path} ({number} of {len(loads)})")
-        found = bag_runs_or_motion(path, request)
+    for read, recording, load in zip(recorded.reads, recorded.recordings, loads, strict=True):
+        found = found_in(with_stall_currents(recording, request.robot), request)
         if isinstance(found, Motion):
-            motions.append((once.checked(path, found), load.mass))
+            motions.append((recorded.distinct.checked(read.path, found), load.mass))
         else:
-            runs += [LoadedRun(run, load) for run in once.checked(path, found)]
-    read = time.perf_counter()
+            runs += [LoadedRun(run, load) for run in recorded.distinct.checked(read.path, found)]
     if motions and runs:
         raise RecordingError(
             f"{motions[0][0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].run.name} holds "
             "probes: calibrate with one or the other, each makes a file of its own"
         )
-    if motions:
-        estimate = _from_motions(request, motions, progress)
-    else:
-        estimate = with_advice(
-            request.robot, solvable(calibrate)(request.robot, runs, progress), progress=progress
-        )
-    if estimate.calibration is not None:
-        made = moment_of(
-            [each.run for each in runs], [path for path, _ in loads], request.options.state_topic
-        )
-        estimate = replace(
-            estimate, calibration=replace(estimate.calibration, motors=motors, made=made)
-        )
-    if references:
-        estimate = _with_implied_scale(
-            estimate,
-            request.robot,
-            bool(runs) and runs[0].run.free,
-        )
-    used = {fit.name for fit in estimate.run_fits}
-    unused = tuple(
-        recorded_run(request.robot, each.run) for each in runs if each.run.name not in used
-    )
-    known = [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()]
-    origin = {"bags": [str(path) for path in paths], "references": known}
-    return _written(replace(estimate, unused=unused), output, request, origin, read - started)
+    return runs, motions
 
 
 @one_blas_thread
@@ -188,10 +224,11 @@ def refresh_from_bags(
         raise ConfigurationError(
             f"{old} was made from motions; only a calibration of runs can be brought up to date"
         )
-    once = Recordings(paths)
-    motors = _motors_of([Path(path) for path in paths], request)
-    runs = [run for path in paths for run in once.checked(path, bag_runs(Path(path), request))]
-    now = moment_of(runs, paths, options.state_topic)
+    recorded = _read([Path(path) for path in paths], request, lambda _: None)
+    runs: list[Run] = []
+    for each, recording in zip(recorded.reads, recorded.recordings, strict=True):
+        runs += recorded.distinct.checked(each.path, runs_in(recording, request))
+    now = moment_of(runs, recorded.reads)
     robot = aged_robot(request.robot, now)
     read = time.perf_counter()
     estimate = with_advice(
@@ -200,7 +237,7 @@ def refresh_from_bags(
         progress=progress,
     )
     if (learnt := estimate.calibration) is not None:
-        learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
+        learnt = replace(learnt, motors={**fresh.motors, **recorded.motors}, made=now)
         estimate = replace(estimate, calibration=learnt)
     origin = {
         "bags": [str(path) for path in paths],
@@ -344,21 +381,6 @@ def _implied_scale(
     return f"all motors are {more}, which is known to {100.0 * std:.0f} %", *known
 
 
-def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdentity]:
-    """The motors of the arm that all recordings are of, as far as they say it; RecordingError: they are of several."""
-    motors: dict[str, MotorIdentity] = {}
-    for path in paths:
-        if episode_of(path) is not None:  # a data set does not say it
-            continue
-        found = read_motors(path, request.options.state_topic)
-        if differences := other_arm(motors, found):
-            raise RecordingError(
-                f"{path}: another arm than that of the recordings before it: {differences}"
-            )
-        motors |= found
-    return motors
-
-
 @one_blas_thread
 @solvable
 def plan_excitations(
@@ -461,7 +483,8 @@ def write_calibration(
 
 def _with_learnt_delay(
     request: Request,
-    loads: Sequence[tuple[Path, KnownLoad]],
+    recordings: Sequence[Recording],
+    masses_kg: Sequence[float],
     progress: Callable[[str], None],
 ) -> Request:
     """The same with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
@@ -469,36 +492,34 @@ def _with_learnt_delay(
     Only where a single joint follows its goal by a law, so that all of its torque hangs on that delay.
     """
     robot = request.robot
-    (joint, *others), drives = list(robot.drive_trains), robot.drive_trains
-    driven_by = drives[joint].driven_by
-    if (
-        others
-        or driven_by is None
-        or not driven_by.follows_goal
-        or robot.delay.std == 0.0
-        or len(loads) < FEWEST_RUNS
-    ):
+    if not _hangs_on_delay(robot) or len(recordings) < FEWEST_RUNS:
         return request
-    recordings = [bag_recording(path, request) for path, _ in loads]
     if any(recording.torque_off_ns for recording in recordings):
         return request
     progress("looking for the delay from a goal to its torque")
-    masses = [load.mass for _, load in loads]
 
     def left_over(delay_s: float) -> float:
         late = replace(robot, delay=Quantity(delay_s))
         asked = replace(request, robot=late)
-        motions = [runs_or_motion(with_stall_currents(each, late), asked) for each in recordings]
-        return torque_left_over(
-            late, [each for each in motions if isinstance(each, Motion)], masses, request.facts
-        )
+        found = [runs_or_motion(with_stall_currents(each, late), asked) for each in recordings]
+        motions = [each for each in found if isinstance(each, Motion)]
+        return torque_left_over(late, motions, masses_kg, request.facts)
 
     delay = best_delay(left_over, robot.delay)
-    overrides = {
-        **request.overrides,
-        "delay_s": {"value": delay.value, "std": delay.std},
-    }
-    return replace(request, robot=replace(robot, delay=delay), overrides=overrides)
+    learnt = {"delay_s": {"value": delay.value, "std": delay.std}}
+    return replace(
+        request,
+        robot=replace(robot, delay=delay),
+        overrides={**request.overrides, **learnt},
+    )
+
+
+def _hangs_on_delay(robot: Robot) -> bool:
+    """Whether the robot is a single joint whose torque follows from its goal after a delay that is not known."""
+    drives = list(robot.drive_trains.values())
+    driven_by = drives[0].driven_by
+    alone = len(drives) == 1 and driven_by is not None and driven_by.follows_goal
+    return alone and robot.delay.std != 0.0
 
 
 def _laid_out(key: str, value: Any) -> Any:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +21,31 @@ from proprio_ros.identification.regression.one_joint_known import tables_of
 from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline import loading
+from proprio_ros.pipeline.loading import (
+    read_options,
+    read_source,
+    refuse_uncalibrated,
+    runs_or_motion,
+    turning_joints,
+    unit_not_used,
+)
 from proprio_ros.pipeline.looked_into import BagCheck, MotionCheck, RunCheck
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import all_probes
-from proprio_ros.recordings.contents import Contents, look_into
-from proprio_ros.recordings.datasets import episode_of
+from proprio_ros.recordings.contents import Contents
 from proprio_ros.recordings.drivers import drivers_of
-from proprio_ros.recordings.effort import EFFORT_UNITS
+from proprio_ros.recordings.effort import EFFORT_UNITS, Effort
 from proprio_ros.recordings.motions import SLOWEST_HZ, Motion, motion_of
-from proprio_ros.recordings.plausibility import Finding, findings, moving
-from proprio_ros.recordings.signals import read_recording
-from proprio_ros.recordings.text import is_text_recording, read_text_recording
+from proprio_ros.recordings.plausibility import (
+    EffortUnit,
+    Finding,
+    findings,
+    moving,
+    plausible_units,
+)
+from proprio_ros.recordings.read_options import ReadOptions
+from proprio_ros.recordings.sources import BagSource, EpisodeSource, TextSource, open_recording
+from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.records import (
@@ -85,90 +98,98 @@ def _any_object(settings: Settings) -> None:
         settings.take_prefix(start)
 
 
+@dataclass(frozen=True)
+class _Looked:
+    """What a fit would have to go by."""
+
+    recording: Recording | None = None  # None: not even its joint states can be read
+    runs: tuple[RunCheck, ...] = ()
+    motion: Motion | None = None
+    problem: str = ""  # why neither runs nor a motion could be looked for, or an empty string
+
+
 def _bag_check(request: Request, path: Path) -> BagCheck:
-    robot = request.robot
-    options = request.options
-    effort_unit = request.unit
-    if episode_of(path) is None:
-        contents = look_into(path, options.state_topic, options.command_topic, request.conventions)
-    else:  # a data set has columns, and the driver's profile says which
-        columns = request.driver.columns if request.driver else None
-        contents = Contents((), columns.position if columns else None)
+    """A bag or an episode."""
+    options = read_options(request)
+    with open_recording(path) as source:
+        contents = source.contents(options)
+        looked = _Looked(problem=contents.problem)
+        if not contents.problem:
+            looked = _looked_into(source, request, options, contents)
     types = {name: kind for name, kind, _ in contents.topics}
-    fitting = tuple(driver.name for driver in drivers_of(types.items()))
     check = BagCheck(
         str(path),
         topics=contents.topics,
         state_topic=contents.states,
         driver=request.driver,
-        fitting=fitting,
+        fitting=tuple(driver.name for driver in drivers_of(types.items())),
     )
-    if contents.problem:
-        return replace(check, problem=contents.problem)
-    problem = ""
-    recording: Recording | None = None
-    runs: tuple[RunCheck, ...] = ()
-    motion: Motion | None = None
+    if looked.recording is None:
+        return replace(check, problem=looked.problem)
+    return _shown(request, looked, looked.recording, types, check)
+
+
+def _looked_into(
+    source: BagSource | EpisodeSource, request: Request, options: ReadOptions, contents: Contents
+) -> _Looked:
+    """What an open source holds, as far as it can be read."""
+    looked = _Looked()
     try:
-        recording = loading.bag_recording(path, request)
-        found = loading.runs_or_motion(recording, request)
-        if isinstance(found, Motion):
-            _refuse_motion(robot, found)
-            motion = found
-        else:
-            loading.refuse_uncalibrated(robot, found)
-            runs = tuple(_run_check(robot, run) for run in found)
+        recording = read_source(source, request).recording.get()
+        looked = _Looked(recording)
+        return _with_found(looked, runs_or_motion(recording, request), request.robot)
     except (RecordingError, RobotError) as error:
-        problem = str(error)
-    if recording is None:
-        if not contents.topics:
-            return replace(check, problem=problem)
-        try:  # only to look at: no run is cut from a current of an unstated unit
-            recording = read_recording(
-                path,
-                state_topic=options.state_topic,
-                nominal_torque_constants={},
-                joint_order=list(robot.drive_trains),
-                states_only=True,
-                conventions=request.conventions,
-            )
-        except RecordingError as worse:
-            return replace(check, problem=str(worse))
+        looked = replace(looked, problem=str(error))
+    if looked.recording is not None or not contents.topics:
+        return looked
+    # only to look at: no run is cut from a current of an unstated unit
+    states = replace(
+        options, effort=Effort(None, {}), command_topic=None, span=None, states_only=True
+    )
+    try:
+        return replace(looked, recording=source.recording(states))
+    except RecordingError as worse:
+        return _Looked(problem=str(worse))
+
+
+def _with_found(looked: _Looked, found: tuple[Run, ...] | Motion, robot: Robot) -> _Looked:
+    """The same with the runs or the motion that were found; raises what `replay` raises of them."""
+    if isinstance(found, Motion):
+        _refuse_motion(robot, found)
+        return replace(looked, motion=found)
+    refuse_uncalibrated(robot, found)
+    return replace(looked, runs=tuple(_run_check(robot, run) for run in found))
+
+
+def _shown(
+    request: Request,
+    looked: _Looked,
+    recording: Recording,
+    types: Mapping[str, str],
+    check: BagCheck,
+) -> BagCheck:
+    """A check with what the recording shows of itself."""
+    robot = request.robot
     slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
     moved = moving(recording.joints, slides)
-    seen = (*findings(recording, slides), *_of_robot(robot, recording, effort_unit))
-    # what the law of a position servo makes of goal and position needs no effort
-    drives = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
-    without = {name for name, drive in drives.items() if drive is not None and drive.follows_goal}
-    seen = tuple(
-        each
-        for each in seen
-        if each.code not in DOUBTFUL_EFFORT or not without.issuperset(each.joints)
-    )
-    if recording.inputs is None or recording.inputs.measured or recording.inputs.computed:
-        runs = tuple(_with_effort(run, seen) for run in runs)
-        for finding in seen:
-            if (
-                motion is not None
-                and finding.code in UNUSABLE_MOTION
-                and set(motion.moved) <= set(finding.joints)
-            ):
-                motion = None
-                problem = f"of no use as a motion: {finding.sentence}"
-    useless = {
+    seen = _findings(request, recording, slides)
+    looked = _without_unusable(looked, recording.inputs, seen)
+    doubtful = {
         name for finding in seen if finding.code in DOUBTFUL_EFFORT for name in finding.joints
     }
     by_voltage = voltage_driven(robot)
-    per_torque, units = (
-        ({}, ()) if by_voltage else loading.plausible_units(recording, robot, useless)
-    )
+    per_torque: Mapping[str, float] = {}
+    units: tuple[EffortUnit, ...] = ()
+    if not by_voltage:
+        per_torque, units = plausible_units(recording, robot, doubtful)
+    tells = None
     # a joint alone whose torque's scale is open is weighed with known loads, not with an empty hand
-    tells = (
-        None
-        if by_voltage and len(robot.drive_trains) == 1
-        else _motion_check(robot, recording, motion)
-    )
-    driven_by, driven_in = _input_of(recording, runs, types, effort_unit)
+    if not by_voltage or len(robot.drive_trains) > 1:
+        tells = _motion_check(robot, recording, looked.motion)
+    notes = recording.notes
+    if looked.motion is None:
+        notes += unit_not_used(recording.inputs, request.options.effort_unit)
+    driven_by, driven_in = _input_of(recording, looked.runs, types, request.unit)
     names = recording.joints.names
     check = replace(
         check,
@@ -176,15 +197,10 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         **_spacing(1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])),
         input=driven_by or None,
         input_unit=driven_in or None,
-        runs=runs,
-        problem=problem,
-        notes=recording.notes
-        + (
-            ()
-            if motion is not None
-            else loading.unit_not_used(recording.inputs, options.effort_unit)
-        ),
-        motion=motion,
+        runs=looked.runs,
+        problem=looked.problem,
+        notes=notes,
+        motion=looked.motion,
         moves=moved,
         still=tuple(name for name in names if name not in moved),
         findings=seen,
@@ -193,6 +209,38 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         tells=tells,
     )
     return replace(check, record=_advice(robot, recording, check))
+
+
+def _findings(request: Request, recording: Recording, slides: Sequence[str]) -> tuple[Finding, ...]:
+    """What the recording shows of itself, and what the robot leaves open."""
+    robot = request.robot
+    seen = (*findings(recording, slides), *_of_robot(robot, recording, request.unit))
+    # what the law of a position servo makes of goal and position needs no effort
+    drives = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
+    without = {name for name, drive in drives.items() if drive is not None and drive.follows_goal}
+    return tuple(
+        each
+        for each in seen
+        if each.code not in DOUBTFUL_EFFORT or not without.issuperset(each.joints)
+    )
+
+
+def _without_unusable(
+    looked: _Looked, inputs: InputRecord | None, seen: Sequence[Finding]
+) -> _Looked:
+    """The same without a motion of whose measured effort no torque can be made; runs of such an effort have a problem."""
+    if inputs is not None and not inputs.measured and not inputs.computed:
+        return looked
+    looked = replace(looked, runs=tuple(_with_effort(run, seen) for run in looked.runs))
+    for finding in seen:
+        if (
+            looked.motion is not None
+            and finding.code in UNUSABLE_MOTION
+            and set(looked.motion.moved) <= set(finding.joints)
+        ):
+            problem = f"of no use as a motion: {finding.sentence}"
+            looked = replace(looked, motion=None, problem=problem)
+    return looked
 
 
 @solvable
@@ -261,7 +309,7 @@ def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
 
 def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> MotionCheck | None:
     """What a motion determines; also of one whose currents are not known, since none is looked at."""
-    turning = loading.turning_joints(robot)
+    turning = turning_joints(robot)
     if motion is None:
         if recording.inputs is not None or set(turning) - set(recording.joints.names):
             return None
@@ -319,7 +367,7 @@ def _advice(
 def _input_of(
     recording: Recording,
     runs: Sequence[RunCheck],
-    types: dict[str, str],
+    types: Mapping[str, str],
     unit: str | None,
 ) -> tuple[str, str]:
     """Where the current would come from, and what its numbers are; empty where there is none."""
@@ -380,7 +428,8 @@ def _unusable_closing(run: PreparedRun) -> str:
 
 def _text_check(request: Request, path: Path) -> BagCheck:
     """A text recording is one run, driven by the torque that its setting states."""
-    text = read_text_recording(path)
+    with TextSource(path) as source:
+        text = source.text()
     drive = request.robot.drive_trains.get(text.joint)
     current_A = float(text.setting["torque_N_m"]) / (
         np.nan if drive is None else drive.nominal_effort_per_current

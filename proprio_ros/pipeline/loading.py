@@ -2,86 +2,103 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
-from proprio_ros.calibration_files.motors import other_arm, other_firmware
-from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
-from proprio_ros.inputs.reading import path_problem
+from proprio_ros.calibration_files.motors import Motors, other_arm, other_firmware
+from proprio_ros.errors import RecordingError
 from proprio_ros.pipeline.request import Request
-from proprio_ros.recordings.contents import read_motors
 from proprio_ros.recordings.contradictions import refuse_other_current
-from proprio_ros.recordings.datasets import episode_of, read_episode
-from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort
+from proprio_ros.recordings.effort import Effort
+from proprio_ros.recordings.jumps import without_jumps
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.recordings.pace import refuse_pace_of_joint, refuse_pace_of_runs
-from proprio_ros.recordings.plausibility import EffortUnit, effort_per_torque, effort_units
+from proprio_ros.recordings.plausibility import plausible_units
+from proprio_ros.recordings.published import published_robot, published_run
+from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
-from proprio_ros.recordings.signals import (
-    read_drive_signals,
-    read_recording,
-    refuse_prefix,
-    without_jumps,
+from proprio_ros.recordings.signals import refuse_prefix
+from proprio_ros.recordings.sources import (
+    Attempt,
+    BagSource,
+    EpisodeSource,
+    TextSource,
+    open_recording,
+    open_source,
 )
+from proprio_ros.recordings.text import TextRecording
 from proprio_ros.recordings.voltage import refuse_unit, voltage_driven, with_stall_currents
 from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.robot import Robot, is_description
-from proprio_ros.whole_files import real_path
-
-_Found = TypeVar("_Found", Motion, Sequence[Run])
 
 
-class Recordings:
-    """All that was given, each recording once: a run that counts twice would narrow the interval without a reason.
+@dataclass(frozen=True)
+class Loaded:
+    """What one recording gave."""
 
-    Raises `ConfigurationError`: Two of the paths lead to the same place.
+    path: Path
+    robot: Robot  # as the request has it, or as a text says of its own
+    found: tuple[Run, ...] | Motion
+    # how warm the motors were on average, by joint [deg C], as far as the recording says it
+    temperatures: Attempt[Mapping[str, float]]
+    text: TextRecording | None = None  # where it is one
+
+
+@dataclass(frozen=True)
+class Read:
+    """One bag or episode as it was read for a robot, before runs or a motion are made of it."""
+
+    path: Path
+    recording: Attempt[Recording]
+    motors: Attempt[Motors]  # as far as the recording says whose arm it is of
+    temperatures: Attempt[Mapping[str, float]]  # as of `Loaded`
+
+
+def load(path: Path, request: Request) -> Loaded:
+    """The runs or the motion of one bag, episode or text.
+
+    Raises `RecordingError`: It cannot be read, or holds neither.
     """
-
-    def __init__(self, paths: Sequence[str | Path]) -> None:
-        places: dict[Path, str | Path] = {}
-        for path in paths:
-            if problem := path_problem(path):
-                raise ConfigurationError(f"{path}: {problem}")
-            place = real_path(path)
-            if place in places:
-                raise ConfigurationError(_twice(places[place], path))
-            places[place] = path
-        self._paths: dict[tuple[object, ...], str | Path] = {}
-
-    def checked(self, path: str | Path, found: _Found) -> _Found:
-        """The runs or the motion of one path.
-
-        Raises `ConfigurationError`: Another path held one of them: the same samples at the same times, and the same current.
-        """
-        if isinstance(found, Motion):
-            self._check(
-                path, " ".join(found.joints), found.times_s, found.position, found.current_A
-            )
-        else:
-            for run in found:
-                self._check(path, run.joint, run.times_s, run.position, run.input_current_A)
-        return found
-
-    def _check(self, path: str | Path, joint: str, *arrays: np.ndarray) -> None:
-        key: tuple[object, ...] = (joint, *(array.tobytes() for array in arrays))
-        if self._paths.setdefault(key, path) != path:
-            raise ConfigurationError(_twice(self._paths[key], path))
+    with open_source(path) as source:
+        if isinstance(source, TextSource):
+            text = source.text()
+            robot = published_robot(request.robot, text)
+            run = published_run(robot, text, request.locked)
+            return Loaded(path, robot, (run,), Attempt({}), text)
+        read = read_source(source, request)
+    found = found_in(read.recording.get(), request)
+    return Loaded(path, request.robot, found, read.temperatures)
 
 
-def _twice(one: str | Path, other: str | Path) -> str:
-    if str(one) == str(other):
-        return f"{one} was given twice: name each recording once"
-    return f"{one} and {other} are the same recording: name it once"
+def read_bag(path: Path, request: Request) -> Read:
+    """What one bag or episode holds. Raises `RecordingError`: It cannot be opened."""
+    with open_recording(path) as source:
+        return read_source(source, request)
+
+
+def read_source(source: BagSource | EpisodeSource, request: Request) -> Read:
+    """What an open bag or episode holds, as far as it can be read."""
+    topic = request.options.state_topic
+    motors = Attempt.to(lambda: source.motors(topic))
+    return Read(
+        source.path,
+        Attempt.to(lambda: recording_in(source, request, motors)),
+        motors,
+        Attempt.to(lambda: source.temperatures(topic)),
+    )
+
+
+def bag_recording(path: Path, request: Request) -> Recording:
+    """What one bag, or one episode of a data set, holds for a robot, named after it. Raises `RecordingError`: It cannot be read."""
+    return read_bag(path, request).recording.get()
 
 
 def bag_runs(path: Path, request: Request) -> tuple[Run, ...]:
     """The runs of one bag, named after it. Raises `RecordingError`: It cannot be read, or holds no runs."""
-    recording = bag_recording(path, request)
-    return _noted(_runs(recording, request), recording, request)
+    return runs_in(bag_recording(path, request), request)
 
 
 def bag_motion(path: Path, request: Request) -> Motion:
@@ -97,7 +114,16 @@ def bag_runs_or_motion(path: Path, request: Request) -> tuple[Run, ...] | Motion
 
     Raises `RecordingError`: It cannot be read, or holds neither.
     """
-    recording = bag_recording(path, request)
+    return found_in(bag_recording(path, request), request)
+
+
+def runs_in(recording: Recording, request: Request) -> tuple[Run, ...]:
+    """Runs, with what was noted of the recording. Raises `RecordingError`: It holds none."""
+    return _noted(_runs(recording, request), recording, request)
+
+
+def found_in(recording: Recording, request: Request) -> tuple[Run, ...] | Motion:
+    """Runs, with what was noted of the recording, or the motion that it holds."""
     found = runs_or_motion(recording, request)
     return found if isinstance(found, Motion) else _noted(found, recording, request)
 
@@ -188,138 +214,121 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
     return not inputs.current_A.any()
 
 
-def bag_recording(path: Path, request: Request) -> Recording:
-    """What one bag, or one episode of a data set, holds for a robot, named after it. Raises `RecordingError`: It cannot be read."""
+def recording_in(
+    source: BagSource | EpisodeSource, request: Request, motors: Attempt[Motors]
+) -> Recording:
+    """What an open bag or episode holds for a robot, named after it.
+
+    Args:
+        source: The bag or episode.
+        request: What is asked, with the robot.
+        motors: Of the arm, as the source has them.
+
+    Returns:
+        The recording, with a note on each repair.
+
+    Raises:
+        RecordingError: It cannot be read, or is of another arm.
+        ConfigurationError: What is stated of it cannot be.
+    """
     robot = request.robot
-    options = request.options
-    unit = request.unit
-    episode = episode_of(path)
+    path = source.path
     if request.driver is not None and request.driver.refused:
         raise RecordingError(f"{path}: {request.driver.refused}")
-    refuse_unit(robot, unit)
-    by_voltage = voltage_driven(robot)
-    if episode is not None:
-        recording = _episode_recording(path, *episode, request)
-    else:
-        recording = read_recording(
-            path,
-            state_topic=options.state_topic,
-            command_topic=options.command_topic,
-            effort_unit=unit,
-            conventions=request.conventions,
-            nominal_torque_constants=request.effort_per_current,
-            joint_order=list(robot.drive_trains),
-            states_only=len(by_voltage) == len(robot.drive_trains),
-            span=options.span,
-        )
-    refuse_prefix(path, recording.joints.names, list(robot.drive_trains))
-    recording = without_jumps(recording, list(robot.drive_trains))
-    if by_voltage:
-        if episode is None:
-            signals = read_drive_signals(
-                path, options.state_topic, request.conventions, options.span
-            )
+    refuse_unit(robot, request.unit)
+    options = read_options(request)
+    recording = source.recording(options)
+    refuse_prefix(path, recording.joints.names, options.joint_order)
+    recording = without_jumps(recording, options.joint_order)
+    if voltage_driven(robot):
+        signals = source.drive_signals(options)
+        if signals is not None:
             recording = replace(recording, signals=signals)
         recording = with_stall_currents(recording, robot)
-    notes = recording.notes
-    if episode is None:
-        # a bag's folder is often called after its storage, so the folder above says which one it is
-        recording = replace(
-            recording,
-            name="/".join(path.resolve().parts[-2:]),
-        )
-        notes += check_motors(path, robot, options.state_topic)
-    if request.driver is not None:
-        notes += _implausible_unit(recording, request)
-    if (
-        unit == "N.m"
-        and is_description(str(robot.source))
-        and (inputs := recording.inputs) is not None
-    ):
-        if not inputs.measured and inputs.unit != "N.m":
-            raise RecordingError(
-                f"{path}: {inputs.source} are currents, and {robot.source.name} states no torque constants: write a file with "
-                "`proprio robot new`, or state each with --set robot.joints.JOINT.motor.nominal_torque_constant_N_m_per_A=VALUE"
-            )
-    return replace(recording, notes=notes)
-
-
-def _episode_recording(path: Path, folder: Path, index: int, request: Request) -> Recording:
-    """One episode of a data set; Raises as `bag_recording` does."""
-    driver = request.driver
-    model = request.robot.model
-    if driver is None or driver.columns is None:
-        raise ConfigurationError(
-            f"{path}: an episode of a data set, whose units nobody states: give --driver lerobot, another profile with columns, or "
-            "your own file"
-        )
-    joints = {name: model.joint(name) for name in model.independent_joints}
-    return read_episode(
-        folder,
-        index,
-        driver.columns,
-        names=driver.conventions.names,
-        prefix=driver.conventions.prefix,
-        effort_unit=request.unit,
-        nominal_torque_constants=request.effort_per_current,
-        limits={name: (joint.lower, joint.upper) for name, joint in joints.items()},
-        span=request.options.span,
+    recording = replace(
+        recording,
+        name=source.name or recording.name,
+        notes=(
+            *recording.notes,
+            *motors_notes(path, robot, motors),
+            *_implausible_unit(recording, request),
+        ),
     )
+    _refuse_currents(path, recording.inputs, request)
+    return recording
+
+
+def read_options(request: Request) -> ReadOptions:
+    """How a recording is read for a request; raises ConfigurationError: its unit of the effort is unknown."""
+    options = request.options
+    driver = request.driver
+    robot = request.robot
+    model = robot.model
+    joints = {name: model.joint(name) for name in model.independent_joints}
+    return ReadOptions(
+        Effort(request.unit, request.effort_per_current),
+        list(robot.drive_trains),
+        request.conventions,
+        options.state_topic,
+        options.command_topic,
+        options.span,
+        states_only=len(voltage_driven(robot)) == len(robot.drive_trains),
+        columns=None if driver is None else driver.columns,
+        limits={name: (joint.lower, joint.upper) for name, joint in joints.items()},
+    )
+
+
+def _refuse_currents(path: Path, inputs: InputRecord | None, request: Request) -> None:
+    """Raise RecordingError: currents were commanded, and a URDF alone states no torque constants."""
+    source = request.robot.source
+    if request.unit != "N.m" or not is_description(str(source)) or inputs is None:
+        return
+    if not inputs.measured and inputs.unit != "N.m":
+        raise RecordingError(
+            f"{path}: {inputs.source} are currents, and {source.name} states no torque constants: write a file with "
+            "`proprio robot new`, or state each with --set robot.joints.JOINT.motor.nominal_torque_constant_N_m_per_A=VALUE"
+        )
 
 
 def _implausible_unit(recording: Recording, request: Request) -> tuple[str, ...]:
     """A note where the effort is far from what gravity needs in the unit of the driver's profile."""
-    assert request.driver is not None
+    driver = request.driver
+    if driver is None:
+        return ()
     return tuple(
-        f"effort in {each.unit} (--driver {request.driver.name}) is {np.median(list(each.ratio.values())):.2g} times the torque "
+        f"effort in {each.unit} (--driver {driver.name}) is {np.median(list(each.ratio.values())):.2g} times the torque "
         "that gravity needs by the URDF, and an empty hand gives 1: is it this driver, and are the torque constants right?"
         for each in plausible_units(recording, request.robot)[1]
         if each.unit == request.unit and not each.plausible
     )
 
 
-def plausible_units(
-    recording: Recording, robot: Robot, without: Collection[str] = ()
-) -> tuple[dict[str, float], tuple[EffortUnit, ...]]:
-    """Effort over what gravity needs by the robot's URDF, by joint, and how plausible units are by it.
+def motors_notes(path: Path, robot: Robot, motors: Attempt[Motors]) -> tuple[str, ...]:
+    """A note where a recording is of the motors that were calibrated, but these have other firmware now.
 
-    ``without`` are joints whose effort is of no use.
-    """
-    try:
-        per_torque = effort_per_torque(recording, robot)
-    except RobotError:  # a body without mass, as of a robot whose file leaves that joint out
-        return {}, ()
-    per_torque = {name: value for name, value in per_torque.items() if name not in without}
-    stated = {} if is_description(str(robot.source)) else robot.drive_trains
-    constants = {name: drive.torque_constant.value for name, drive in stated.items()}
-    return per_torque, effort_units(
-        per_torque, constants, CURRENT_PER_COUNT_A
-    ) if per_torque else ()
+    Args:
+        path: Of the recording, for a refusal.
+        robot: With its calibration; one that names no motors is of any arm.
+        motors: As the recording names them.
 
+    Returns:
+        A sentence, or none.
 
-def check_motors(
-    path: Path,
-    robot: Robot,
-    state_topic: str | None,
-) -> tuple[str, ...]:
-    """A note where a bag is of the motors that were calibrated, but these have other firmware now.
-
-    Raises `RecordingError`: It is of another arm, as far as both say whose it is, or cannot be read.
+    Raises:
+        RecordingError: It is of another arm, as far as both say whose it is, or cannot be read.
     """
     if robot.calibration is None or not robot.calibration.motors:
         return ()
-    motors = read_motors(path, state_topic)
-    if differences := other_arm(robot.calibration.motors, motors):
+    recorded = motors.get()
+    if differences := other_arm(robot.calibration.motors, recorded):
         raise RecordingError(
             f"{path}: another arm than that of {robot.source.name}, or its motors were set anew: {differences}: calibrate this "
             "arm, or name its own calibration"
         )
-    updated = other_firmware(robot.calibration.motors, motors)
-    return (
-        (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",)
-        if updated
-        else ()
-    )
+    updated = other_firmware(robot.calibration.motors, recorded)
+    if not updated:
+        return ()
+    return (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",)
 
 
 def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,21 +17,20 @@ from proprio_ros.identification.estimate import Estimate, HeldView
 from proprio_ros.identification.recorded import held_views, recorded_run
 from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
+from proprio_ros.pipeline.distinct import Distinct
 from proprio_ros.pipeline.loading import (
-    Recordings,
+    Loaded,
+    Read,
     bag_motion,
     bag_runs,
-    bag_runs_or_motion,
+    load,
     refuse_uncalibrated,
 )
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.base import Carries, Recorded, TakesMotions
-from proprio_ros.recordings.contents import read_temperatures
-from proprio_ros.recordings.datasets import episode_of
 from proprio_ros.recordings.motions import Motion
-from proprio_ros.recordings.published import published_robot, published_run
-from proprio_ros.recordings.text import TextRecording, is_text_recording, read_text_recording
+from proprio_ros.recordings.text import TextRecording, is_text_recording
 from proprio_ros.records import Run
 from proprio_ros.report import write_page
 from proprio_ros.robot import Robot, is_description
@@ -81,42 +80,38 @@ def read_for(
     """
     options = request.options
     baseline_paths = paths_of(request.options.baseline)
-    texts = [Path(path) for path in paths if is_text_recording(path)]
+    texts = [path for path in paths if is_text_recording(path)]
     if texts and options.span is not None:
         raise ConfigurationError(
-            f"--span: {texts[0]} is a text recording, which is read whole; leave it out"
+            f"--span: {Path(texts[0])} is a text recording, which is read whole; leave it out"
         )
-    once = Recordings([*paths, *baseline_paths])
+    distinct = Distinct([*paths, *baseline_paths])
     runs: list[Run] = []
     sources: list[Path] = []  # of each run
     motions: list[Motion] = []
     text: TextRecording | None = None
-    found: Sequence[Run] | Motion
+    loaded: list[Loaded] = []
     for path in paths:
-        if Path(path) in texts:
-            text = read_text_recording(path)
-            request = replace(request, robot=published_robot(request.robot, text))
-            found = (published_run(request.robot, text, request.locked),)
+        each = load(Path(path), request)
+        loaded.append(each)
+        request = replace(request, robot=each.robot)
+        text = each.text or text
+        if isinstance(each.found, Motion):
+            motions.append(distinct.checked(path, each.found))
         else:
-            found = bag_runs_or_motion(Path(path), request)
-        if isinstance(found, Motion):
-            motions.append(once.checked(path, found))
-        else:
-            runs.extend(once.checked(path, found))
-            sources.extend([Path(path)] * len(found))
+            runs.extend(distinct.checked(path, each.found))
+            sources.extend([each.path] * len(each.found))
     _refuse_unsuited(request, runs, motions)
     if (learnt := request.robot.calibration) is not None and learnt.made is not None and runs:
-        request = replace(
-            request, robot=aged_robot(request.robot, moment_of(runs, paths, options.state_topic))
-        )
+        request = replace(request, robot=aged_robot(request.robot, moment_of(runs, loaded)))
     whole = replace(request, options=replace(options, span=None))
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []
     for path in baseline_paths:
         if motions:
-            baseline_motions.append(once.checked(path, bag_motion(Path(path), whole)))
+            baseline_motions.append(distinct.checked(path, bag_motion(Path(path), whole)))
         else:
-            baseline.extend(once.checked(path, bag_runs(Path(path), whole)))
+            baseline.extend(distinct.checked(path, bag_runs(Path(path), whole)))
     return request.robot, Recorded(runs, baseline, sources, text, motions, baseline_motions)
 
 
@@ -207,23 +202,17 @@ def aged_robot(robot: Robot, now: Moment) -> Robot:
     return robot if calibration is robot.calibration else robot.with_calibration(calibration)
 
 
-def moment_of(
-    runs: Sequence[Run],
-    paths: Sequence[str | Path],
-    state_topic: str | None = None,
-) -> Moment:
-    """When runs were recorded, and how warm the motors were in the bags that say it."""
+def moment_of(runs: Sequence[Run], recordings: Iterable[Loaded | Read]) -> Moment:
+    """When runs were recorded, and how warm the motors were in the recordings that say it.
+
+    Raises `RecordingError`: It cannot be read how warm they were.
+    """
     heard: dict[str, list[float]] = {}
-    for path in paths:
-        if is_text_recording(path) or episode_of(Path(path)) is not None:
-            continue
-        for joint, degrees in read_temperatures(path, state_topic).items():
+    for recording in recordings:
+        for joint, degrees in recording.temperatures.get().items():
             heard.setdefault(joint, []).append(degrees)
     warmth = {joint: float(np.mean(values)) for joint, values in heard.items()}
-    return Moment(
-        1e-9 * float(np.mean([run.onset_ns for run in runs])),
-        warmth,
-    )
+    return Moment(1e-9 * float(np.mean([run.onset_ns for run in runs])), warmth)
 
 
 def _guessed_frame(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -273,6 +274,17 @@ def clock_of(where: str, columns: JointColumns) -> Clock:
                 (*clock.notes, *notes),
             )
     return clock
+
+
+def messages_at(messages: Sequence[tuple[int, Any]], clock: Clock) -> list[tuple[int, Any]]:
+    """Messages without a stamp at when they were recorded, as far as that is known [ns]."""
+    recorded_ns = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
+    times = clock.times(recorded_ns, np.zeros_like(recorded_ns))
+    return [
+        (int(time_ns), message)
+        for time_ns, known, (_, message) in zip(times.bag_ns, times.known, messages, strict=True)
+        if known
+    ]
 
 
 Found = Sequence[tuple[Fault, str]]

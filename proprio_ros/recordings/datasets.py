@@ -24,12 +24,11 @@ from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError,
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
 from proprio_ros.recordings.arrivals import of_bursts
 from proprio_ros.recordings.clocks import in_order, is_counted
-from proprio_ros.recordings.effort import Effort
+from proprio_ros.recordings.read_options import Columns, ReadOptions
 from proprio_ros.recordings.sign_bits import without_sign_bits
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
-POSITION_UNITS = ("rad", "deg")
 # columns that say when a frame was; the first that is there counts
 LONGEST_S = 4e9  # no clock shows more, one that counts since 1970 among them
 CLOCK = ("timestamp", "frame_index")
@@ -40,21 +39,6 @@ OTHER_UNIT = 5.0
 _EPISODE = re.compile(r"(?s)(?P<folder>.+)#(?P<index>\d{1,9})$")
 _SUFFIX = re.compile(r"\.(pos|vel|torque|effort|current|load)$")
 _LONGEST_META = 64_000_000
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Which columns of a data set are what."""
-
-    # column of the joint positions; of names that end in ``.vel``, ``.torque`` and the like, only ``.pos`` counts
-    position: str = "observation.state"
-    position_unit: str = "rad"  # one of `POSITION_UNITS`
-    # column of the measured effort; where it is not there, names in the column of the positions that end in
-    # ``.torque``, ``.effort`` or ``.current`` count
-    effort: str = "observation.effort"
-    goal: str = "action"  # column of what the joints were sent to, in the unit of the positions
-    # joints, in the driver's names, whose positions are percent of their range
-    percent: tuple[str, ...] = ()
 
 
 class Episode(NamedTuple):
@@ -323,44 +307,67 @@ def _numbers(column: Any, count: int) -> records.FloatArray:
     return whole.to_numpy(zero_copy_only=False).astype(np.float64)
 
 
-def read_episode(
-    folder: str | Path,
-    index: int,
-    columns: Columns,
-    *,
-    names: Mapping[str, str],
-    prefix: str = "",
-    effort_unit: str | None,
-    nominal_torque_constants: Mapping[str, float],
-    limits: Mapping[str, tuple[float, float]],
-    span: records.Span | None = None,
-) -> records.Recording:
+@dataclass(frozen=True)
+class _Frames:
+    """Frames of an episode in SI units, under the robot's names."""
+
+    called: str  # of the episode, for sentences
+    times_ns: records.TimeArray  # since the first frame [ns], (T,)
+    timed: records.BoolArray  # which frames have a time of their own, (T,)
+    names: tuple[str, ...]  # of the joints, (J,)
+    position: records.FloatArray  # [rad or m], (T, J)
+    effort: records.FloatArray  # in its own unit, NaN where there is none, (T, J)
+    goals: Mapping[str, records.FloatArray]  # where joints were sent [rad or m], (T,) each
+
+
+def read_episode(folder: str | Path, index: int, options: ReadOptions) -> records.Recording:
     """One episode as a recording; times count from its first frame, or that of the part that is read.
 
     Args:
         folder: Of the data set.
         index: Of the episode.
-        columns: Which column is what.
-        names: The robot's names by the data set's, where they differ, once the prefix is off.
-        prefix: As of `Conventions`.
-        effort_unit: One of `EFFORT_UNITS`; None: nobody says it, and the effort is left out.
-        nominal_torque_constants: By joint [N m/A or N/A].
-        limits: Lowest and highest position of each joint [rad or m], for those in percent.
-        span: The part that is read, since the first frame; None: all.
+        options: How it is read; its columns must be stated.
+
+    Returns:
+        Joint states, goals as signals of a drive, and measured efforts as the input where their unit is stated.
 
     Raises:
         RecordingError: It cannot be read, or lacks positions.
-        ConfigurationError: Unknown effort_unit.
     """
-    means = Effort(effort_unit, nominal_torque_constants)
+    columns = options.columns
+    assert columns is not None
     data = open_data_set(folder)
     called = f"{Path(folder).name}#{index}"
-    read = read_columns(
-        data,
-        index,
-        [columns.position, columns.effort, columns.goal, *CLOCK],
-        span,
+    wanted = [columns.position, columns.effort, columns.goal, *CLOCK]
+    read = read_columns(data, index, wanted, options.span)
+    frames = _frames(data, read, options, called)
+    times_s = 1e-9 * frames.times_ns.astype(np.float64)
+    decoded: list[str] = []
+    without_sign_bits(times_s, frames.position, frames.names, frames.names, decoded)
+    times_ns = frames.times_ns
+    steps: tuple[str, ...] = ()
+    if frames.timed.all():
+        times_ns, steps = _by_the_clock(data, times_ns, frames.position, called)
+    whole, left_out = _usable(times_ns, frames, columns)
+    times_ns = times_ns[whole]
+    record = options.effort.record(
+        times_ns, frames.names, frames.position[whole], None, frames.effort[whole]
     )
+    return records.Recording(
+        called,
+        record,
+        options.effort.measured(record),
+        (*steps, *left_out, *decoded),
+        signals=_goal_signals(times_s, times_ns, frames, whole),
+    )
+
+
+def _frames(
+    data: DataSet, read: Mapping[str, records.FloatArray], options: ReadOptions, called: str
+) -> _Frames:
+    """What was read, by column, as frames."""
+    columns = options.columns
+    assert columns is not None
     if columns.position not in read:
         raise RecordingError(
             f"{called}: no column {columns.position}; there are: {', '.join(data.features)}"
@@ -369,71 +376,60 @@ def read_episode(
     position = _ending(states, "", "pos")
     measured = _ending(states, "torque", "effort", "current")
     if columns.effort in read:
-        measured = _effort(
-            data,
-            columns.effort,
-            read[columns.effort],
-            tuple(position),
-            called,
-        )
-    goals = _by_name(data, columns.goal, read[columns.goal], called) if columns.goal in read else {}
-
-    def in_si(by_name: Mapping[str, records.FloatArray]) -> dict[str, records.FloatArray]:
-        """The same in rad or m, under the robot's names."""
-        scale = np.pi / 180.0 if columns.position_unit == "deg" else 1.0
-        found = {}
-        for name, values in by_name.items():
-            bare = name.removeprefix(prefix)
-            ours = names.get(bare, bare)
-            low, high = limits.get(ours, (0.0, 1.0))
-            found[ours] = (
-                low + 0.01 * (high - low) * values if name in columns.percent else scale * values
-            )
-        return found
-
+        measured = _effort(data, columns.effort, read[columns.effort], tuple(position), called)
+    goals: dict[str, records.FloatArray] = {}
+    if columns.goal in read:
+        goals = _ending(_by_name(data, columns.goal, read[columns.goal], called), "", "pos")
     times_ns = _times(data, read)
-    joints = in_si(position)
-    sent = in_si(_ending(goals, "", "pos"))
+    joints = _in_si(position, columns, options)
     if len(joints) != len(position):
         raise RecordingError(
             f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
         )
-    table = np.column_stack(list(joints.values()))
-    times_s = 1e-9 * times_ns.astype(np.float64)
-    decoded: list[str] = []
-    without_sign_bits(times_s, table, tuple(joints), tuple(joints), decoded)
-    known = _has_time(read["timestamp"]) if "timestamp" in read else True
-    steps: tuple[str, ...] = ()
-    if np.all(known):
-        times_ns, steps = _by_the_clock(data, times_ns, table, called)
-    whole, left_out = _usable(times_ns, known, table, columns, called)
-    notes = (*steps, *left_out, *decoded)
-    nothing = np.full(len(table), np.nan)
-    effort = np.column_stack([measured.get(name, nothing) for name in position])
-    times_ns = times_ns[whole]
-    record = means.record(
-        times_ns,
-        tuple(joints),
-        table[whole],
-        None,
-        effort[whole],
-    )
-    signals = None
-    if sent:
-        goal_table = np.column_stack(list(sent.values()))
-        without_sign_bits(times_s, goal_table, tuple(sent), tuple(sent), [])
-        rows = goal_table[whole]
-        signals = records.DriveSignals(
-            times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0)
-        )
-    return records.Recording(
+    nothing = np.full(len(times_ns), np.nan)
+    return _Frames(
         called,
-        record,
-        means.measured(record),
-        notes,
-        (),
-        signals,
+        times_ns,
+        _timed(read, len(times_ns)),
+        tuple(joints),
+        np.column_stack(list(joints.values())),
+        np.column_stack([measured.get(name, nothing) for name in position]),
+        _in_si(goals, columns, options),
     )
+
+
+def _in_si(
+    by_name: Mapping[str, records.FloatArray], columns: Columns, options: ReadOptions
+) -> dict[str, records.FloatArray]:
+    """Positions in rad or m, under the robot's names."""
+    names = options.conventions.names
+    scale = np.pi / 180.0 if columns.position_unit == "deg" else 1.0
+    found = {}
+    for name, values in by_name.items():
+        bare = name.removeprefix(options.conventions.prefix)
+        ours = names.get(bare, bare)
+        if name in columns.percent:
+            low, high = options.limits.get(ours, (0.0, 1.0))
+            found[ours] = low + 0.01 * (high - low) * values
+        else:
+            found[ours] = scale * values
+    return found
+
+
+def _goal_signals(
+    times_s: records.FloatArray,
+    times_ns: records.TimeArray,
+    frames: _Frames,
+    whole: records.BoolArray,
+) -> records.DriveSignals | None:
+    """Where joints were sent, at all frames [s] and at those that are used [ns]; None where nothing says it."""
+    if not frames.goals:
+        return None
+    names = tuple(frames.goals)
+    goals = np.column_stack(list(frames.goals.values()))  # (T, G)
+    without_sign_bits(times_s, goals, names, names, [])
+    nothing = np.empty(0, np.int64)
+    return records.DriveSignals(times_ns, names, goals[whole], nothing, np.empty(0))
 
 
 def _by_the_clock(
@@ -467,25 +463,22 @@ def _by_the_clock(
 
 
 def _usable(
-    times_ns: records.TimeArray,
-    known: records.BoolArray | bool,
-    position: records.FloatArray,
-    columns: Columns,
-    called: str,
+    times_ns: records.TimeArray, frames: _Frames, columns: Columns
 ) -> tuple[records.BoolArray, tuple[str, ...]]:
-    """Which frames have a position and a time of their own that is ``known``, shape (T,); a note where some have not."""
+    """Which frames have a position and a time of their own, shape (T,); a note where some have not."""
+    position = frames.position
     is_new = np.diff(times_ns, prepend=times_ns[:1] - 1) > 0
-    whole: records.BoolArray = np.isfinite(position).all(axis=1) & is_new & known
+    whole: records.BoolArray = np.isfinite(position).all(axis=1) & is_new & frames.timed
     count = int(whole.sum())
     left_out = int((~whole).sum())
     if count < records.MIN_SAMPLES:
         raise RecordingError(
-            f"{called}: only {count} frames are usable, at least {records.MIN_SAMPLES} are needed"
+            f"{frames.called}: only {count} frames are usable, at least {records.MIN_SAMPLES} are needed"
         )
     furthest = np.abs(position[whole]).max()
     if furthest > records.IMPLAUSIBLE_POSITION:
         raise RecordingError(
-            f"{called}: {columns.position} reaches {furthest:.4g}, which is no angle in rad nor a length in m: "
+            f"{frames.called}: {columns.position} reaches {furthest:.4g}, which is no angle in rad nor a length in m: "
             "is the unit that of --driver (position_unit)?"
         )
     note = f"{left_out} of {len(whole)} frames have no finite position or no new time; they were left out."
@@ -542,7 +535,7 @@ def _times(
     """Of frames, since the first [ns]; where that is not among them, by its timestamp or how many frames are before them."""
     if "timestamp" in read:
         stamps_s = read["timestamp"]
-        known = _has_time(stamps_s)
+        known = _timed(read, len(stamps_s))
         if not known.any():
             raise RecordingError(f"{data.folder}: no frame has a finite timestamp")
         first = stamps_s[known][0] if first_s is None else first_s[0]
@@ -563,16 +556,18 @@ def _times(
 
 def _first(read: Mapping[str, records.FloatArray]) -> dict[str, records.FloatArray]:
     """The clock of the first frame that has a time; nothing where none has."""
-    known = _has_time(read["timestamp"]) if "timestamp" in read else np.ones(1, dtype=bool)
-    at = int(np.argmax(known))
-    return {
-        column: read[column][at : at + 1].copy() for column in CLOCK if column in read and known[at]
-    }
+    timed = _timed(read, 1)
+    at = int(np.argmax(timed))
+    if not timed[at]:
+        return {}
+    return {column: read[column][at : at + 1].copy() for column in CLOCK if column in read}
 
 
-def _has_time(stamps_s: records.FloatArray) -> records.BoolArray:
-    """Which frames have a time, shape (T,)."""
-    return np.asarray(np.abs(stamps_s) < LONGEST_S)
+def _timed(read: Mapping[str, records.FloatArray], count: int) -> records.BoolArray:
+    """Which of so many frames have a time; all where their numbers are the clock, shape (T,)."""
+    if "timestamp" not in read:
+        return np.ones(count, dtype=bool)
+    return np.asarray(np.abs(read["timestamp"]) < LONGEST_S)
 
 
 def marked(data: DataSet, index: int, column: str) -> bool:

@@ -19,6 +19,7 @@ def robot_named(
 
 def description_of(bag: Path) -> str:
     """The URDF that a bag holds on ``/robot_description``. Raises `RecordingError`: It cannot be read, or holds no description."""
-    from proprio_ros.recordings.contents import read_description
+    from proprio_ros.recordings.sources import BagSource
 
-    return read_description(bag)
+    with BagSource(bag) as source:
+        return source.description()

@@ -7,17 +7,17 @@ Nothing here is fitted on: every finding is a sentence with its numbers, and wha
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from proprio_ros.errors import some
-from proprio_ros.recordings.effort import EFFORT_UNITS, ampere
+from proprio_ros.errors import RobotError, some
+from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, ampere
 from proprio_ros.recordings.motions import MOVED_RAD
 from proprio_ros.recordings.pace import Pace, pace_by_velocities
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
-from proprio_ros.robot import ReducedModel, Robot
+from proprio_ros.robot import ReducedModel, Robot, is_description
 from proprio_ros.robot.regressor import body_parameters, carriers, gravity_along, kinematics
 
 MOVED_M = 0.002  # a slide that moves less stands still [m]
@@ -466,3 +466,28 @@ def effort_units(
                 )
             )
     return tuple(result)
+
+
+def plausible_units(
+    recording: Recording, robot: Robot, without: Collection[str] = ()
+) -> tuple[dict[str, float], tuple[EffortUnit, ...]]:
+    """How the effort compares with what gravity needs, in whatever unit it may be.
+
+    Args:
+        recording: With efforts.
+        robot: Its URDF says what gravity needs, and its file the torque constants.
+        without: Joints whose effort is of no use.
+
+    Returns:
+        Effort over what gravity needs, by joint, and how plausible units are by it.
+    """
+    try:
+        per_torque = effort_per_torque(recording, robot)
+    except RobotError:  # a body without mass, as of a robot whose file leaves that joint out
+        return {}, ()
+    per_torque = {name: value for name, value in per_torque.items() if name not in without}
+    if not per_torque:
+        return {}, ()
+    stated = {} if is_description(str(robot.source)) else robot.drive_trains
+    constants = {name: drive.torque_constant.value for name, drive in stated.items()}
+    return per_torque, effort_units(per_torque, constants, CURRENT_PER_COUNT_A)

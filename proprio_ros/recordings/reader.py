@@ -5,8 +5,10 @@ Only the topics that are needed are deserialised, so a bag may hold messages of 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from copy import copy
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
-from proprio_ros.errors import RecordingError, one_line, some
+from proprio_ros.errors import ProprioError, RecordingError, one_line, some
 from proprio_ros.inputs.reading import path_problem, text_of, yaml_of
 from proprio_ros.recordings.messages import deserialised, stamp_ns
 from proprio_ros.recordings.storage import (
@@ -44,20 +46,22 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
     """
     path = Path(path)
     files = _files(path)
+    with readable(path), ExitStack() as stack:
+        if any(file.name.endswith(COMPRESSED) for file in files):
+            folder = Path(stack.enter_context(TemporaryDirectory(prefix="proprio-")))
+            files = [
+                unpacked(file, folder) if file.name.endswith(COMPRESSED) else file for file in files
+            ]
+        readers = [stack.enter_context(Reader(file)) for file in files]
+        yield Bag(path, files, readers)
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Whatever rosbags raises over a bag becomes a `RecordingError` in one line."""
     try:
-        with ExitStack() as stack:
-            if any(file.name.endswith(COMPRESSED) for file in files):
-                folder = Path(stack.enter_context(TemporaryDirectory(prefix="proprio-")))
-                files = [
-                    unpacked(file, folder) if file.name.endswith(COMPRESSED) else file
-                    for file in files
-                ]
-            yield Bag(
-                path,
-                files,
-                [stack.enter_context(Reader(file)) for file in files],
-            )
-    except (RecordingError, MemoryError):
+        yield
+    except (ProprioError, MemoryError):
         raise
     # rosbags lets sqlite, zstd, struct, YAML, KeyError and AssertionError through, depending on which byte is wrong
     except Exception as error:
@@ -87,59 +91,43 @@ class Bag:
         readers: list[Reader],
     ) -> None:
         self.path = path
-        self.notes: list[str] = []
+        self.notes = [
+            *_notes_of_storage(path, files),
+            *(note for reader in readers for note in notes_of(reader)),
+            *_notes_of_logs(path),
+        ]
+        self.topics = _topics(path, readers)
         self._readers = readers
         # recorder's times that are read [ns]
         self._between: tuple[int | None, int | None] = None, None
-        with_metadata = (path / "metadata.yaml").exists()
-        if with_metadata and files != [path]:
-            self.notes.append(
-                "metadata.yaml is damaged, or lists thousands of topics; the storage files were read without it."
-            )
-        elif len(files) > 1:
-            self.notes.append(
-                f"There is no metadata.yaml; {len(files)} storage files were read as one bag."
-            )
-        for reader in readers:
-            self.notes += notes_of(reader)
-        for log in (
-            sorted(path.glob("*.db3-wal"))
-            if path.is_dir()
-            else [path.with_name(f"{path.name}-wal")]
-        ):
-            if log.exists() and log.stat().st_size:
-                self.notes.append(
-                    f"{log.name} may hold messages that were not read; merge it with"
-                    f" `sqlite3 {log.name[:-4]} 'PRAGMA wal_checkpoint'`."
-                )
-        counts: dict[tuple[str, str], int] = {}
-        for reader in readers:
-            for connection in reader.connections:
-                key = (connection.topic, connection.msgtype)
-                counts[key] = counts.get(key, 0) + connection.msgcount
-        self.topics = Topics(
-            path, tuple(Topic(*key, count) for key, count in sorted(counts.items()))
-        )
 
-    def cut(self, states: Topic, span: Span | None) -> None:
-        """Read only a part from now on, of every topic. Raises `RecordingError`: The part is behind the last joint state."""
+    def anew(self) -> Bag:
+        """The same open files with notes of their own, so that one reading says nothing of another."""
+        bag = copy(self)
+        bag.notes = list(self.notes)
+        return bag
+
+    def cut(self, states: Topic, span: Span | None) -> Bag:
+        """A part of it, of every topic. Raises `RecordingError`: The part is behind the last joint state."""
+        bag = self.anew()
         if span is None:
-            return
+            return bag
         files = self._wanted(states)
         first_ns = min(
             ns
             for reader, wanted in files
             for _, ns, _ in islice(reader.messages(connections=wanted), 1)
         )
-        self._between = (
+        bag._between = (
             first_ns + span[0] if span[0] else None,
             None if span[1] is None else first_ns + span[1],
         )
-        if next(self._read(states), None) is None:
+        if next(bag._read(states), None) is None:
             until = "its end" if span[1] is None else f"{1e-9 * span[1]:g} s"
             raise RecordingError(
                 f"{self.path}: no joint states between {1e-9 * span[0]:g} s and {until}"
             )
+        return bag
 
     def parts(self, states: Topic, most: int) -> list[Span]:
         """Where to cut so that no part has more than so many joint states, and all about as many; one part where none has more."""
@@ -253,6 +241,39 @@ class Bag:
     ) -> list[tuple[int, bytes]]:
         """All of them in the order of time."""
         return sorted(self._limited(topic, most), key=lambda message: message[0])
+
+
+def _notes_of_storage(path: Path, files: Sequence[Path]) -> list[str]:
+    """What is said of a bag whose storage files were read without its metadata."""
+    if (path / "metadata.yaml").exists() and files != [path]:
+        return [
+            "metadata.yaml is damaged, or lists thousands of topics; the storage files were read without it."
+        ]
+    if len(files) > 1:
+        return [f"There is no metadata.yaml; {len(files)} storage files were read as one bag."]
+    return []
+
+
+def _notes_of_logs(path: Path) -> list[str]:
+    """What is said of write-ahead logs of sqlite that a recorder left beside its storage files."""
+    logs = [path.with_name(f"{path.name}-wal")]
+    if path.is_dir():
+        logs = sorted(path.glob("*.db3-wal"))
+    return [
+        f"{log.name} may hold messages that were not read; merge it with"
+        f" `sqlite3 {log.name[:-4]} 'PRAGMA wal_checkpoint'`."
+        for log in logs
+        if log.exists() and log.stat().st_size
+    ]
+
+
+def _topics(path: Path, readers: Sequence[Reader]) -> Topics:
+    """What the files of one bag hold together, sorted by name."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for reader in readers:
+        for connection in reader.connections:
+            counts[connection.topic, connection.msgtype] += connection.msgcount
+    return Topics(path, tuple(Topic(*key, count) for key, count in sorted(counts.items())))
 
 
 class _OutOfOrder(Exception):

@@ -18,8 +18,8 @@ from proprio_ros.inputs.forms import FormError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
-from proprio_ros.recordings.contents import read_temperatures
 from proprio_ros.recordings.messages import RawMessage, message_types
+from proprio_ros.recordings.sources import BagSource
 from proprio_ros.recordings.topics import FLOAT_ARRAYS
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import load_robot
@@ -203,6 +203,11 @@ def states() -> list[RawMessage]:
     return found
 
 
+def temperatures_in(path: Path) -> dict[str, float]:
+    with BagSource(path) as source:
+        return source.temperatures(None)
+
+
 def test_temperatures_are_read_from_a_bag(tmp_path: Path) -> None:
     said_ = [
         temperatures({"joint2": 30.0, "joint3": 34.0}),
@@ -210,9 +215,9 @@ def test_temperatures_are_read_from_a_bag(tmp_path: Path) -> None:
         temperatures({"joint2": 99.0}, "/other"),
     ]
     write_messages(tmp_path / "bag", [*states(), *said_])
-    assert read_temperatures(tmp_path / "bag") == {"joint2": 30.5, "joint3": 34.0}
+    assert temperatures_in(tmp_path / "bag") == {"joint2": 30.5, "joint3": 34.0}
     write_messages(tmp_path / "silent", states())
-    assert read_temperatures(tmp_path / "silent") == {}
+    assert temperatures_in(tmp_path / "silent") == {}
 
 
 # ---------------------------------------------------------------------------------------------- the whole way, from bags

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proprio_ros.calibration_files.motors import MotorIdentity, other_arm, other_firmware
+from proprio_ros.calibration_files.motors import MotorIdentity, Motors, other_arm, other_firmware
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.live.session import check_input
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, write_calibration
-from proprio_ros.pipeline.loading import check_motors
+from proprio_ros.pipeline.loading import motors_notes
 from proprio_ros.pipeline.request import Request
-from proprio_ros.recordings.contents import read_motors
 from proprio_ros.recordings.messages import RawMessage, message_types
+from proprio_ros.recordings.sources import Attempt, BagSource
 from proprio_ros.recordings.topics import STATUS
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import Robot, load_robot
@@ -70,6 +70,15 @@ def bag(folder: Path, *messages: RawMessage) -> Path:
     return folder
 
 
+def motors_of(path: Path, state_topic: str | None = None) -> Motors:
+    with BagSource(path) as source:
+        return source.motors(state_topic)
+
+
+def recorded(path: Path) -> Attempt[Motors]:
+    return Attempt.to(lambda: motors_of(path))
+
+
 @pytest.fixture
 def calibrated(tmp_path: Path) -> Robot:
     """An arm whose calibration knows its motors, read from its file."""
@@ -98,8 +107,8 @@ def calibrated(tmp_path: Path) -> Robot:
 
 def test_the_same_motors(tmp_path: Path, calibrated: Robot) -> None:
     path = bag(tmp_path / "bag", *states(), told(ARM))
-    assert read_motors(path) == ARM
-    assert check_motors(path, calibrated, None) == ()
+    assert motors_of(path) == ARM
+    assert motors_notes(path, calibrated, recorded(path)) == ()
 
 
 @pytest.mark.parametrize(
@@ -118,7 +127,7 @@ def test_another_arm_is_refused(
     other = {**ARM, "joint3": replace(ELBOW, **change)}
     path = bag(tmp_path / "bag", *states(), told(other))
     with pytest.raises(RecordingError, match=words) as caught:
-        check_motors(path, calibrated, None)
+        motors_notes(path, calibrated, recorded(path))
     assert "arm.yaml" in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(RecordingError, match=words):  # live, before anything moves
         check_input(
@@ -127,7 +136,7 @@ def test_another_arm_is_refused(
             Request(calibrated),
         )
     # nothing is claimed of any arm
-    assert check_motors(path, load_robot("open_manipulator_x"), None) == ()
+    assert motors_notes(path, load_robot("open_manipulator_x"), recorded(path)) == ()
 
 
 def test_other_firmware_is_the_same_arm(tmp_path: Path, calibrated: Robot) -> None:
@@ -136,20 +145,20 @@ def test_other_firmware_is_the_same_arm(tmp_path: Path, calibrated: Robot) -> No
         *states(),
         told({**ARM, "joint3": replace(ELBOW, firmware=48)}),
     )
-    (note,) = check_motors(path, calibrated, None)
+    (note,) = motors_notes(path, calibrated, recorded(path))
     assert "other firmware" in note and "joint3 48 (was 46)" in note
     assert other_firmware(ARM, ARM) == ""
 
 
 def test_what_is_not_said_is_not_compared(tmp_path: Path, calibrated: Robot) -> None:
     silent = bag(tmp_path / "silent", *states())
-    assert read_motors(silent) == {} and check_motors(silent, calibrated, None) == ()
+    assert motors_of(silent) == {} and motors_notes(silent, calibrated, recorded(silent)) == ()
     foreign = bag(
         tmp_path / "foreign",
         *states(),
         said({"joint3": "fine", "joint2": "[" * 900, "x": '{"id": "a"}'}),
     )
-    assert read_motors(foreign) == {} and check_motors(foreign, calibrated, None) == ()
+    assert motors_of(foreign) == {} and motors_notes(foreign, calibrated, recorded(foreign)) == ()
     assert other_arm(ARM, {"joint4": ELBOW}) == ""
 
 
@@ -162,9 +171,9 @@ def test_of_two_arms_in_one_bag_each_has_its_own(tmp_path: Path) -> None:
         told(ARM, "/arm1"),
         told(other, "/arm2"),
     )
-    assert read_motors(path, "/arm1/joint_states") == ARM
-    assert read_motors(path, "/arm2/joint_states") == other
-    assert read_motors(path) == {}
+    assert motors_of(path, "/arm1/joint_states") == ARM
+    assert motors_of(path, "/arm2/joint_states") == other
+    assert motors_of(path) == {}
 
 
 def test_one_calibration_is_of_one_arm(tmp_path: Path) -> None:

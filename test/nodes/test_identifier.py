@@ -35,8 +35,8 @@ from proprio_ros.nodes import driver, identifier, jobs, managed_node, messages
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes import probe_named
 from proprio_ros.quantity import Sought
-from proprio_ros.recordings.contents import read_motors, read_temperatures
 from proprio_ros.recordings.messages import RawMessage
+from proprio_ros.recordings.sources import BagSource
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.kinematics import zero_pose
@@ -255,7 +255,8 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
         "/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state)
     )
     write_messages(tmp_path / "bag", [states, *node._inputs.published_motors()])
-    assert read_motors(tmp_path / "bag") == {"joint3": elbow}
+    with BagSource(tmp_path / "bag") as source:
+        assert source.motors(None) == {"joint3": elbow}
 
 
 def test_how_warm_the_motors_are_is_part_of_a_recording(
@@ -279,7 +280,8 @@ def test_how_warm_the_motors_are_is_part_of_a_recording(
     state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
     session.add("/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state))
     bag, _ = session.save()
-    assert read_temperatures(bag) == {"joint2": 33.0, "joint3": 35.0}
+    with BagSource(bag) as source:
+        assert source.temperatures(None) == {"joint2": 33.0, "joint3": 35.0}
     node._inputs.session = None
 
 

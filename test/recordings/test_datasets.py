@@ -15,7 +15,6 @@ from support.lerobot_layout import write_data_set
 
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.recordings.datasets import (
-    Columns,
     episode_of,
     is_data_set,
     marked,
@@ -24,7 +23,10 @@ from proprio_ros.recordings.datasets import (
     read_columns,
     read_episode,
 )
+from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.motions import Motion
+from proprio_ros.recordings.read_options import Columns, ReadOptions
+from proprio_ros.recordings.topics import Conventions
 from proprio_ros.records import MEASURED_EFFORT, Recording
 
 JOINTS = ("j1", "j2", "j3", "j4")
@@ -51,10 +53,18 @@ def write(folder: Path, *motions: Motion, **options: Any) -> Path:
 
 
 def read(folder: Path, index: int = 0, columns: Columns | None = None, **changes: Any) -> Recording:
-    options: dict[str, Any] = {
-        "names": {}, "effort_unit": "N.m", "nominal_torque_constants": NOMINAL, "limits": {},
-    }  # fmt: skip
-    return read_episode(folder, index, columns or Columns(), **(options | changes))
+    unit = changes.pop("effort_unit", "N.m")
+    conventions = Conventions(
+        names=changes.pop("names", {}),
+        prefix=changes.pop("prefix", ""),
+    )
+    options = ReadOptions(
+        Effort(unit, changes.pop("nominal_torque_constants", NOMINAL)),
+        conventions=conventions,
+        columns=columns or Columns(),
+        **changes,
+    )
+    return read_episode(folder, index, options)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

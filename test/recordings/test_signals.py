@@ -25,8 +25,8 @@ from support.small_bags import (
 )
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.recordings.jumps import without_jumps
 from proprio_ros.recordings.runs import cut_runs
-from proprio_ros.recordings.signals import without_jumps
 
 
 @pytest.mark.parametrize("storage", STORAGES)

@@ -1,0 +1,221 @@
+"""Whatever was recorded, opened once: a bag, one episode of a data set, or a text.
+
+A source is a context; what is asked of it is read while it is open. It knows nothing of robots: the pipeline makes runs or a
+motion of what it gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Generic, Protocol, TypeVar
+
+from proprio_ros.calibration_files.motors import Motors
+from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.recordings.contents import (
+    Contents,
+    contents_of,
+    description_in,
+    motors_in,
+    temperatures_in,
+)
+from proprio_ros.recordings.datasets import episode_of, read_episode
+from proprio_ros.recordings.drive_signals import drive_signals_in
+from proprio_ros.recordings.read_options import ReadOptions
+from proprio_ros.recordings.reader import Bag, open_bag, readable
+from proprio_ros.recordings.signals import hear, recording_of
+from proprio_ros.recordings.text import TextRecording, is_text_recording, read_text_recording
+from proprio_ros.records import DriveSignals, Recording
+
+_Read = TypeVar("_Read")
+
+
+@dataclass(frozen=True)
+class Attempt(Generic[_Read]):
+    """What a reading gave, or why it failed, which only matters to those who need it."""
+
+    value: _Read | None = None
+    error: RecordingError | None = None
+
+    @classmethod
+    def to(cls, read: Callable[[], _Read]) -> Attempt[_Read]:
+        """Try to read."""
+        try:
+            return cls(read())
+        except RecordingError as error:
+            return cls(error=error)
+
+    def get(self) -> _Read:
+        """What was read. Raises `RecordingError`: It could not be."""
+        if self.error is not None:
+            raise self.error
+        assert self.value is not None
+        return self.value
+
+
+class Source(Protocol):
+    """What was recorded once; each member is read when it is asked for.
+
+    Every member raises a `RecordingError` where it cannot be read.
+    """
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """What messages and reports call it; empty where its recording says it."""
+
+    def __enter__(self) -> Source: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+    def contents(self, options: ReadOptions) -> Contents:
+        """Topics with their types, and which of them are joint states and input."""
+
+    def recording(self, options: ReadOptions) -> Recording:
+        """Joint states, input, and when torque was off, in SI units."""
+
+    def drive_signals(self, options: ReadOptions) -> DriveSignals | None:
+        """Goals and supply voltage of position servos; None where the recording has them, or there can be none."""
+
+    def motors(self, state_topic: str | None) -> Motors:
+        """The motors of the arm, by joint, as far as the source says whose they are."""
+
+    def temperatures(self, state_topic: str | None) -> dict[str, float]:
+        """How warm the motors were on average, by joint [deg C], as far as the source says it."""
+
+
+class _Closed:
+    """A source that holds nothing open."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def name(self) -> str:
+        return ""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        return None
+
+    def drive_signals(self, options: ReadOptions) -> DriveSignals | None:
+        return None
+
+    def motors(self, state_topic: str | None) -> Motors:
+        return {}
+
+    def temperatures(self, state_topic: str | None) -> dict[str, float]:
+        return {}
+
+
+class BagSource(_Closed):
+    """A ROS 2 bag; it must be entered before anything is read."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._files = ExitStack()
+        self._bag: Bag | None = None
+
+    @property
+    def name(self) -> str:
+        """A bag's folder is often called after its storage, so the folder above says which one it is."""
+        return "/".join(self.path.resolve().parts[-2:])
+
+    def __enter__(self) -> BagSource:
+        self._bag = self._files.enter_context(open_bag(self.path))
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # what went wrong meanwhile is none of the bag's business
+        self._files.close()
+
+    def _read(self, read: Callable[[Bag], _Read]) -> _Read:
+        """Something of the bag, by a reading that leaves no note to another one."""
+        assert self._bag is not None
+        with readable(self.path):
+            return read(self._bag.anew())
+
+    def contents(self, options: ReadOptions) -> Contents:
+        return self._read(lambda bag: contents_of(bag, options))
+
+    def recording(self, options: ReadOptions) -> Recording:
+        heard = self._read(lambda bag: hear(bag, options))
+        return recording_of(heard, options)
+
+    def drive_signals(self, options: ReadOptions) -> DriveSignals:
+        return self._read(lambda bag: drive_signals_in(bag, options))
+
+    def motors(self, state_topic: str | None) -> Motors:
+        return self._read(lambda bag: motors_in(bag, state_topic))
+
+    def temperatures(self, state_topic: str | None) -> dict[str, float]:
+        return self._read(lambda bag: temperatures_in(bag, state_topic))
+
+    def description(self) -> str:
+        """The URDF that was published."""
+        return self._read(description_in)
+
+
+class EpisodeSource(_Closed):
+    """One episode of a data set, called ``FOLDER#INDEX``."""
+
+    def __init__(self, path: Path, folder: Path, index: int) -> None:
+        super().__init__(path)
+        self._folder = folder
+        self._index = index
+
+    def __enter__(self) -> EpisodeSource:
+        return self
+
+    def contents(self, options: ReadOptions) -> Contents:
+        """A data set has columns, and the driver's profile says which."""
+        return Contents((), options.columns.position if options.columns else None)
+
+    def recording(self, options: ReadOptions) -> Recording:
+        """Raises `ConfigurationError`, too: Nobody says what the columns are."""
+        if options.columns is None:
+            raise ConfigurationError(
+                f"{self.path}: an episode of a data set, whose units nobody states: give --driver lerobot, another profile with "
+                "columns, or your own file"
+            )
+        return read_episode(self._folder, self._index, options)
+
+
+class TextSource(_Closed):
+    """The motion of one joint as text, which its setting says all about: it is no `Recording` of an arm."""
+
+    def __enter__(self) -> TextSource:
+        return self
+
+    def text(self) -> TextRecording:
+        """The motion with its setting."""
+        return read_text_recording(self.path)
+
+
+def open_source(path: Path) -> BagSource | EpisodeSource | TextSource:
+    """The source that a path names; nothing of it is read before it is entered."""
+    return TextSource(path) if is_text_recording(path) else open_recording(path)
+
+
+def open_recording(path: Path) -> BagSource | EpisodeSource:
+    """The same where only a bag or an episode will do."""
+    episode = episode_of(path)
+    return BagSource(path) if episode is None else EpisodeSource(path, *episode)
