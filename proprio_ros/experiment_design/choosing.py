@@ -116,11 +116,15 @@ class Chooser(ABC):
             raise ConfigurationError(
                 f"{sequence.name}: has no `until`; all its runs are made as they stand"
             )
-        self.robot, self.sought = robot, sought
-        self._sequence, self._until = sequence, sequence.until
-        self._machine, self._whole = ExcitationMachine(robot), whole
+        self.robot = robot
+        self.sought = sought
+        self._sequence = sequence
+        self._until = sequence.until
+        self._machine = ExcitationMachine(robot)
+        self._whole = whole
         self._found = Found(float("nan"), float("inf"))
-        self._runs = self._still = 0
+        self._runs = 0  # how many were taken in
+        self._still = 0  # pushes in a row that moved nothing
         self._stuck: dict[str, int] = {}
         self._ended_at: list[tuple[str, float]] = []
         self._widening = 0.0
@@ -170,83 +174,70 @@ class Chooser(ABC):
         pose: Mapping[str, float],
         elapsed_s: float,
     ) -> Decision:
-        """What to do now, by all runs so far, the newest last, where the arm stands [rad or m], and the time so far [s]."""
+        """What to do now.
+
+        Args:
+            runs: All so far, the newest last.
+            pose: Where the arm stands [rad or m].
+            elapsed_s: Since it began [s].
+        """
         began = time.perf_counter()
         self._take_in(runs)
+        decision = self._ended(runs, elapsed_s)
+        if decision is None:
+            decision = self._next_push(pose, _count(len(runs)), elapsed_s)
+        return replace(decision, decided_s=time.perf_counter() - began)
+
+    def _ended(self, runs: Sequence[Run], elapsed_s: float) -> Decision | None:
+        """Why no further push is needed, or would help; None: one may."""
         target = self._until.half_interval
         said = self.sought.said
         count = _count(len(runs))
         known = self._found.runs > 0
-        half = self.half
-
-        def end(
-            by: str,
-            reason: str,
-            others: tuple[Push, ...] = (),
-        ) -> Decision:
-            took = time.perf_counter() - began
-            return Decision(
-                None,
-                reason,
-                by,
-                self._found.value,
-                half,
-                half,
-                None,
-                others,
-                took,
-                self.sought,
-                known,
-            )
-
-        if known and half <= target and self._whole is not None:
+        if known and self.half <= target and self._whole is not None:
             whole = self._whole(runs)
             if whole is None:
-                return end(
-                    "misfit",
-                    f"the interval would be {said(half)} after {count}, but they give no answer",
-                )
+                would = f"the interval would be {said(self.half)} after {count}"
+                return self._end("misfit", f"{would}, but they give no answer")
             if whole > target:  # guesses and runs that differ widen it: from now on that counts
                 inner = self.sought.half_of(self._found.std, self._found.value)
                 self._widening = float(np.sqrt(max(whole**2 - inner**2, 0.0)))
-                half = self.half
-        if known and half <= target:
-            return end("target", f"sure: {said(half)} after {count} and {elapsed_s:.0f} s")
+        if known and self.half <= target:
+            return self._end(
+                "target", f"sure: {said(self.half)} after {count} and {elapsed_s:.0f} s"
+            )
         if self._found.runs >= MISFIT_RUNS and self._found.reduced_chi2 > MISFIT_LIMIT:
             chi2 = f"together (reduced chi-square {self._found.reduced_chi2:.1f}), further ones would not help"
             question = "did anything touch the arm, and is this its calibration?"
             together = f"no {self.sought.label} explains {_count(self._found.runs)} {chi2}"
-            return end("misfit", f"misfit: {together}: {question}")
+            return self._end("misfit", f"misfit: {together}: {question}")
         if self._still >= STILL_TRIES:
             nothing = f"{STILL_TRIES} pushes of {' and '.join(self._stuck)} moved nothing"
             heavy = "what the hand holds is too heavy for the currents that its limits allow"
-            return end("stuck", f"{nothing}: the joint sticks, or {heavy}")
+            return self._end("stuck", f"{nothing}: the joint sticks, or {heavy}")
+        return None
+
+    def _next_push(self, pose: Mapping[str, float], count: str, elapsed_s: float) -> Decision:
+        """The best push that there is time for, that is worth it, and that the excitation's guards let through."""
+        target = self._until.half_interval
+        said = self.sought.said
         inner = max(target**2 - self._widening**2, 0.0) ** 0.5
-        ranked = self.ranked(
-            pose,
-            self.sought.std_of(inner, self._found.value),
-        )
-        ranked = [
-            push
-            for push in ranked
-            if self._stuck.get(push.joint, 0) < 2 and not self._left_out(push)
-        ]
+        ranked = self.ranked(pose, self.sought.std_of(inner, self._found.value))
+        ranked = [push for push in ranked if self._may_begin(push)]
         if not ranked:
-            return end("nothing", self.no_push)
+            return self._end("nothing", self.no_push)
         in_time = [push for push in ranked if elapsed_s + push.time_s <= self._until.at_most_s]
         asked = f"{said(target)} was asked for"
         if not in_time:
-            over = f"the {self._until.at_most_s:g} s are over: {said(half)} after {count}, {asked}"
-            return end("time", over, _varied(ranked))
+            over = f"the {self._until.at_most_s:g} s are over"
+            reason = f"{over}: {said(self.half)} after {count}, {asked}"
+            return self._end("time", reason, _varied(ranked))
         best = self._half(min(push.std for push in in_time))
-        if known and half - best < WORTH * (half - target):
+        if self._found.runs > 0 and self.half - best < WORTH * (self.half - target):
             little = "no push promises more than a tenth of what is missing"
-            so_far = f"{said(half)} after {count} and {elapsed_s:.0f} s"
-            return end(
-                "worth",
-                f"{little}: {so_far}, {said(best)} after the best, {asked}",
-                _varied(ranked),
-            )
+            so_far = f"{said(self.half)} after {count} and {elapsed_s:.0f} s"
+            reason = f"{little}: {so_far}, {said(best)} after the best, {asked}"
+            return self._end("worth", reason, _varied(ranked))
         for number, push in enumerate(in_time[:TRIED_AT_MOST]):
             run = self.run_of(push)
             if not passes(self._machine, self.sequence_of(run), pose):
@@ -256,13 +247,29 @@ class Chooser(ABC):
             others = _varied(in_time[number + 1 :], push)
             self._last = push
             return replace(
-                end("", reason, others),
+                self._end("", reason, others),
                 run=run,
                 promised=promised,
                 push=push,
             )
-        return end(
+        return self._end(
             "nothing", "no way to any start keeps the clearance: move the arm to a higher pose"
+        )
+
+    def _end(self, by: str, reason: str, others: tuple[Push, ...] = ()) -> Decision:
+        """A decision without a push."""
+        return Decision(
+            run=None,
+            reason=reason,
+            ended_by=by,
+            value=self._found.value,
+            half=self.half,
+            promised=self.half,
+            push=None,
+            others=others,
+            decided_s=0.0,
+            sought=self.sought,
+            is_known=self._found.runs > 0,
         )
 
     def leave_out(self, decision: Decision) -> None:
@@ -274,8 +281,11 @@ class Chooser(ABC):
         """A sequence of one push, which stays where it ends."""
         return alone(self._sequence, run)
 
-    def _left_out(self, push: Push) -> bool:
-        return any(
+    def _may_begin(self, push: Push) -> bool:
+        """Whether its joint does not stick, and none of its pushes ended at a limit near there."""
+        if self._stuck.get(push.joint, 0) >= 2:
+            return False
+        return not any(
             push.joint == joint and abs(push.start[joint] - place) < NEAR_RAD
             for joint, place in self._ended_at
         )

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,6 +80,14 @@ class _Candidates:
         )
 
 
+class _Weighing(NamedTuple):
+    """A run that would weigh a typical object."""
+
+    std: float  # expected of its mass [kg]
+    run: PreparedRun
+    alive: np.ndarray  # samples that would count, shape (T,)
+
+
 def _known_after(
     problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]
 ) -> tuple[list[Key], np.ndarray]:
@@ -103,47 +112,39 @@ def plan(
 ) -> list[ExcitationPlan]:
     """Rank weighings by the widest interval they would give over the masses that the hand may hold; a run must suit all of them.
 
-    The search ends after so many ``seconds``, when nothing is left to try, or by Ctrl-C, with the best so far.
+    The search ends when time is over, when nothing is left to try, or by Ctrl-C, with the best so far.
 
-    Raises `ConfigurationError`: A mass is not positive, or no candidate suits all of them.
+    Args:
+        robot: Whose runs; with a calibration its promises are better.
+        masses_kg: What the hand may hold.
+        facts: What is known about the object otherwise.
+        count: At most so many.
+        progress: Is told how far the search is, in words.
+        seconds: How long it may take.
+
+    Returns: the best first.
+
+    Raises:
+        ConfigurationError: A mass is not positive, or no candidate suits all of them.
     """
     if not masses_kg or min(masses_kg) <= 0.0:
         raise ConfigurationError(
             f"the masses to plan for must be positive, not {list(masses_kg)} kg"
         )
-    masses = np.array(sorted(masses_kg))
     for name in robot.drive_trains:
         if not np.isfinite(largest_current_A(robot, name)):
             raise ConfigurationError(
                 f"{robot.source.name}: nothing says how much {name} may be driven with, neither its URDF's limit of effort nor the "
                 f"file: state joints.{name}.motor.current_limit_A"
             )
-
-    def tries(
-        joint: str,
-        pose: Mapping[str, float],
-    ) -> Iterator[tuple[float, ExcitationPlan]]:
-        if (
-            candidates := _candidates(robot, masses, facts or PayloadFacts(), None, joint, pose)
-        ) is None:
-            return
-        for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist():
-            stds = [_std_of_mass(*candidates.known_after(s, r)) for s in range(len(masses))]
-            widest = int(np.argmax(stds))
-            if np.isfinite(stds[widest]):
-                interval = f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
-                yield (
-                    stds[widest],
-                    _as_plan(candidates, r, stds, f"widest 95 % interval {interval}"),
-                )
-
     joints = candidate_joints(robot)
     if not joints:
         raise ConfigurationError(
             f"{robot.source.name}: no joint carries the hand against gravity in a pose {100.0 * CLEARANCE_M:.0f} cm above the "
             "base's plane: is payload_frame the link that holds, and does gravity point down in the frame of the root link?"
         )
-    search = Search(robot, joints, tries)
+    masses = np.array(sorted(masses_kg))
+    search = Search(robot, joints, partial(_weighings, robot, masses, facts or PayloadFacts()))
     try:
         search.run(seconds, progress)
     except KeyboardInterrupt:
@@ -164,6 +165,27 @@ def plan(
     return search.plans[:count]
 
 
+def _weighings(
+    robot: Robot,
+    masses: np.ndarray,
+    facts: PayloadFacts,
+    joint: str,
+    pose: Mapping[str, float],
+) -> Iterator[tuple[float, ExcitationPlan]]:
+    """Runs of one joint from one pose that suit all masses (S,) [kg], each with the largest standard deviation of them [kg]."""
+    candidates = _candidates(robot, masses, facts, None, joint, pose)
+    if candidates is None:
+        return
+    for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist():
+        stds = [_std_of_mass(*candidates.known_after(s, r)) for s in range(len(masses))]
+        widest = int(np.argmax(stds))
+        if np.isfinite(stds[widest]):
+            half = shown("kg", Z95 * stds[widest], spec=".1f")
+            at = shown("kg", masses[widest], spec=".0f")
+            words = f"widest 95 % interval +-{half}, at {at}"
+            yield stds[widest], _as_plan(candidates, r, stds, words)
+
+
 def with_advice(
     robot: Robot,
     estimate: CalibrationEstimate,
@@ -173,6 +195,12 @@ def with_advice(
     """A calibration of pushes with what comes after it: what can be weighed with it, and the runs that would help most.
 
     One that is rejected, or of free swings, gets no advice, and no further runs one that was only brought up to date.
+
+    Args:
+        robot: Without the calibration.
+        estimate: The calibration.
+        count: At most so many further runs.
+        progress: Is told what is being looked for, in words.
     """
     calibration = estimate.calibration
     whole = estimate.whole
@@ -207,13 +235,22 @@ def advise(
     """Empty-hand runs that would teach most about the drive trains of these joints, given the robot's calibration.
 
     Ranked by how much each shrinks the joint uncertainty of torque constants, friction and armatures (D-optimality).
+
+    Args:
+        robot: Calibrated.
+        joints: Whose drive trains are to be learnt, and which may be driven.
+        count: At most so many.
+
+    Raises:
+        ConfigurationError: The robot is not calibrated.
     """
-    if (before := robot.calibration) is None:
+    calibration = robot.calibration
+    if calibration is None:
         raise ConfigurationError("advice on further runs needs a calibration")
     wanted: list[Key] = [(term, joint) for joint in joints for term in ADVISED_TERMS]
-    wanted = [key for key in wanted if key in before.keys]
-    place = [before.keys.index(key) for key in wanted]
-    old = before.covariance[np.ix_(place, place)]
+    wanted = [key for key in wanted if key in calibration.keys]
+    place = [calibration.keys.index(key) for key in wanted]
+    old = calibration.covariance[np.ix_(place, place)]
     simulate = partial(
         _candidates,
         robot,
@@ -225,15 +262,14 @@ def advise(
     found: list[tuple[float, ExcitationPlan]] = []
     for candidates, r in _suitable(robot, turning, COARSE_STARTS, COARSE_POSES, simulate):
         keys, precision = candidates.known_after(0, r)
-        covariance = scaled_inverse(precision)
         # of other joints' drive trains this run determines only what is correlated with its own
         shared = [key for key in wanted if key in keys]
         now = [keys.index(key) for key in shared]
         then = [wanted.index(key) for key in shared]
-        before_it = old[np.ix_(then, then)]
-        after_it = covariance[np.ix_(now, now)]
-        gain = 0.5 * float(np.linalg.slogdet(before_it)[1] - np.linalg.slogdet(after_it)[1])
-        ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
+        after = scaled_inverse(precision)[np.ix_(now, now)]
+        before = old[np.ix_(then, then)]
+        gain = 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
+        ratio = np.sqrt(np.diag(after) / np.diag(before))
         best = int(np.argmin(ratio))
         words = (
             f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
@@ -250,27 +286,26 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
     """
     facts = PayloadFacts()
     simulate = partial(_candidates, robot, np.array([TYPICAL_KG]), facts, None)
-    best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
+    best: dict[str, dict[bool, _Weighing]] = {}  # by joint, and whether upwards
     driven = [joint for joint in candidate_joints(robot) if joint in joints]
     for candidates, r in _suitable(robot, driven, COARSE_STARTS, COARSE_POSES, simulate):
         std = _std_of_mass(*candidates.known_after(0, r))
         run = candidates.problem.runs[r]
-        way = best.setdefault(run.run.joint, {})
+        ways = best.setdefault(run.run.joint, {})
         upwards = bool(candidates.travel[0, r] > 0.0)
-        if upwards not in way or std < way[upwards][0]:
-            way[upwards] = std, run, candidates.alive[0, r]
-    chosen = sorted(best, key=lambda joint: min(std for std, _, _ in best[joint].values()))[:2]
+        if upwards not in ways or std < ways[upwards].std:
+            ways[upwards] = _Weighing(std, run, candidates.alive[0, r])
+    chosen = sorted(best, key=lambda joint: min(each.std for each in best[joint].values()))[:2]
     if not chosen:
         return None
-    runs = [entry for joint in chosen for entry in best[joint].values()]
-    prepared = [run for _, run, _ in runs]
+    weighings = [each for joint in chosen for each in best[joint].values()]
+    prepared = [each.run for each in weighings]
     problem = Problem(
         robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG)
     )
     _, _, dq = problem.simulate(problem.base[None], problem.free)
-    known = _known_after(
-        problem, dq[0], np.array([alive for _, _, alive in runs]), range(len(runs))
-    )
+    alive = np.array([each.alive for each in weighings])
+    known = _known_after(problem, dq[0], alive, range(len(weighings)))
     return Weighable(
         TYPICAL_KG, _std_of_mass(*known), tuple(joint for joint in joints if joint in chosen)
     )
@@ -328,19 +363,9 @@ def _candidates(
     pose: Mapping[str, float],
 ) -> _Candidates | None:
     """Simulate the runs of one joint from one pose with each mass [kg] in the hand, or a known load; None: no current moves it."""
-    still = prepare_run(robot, still_run(joint, pose, 0.01, DURATION_S), load, facts)
-    limit = robot.motors[joint].current_limit_A
-    currents = dict.fromkeys(
-        current for _, current, _ in currents_beyond(still, facts, masses.tolist())
-    )
-    runs = [
-        still_run(joint, pose, current, DURATION_S)
-        for current in currents
-        if 0.0 < abs(current) <= limit
-    ]
-    if not runs:
+    prepared = _runs_from(robot, masses, facts, load, joint, pose)
+    if not prepared:
         return None
-    prepared = [replace(still, run=run) for run in runs]
     if load is None:
         unknowns = load_unknowns(robot, prepared, facts, Role.FREE, float(masses[0]))
     else:
@@ -352,29 +377,54 @@ def _candidates(
     values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
     with np.errstate(over="ignore", invalid="ignore"):
         q, v, dq = problem.simulate(values, problem.free)
-    drive = robot.drive_trains[joint]
-    limits = robot.model.joint(joint)
+    usable_velocity = robot.drive_trains[joint].usable_velocity
+    finite = np.isfinite(q) & np.isfinite(dq).all(axis=3)
+    alive = np.cumprod(finite & (np.abs(v) < usable_velocity), axis=2).astype(bool)
     start = pose[joint]
-    told = np.isfinite(q) & np.isfinite(dq).all(axis=3)
-    alive = np.cumprod(told & (np.abs(v) < drive.usable_velocity), axis=2).astype(bool)
-    counted = np.abs(np.where(alive, q, start) - start).max(axis=2)
-    ends = np.where(
-        np.isfinite(q),
-        np.clip(q, -10.0, 10.0),
-        start,
-    )
-    low = ends.min(axis=2)
-    high = ends.max(axis=2)
-    travel = np.where(start - low > high - start, low - start, high - start)
-    at_ends = [(float(low[:, r].min()), float(high[:, r].max()), start) for r in range(len(runs))]
+    reached = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
+    low = reached.min(axis=2)
+    high = reached.max(axis=2)
     clear = np.array(
-        [min(clearance(robot, {**pose, joint: end}) for end in ends_of) for ends_of in at_ends]
+        [
+            _lowest_m(robot, pose, joint, (float(low[:, r].min()), float(high[:, r].max()), start))
+            for r in range(len(prepared))
+        ]
     )
+    limits = robot.model.joint(joint)
+    counted = np.abs(np.where(alive, q, start) - start).max(axis=2)
     fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
-    fits &= (
-        (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
-    )
+    fits &= (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED)
+    fits &= clear >= CLEARANCE_M
+    travel = np.where(start - low > high - start, low - start, high - start)
     return _Candidates(problem, dq, alive, travel, clear, fits)
+
+
+def _runs_from(
+    robot: Robot,
+    masses: np.ndarray,
+    facts: PayloadFacts,
+    load: KnownLoad | None,
+    joint: str,
+    pose: Mapping[str, float],
+) -> list[PreparedRun]:
+    """A run for each current that moves the joint with any of the masses and that its motor may carry; see ``_candidates``."""
+    still = prepare_run(robot, still_run(joint, pose, 0.01, DURATION_S), load, facts)
+    limit = robot.motors[joint].current_limit_A
+    currents = dict.fromkeys(
+        current for _, current, _ in currents_beyond(still, facts, masses.tolist())
+    )
+    return [
+        replace(still, run=still_run(joint, pose, current, DURATION_S))
+        for current in currents
+        if 0.0 < abs(current) <= limit
+    ]
+
+
+def _lowest_m(
+    robot: Robot, pose: Mapping[str, float], joint: str, positions: Sequence[float]
+) -> float:
+    """The lowest point of arm and hand above the base's plane with a joint at any of some positions."""
+    return min(clearance(robot, {**pose, joint: position}) for position in positions)
 
 
 def _as_plan(

@@ -6,6 +6,8 @@ recording is any good, only what it would tell if the robot were as its file say
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from proprio_ros.identification.coefficients import arm_coefficients
@@ -50,37 +52,50 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
     arm = Arm.of(robot, motion.joints, dict(motion.held))
     count = arm.count
     names = arm.model.joint_names
-    open_friction = [arm.kg * 9.81 * arm.reach_m] * (6 * count)
-    payload = sizes(arm.kg, WITHIN * arm.reach_m)
-    spread = np.array(
-        [*payload, *body_stds(arm, LINK_SHARE), *drive_stds(robot, arm), *open_friction]
-    )
     shared = rows.design[:, : (PARAMETERS + 2) * count]
     own = rows.design[:, -3 * count :]
     none = np.zeros_like(own)
     empty = np.zeros_like(rows.payload)
+    # with the object and without it, each with friction and offsets of its own
     matrix = np.block([[rows.payload, shared, own, none], [empty, shared, none, own]])
     torque = shared[:, : PARAMETERS * count] @ np.concatenate(arm.bodies)
-    weight = np.zeros(len(torque))
-    for joint in range(count):
-        mine = rows.joint == joint
-        # gravity may do nothing on a vertical axis; what moves it then is of the size of friction
-        friction = robot.drive_trains[names[joint]].coulomb
-        if mine.any():
-            size = max(
-                float(np.sqrt(np.mean(torque[mine] ** 2))), friction.value + 0.5 * friction.std
-            )
-            weight[mine] = 1.0 / (DRIFT_SHARE * size)
-    # neighbouring windows share one error
-    weight /= np.sqrt(STRETCH_S / (WINDOW_S * HOP_SHARE))
+    weight = _torque_weights(robot, names, rows.joint, torque)
     scaled = matrix * np.tile(weight, 2)[:, None]
-    small = SMALL_SHARE * spread[0]
-    spread[1:PARAMETERS] *= small / spread[0]
+    spread = _prior_stds(robot, arm)
     covariance = np.linalg.inv(
         spread[:, None] * (scaled.T @ scaled) * spread[None, :] + np.eye(len(spread))
     )
     share = max(relative_torque_std(robot, name) for name in names)
     return float(Z95 * spread[0] * np.sqrt(covariance[0, 0])), Z95 * share
+
+
+def _prior_stds(robot: Robot, arm: Arm) -> np.ndarray:
+    """Standard deviations of a light object, of the arm's bodies and drive trains, and of friction that is open."""
+    open_friction = [arm.kg * 9.81 * arm.reach_m] * (6 * arm.count)
+    payload = sizes(arm.kg, WITHIN * arm.reach_m)
+    spread = np.array(
+        [*payload, *body_stds(arm, LINK_SHARE), *drive_stds(robot, arm), *open_friction]
+    )
+    small = SMALL_SHARE * spread[0]
+    spread[1:PARAMETERS] *= small / spread[0]
+    return spread
+
+
+def _torque_weights(
+    robot: Robot, names: Sequence[str], joint: np.ndarray, torque: np.ndarray
+) -> np.ndarray:
+    """One over the standard deviation of each window's mean torque [N m], of which joint (T,) and how large (T,) it is."""
+    weight = np.zeros(len(torque))
+    for number, name in enumerate(names):
+        mine = joint == number
+        # gravity may do nothing on a vertical axis; what moves it then is of the size of friction
+        friction = robot.drive_trains[name].coulomb
+        if mine.any():
+            rms = float(np.sqrt(np.mean(torque[mine] ** 2)))
+            size = max(rms, friction.value + 0.5 * friction.std)
+            weight[mine] = 1.0 / (DRIFT_SHARE * size)
+    # neighbouring windows share one error
+    return weight / np.sqrt(STRETCH_S / (WINDOW_S * HOP_SHARE))
 
 
 def mass_from_run(robot: Robot, run: Run) -> float | None:
@@ -95,42 +110,45 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     driving = run.input_current_A[run.input_times_s < run.times_s[-1]]
     if np.ptp(driving) > STEADY * np.abs(driving).max():
         return None
-    duration = max(
-        float(run.times_s[-1] - run.times_s[0]),
-        1e-3,
-    )
+    duration = max(float(run.times_s[-1] - run.times_s[0]), 1e-3)
     way = float(run.position[-1] - run.position[0])
     acceleration = 2.0 * way / duration**2
-    speed = abs(way) / duration
-    direction = np.sign(way)
     middle = float(run.position[len(run.position) // 2])
     coefficients = arm_coefficients(robot, run, ())
     basis = np.array([acceleration, np.cos(middle), np.sin(middle), 1.0])
     per_kg = float(coefficients.per_kg(PayloadFacts()) @ basis)
-    arm = float(coefficients.arm @ basis)
     if abs(per_kg) < 1e-6:
         return None
-    drive = robot.drive_trains[run.joint]
-    current = float(driving.mean())
     name = run.joint
+    current = float(driving.mean())
+    direction = np.sign(way)
+    motor = robot.drive_trains[name].torque_constant.value * current
     slope: dict[Key, float] = {
         ("torque_constant", name): current,
         ("coulomb", name): -direction,
-        ("viscous", name): -direction * speed,
-        ("load_friction", name): -direction * abs(drive.torque_constant.value * current),
+        ("viscous", name): -direction * (abs(way) / duration),
+        ("load_friction", name): -direction * abs(motor),
         ("armature", name): -acceleration,
-        "arm_scale": -arm,
+        "arm_scale": -float(coefficients.arm @ basis),
     }
+    gradient = np.array(list(slope.values()))
+    variance = float(gradient @ _covariance_of(robot, name, list(slope)) @ gradient)
+    variance += robot.torque_disturbance**2
+    return Z95 * float(np.sqrt(variance)) / abs(per_kg)
+
+
+def _covariance_of(robot: Robot, joint: str, keys: Sequence[Key]) -> np.ndarray:
+    """What is known of a joint's drive train and of the arm's scale, shape (K, K)."""
+    drive = robot.drive_trains[joint]
     stds = [
         getattr(drive, key[0]).std if isinstance(key, tuple) else robot.arm_scale.std
-        for key in slope
+        for key in keys
     ]
     covariance = np.diag(np.square(stds))
-    if (known := robot.calibration) is not None:
+    known = robot.calibration
+    if known is not None:
         # what is known together is known better
-        there = [row for row, key in enumerate(slope) if key in known.keys]
-        place = [known.keys.index(key) for key in slope if key in known.keys]
+        there = [row for row, key in enumerate(keys) if key in known.keys]
+        place = [known.keys.index(key) for key in keys if key in known.keys]
         covariance[np.ix_(there, there)] = known.covariance[np.ix_(place, place)]
-    gradient = np.array(list(slope.values()))
-    variance = float(gradient @ covariance @ gradient) + robot.torque_disturbance**2
-    return Z95 * float(np.sqrt(variance)) / abs(per_kg)
+    return covariance

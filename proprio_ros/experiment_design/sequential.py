@@ -93,6 +93,45 @@ class _Place:
     own_variance: np.ndarray  # of the run's own unknowns, shape (4,)
     heights: np.ndarray  # above the base's plane along `PATH_RAD` [m]
 
+    def lowest_m(self, reach: np.ndarray) -> float:
+        """The lowest point between two ends (2,) [rad from the start]: there, and where the height was looked at between them."""
+        off = np.array(PATH_RAD)
+        passed = (off > reach[0]) & (off < reach[1])
+        between = np.where(passed, self.heights, np.inf)
+        at_ends = np.interp(reach, PATH_RAD, self.heights)
+        return min(float(between.min()), float(at_ends.min()))
+
+
+@dataclass(frozen=True)
+class _Excursion:
+    """Where C pushes take their joint until they end, with as much ahead as the excitation's guards look."""
+
+    low: np.ndarray  # lowest and highest position, (C,) [rad]
+    high: np.ndarray
+    fastest: np.ndarray  # (C,) [rad/s]
+    travel: np.ndarray  # farthest from the start, (C,) [rad]
+    samples: np.ndarray  # (C,)
+
+    @classmethod
+    def of(cls, start: np.ndarray, q: np.ndarray, v: np.ndarray) -> _Excursion:
+        """From starts (C,) [rad], positions and velocities (C, T); what is no number goes far."""
+        q = np.where(np.isfinite(q), q, 1e3)
+        v = np.where(np.isfinite(v), v, 1e3)
+        off = q - start[:, None]
+        # until it has gone so far, and the sample at which that is seen
+        before = np.ones((len(start), 1), bool)
+        under_way = np.concatenate([before, (np.abs(off) < MAX_TRAVEL)[:, :-1]], axis=1)
+        under_way = np.cumprod(under_way, axis=1).astype(bool)
+        ahead = np.where(under_way, q + v * LOOKAHEAD_S, start[:, None])
+        here = np.where(under_way, q, start[:, None])
+        return cls(
+            np.minimum(ahead, here).min(axis=1),
+            np.maximum(ahead, here).max(axis=1),
+            np.where(under_way, np.abs(v), 0.0).max(axis=1),
+            np.abs(np.where(under_way, off, 0.0)).max(axis=1),
+            under_way.sum(axis=1),
+        )
+
 
 class _Candidate(NamedTuple):
     """A push of a catalogue before anything is known of it: from where, with which current and square wave [A]."""
@@ -178,27 +217,25 @@ class Catalogue:
         values[:, problem.index["payload_mass"]] = 0.0, 1.0
         values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
         keys = [key for key in self.keys if key in problem.index]
-        columns = [problem.index[key] for key in keys]
-        to = [self.at[key] for key in keys]
+        shared = [problem.index[key] for key in keys]
         found = []
-        for r, (run, q) in enumerate(zip(runs, starts, strict=True)):
-            own = [problem.index[kind, r] for kind in OWN]
-            p, dp = problem.parameters(values, np.array(columns + own))
+        for row, (run, q) in enumerate(zip(runs, starts, strict=True)):
+            own = [problem.index[kind, row] for kind in OWN]
+            p, dp = problem.parameters(values, np.array(shared + own))
             slopes = np.zeros((2, p.shape[-1], len(self.keys) + len(OWN)))
-            slopes[..., to] = dp[:, r, :, : len(columns)]
-            slopes[..., len(self.keys) :] = dp[:, r, :, len(columns) :]
-            variance = np.array([problem.unknowns[o].std ** 2 for o in own])
-            heights = np.array(
-                [clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD]
-            )
-            p_and_dp = p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0]
+            slopes[..., [self.at[key] for key in keys]] = dp[:, row, :, : len(shared)]
+            slopes[..., len(self.keys) :] = dp[:, row, :, len(shared) :]
+            heights = [clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD]
             found.append(
                 _Place(
                     run,
                     {**pose, joint: q},
-                    *p_and_dp,
-                    variance,
-                    heights,
+                    p[0, row],
+                    p[1, row] - p[0, row],
+                    slopes[0],
+                    slopes[1] - slopes[0],
+                    np.array([problem.unknowns[column].std ** 2 for column in own]),
+                    np.array(heights),
                 )
             )
         return found
@@ -378,57 +415,24 @@ class Catalogue:
     ) -> np.ndarray:
         """Which pushes stay inside all limits with each of the masses, shape (C,)."""
         places = [each.place for each in candidates]
-        count = len(candidates)
-        fits = np.ones(count, dtype=bool)
         start = np.array([place.prepared.rest.value for place in places])
         joints = [self.robot.model.joint(place.prepared.run.joint) for place in places]
         lower = np.array([joint.lower for joint in joints]) + LIMIT_MARGIN
         upper = np.array([joint.upper for joint in joints]) - LIMIT_MARGIN
-        worlds = np.arange(count, dtype=np.int32)
-        reach = np.zeros((count, 2))
+        fits = np.ones(len(places), dtype=bool)
+        reach = np.zeros((len(places), 2))  # from the start, with any of the masses
+        worlds = np.arange(len(places), dtype=np.int32)
+        no_tangents = np.zeros((len(places), len(INDEX), 1))
         for mass in masses:
-            p = np.array([place.p + mass * place.p_per_kg for place in places])
             with np.errstate(over="ignore", invalid="ignore"):
-                q, v, _ = simulator.jacobian(
-                    worlds,
-                    p,
-                    np.zeros((count, len(INDEX), 1)),
-                )
-            q = np.where(np.isfinite(q), q, 1e3)
-            v = np.where(np.isfinite(v), v, 1e3)
-            off = q - start[:, None]
-            # until it has gone so far, and the sample at which that is seen
-            under_way = np.concatenate(
-                [
-                    np.ones((count, 1), bool),
-                    (np.abs(off) < MAX_TRAVEL)[:, :-1],
-                ],
-                axis=1,
-            )
-            under_way = np.cumprod(under_way, axis=1).astype(bool)
-            ahead = np.where(under_way, q + v * LOOKAHEAD_S, start[:, None])
-            here = np.where(under_way, q, start[:, None])
-            low = np.minimum(ahead, here).min(axis=1)
-            high = np.maximum(ahead, here).max(axis=1)
-            reach[:, 0], reach[:, 1] = (
-                np.minimum(reach[:, 0], low - start),
-                np.maximum(reach[:, 1], high - start),
-            )
-            fits &= (
-                (low > lower)
-                & (high < upper)
-                & (np.where(under_way, np.abs(v), 0.0).max(axis=1) < FASTEST)
-            )
-            fits &= np.abs(np.where(under_way, off, 0.0)).max(axis=1) >= LITTLE_TRAVEL
-            fits &= under_way.sum(axis=1) >= 2 * MIN_USED
-        # the lowest point on the way, at the ends and where the height was looked at between them
-        heights = np.array([place.heights for place in places])
-        off = np.array(PATH_RAD)
-        passed = (off > reach[:, :1]) & (off < reach[:, 1:])
-        lowest = np.where(passed, heights, np.inf).min(axis=1)
+                q, v, _ = simulator.jacobian(worlds, _parameters_at(places, mass), no_tangents)
+            way = _Excursion.of(start, q, v)
+            reach[:, 0] = np.minimum(reach[:, 0], way.low - start)
+            reach[:, 1] = np.maximum(reach[:, 1], way.high - start)
+            fits &= (way.low > lower) & (way.high < upper) & (way.fastest < FASTEST)
+            fits &= (way.travel >= LITTLE_TRAVEL) & (way.samples >= 2 * MIN_USED)
         for row in np.flatnonzero(fits):
-            at_ends = np.interp(reach[row], PATH_RAD, heights[row])
-            fits[row] = min(lowest[row], float(at_ends.min())) >= CLEARANCE_M
+            fits[row] = places[row].lowest_m(reach[row]) >= CLEARANCE_M
         return fits
 
     def _rows(
@@ -441,19 +445,11 @@ class Catalogue:
     ) -> _Rows:
         """Of candidates that are some of a simulator's worlds, with a mass in the hand [kg]."""
         places = [each.place for each in candidates]
-        count = len(candidates)
-        size = len(self.keys)
-        p = np.array([place.p + mass * place.p_per_kg for place in places])
-        dp = np.array([place.dp + mass * place.dp_per_kg for place in places])
-        identity = np.tile(
-            np.eye(len(INDEX)),
-            (count, 1, 1),
-        )
         with np.errstate(over="ignore", invalid="ignore"):
             q, v, by_p = simulator.jacobian(
                 worlds.astype(np.int32),
-                p,
-                identity,
+                _parameters_at(places, mass),
+                np.tile(np.eye(len(INDEX)), (len(places), 1, 1)),
             )
         start = np.array([place.prepared.rest.value for place in places])
         usable = np.array([place.prepared.drive.usable_velocity for place in places])
@@ -463,40 +459,34 @@ class Catalogue:
             & (np.abs(q - start[:, None]) < MAX_TRAVEL)
         )
         alive = np.cumprod(alive, axis=1).astype(bool)
+        slopes = by_p @ np.array([place.dp + mass * place.dp_per_kg for place in places])
+        self._add_ripples(slopes, places, q)
         reading = np.array([place.prepared.sigma[0] for place in places])
-        sigma = np.hypot(
-            reading[:, None],
-            np.abs(v) * self.robot.stamp_jitter_s,
+        sigma = np.hypot(reading[:, None], np.abs(v) * self.robot.stamp_jitter_s)
+        slopes = np.where(alive[..., None], slopes / sigma[..., None], 0.0)
+        size = len(self.keys)
+        shared = slopes[..., :size]
+        if is_known:
+            shared[..., [at for key, at in self.at.items() if key in PAYLOAD_TERMS]] = 0.0
+        own_std = np.sqrt(np.array([place.own_variance for place in places]))
+        off = np.where(alive, q - start[:, None], 0.0)
+        up = off.max(axis=1)
+        down = off.min(axis=1)
+        return _Rows(
+            shared,
+            slopes[..., size:] * own_std[:, None, :],
+            places[0].prepared.run.times_s,
+            alive.sum(axis=1),
+            np.where(up > -down, up, down),
         )
-        rows = by_p @ dp
-        for column, place in enumerate(places):  # the encoder's once-per-turn error
+
+    def _add_ripples(self, slopes: np.ndarray, places: Sequence[_Place], q: np.ndarray) -> None:
+        """The encoder's once-per-turn error at positions (C, T) in sensitivities (C, T, F + 4), which change."""
+        for row, place in enumerate(places):
             for kind, wave in zip(RIPPLE_TERMS, (np.cos, np.sin), strict=True):
                 at = self.at.get((kind, place.prepared.run.joint))
                 if at is not None:
-                    rows[column, :, at] += wave(q[column])
-        rows = np.where(
-            alive[..., None],
-            rows / sigma[..., None],
-            0.0,
-        )
-        shared = rows[..., :size]
-        own = rows[..., size:]
-        if is_known:
-            shared[..., [at for key, at in self.at.items() if key in PAYLOAD_TERMS]] = 0.0
-        spread = own * np.sqrt(np.array([place.own_variance for place in places]))[:, None, :]
-        off = np.where(alive, q - start[:, None], 0.0)
-        travel = np.where(
-            off.max(axis=1) > -off.min(axis=1),
-            off.max(axis=1),
-            off.min(axis=1),
-        )
-        return _Rows(
-            shared,
-            spread,
-            places[0].prepared.run.times_s,
-            alive.sum(axis=1),
-            travel,
-        )
+                    slopes[row, :, at] += wave(q[row])
 
     def _scored(
         self,
@@ -507,41 +497,57 @@ class Catalogue:
         durations_s: Sequence[float],
     ) -> list[Push]:
         """What each candidate would tell of the mass, with every duration that its travel does not end before."""
-        shared = rows.shared
         own = rows.own
         times = rows.times_s
-        within = shared @ known.covariance @ shared.transpose(0, 2, 1) + own @ own.transpose(
+        within = rows.shared @ known.covariance @ rows.shared.transpose(
             0, 2, 1
-        )
+        ) + own @ own.transpose(0, 2, 1)
         mass = self.at["payload_mass"]
         across, now = known.towards or (known.covariance[:, mass], known.covariance[mass, mass])
-        pulled = shared @ across
+        pulled = rows.shared @ across
         beside = time_of([each.place.start for each in candidates])
         found: list[Push] = []
         for duration in durations_s:
             used = times <= duration + 1e-9
-            block = within[:, used][:, :, used] + np.eye(int(used.sum()))
-            taken = np.einsum(
-                "ct,ct->c", pulled[:, used], np.linalg.solve(block, pulled[:, used, None])[..., 0]
-            )
-            after = np.maximum(now - taken, 1e-12)
+            after = _variance_after(now, within[:, used][:, :, used], pulled[:, used])
             # a push that travel ends before is the same push
             longer = rows.counted >= np.searchsorted(times, duration - 0.15)
-            lasts = np.minimum(
-                rows.counted / max(len(times), 1) * times[-1],
-                duration,
-            )
-            for c in np.flatnonzero(
-                np.isfinite(after) & (longer | (duration == durations_s[0]))
-            ).tolist():
-                place, current, shake = candidates[c]
+            counts = np.isfinite(after) & (longer | (duration == durations_s[0]))
+            lasts = np.minimum(rows.counted / max(len(times), 1) * times[-1], duration)
+            for c in np.flatnonzero(counts).tolist():
                 seconds = float(beside[c] + lasts[c])
-                std = float(np.sqrt(after[c]))
-                travel = float(rows.travel[c])
-                gain = 0.5 * float(np.log(now / after[c])) / seconds
-                made = place.prepared.run.joint, place.start, float(current), float(shake), duration
-                found.append(Push(*made, seconds, std, gain, travel))
+                found.append(
+                    Push(
+                        candidates[c].place.prepared.run.joint,
+                        candidates[c].place.start,
+                        float(candidates[c].current_A),
+                        float(candidates[c].shake_A),
+                        duration,
+                        seconds,
+                        float(np.sqrt(after[c])),
+                        0.5 * float(np.log(now / after[c])) / seconds,
+                        float(rows.travel[c]),
+                    )
+                )
         return found
+
+
+def _parameters_at(places: Sequence[_Place], mass: float) -> np.ndarray:
+    """The simulator's parameters with a mass [kg] in the hand, shape (C, P)."""
+    return np.array([place.p + mass * place.p_per_kg for place in places])
+
+
+def _variance_after(now: float, within: np.ndarray, pulled: np.ndarray) -> np.ndarray:
+    """Variance of the mass after each of C pushes, by the rule of a linear Gaussian model.
+
+    Args:
+        now: Before them [kg^2].
+        within: Covariance of the whitened samples without their own noise, shape (C, T, T).
+        pulled: Covariance of the samples with the mass, shape (C, T).
+    """
+    block = within + np.eye(within.shape[1])
+    taken = np.einsum("ct,ct->c", pulled, np.linalg.solve(block, pulled[..., None])[..., 0])
+    return np.maximum(now - taken, 1e-12)
 
 
 def _standing_at(still: PreparedRun, position: float) -> PreparedRun:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -56,10 +56,19 @@ def bounded_step(
     damping: np.ndarray,
     coordinates: Coordinates,
 ) -> np.ndarray:
-    """Damped Gauss-Newton step of every start, shape (S, F), that respects the bounds.
+    """Damped Gauss-Newton step of every start that respects the bounds.
 
     An unknown that sits on a bound and is pushed outward stays; one whose step would cross a bound goes to it, and the others
     are solved for again with that in mind.
+
+    Args:
+        u: Solver coordinates, shape (S, F).
+        gradient: Of the cost there, shape (S, F).
+        matrix: Gauss-Newton's, shape (S, F, F).
+        damping: Factor on the diagonal, less one, shape (S,).
+        coordinates: Their bounds, and how long a step may be.
+
+    Returns: the steps, shape (S, F).
     """
     lower = coordinates.lower
     upper = coordinates.upper
@@ -114,6 +123,63 @@ def _scaled_down(
     return cost, gradient * factor[:, None], matrix * factor[:, None, None]
 
 
+@dataclass(eq=False)
+class _Descent:
+    """Every start of Levenberg-Marquardt on its way down: a row each."""
+
+    problem: LeastSquares
+    u: np.ndarray  # solver coordinates, (S, F)
+    damping: np.ndarray  # (S,)
+    growth: np.ndarray  # factor on the damping after a step that gains nothing, (S,)
+    # of the window in use, at ``u``
+    cost: np.ndarray = field(init=False)  # (S,)
+    gradient: np.ndarray = field(init=False)  # (S, F)
+    matrix: np.ndarray = field(init=False)  # (S, F, F)
+    idle: np.ndarray = field(init=False)  # steps in a row that gained nothing that matters, (S,)
+
+    def look(self, counts: np.ndarray | None) -> None:
+        """Begin with another window, which has so many samples of each run, shape (R,); None is all."""
+        linearised = self.problem.linearise(self.u, counts)
+        self.cost, self.gradient, self.matrix = _scaled_down(*linearised)
+        self.idle = np.zeros(len(self.u), dtype=int)
+
+    def step(self, counts: np.ndarray | None, persistent: bool) -> np.ndarray:
+        """Move every start that gains by it; how long the steps were in standard deviations, shape (S,)."""
+        coordinates = self.problem.coordinates
+        step = bounded_step(self.u, self.gradient, self.matrix, self.damping, coordinates)
+        trial = np.clip(self.u + step, coordinates.lower, coordinates.upper)
+        cost, gradient, matrix = _scaled_down(*self.problem.linearise(trial, counts))
+        better = np.isfinite(cost) & (cost <= self.cost)
+        moved = trial - self.u
+        curvature = np.einsum("si,sij,sj->s", moved, self.matrix, moved)
+        downhill = -np.einsum("si,si->s", self.gradient, moved)
+        gained = self._gained(cost, better)
+        self._damp(better, gained, downhill - 0.5 * curvature)
+        overshot = persistent & ~better & (downhill > IDLE_GAIN)  # a shorter step gains
+        self.idle = np.where((gained < IDLE_GAIN) & ~overshot, self.idle + 1, 0)
+        self.u = np.where(better[:, None], trial, self.u)
+        self.cost = np.where(better, cost, self.cost)
+        self.gradient = np.where(better[:, None], gradient, self.gradient)
+        self.matrix = np.where(better[:, None, None], matrix, self.matrix)
+        return np.sqrt(np.maximum(curvature, 0.0))
+
+    def _gained(self, cost: np.ndarray, better: np.ndarray) -> np.ndarray:
+        """How much lower the costs of better guesses are; the first that can be simulated gains without measure."""
+        finite = better & np.isfinite(self.cost)
+        return np.where(finite, np.where(finite, self.cost, 0.0) - np.where(finite, cost, 0.0), 0.0)
+
+    def _damp(self, better: np.ndarray, gained: np.ndarray, promised: np.ndarray) -> None:
+        """Nielsen 1999: the damping follows how much of the promised decrease came true."""
+        kept = np.clip(
+            gained / np.maximum(promised, np.maximum(gained, 1e-300)),
+            0.0,
+            1.0,
+        )
+        factor = np.where(better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), self.growth)
+        self.damping = np.clip(self.damping * factor, 1e-8, 1e10)
+        self.growth = np.where(better, 2.0, 2.0 * self.growth)
+
+
 def levenberg_marquardt(
     problem: LeastSquares,
     starts: np.ndarray,
@@ -137,61 +203,30 @@ def levenberg_marquardt(
         tolerance: Of a start's step over its standard deviation.
         persistent: Whether a start that overshot three times goes on with shorter steps, until the damping ends it: without that
             it may end far from the least cost, so only a rough fit goes without.
+
+    Returns: where every start ended.
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
-    damping = np.full(len(u), 1e-3)
-    growth = np.full(len(u), 2.0)
+    descent = _Descent(problem, u, np.full(len(u), 1e-3), np.full(len(u), 2.0))
     path: list[np.ndarray] = [u.copy()]
     path_cost: list[np.ndarray] = []
     for fraction in WINDOWS if windows is not None else WINDOWS[-1:]:
         last = fraction == WINDOWS[-1]
         counts = None if last or windows is None else windows(fraction)
-        cost, gradient, matrix = _scaled_down(*problem.linearise(u, counts))
-        idle = np.zeros(len(u), dtype=int)
+        descent.look(counts)
         if not path_cost:
-            path_cost.append(cost.copy())
+            path_cost.append(descent.cost.copy())
         for _ in range(iterations if last else window_iterations):
-            step = bounded_step(u, gradient, matrix, damping, coordinates)
-            trial = np.clip(u + step, coordinates.lower, coordinates.upper)
-            trial_cost, trial_gradient, trial_matrix = _scaled_down(
-                *problem.linearise(trial, counts)
-            )
-            better = np.isfinite(trial_cost) & (trial_cost <= cost)
-            moved = trial - u
-            curvature = np.einsum("si,sij,sj->s", moved, matrix, moved)
-            size = np.sqrt(np.maximum(curvature, 0.0))
-            downhill = -np.einsum("si,si->s", gradient, moved)
-            promised = downhill - 0.5 * curvature
-            # the first guess that can be simulated gains without measure
-            finite = better & np.isfinite(cost)
-            gained = np.where(
-                finite, np.where(finite, cost, 0.0) - np.where(finite, trial_cost, 0.0), 0.0
-            )
-            # Nielsen 1999: the damping follows how much of the promised decrease came true
-            kept = np.clip(
-                gained / np.maximum(promised, np.maximum(gained, 1e-300)),
-                0.0,
-                1.0,
-            )
-            damping = damping * np.where(
-                better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth
-            )
-            damping = np.clip(damping, 1e-8, 1e10)
-            growth = np.where(better, 2.0, 2.0 * growth)
-            overshot = persistent & ~better & (downhill > IDLE_GAIN)  # a shorter step gains
-            idle = np.where((gained < IDLE_GAIN) & ~overshot, idle + 1, 0)
-            u = np.where(better[:, None], trial, u)
-            cost = np.where(better, trial_cost, cost)
-            gradient = np.where(better[:, None], trial_gradient, gradient)
-            matrix = np.where(better[:, None, None], trial_matrix, matrix)
-            path.append(u.copy())
-            path_cost.append(cost.copy())
-            if last and np.all((size < tolerance) | (damping > 1e6) | (idle >= 3)):
+            size = descent.step(counts, persistent)
+            path.append(descent.u.copy())
+            path_cost.append(descent.cost.copy())
+            ended = (size < tolerance) | (descent.damping > 1e6) | (descent.idle >= 3)
+            if last and np.all(ended):
                 break
     return Solution(
-        u,
-        cost,
+        descent.u,
+        descent.cost,
         np.array(path),
         np.array(path_cost),
         len(path) - 1,
@@ -199,7 +234,13 @@ def levenberg_marquardt(
 
 
 def cosine_annealed(rate: float, iteration: int, iterations: int) -> float:
-    """Learning rate of SGDR without restarts (Loshchilov & Hutter 2017, eq. 5), from ``rate`` towards 0."""
+    """Learning rate of SGDR without restarts (Loshchilov & Hutter 2017, eq. 5), from ``rate`` towards 0.
+
+    Args:
+        rate: At the first iteration.
+        iteration: Which one, from 0.
+        iterations: How many there are.
+    """
     return 0.5 * rate * (1.0 + np.cos(np.pi * iteration / iterations))
 
 
@@ -213,9 +254,15 @@ def adam_descent(
 ) -> Solution:
     """Adam (Kingma & Ba 2015, algorithm 1, their constants) under cosine annealing, all starts at once.
 
-    ``gradient_of``: takes coordinates (S, F), gives cost (S,) and gradient (S, F); ``starts``: shape (S, F); ``rate``:
-    first learning rate, in coordinate units per iteration; ``iterations``: all of them are made; ``lower``: bound of
-    the coordinates, shape (F,) or one for all; ``upper``: likewise.
+    Args:
+        gradient_of: Takes coordinates (S, F), gives cost (S,) and gradient (S, F).
+        starts: Coordinates, shape (S, F).
+        rate: First learning rate, in coordinate units per iteration.
+        iterations: All of them are made.
+        lower: Bound of the coordinates, shape (F,) or one for all.
+        upper: The other bound.
+
+    Returns: where every start ended.
     """
     u = starts.astype(np.float64).copy()
     first = np.zeros_like(u)
@@ -250,7 +297,14 @@ def adam_descent(
 def adam(
     problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate: float = 0.1
 ) -> Solution:
-    """Adam on the same cost as Levenberg-Marquardt, in units of each unknown's natural length."""
+    """Adam on the same cost as Levenberg-Marquardt, in units of each unknown's natural length.
+
+    Args:
+        problem: What is to be minimised.
+        starts: Solver coordinates, shape (S, F).
+        iterations: All of them are made.
+        rate: First learning rate, in natural lengths per iteration.
+    """
     coordinates = problem.coordinates
     natural = coordinates.natural
 
@@ -283,7 +337,14 @@ def cma(
 ) -> Solution:
     """CMA-ES (Hansen's ``cma``), one search per start, each generation in one launch.
 
-    Raises `ConfigurationError`: The library is not installed.
+    Args:
+        problem: What is to be minimised.
+        starts: Solver coordinates, shape (S, F).
+        generations: At most so many.
+        seed: Of its random numbers.
+
+    Raises:
+        ConfigurationError: The library is not installed.
     """
     library = cma_library()
     coordinates = problem.coordinates
