@@ -72,7 +72,13 @@ class _SphereForecast(Forecast):
     predictable: np.ndarray  # how many samples there are until its place is lost, (C,)
 
     def is_worth_looking_at(self, n: int, push: candidates.Push, duration_s: float) -> bool:
-        """Whether a push of such a duration is another one than a shorter one, and moves joint and sphere."""
+        """Whether a push of such a duration is another one than a shorter one, and moves joint and sphere.
+
+        Args:
+            n: Of the C pushes.
+            push: The same.
+            duration_s: Of its current [s].
+        """
         least = np.searchsorted(self.times_s, duration_s - 0.15)
         ends_before = duration_s > DURATIONS_S[0] and self.counted[n] < least
         if ends_before or (push.shake_A and duration_s < LEAST_SHAKES * SHAKE_PERIOD_S):

@@ -86,62 +86,87 @@ FORMS: dict[str, Form] = {
 def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContainerFacts:
     """Size and place of the container and the sphere, the user's words before those sections of the probe's file.
 
-    Raises `ConfigurationError`: A value of the wrong form or unit, or a sphere that does not fit.
+    Raises:
+        ConfigurationError: A value of the wrong form or unit, or a sphere that does not fit.
     """
 
     def take(key: str) -> Any:
         section, name = key.split(".")
         return settings.take(key, defaults[section].get(name), FORMS[key])
 
+    def within(name: str) -> Quantity:
+        return Quantity(take(f"contact.{name}"), take(f"contact.{name}_std"))
+
     shape = take("container.shape")
     size = settings.take("container.inner_size", defaults["container"].get("inner_size"))
-    if shape == "cylinder" and isinstance(size, list) and len(size) == 2:
-        size = [size[0], size[0], size[1]]
-    elif shape == "sphere" and isinstance(size, (int, float)):
-        size = [size, size, size]
-    inner_size = np.array(
-        read("container.inner_size", size, Numbers("", _INNER, 3, example=_PLACE))
+    enclosure = _enclosure(
+        shape, _inner_size(shape, size), take("sphere.radius"), take("sphere.hollow")
     )
-    alike = {"cylinder": 2, "sphere": 3}.get(shape, 1)
-    if np.ptp(inner_size[:alike]) > 0.0:
-        form = "[diameter, length]" if shape == "cylinder" else "one diameter"
-        raise ConfigurationError(
-            f"container.inner_size={list(size)} does not fit a {shape}: give {form} in m"
-        )
-    radius = take("sphere.radius")
-    centre = np.array(take("container.centre"))
     mass = take("container.mass")
     mass_std = take("container.mass_std")
-    start = take("sphere.start")
-    hollow = take("sphere.hollow")
-    turned = take("container.rpy")
-    stated = {
-        **{name: take(f"sphere.{name}") for name in ("settled", "start_std")},
-        **{name: take(f"contact.{name}") for name in ("law", "traction", "k_e", "k_d", "k_f")},
-        **{
-            n: Quantity(take(f"contact.{n}"), take(f"contact.{n}_std"))
-            for n in ("damping_ratio", "friction")
-        },
-        "contact_frequency": take("contact.frequency"),
-    }
+    if mass is None:
+        mass = 0.03
+        mass_std = np.inf
+    facts = ContainerFacts(
+        enclosure,
+        centre=np.array(take("container.centre")),
+        rotation=rotation_from_rpy(take("container.rpy")),
+        mass=mass,
+        mass_std=mass_std,
+        settled=take("sphere.settled"),
+        start=_start(take("sphere.start"), enclosure),
+        start_std=take("sphere.start_std"),
+        contact_frequency=take("contact.frequency"),
+        damping_ratio=within("damping_ratio"),
+        friction=within("friction"),
+        traction=take("contact.traction"),
+        law=take("contact.law"),
+        k_e=take("contact.k_e"),
+        k_d=take("contact.k_d"),
+        k_f=take("contact.k_f"),
+    )
+    guessed = tuple(key for key in DECIDING if key not in settings.taken)
+    return replace(facts, guessed=guessed)
+
+
+def _inner_size(shape: str, size: Any) -> np.ndarray:
+    """All three edges of the inside, as its shape may be stated with fewer [m], (3,)."""
+    edges = size
+    if shape == "cylinder" and isinstance(size, list) and len(size) == 2:
+        edges = [size[0], size[0], size[1]]
+    elif shape == "sphere" and isinstance(size, (int, float)):
+        edges = [size, size, size]
+    form = Numbers("", _INNER, 3, example=_PLACE)
+    inner_size = np.array(read("container.inner_size", edges, form))
+    alike = {"cylinder": 2, "sphere": 3}.get(shape, 1)
+    if np.ptp(inner_size[:alike]) > 0.0:
+        right = "[diameter, length]" if shape == "cylinder" else "one diameter"
+        raise ConfigurationError(
+            f"container.inner_size={list(edges)} does not fit a {shape}: give {right} in m"
+        )
+    return inner_size
+
+
+def _enclosure(shape: str, inner_size: np.ndarray, radius: float, hollow: bool) -> Enclosure:
     try:
-        enclosure = Enclosure(shape, inner_size, radius, 2.0 / 3.0 if hollow else 0.4)
+        return Enclosure(shape, inner_size, radius, 2.0 / 3.0 if hollow else 0.4)
     except SimulationError as error:
         raise ConfigurationError(
             f"{error}: check container.inner_size and sphere.radius"
         ) from error
-    place = None if start is None else np.array(start)
-    if place is not None and np.any(np.abs(place) > enclosure.room + 1e-3):
+
+
+def _start(stated: Any, enclosure: Enclosure) -> np.ndarray | None:
+    """Where the sphere's centre is said to have been [m], (3,)."""
+    if stated is None:
+        return None
+    place = np.array(stated)
+    if np.any(np.abs(place) > enclosure.room + 1e-3):
         raise ConfigurationError(
             f"sphere.start={place.tolist()} is outside the container: the sphere's centre can only go "
             f"{(1e3 * enclosure.room).tolist()} mm from the middle"
         )
-    shell, std = (0.03, np.inf) if mass is None else (mass, mass_std)
-    guessed = tuple(key for key in DECIDING if key not in settings.taken)
-    rotation = rotation_from_rpy(turned)
-    return ContainerFacts(
-        enclosure, centre, rotation, shell, std, start=place, guessed=guessed, **stated
-    )
+    return place
 
 
 def track_of(
@@ -150,11 +175,16 @@ def track_of(
     camera: str | None,
     std: float,
 ) -> SphereTrack | None:
-    """Places of the sphere during a run of a bag, each coordinate to within std [m]; None without a camera.
+    """Places of the sphere during a run of a bag; None without a camera.
 
-    The camera is a topic, which starts with a slash (unless there is such a file), or a CSV file.
+    Args:
+        run: Of that bag.
+        source: The bag.
+        camera: A topic, which starts with a slash (unless there is such a file), or a CSV file.
+        std: Of each coordinate [m].
 
-    Raises `ConfigurationError`: It saw nothing during the run, or too much.
+    Raises:
+        ConfigurationError: It saw nothing during the run, or too much.
     """
     if camera is None:
         return None

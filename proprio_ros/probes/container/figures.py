@@ -7,7 +7,8 @@ be read. The motion is SMIL, which browsers play by themselves: no script.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,7 +35,8 @@ def sections(estimate: Estimate) -> list[str]:
     """Where the sphere was in every run: a picture, and the same in motion."""
     parts: list[str] = []
     detail = estimate.detail
-    for n, path in enumerate(detail.paths if isinstance(detail, ContainerDetail) else (), start=1):
+    paths = detail.paths if isinstance(detail, ContainerDetail) else ()
+    for n, path in enumerate(paths, start=1):
         shown = drawable(path)
         if shown is None:
             continue
@@ -76,83 +78,86 @@ def drawable(path: SpherePath) -> SpherePath | None:
     )
 
 
+@dataclass(frozen=True)
+class _Sheet:
+    """Where the container's plane lies in the picture: mm to px, and the space about it."""
+
+    low: np.ndarray  # corner of what is drawn, to the right and up [mm], (2,)
+    high: np.ndarray
+
+    TOP: ClassVar = 10.0  # px above the drawing
+    BESIDE: ClassVar = 52.0  # px for the marks to the left of it
+    WIDEST: ClassVar = 400.0  # px
+    HIGHEST: ClassVar = 300.0  # px
+
+    @classmethod
+    def about(cls, outline: np.ndarray) -> _Sheet:
+        """With a margin about what is drawn, (N, 2) [mm]."""
+        low = outline.min(axis=0)
+        high = outline.max(axis=0)
+        margin = 0.04 * (high - low).max()
+        return cls(low - margin, high + margin)
+
+    @property
+    def scale(self) -> float:
+        """Of the drawing [px/mm]."""
+        extent = self.high - self.low
+        return float(min(self.WIDEST / extent[0], self.HIGHEST / extent[1]))
+
+    @property
+    def size(self) -> np.ndarray:
+        """Of the drawing [px], (2,)."""
+        return self.scale * (self.high - self.low)
+
+    @property
+    def left(self) -> float:
+        """Where the drawing begins [px]."""
+        return float(self.BESIDE + (self.WIDEST - self.size[0]) / 2.0)
+
+    @property
+    def bottom(self) -> float:
+        """Of the drawing [px]."""
+        return float(self.TOP + self.size[1])
+
+    @property
+    def width(self) -> float:
+        """Of the picture [px]."""
+        return self.BESIDE + self.WIDEST + 120.0
+
+    @property
+    def height(self) -> float:
+        """Of the picture [px]."""
+        return max(self.bottom + 42.0, 250.0)
+
+    @property
+    def x0(self) -> float:
+        """Where the container's middle is [px]."""
+        return float(self.left - self.scale * self.low[0])
+
+    @property
+    def y0(self) -> float:
+        return float(self.TOP + self.scale * self.high[1])
+
+
 def path_figure(path: SpherePath, number: int) -> str:
     """The container's inside upright in its own frame, the sphere's path, and gravity at the start and the end."""
     plane = _plane(path.across)
-    inside = MM * _outline(path, plane)
-    centres = MM * path.position @ plane.T
-    low = inside.min(axis=0)
-    high = inside.max(axis=0)
-    margin = 0.04 * (high - low).max()
-    low = low - margin
-    high = high + margin
-    widest = 400.0
-    highest = 300.0
-    scale = min(
-        widest / (high - low)[0],
-        highest / (high - low)[1],
-    )  # px/mm
-    size = scale * (high - low)
-    left = 52.0 + (widest - size[0]) / 2.0
-    top = 10.0
-    width = 52.0 + widest + 120.0
-    height = max(top + size[1] + 42.0, 250.0)
-    x0 = left - scale * low[0]
-    y0 = top + scale * high[1]
-
-    marks = []
-    names = []
-    for tick in _ticks(low[0], high[0]):
-        at = x0 + scale * tick
-        marks.append(f"M{_n(at)} {_n(top)}V{_n(top + size[1])}")
-        names.append(
-            _text(
-                at,
-                top + size[1] + 15,
-                _signed(tick),
-                "middle",
-            )
-        )
-    for tick in _ticks(low[1], high[1]):
-        at = y0 - scale * tick
-        marks.append(f"M{_n(left)} {_n(at)}H{_n(left + size[0])}")
-        names.append(_text(left - 6, at + 4, _signed(tick), "end"))
-    names.append(
-        _text(
-            left + size[0] / 2,
-            top + size[1] + 34,
-            f"{_direction(plane[0], 'right')} (mm)",
-            "middle",
-        )
-    )
-    turned = f' transform="rotate(-90 {_n(left - 38)} {_n(top + size[1] / 2)})"'
-    names.append(
-        _text(left - 38, top + size[1] / 2, f"{_direction(plane[1], 'up')} (mm)", "middle", turned)
-    )
-
+    inside = MM * _outline(path, plane)  # (N, 2)
+    centres = MM * path.position @ plane.T  # (K, 2)
+    sheet = _Sheet.about(inside)
     colors = _colors(path.times_s)
-    shapes = [f'<polygon points="{_points(inside)}" fill="{INSIDE}" stroke="{INK}"/>']
-    shapes.append(
-        f'<g class="band" fill="{ACCENT}" stroke="none" opacity=".25">{_band(path, plane, scale)}</g>'
-    )
-    shapes += [
-        f'<path d="M{_points(centres[k : k + 2])}" stroke="{colors[k]}" stroke-width="{_n(2.5 / scale)}"/>'
-        for k in range(len(centres) - 1)
+    scale = sheet.scale
+    marks, names = _axes(sheet, plane)
+    shapes = [
+        f'<polygon points="{_points(inside)}" fill="{INSIDE}" stroke="{INK}"/>',
+        f'<g class="band" fill="{ACCENT}" stroke="none" opacity=".25">{_band(path, plane, scale)}</g>',
+        *_line(centres, colors, 2.5 / scale),
+        *_spheres(path, centres, colors, scale),
     ]
-    # the start on top: where nothing moved it would not be seen
-    for k in _instants(path.times_s)[::-1]:
-        drawn = f'cx="{_n(centres[k, 0])}" cy="{_n(centres[k, 1])}" r="{_n(MM * path.radius)}" stroke="{colors[k]}"'
-        if k == 0:
-            dashes = f"{_n(5 / scale)} {_n(4 / scale)}"
-            drawn += f' class="start" stroke-dasharray="{dashes}" stroke-width="{_n(1.8 / scale)}"'
-        elif k == len(centres) - 1:
-            drawn += f' class="end" stroke-width="{_n(2.6 / scale)}"'
-        shapes.append(f"<circle {drawn}/>")
-
-    aside = width - 58.0
+    aside = sheet.width - 58.0
     body = [
         f'<path d="{"".join(marks)}" stroke="{LINE}" fill="none"/>',
-        f'<g transform="translate({_n(x0)} {_n(y0)}) scale({scale:.5g} {-scale:.5g})" fill="none" '
+        f'<g transform="translate({_n(sheet.x0)} {_n(sheet.y0)}) scale({scale:.5g} {-scale:.5g})" fill="none" '
         f'stroke-width="{_n(1.2 / scale)}">{"".join(shapes)}</g>',
         *names,
         _text(aside, 20, "gravity", "middle"),
@@ -169,7 +174,111 @@ def path_figure(path: SpherePath, number: int) -> str:
         f"Seen along the joint's axis, the sphere's centre goes from ({x_first:.1f}, {y_first:.1f}) mm at {path.times_s[0]:.2f} s "
         f"to ({x_last:.1f}, {y_last:.1f}) mm at {path.times_s[-1]:.2f} s, at most {MM * path.moved:.1f} mm away from its start."
     )
-    return _svg(width, height, f"Path {number} of the sphere in the container", words, body)
+    name = f"Path {number} of the sphere in the container"
+    return _svg(sheet.width, sheet.height, name, words, body)
+
+
+def _axes(sheet: _Sheet, plane: np.ndarray) -> tuple[list[str], list[str]]:
+    """Lines at round numbers, and what stands beside them."""
+    marks = []
+    names = []
+    for tick in _ticks(sheet.low[0], sheet.high[0]):
+        at = sheet.x0 + sheet.scale * tick
+        marks.append(f"M{_n(at)} {_n(sheet.TOP)}V{_n(sheet.bottom)}")
+        names.append(_text(at, sheet.bottom + 15, _signed(tick), "middle"))
+    for tick in _ticks(sheet.low[1], sheet.high[1]):
+        at = sheet.y0 - sheet.scale * tick
+        marks.append(f"M{_n(sheet.left)} {_n(at)}H{_n(sheet.left + sheet.size[0])}")
+        names.append(_text(sheet.left - 6, at + 4, _signed(tick), "end"))
+    across = sheet.left + sheet.size[0] / 2
+    upwards = sheet.TOP + sheet.size[1] / 2
+    beside = sheet.left - 38
+    names.append(
+        _text(across, sheet.bottom + 34, f"{_direction(plane[0], 'right')} (mm)", "middle")
+    )
+    turned = f' transform="rotate(-90 {_n(beside)} {_n(upwards)})"'
+    names.append(_text(beside, upwards, f"{_direction(plane[1], 'up')} (mm)", "middle", turned))
+    return marks, names
+
+
+def _line(centres: np.ndarray, colors: Sequence[str], width: float) -> list[str]:
+    """The path of the sphere's centre (K, 2) [mm], each piece in the colour of its time."""
+    return [
+        f'<path d="M{_points(centres[k : k + 2])}" stroke="{colors[k]}" stroke-width="{_n(width)}"/>'
+        for k in range(len(centres) - 1)
+    ]
+
+
+def _spheres(
+    path: SpherePath, centres: np.ndarray, colors: Sequence[str], scale: float
+) -> list[str]:
+    """The sphere at some instants, dashed at the first and bold at the last."""
+    shapes = []
+    # the start on top: where nothing moved it would not be seen
+    for k in _instants(path.times_s)[::-1]:
+        drawn = f'cx="{_n(centres[k, 0])}" cy="{_n(centres[k, 1])}" r="{_n(MM * path.radius)}" stroke="{colors[k]}"'
+        if k == 0:
+            dashes = f"{_n(5 / scale)} {_n(4 / scale)}"
+            drawn += f' class="start" stroke-dasharray="{dashes}" stroke-width="{_n(1.8 / scale)}"'
+        elif k == len(centres) - 1:
+            drawn += f' class="end" stroke-width="{_n(2.6 / scale)}"'
+        shapes.append(f"<circle {drawn}/>")
+    return shapes
+
+
+@dataclass(frozen=True)
+class _Clockwork:
+    """How time runs in a moving picture: slower, with a pause at the end."""
+
+    times_s: np.ndarray  # of the path, (K,)
+
+    @property
+    def duration_s(self) -> float:
+        return float(SLOWER * (self.times_s[-1] - self.times_s[0]) + PAUSE_S)
+
+    @property
+    def keys(self) -> np.ndarray:
+        """The instants as shares of the duration, (K,)."""
+        return SLOWER * (self.times_s - self.times_s[0]) / self.duration_s
+
+    def moving(self, attribute: str, values: Sequence[str], kind: str = "") -> str:
+        """An attribute that takes one value after the other, and rests in the end.
+
+        Args:
+            attribute: Of the shape about it.
+            values: K of them.
+            kind: Of a transformation, such as ``rotate``.
+        """
+        every = ";".join([*values, values[-1]])
+        when = ";".join([*(f"{key:.4f}" for key in self.keys), "1"])
+        tag = "animateTransform" if kind else "animate"
+        of_kind = f' type="{kind}"' if kind else ""
+        return (
+            f'<{tag} attributeName="{attribute}"{of_kind} values="{every}" keyTimes="{when}" '
+            f'dur="{self.duration_s:.2f}s" repeatCount="indefinite"/>'
+        )
+
+    def readings(self, x: float, y: float) -> list[str]:
+        """The time, as one text per reading that is shown in its turn."""
+        keys = self.keys
+        rows = _evenly(len(self.times_s), MOST_CLOCK_READINGS)
+        parts = []
+        for place, row in enumerate(rows):
+            shown = ["visible"]
+            when = ["0"]
+            if place > 0:
+                shown = ["hidden", "visible"]
+                when = ["0", f"{keys[row]:.4f}"]
+            if place + 1 < len(rows):
+                shown.append("hidden")
+                when.append(f"{keys[rows[place + 1]]:.4f}")
+            parts.append(
+                f'<text x="{_n(x)}" y="{_n(y)}" text-anchor="middle" font-size="17" visibility="{shown[0]}">'
+                f'{self.times_s[row]:.2f} s<animate attributeName="visibility" calcMode="discrete" '
+                f'values="{";".join(shown)}" keyTimes="{";".join(when)}" dur="{self.duration_s:.2f}s" '
+                'repeatCount="indefinite"/></text>'
+            )
+        return parts
 
 
 def moving_figure(path: SpherePath, number: int) -> str:
@@ -178,47 +287,26 @@ def moving_figure(path: SpherePath, number: int) -> str:
     inside = MM * _outline(path, plane)
     centres = MM * path.position @ plane.T
     angles, fall = _turns(path, plane)
-    reach = np.linalg.norm(inside, axis=1).max()
-    half = 130.0
     side = 300.0
-    scale = half / reach
-    duration = SLOWER * (path.times_s[-1] - path.times_s[0]) + PAUSE_S
-    keys = SLOWER * (path.times_s - path.times_s[0]) / duration
-
-    def moving(
-        attribute: str,
-        values: Sequence[str],
-        extra: str = "",
-    ) -> str:
-        every = ";".join([*values, values[-1]])  # it rests in the end
-        when = ";".join([*(f"{key:.4f}" for key in keys), "1"])
-        tag = "animateTransform" if extra else "animate"
-        return (
-            f'<{tag} attributeName="{attribute}"{extra} values="{every}" keyTimes="{when}" dur="{duration:.2f}s" '
-            'repeatCount="indefinite"/>'
-        )
-
+    aside = side + 34
+    scale = 130.0 / np.linalg.norm(inside, axis=1).max()
+    clockwork = _Clockwork(path.times_s)
     degrees = [_n(angle) for angle in np.degrees(angles)]
-    places = [[_n(value) for value in column] for column in centres.T]
+    x = [_n(value) for value in centres[:, 0]]
+    y = [_n(value) for value in centres[:, 1]]
     sphere = (
-        f'<circle cx="{places[0][0]}" cy="{places[1][0]}" r="{_n(MM * path.radius)}" fill="{ACCENT}" fill-opacity=".35" '
-        f'stroke="{ACCENT}">{moving("cx", places[0])}{moving("cy", places[1])}</circle>'
+        f'<circle cx="{x[0]}" cy="{y[0]}" r="{_n(MM * path.radius)}" fill="{ACCENT}" fill-opacity=".35" '
+        f'stroke="{ACCENT}">{clockwork.moving("cx", x)}{clockwork.moving("cy", y)}</circle>'
     )
-    turn = moving("transform", degrees, ' type="rotate"')
+    turn = clockwork.moving("transform", degrees, "rotate")
     body = [
         f'<g transform="translate({_n(side / 2)} {_n(side / 2)}) scale({scale:.5g} {-scale:.5g})" fill="none" '
         f'stroke-width="{_n(1.6 / scale)}"><g transform="rotate({degrees[0]})">{turn}'
         f'<polygon points="{_points(inside)}" fill="{INSIDE}" stroke="{INK}"/>'
         f'<path d="M{_points(centres)}" stroke="{MUTED}"/>{sphere}</g></g>',
-        _arrow(
-            (side + 34, 76),
-            np.array([0.0, -fall]),
-            40.0,
-            INK,
-            "in the world",
-        ),
-        _text(side + 34, 22, "gravity", "middle"),
-        *_clock(path.times_s, keys, duration, side + 34, side - 40),
+        _arrow((aside, 76), np.array([0.0, -fall]), 40.0, INK, "in the world"),
+        _text(aside, 22, "gravity", "middle"),
+        *clockwork.readings(aside, side - 40),
     ]
     return _svg(
         side + 80, side, f"Path {number}: the container and the sphere as they moved", "", body
@@ -330,33 +418,6 @@ def _time_scale(path: SpherePath, number: int, x: float, y: float) -> str:
         + _text(x - 45, y + 22, f"{path.times_s[0]:.2f}", "start")
         + _text(x + 45, y + 22, f"{path.times_s[-1]:.2f} s", "end")
     )
-
-
-def _clock(
-    times_s: np.ndarray,
-    keys: np.ndarray,
-    duration: float,
-    x: float,
-    y: float,
-) -> list[str]:
-    """The time, as one text per reading that is shown in its turn."""
-    rows = _evenly(len(times_s), MOST_CLOCK_READINGS)
-    parts = []
-    for place, row in enumerate(rows):
-        shown, when = (
-            (["visible"], ["0"])
-            if place == 0
-            else (["hidden", "visible"], ["0", f"{keys[row]:.4f}"])
-        )
-        if place + 1 < len(rows):
-            shown = [*shown, "hidden"]
-            when = [*when, f"{keys[rows[place + 1]]:.4f}"]
-        parts.append(
-            f'<text x="{_n(x)}" y="{_n(y)}" text-anchor="middle" font-size="17" visibility="{shown[0]}">{times_s[row]:.2f} s'
-            f'<animate attributeName="visibility" calcMode="discrete" values="{";".join(shown)}" keyTimes="{";".join(when)}" '
-            f'dur="{duration:.2f}s" repeatCount="indefinite"/></text>'
-        )
-    return parts
 
 
 def _arrow(

@@ -39,7 +39,7 @@ from proprio_ros.identification.judge import (
     positive,
     rejected,
 )
-from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
@@ -85,7 +85,13 @@ def find_sphere(
 ) -> Estimate:
     """Identify the mass of the sphere that all ``runs`` share.
 
-    The baseline is runs with the empty container, ``tracks`` what a camera saw in each of the ``runs``, or nothing at all.
+    Args:
+        robot: As its file or its calibration states it.
+        runs: With the sphere.
+        facts: Of the container and the sphere.
+        options: Of the solver.
+        baseline: Runs with the empty container.
+        tracks: What a camera saw in each of the ``runs``, or nothing at all.
 
     Raises:
         ConfigurationError: Neither a baseline nor the shell's mass.
@@ -95,17 +101,14 @@ def find_sphere(
     check_shell(facts, baseline)
     found = Findings()
     search = SphereSearch(robot, facts, options)
-    with_sphere = [
-        (run, True, track) for run, track in zip(runs, tracks or [None] * len(runs), strict=True)
-    ]
-    for run, rolls, track in [*with_sphere, *((run, False, None) for run in baseline)]:
+    rolling = [True] * len(runs) + [False] * len(baseline)
+    seen = [*(tracks or [None] * len(runs)), *([None] * len(baseline))]
+    for run, rolls, track in zip((*runs, *baseline), rolling, seen, strict=True):
         prepared = prepare_run(robot, run, None, facts.shell)
         if admitted(robot, prepared, found):
             search = search.added(prepared, rolls, track)
     if not any(search.rolling):
-        return no_answer(
-            "container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes
-        )
+        return _no_answer(robot, len(runs), found)
     if options.signals == "camera" and not any(search.tracks):
         raise ConfigurationError(
             "solver.signals=camera needs what a camera saw: state sphere.camera"
@@ -129,12 +132,16 @@ def find_sphere(
             found.reasons.insert(
                 0, f"the sphere bounces too chaotically to determine its mass: {better}"
             )
-            return no_answer(
-                "container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes
-            )
+            return _no_answer(robot, len(runs), found)
         nominal = search.solve(Role.FROZEN)
         opened = search.solve(Role.FREE, nominal)
     return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
+
+
+def _no_answer(robot: Robot, run_count: int, found: Findings) -> Estimate:
+    return no_answer(
+        "container", "sphere_mass", "kg", robot.name, run_count, found.reasons, found.notes
+    )
 
 
 def half_of(estimate: Estimate) -> float | None:
@@ -181,7 +188,14 @@ def _screen_baseline(search: SphereSearch) -> tuple[float, list[Refusal]]:
 
 
 def compared(name: str, one: float, others: float, together: float) -> Contradiction:
-    """What a run says of the mass against what the others say, and all of them together [kg]."""
+    """What a run says of the mass against what the others say.
+
+    Args:
+        name: Of the run.
+        one: What it says [kg].
+        others: What the others say [kg].
+        together: What all of them say [kg].
+    """
     question = "was the same sphere in the same container, held in the same place?"
     alike = max(ALIKE_SHARE * abs(together), ALIKE_KG)
     return contradiction(name, "kg", one, others, alike, SAME_KG, question)
@@ -202,11 +216,12 @@ class WeighedSphere(Conclusion):
         super().__post_init__()
         assert isinstance(self.opened.problem, ContainerProblem)
         self.problem = self.opened.problem
-        self.facts, self.rolling = self.search.facts, np.flatnonzero(self.search.rolling).tolist()
+        self.facts = self.search.facts
+        self.rolling = np.flatnonzero(self.search.rolling).tolist()
         if np.isfinite(seen := self.problem.camera_rms(self.fit.values)):
+            alone = ", which alone was fitted" if self.search.options.signals == "camera" else ""
             self.found.notes.append(
-                f"the simulated sphere is {1e3 * seen:.1f} mm rms from where the camera saw it"
-                + (", which alone was fitted" if self.search.options.signals == "camera" else "")
+                f"the simulated sphere is {1e3 * seen:.1f} mm rms from where the camera saw it{alone}"
             )
 
     def widen(self) -> None:
@@ -238,9 +253,7 @@ class WeighedSphere(Conclusion):
                 other = self._with(changed)
                 values = other.base.copy()
                 values[self.problem.free] = self.fit.values[self.problem.free]
-                for at in (
-                    other.index[f"sphere_{axis}", row] for row in self.rolling for axis in "xyz"
-                ):
+                for at in self._start_rows(other):
                     # where it lay moves with the walls
                     values[at] = (
                         self.fit.values[at]
@@ -257,6 +270,13 @@ class WeighedSphere(Conclusion):
             )
         return guesses
 
+    def _start_rows(self, problem: ContainerProblem) -> list[int]:
+        """The unknowns of a problem that say where the sphere lay."""
+        rows = []
+        for row in self.rolling:
+            rows += [problem.index[f"sphere_{axis}", row] for axis in "xyz"]
+        return rows
+
     def _with(self, facts: ContainerFacts) -> ContainerProblem:
         """The problem under other facts."""
         return replace(self.search, facts=facts).problem(Role.FREE)[0]
@@ -266,8 +286,7 @@ class WeighedSphere(Conclusion):
         fit = self.fit
         posterior = self.assessed.posterior
         # less deep in a harder wall
-        for key in ((f"sphere_{axis}", row) for row in self.rolling for axis in "xyz"):
-            at = other.index[key]
+        for at in self._start_rows(other):
             values[at] = np.clip(
                 values[at],
                 other.unknowns[at].lower,
@@ -352,10 +371,14 @@ class WeighedSphere(Conclusion):
         options = self.search.options
         best = float(nominal.physical(self.name)[nominal.solution.best])
         return summary(
-            nominal, self.name, options.starts_kg, max(1e-4, DISTINCT * abs(best), self.assessed.std,),
+            nominal,
+            self.name,
+            options.starts_kg,
+            max(1e-4, DISTINCT * abs(best), self.assessed.std),
             nominal.solution.iterations + self.fit.solution.iterations,
-            SearchOptions(integrator=options.integrator, step_s=self.problem.contact_step_s,), final=self.fit,
-        )  # fmt: skip
+            SearchOptions(integrator=options.integrator, step_s=self.problem.contact_step_s),
+            final=self.fit,
+        )
 
     def values(self, withheld: str) -> tuple[Value, ...]:
         shell = self.problem.index["payload_mass"]
@@ -384,45 +407,41 @@ class WeighedSphere(Conclusion):
     def paths(self) -> tuple[SpherePath, ...]:
         """Where the sphere is believed to have been, in each run that has one."""
         problem = self.problem
-        free = self.problem.free
-        special = self.problem.simulator.special
+        free = problem.free
         own = self.assessed.covariance[np.ix_(free, free)]
         enclosure = problem.container.enclosure
-        inside = enclosure.shape, enclosure.inner_size, enclosure.radius
-        shown, _, _ = problem.simulate(
-            self.fit.values[None],
-            free[:1],
-        )
+        q, _, _ = problem.simulate(self.fit.values[None], free[:1])
+        found = problem.path(self.fit.values, free)
+        geometries = problem.simulator.special.sphere_runs
         paths = []
-        for row, (x, dx), run in zip(
-            self.rolling, problem.path(self.fit.values, free), special.sphere_runs, strict=True
-        ):
-            prepared = problem.runs[row]
-            model = reduced_model(self.robot, prepared.run, {})
-            world_from_base = model.placement[0][:3, :3]
-            body_from_container = (
-                model.frames[self.robot.payload_frame][1][:3, :3] @ problem.container.rotation
-            )
-            turned = [
-                motion(model.kinds[0], model.axes[0], float(q))
-                for q in shown[0, row, : prepared.used]
-            ]
-            turns = np.array(
-                [world_from_base @ turn[:3, :3] @ body_from_container for turn in turned]
-            )
-            std = np.sqrt(np.einsum("kif,fg,kig->ki", dx, own, dx))
+        for row, (x, dx), geometry in zip(self.rolling, found, geometries, strict=True):
+            run = problem.runs[row]
             paths.append(
                 SpherePath(
-                    prepared.run.name,
-                    *inside,
-                    prepared.times_s,
+                    run.run.name,
+                    enclosure.shape,
+                    enclosure.inner_size,
+                    enclosure.radius,
+                    run.times_s,
                     x,
-                    std,
-                    turns,
-                    run.axis,
+                    np.sqrt(np.einsum("kif,fg,kig->ki", dx, own, dx)),
+                    self._turned(run, q[0, row, : run.used]),
+                    geometry.axis,
                 )
             )
         return tuple(paths)
+
+    def _turned(self, run: PreparedRun, position: np.ndarray) -> np.ndarray:
+        """world_R_container at positions of the driven joint, (K, 3, 3)."""
+        model = reduced_model(self.robot, run.run, {})
+        world_from_base = model.placement[0][:3, :3]
+        _, body_from_payload = model.frames[self.robot.payload_frame]
+        body_from_container = body_from_payload[:3, :3] @ self.problem.container.rotation
+        turns = []
+        for q in position:
+            turn = motion(model.kinds[0], model.axes[0], float(q))
+            turns.append(world_from_base @ turn[:3, :3] @ body_from_container)
+        return np.array(turns)
 
     def assumptions(self) -> tuple[str, ...]:
         facts = self.facts

@@ -7,6 +7,7 @@ contact that nobody knows: how much of a bounce is lost, and how slippery the wa
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -134,65 +135,105 @@ class SphereTrack:
 
 
 def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> StartPrior:
-    """What is known about the sphere's start before a run, from the driven joint's position at its start [rad or m]."""
+    """What is known about the sphere's start before a run.
+
+    Args:
+        run: Its geometry.
+        facts: What is stated of container and sphere.
+        position: Of the driven joint at the start [rad or m].
+    """
+    if facts.start is not None:
+        return _stated_start(facts, facts.start)
     room = facts.enclosure.room
     gravity = run.gravity_at(position)
-    weight = float(np.linalg.norm(gravity))
     # about as likely at a wall as in the middle
-    mean = np.zeros(3)
-    std = room.copy()
-    lower = -room
-    upper = room.copy()
-    # along the joint's axis the sphere may be anywhere: it makes no difference
-    matters = np.abs(run.axis) < 0.9 if run.kind == "revolute" else np.ones(3, dtype=bool)
-    if facts.start is not None:
-        mean = np.asarray(facts.start, dtype=np.float64)
-        std = np.full(3, facts.start_std)
-        # where walls carry the sphere it is a little inside them
-        outside = float(facts.sinks(9.81))
-        return StartPrior(
-            mean,
-            std,
-            np.minimum(-room - outside, mean),
-            np.maximum(room + outside, mean),
-            mean[None],
-        )
+    anywhere = StartPrior(np.zeros(3), room.copy(), -room, room.copy(), np.zeros((1, 3)))
+    prior = anywhere
     free = np.ones(3, dtype=bool)
     if facts.settled and facts.enclosure.shape == "box":
-        free = np.abs(gravity) < LEVEL * weight
-        mean = np.where(
-            free,
-            0.0,
-            np.sign(gravity) * (room + facts.sinks(np.abs(gravity))),
-        )
-        std = np.where(free, std, RESTING_STD_M)
-        lower = np.minimum(lower, mean)
-        upper = np.maximum(upper, mean)
+        prior, free = _settled_in_box(anywhere, facts, gravity)
     elif facts.settled:
-        # what pulls it towards a curved wall, and how far that wall is: the rim of a cylinder, or the whole sphere
-        round_axes = [0, 1] if facts.enclosure.shape == "cylinder" else [0, 1, 2]
-        pull = float(np.linalg.norm(gravity[round_axes]))
-        if pull > LEVEL * weight:
-            reach = room[0] + facts.sinks(pull)
-            mean[round_axes], std[round_axes] = reach * gravity[round_axes] / pull, RESTING_STD_M
-            lower[round_axes], upper[round_axes] = -reach, reach
-            free[round_axes] = False
-        if facts.enclosure.shape == "cylinder" and abs(gravity[2]) > LEVEL * weight:
-            mean[2] = np.sign(gravity[2]) * (room[2] + facts.sinks(abs(gravity[2])))
-            std[2], free[2] = RESTING_STD_M, False
-            lower[2], upper[2] = min(lower[2], mean[2]), max(upper[2], mean[2])
-    guesses = [mean]
+        prior, free = _settled_on_curved_wall(anywhere, facts, gravity)
+    # along the joint's axis the sphere may be anywhere: it makes no difference
+    matters = np.abs(run.axis) < 0.9 if run.kind == "revolute" else np.ones(3, dtype=bool)
+    guesses = [prior.mean]
     for axis in np.flatnonzero(free & matters):
         guesses = [
             np.where(np.arange(3) == axis, share * room, guess)
             for guess in guesses
             for share in (0.0, -0.9, 0.9)
         ]
-    return StartPrior(mean, std, lower, upper, np.array(guesses))
+    return replace(prior, guesses=np.array(guesses))
+
+
+def _stated_start(facts: ContainerFacts, start: np.ndarray) -> StartPrior:
+    """As the user states it; where walls carry the sphere it is a little inside them."""
+    room = facts.enclosure.room
+    mean = np.asarray(start, dtype=np.float64)
+    outside = float(facts.sinks(9.81))
+    return StartPrior(
+        mean,
+        np.full(3, facts.start_std),
+        np.minimum(-room - outside, mean),
+        np.maximum(room + outside, mean),
+        mean[None],
+    )
+
+
+def _settled_in_box(
+    anywhere: StartPrior, facts: ContainerFacts, gravity: np.ndarray
+) -> tuple[StartPrior, np.ndarray]:
+    """At each wall that gravity pulls to; along axes that are about level, (3,), it may be anywhere."""
+    level = np.abs(gravity) < LEVEL * float(np.linalg.norm(gravity))
+    at_wall = np.sign(gravity) * (facts.enclosure.room + facts.sinks(np.abs(gravity)))
+    mean = np.where(level, 0.0, at_wall)
+    prior = replace(
+        anywhere,
+        mean=mean,
+        std=np.where(level, anywhere.std, RESTING_STD_M),
+        lower=np.minimum(anywhere.lower, mean),
+        upper=np.maximum(anywhere.upper, mean),
+    )
+    return prior, level
+
+
+def _settled_on_curved_wall(
+    anywhere: StartPrior, facts: ContainerFacts, gravity: np.ndarray
+) -> tuple[StartPrior, np.ndarray]:
+    """Where gravity pulls it to on the rim of a cylinder or inside a ball, and at an end of a cylinder; else anywhere, (3,)."""
+    room = facts.enclosure.room
+    weight = float(np.linalg.norm(gravity))
+    is_cylinder = facts.enclosure.shape == "cylinder"
+    prior = copy.deepcopy(anywhere)
+    free = np.ones(3, dtype=bool)
+    round_axes = [0, 1] if is_cylinder else [0, 1, 2]
+    pull = float(np.linalg.norm(gravity[round_axes]))
+    if pull > LEVEL * weight:
+        reach = room[0] + facts.sinks(pull)
+        prior.mean[round_axes] = reach * gravity[round_axes] / pull
+        prior.std[round_axes] = RESTING_STD_M
+        prior.lower[round_axes] = -reach
+        prior.upper[round_axes] = reach
+        free[round_axes] = False
+    if is_cylinder and abs(gravity[2]) > LEVEL * weight:
+        end = np.sign(gravity[2]) * (room[2] + facts.sinks(abs(gravity[2])))
+        prior.mean[2] = end
+        prior.std[2] = RESTING_STD_M
+        prior.lower[2] = min(prior.lower[2], end)
+        prior.upper[2] = max(prior.upper[2], end)
+        free[2] = False
+    return prior, free
 
 
 def sphere_run(robot: Robot, run: PreparedRun, facts: ContainerFacts, joint: JointRun) -> SphereRun:
-    """The geometry of a run: joint axis and gravity as the container sees them."""
+    """The geometry of a run: joint axis and gravity as the container sees them.
+
+    Args:
+        robot: As its file or its calibration states it.
+        run: Prepared.
+        facts: Where the container is in the hand, and how it is turned.
+        joint: The run as the simulator takes it.
+    """
     model = reduced_model(robot, run.run, {})
     _, body_from_payload = model.frames[robot.payload_frame]
     axis, gravity = axis_and_gravity(model)
@@ -217,7 +258,13 @@ def container_unknowns(
 ) -> list[Unknown]:
     """All unknowns: those of a weighing with the shell as its payload, and the sphere's.
 
-    ``priors`` are of the runs that have one; ``drive_role`` is what the recording may move of the robot and of the contact.
+    Args:
+        robot: Whose drive trains move the runs.
+        runs: R of them.
+        rolling: Which of them have a sphere, length R.
+        facts: What is stated of container and sphere.
+        priors: Of the sphere's start in each of the runs that have one.
+        drive_role: What the recording may move of the robot and of the contact.
     """
     unknowns = load_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
     unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
@@ -416,35 +463,38 @@ class ContainerProblem(Problem):
         width = len(self.simulator.parameters)
         direct = size <= width
         x, dx = self.simulator.special.last_path(size if direct else width)
-        x = x.reshape(guesses, -1, *x.shape[1:])
-        dx = dx.reshape(guesses, -1, *dx.shape[1:])
-        slope = self.coordinates.slope(internal)
+        x = x.reshape(guesses, -1, *x.shape[1:])  # (G, K, T, 3)
+        dx = dx.reshape(guesses, -1, *dx.shape[1:])  # (G, K, T, 3, size or width)
         _, dp = self.kernel_parameters(self.coordinates.physical(internal))
         dp = dp.reshape(guesses, len(self.runs), width, size)
-        good = np.flatnonzero(np.isfinite(cost))
+        slope = self.coordinates.slope(internal)
+        simulable = np.flatnonzero(np.isfinite(cost))
         for seen in self._seen:
             run = self.runs[seen.row]
             # of a window that grows only what has been passed counts
             last = run.used if counts is None else int(counts[seen.row])
-            passed = seen.track.times_s <= run.times_s[last - 1]
-            between = seen.between[passed]
-            if last < run.used:
-                between = _between(run.times_s[:last], seen.track.times_s[passed])
-            for guess in good:
+            between, places = self._passed(seen, last)
+            for guess in simulable:
                 slopes = dx[guess, seen.rolling_row, :last]
                 if not direct:
                     slopes = slopes @ dp[guess, seen.row]
-                off = (
-                    between @ x[guess, seen.rolling_row, :last].reshape(last, 3)
-                    - seen.track.position[passed]
-                )
+                simulated = x[guess, seen.rolling_row, :last].reshape(last, 3)
                 by = np.einsum("ck,kif->cif", between, slopes) * slope[guess]
-                residual = off.ravel() / seen.track.std
+                residual = (between @ simulated - places).ravel() / seen.track.std
                 by = by.reshape(-1, size) / seen.track.std
                 cost[guess] += 0.5 * float(residual @ residual)
                 gradient[guess] += by.T @ residual
                 matrix[guess] += by.T @ by
         return cost, gradient, matrix
+
+    def _passed(self, seen: _Seen, last: int) -> tuple[np.ndarray, np.ndarray]:
+        """What takes the first samples of a run to the instants of a track up to there, (C, last), and the places seen, (C, 3)."""
+        run = self.runs[seen.row]
+        passed = seen.track.times_s <= run.times_s[last - 1]
+        between = seen.between[passed]
+        if last < run.used:
+            between = _between(run.times_s[:last], seen.track.times_s[passed])
+        return between, seen.track.position[passed]
 
     def other_information(self, values: np.ndarray) -> np.ndarray:
         information = super().other_information(values)

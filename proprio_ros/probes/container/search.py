@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -80,7 +81,13 @@ class SphereSearch:
     def added(
         self, run: PreparedRun, rolls: bool, track: SphereTrack | None = None
     ) -> SphereSearch:
-        """With another run."""
+        """With another run.
+
+        Args:
+            run: Prepared.
+            rolls: Whether it has a sphere.
+            track: What a camera saw of it.
+        """
         return replace(
             self,
             runs=(*self.runs, run),
@@ -115,7 +122,7 @@ class SphereSearch:
         rolling = self.rolling
         options = self.options
         priors = []
-        for run in (run for run, rolls in zip(runs, rolling, strict=True) if rolls):
+        for run in itertools.compress(runs, rolling):
             nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
             priors.append(
                 start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value)
@@ -134,7 +141,10 @@ class SphereSearch:
     ) -> FitResult:
         """Fit the runs from every guess, or from every end of another fit, which may have had fewer runs.
 
-        ``rough`` is enough to choose the next run by, or to start another fit from.
+        Args:
+            role: What the recording may move of the robot and of the contact.
+            start: Another fit.
+            rough: Enough to choose the next run by, or to start another fit from.
         """
         problem, guesses = self.problem(role)
         free = list(problem.free)
@@ -142,14 +152,12 @@ class SphereSearch:
             starts = _carried_over(start, problem)[:, free]
             if self.robot.calibration is None:
                 starts = np.concatenate([starts, *_with_friction(problem, starts)])
-            iterations, tolerance = (10, 0.03) if rough else (30, 1e-3)
-            internal = problem.coordinates.internal(starts)
             solution = solvers.levenberg_marquardt(
                 problem,
-                internal,
+                problem.coordinates.internal(starts),
                 None,
-                iterations=iterations,
-                tolerance=tolerance,
+                iterations=10 if rough else 30,
+                tolerance=0.03 if rough else 1e-3,
                 persistent=not rough,
             )
             return FitResult.of(problem, solution)
@@ -225,13 +233,24 @@ def _distinct(fit: FitResult) -> list[int]:
 def fit_empty(
     robot: Robot, empty: Sequence[PreparedRun], facts: ContainerFacts, options: ContainerOptions
 ) -> FitResult:
-    """Weigh the empty container."""
+    """Weigh the empty container.
+
+    Args:
+        robot: As its file or its calibration states it.
+        empty: Runs with it, prepared.
+        facts: Of its shell.
+        options: Of which integrator and step count.
+    """
     weighing = SearchOptions(integrator=options.integrator, step_s=options.step_s)
     return fit_both(partial(solve_load, robot, empty, facts.shell, weighing), unexplained)[1]
 
 
 def check_shell(facts: ContainerFacts, baseline: Sequence[Run]) -> None:
-    """Raises: ConfigurationError: Neither a baseline nor the shell's mass is known."""
+    """Refuse a container of which neither a baseline nor the shell's mass is known.
+
+    Raises:
+        ConfigurationError: That is so.
+    """
     if not baseline and not np.isfinite(facts.mass_std):
         raise ConfigurationError(
             "a sphere cannot be separated from the container that holds it: give recordings of the empty container with "
@@ -257,17 +276,23 @@ def lost_at(fit: FitResult) -> dict[int, int]:
 
 
 def known_until(std: np.ndarray, facts: ContainerFacts) -> int:
-    """How many samples come before the sphere's place is lost; std of it, shape (K,) [m]."""
-    known = max(
+    """How many samples come before the sphere's place is lost, whose standard deviation is `std` [m], (K,)."""
+    widest = max(
         LOST_SHARE * 2.0 * facts.enclosure.room.min(),
         LOST_GROWTH * float(std[0]),
     )
-    lost = np.flatnonzero(~(std < known))
+    lost = np.flatnonzero(~(std < widest))  # NaN is lost, too
     return int(lost[0]) if len(lost) else len(std)
 
 
 def shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
-    """The first samples of a run, and why no more."""
+    """The first samples of a run.
+
+    Args:
+        run: Prepared.
+        used: How many are kept.
+        reason: Why no more.
+    """
     return replace(
         run,
         used=used,
