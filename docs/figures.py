@@ -393,27 +393,73 @@ def _speed_row(part: str, what: str) -> dict[str, Any]:
     return dict(found)
 
 
+def _is_shown(row: Mapping[str, Any]) -> bool:
+    """Whether a row of the comparison has a goal, or is what others are compared with."""
+    return bool(row["goal"]) or (row["what"].startswith("ours: ") and not row["ratio"])
+
+
 def speed() -> str:
-    """One table of all parts of the comparison."""
+    """One table of the comparisons that have a goal, and of what they compare with."""
     tables = kept("speed")["tables"]
     machine = kept("speed")["machine"]
     rows = [
-        line([row["what"], row["fastest"] or "-", row["median"] or "-", row["ratio"], row["note"]])
+        (row["what"], row["fastest"] or "-", row["median"] or "-", row["ratio"])
         for table in tables.values()
         for row in table["rows"]
+        if _is_shown(row)
     ]
-    said = (
+    measured = (
         f"{source('speed')[:-1]}; {machine['cores']} cores, load {machine['load']} when it began."
     )
-    return "\n".join(
-        [
-            said,
-            "",
-            line(["what", "fastest", "median", "beside it", ""]),
-            "|---|---|---|---|---|",
-            *rows,
-        ]
-    )
+    return f"{measured}\n\n{table_of(('what', 'fastest', 'median', 'beside it'), rows)}"
+
+
+# --- recordings that differ ---------------------------------------------------------------------------------------------
+
+MACHINES = (
+    ("arms of three joints", r"arm of 3 joints"),
+    ("arms of four and six joints, one empty recording", r"arm, 1 empty"),
+    ("the same, three empty recordings", r"arm, 3 empty"),
+    ("the same, efforts 1.03 times as large", r"arm, as a minute later, efforts 1\.03"),
+    ("the same, efforts 1.05 times as large", r"arm, as a minute later, efforts 1\.05"),
+    ("the same, efforts 1.1 times as large", r"arm, as a minute later, efforts 1\.1 "),
+    ("pendulums", r"pendulum"),
+    ("servos under their own law", r"servo"),
+    ("real KUKA LWR4+", r"real KUKA"),
+    ("real STS3215 and STS3250 that let go", r"real STS32"),
+    ("real UR10e", r"real UR10e, 1 empty"),
+    ("the same, a joint's zero 0.02, 0.15 or 0.3 rad off", r"real UR10e, a joint"),
+    ("the same, efforts 3, 5 or 10 % off", r"real UR10e, efforts"),
+    ("real servos, by another servo and arm", r"real, let go"),
+    ("all", r"all"),
+)
+"""Rows of `between_recordings.json` that are added up, and how their names begin."""
+
+
+def between_in_short() -> str:
+    """Questions to recordings that differ, by machine."""
+    every = kept("between_recordings")["tables"]["between"]["rows"]
+    rows = []
+    for machine, begins in MACHINES:
+        chosen = [row for row in every if re.match(begins, row["row"])]
+        counts = {
+            key: sum(row[key] for row in chosen)
+            for key in ("questions", "accepted", "too_wide", "refused", "hold", "given")
+        }
+        far = [row["worst"] for row in chosen if row["given"]]
+        rows.append(
+            (
+                machine,
+                str(counts["questions"]),
+                str(counts["accepted"]),
+                str(counts["too_wide"]),
+                str(counts["refused"]),
+                f"{counts['hold']} of {counts['given']}",
+                f"{max(far):.1f}" if far else "-",
+            )
+        )
+    titles = ("machines", "questions", "accepted", "too wide", "refused", "hold", "farthest, in sd")
+    return f"{source('between_recordings')}\n\n{table_of(titles, rows)}"
 
 
 def speed_in_short() -> str:
@@ -437,4 +483,5 @@ VIEWS: dict[str, Callable[[], str]] = {
     "summary": summary,
     "speed": speed,
     "speed in short": speed_in_short,
+    "between_recordings in short": between_in_short,
 }

@@ -166,6 +166,12 @@ def test_a_number_that_is_missing_is_a_dash() -> None:
         figures.numbers("simulated", "weighing", level="of nobody")
 
 
+def test_machines_whose_recordings_differ_are_all_there_once() -> None:
+    rows = figures.between_in_short().splitlines()[4:]
+    asked = [int(row.split("|")[2]) for row in rows]
+    assert sum(asked[:-1]) == asked[-1]
+
+
 def test_a_block_shows_the_rows_that_are_asked_for() -> None:
     shown = figures.shown("live.live where held=all").splitlines()
     assert shown[0] == figures.source("live")
