@@ -38,8 +38,9 @@ class JointStates:
     or NaN (as joint_state_broadcaster sends them) follow from the positions. A position that is no number is passed on: the
     state machine stops for it.
 
-    ``joints``: of the arm; ``stale_after_s``: A sample is given only while every joint that was ever seen was seen
-    within this time.
+    Args:
+        joints: Of the arm.
+        stale_after_s: A sample is given only while every joint that was ever seen was seen within this time [s].
     """
 
     def __init__(self, joints: Sequence[str], stale_after_s: float) -> None:
@@ -58,30 +59,45 @@ class JointStates:
         position: Sequence[float],
         velocity: Sequence[float] = (),
     ) -> JointSample | None:
-        """One message, which came at a time [s], with the velocity of each joint, of some or of none [rad/s or m/s].
+        """One message.
+
+        Args:
+            now_s: When it came [s].
+            names: Joints, in the order of the message, shape (J,).
+            position: Of these, shape (J,) [rad or m].
+            velocity: Of all, some or none of these, shape (J,) at most [rad/s or m/s].
 
         Returns:
             All joints as last seen; None where the message says nothing about this arm, or one of its joints is not seen any more.
         """
         stated = dict(zip(names, velocity, strict=False))
-        mine = {name: q for name, q in zip(names, position, strict=False) if name in self._joints}
+        mine = {
+            name: value
+            for name, value in zip(names, position, strict=False)
+            if name in self._joints
+        }
         if not mine:
             return None
         if now_s < max(self._seen_s.values(), default=now_s):  # a simulation was set back
             self._seen_s = dict.fromkeys(self._seen_s, now_s)
             self._before.clear()
-        for name, q in mine.items():
-            self._position[name], self._seen_s[name] = q, now_s
+        for name, value in mine.items():
+            self._position[name] = value
+            self._seen_s[name] = now_s
             speed = stated.get(name, math.nan)
-            self._velocity[name] = speed if math.isfinite(speed) else self._mean(name, now_s, q)
+            if not math.isfinite(speed):
+                speed = self._mean_velocity(name, now_s, value)
+            self._velocity[name] = speed
         if now_s - min(self._seen_s.values()) > self._stale_after_s:
             return None
         return JointSample(now_s, dict(self._position), dict(self._velocity))
 
-    def _mean(self, name: str, now_s: float, q: float) -> float:
-        before_s, before = self._before.setdefault(name, (now_s, q))
-        if now_s - before_s < SPAN_S:
+    def _mean_velocity(self, name: str, now_s: float, position: float) -> float:
+        """Of a joint that is at a position now, over `SPAN_S` or a little more."""
+        before_s, before = self._before.setdefault(name, (now_s, position))
+        span_s = now_s - before_s
+        if span_s < SPAN_S:
             return self._velocity.get(name, 0.0)
-        self._before[name] = (now_s, q)
-        speed = (q - before) / (now_s - before_s)
-        return speed if math.isfinite(speed) else 0.0
+        self._before[name] = (now_s, position)
+        velocity = (position - before) / span_s
+        return velocity if math.isfinite(velocity) else 0.0

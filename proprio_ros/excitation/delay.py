@@ -43,8 +43,10 @@ class Nudge:
 
     def __init__(self) -> None:
         self._begun_s: float | None = None
-        self._made = self._raised = 0
-        self._from_rad = self._moved_rad = 0.0
+        self._made = 0
+        self._raised = 0
+        self._from_rad = 0.0
+        self._moved_rad = 0.0
 
     @property
     def over(self) -> bool:
@@ -54,13 +56,18 @@ class Nudge:
     def at(self, now_s: float, position_rad: float) -> float:
         """Acceleration now, of a joint that is there [rad/s^2]."""
         if self._begun_s is None:
-            self._begun_s, self._from_rad = now_s + NUDGE_REST_S, position_rad
+            self._begun_s = now_s + NUDGE_REST_S
+            self._from_rad = position_rad
         elapsed_s = now_s - self._begun_s
         self._moved_rad = max(self._moved_rad, abs(position_rad - self._from_rad))
         if elapsed_s >= 2.0 * NUDGE_S + NUDGE_REST_S:
-            self._made, self._begun_s, elapsed_s = self._made + 1, now_s, 0.0
-            self._raised += self._moved_rad < NUDGED_RAD
-            self._from_rad, self._moved_rad = position_rad, 0.0
+            self._made += 1
+            self._begun_s = now_s
+            elapsed_s = 0.0
+            if self._moved_rad < NUDGED_RAD:
+                self._raised += 1
+            self._from_rad = position_rad
+            self._moved_rad = 0.0
         if self.over or not 0.0 <= elapsed_s < 2.0 * NUDGE_S:
             return 0.0
         first = 1.0 if elapsed_s < NUDGE_S else -1.0
@@ -78,9 +85,12 @@ class Delay:
         self.delay_s: float | None = None
         self._joints = joints
         self._restart()
-        self._slow_effort, self._slow_inertial = np.zeros((len(LAGS_S), joints)), np.zeros(joints)
-        # of effort by effort, effort by acceleration, for each lag, and acceleration by acceleration, over time
-        self._xx, self._xy, self._yy = np.zeros(len(LAGS_S)), np.zeros(len(LAGS_S)), 0.0
+        self._slow_effort = np.zeros((len(LAGS_S), joints))
+        self._slow_inertial = np.zeros(joints)
+        # over time, for each lag: effort by effort (x x), effort by acceleration (x y), acceleration by acceleration (y y)
+        self._xx = np.zeros(len(LAGS_S))
+        self._xy = np.zeros(len(LAGS_S))
+        self._yy = 0.0
 
     def _restart(self) -> None:
         self._sent_s = np.full(KEPT, LONG_AGO_S)  # in order of time, the newest last
@@ -111,9 +121,12 @@ class Delay:
         if time_s <= self.last_s:
             self._sent[-1, 0] = effort
             return
-        before = self._integrals(np.array([time_s]))[0]
-        self._sent_s[:-1], self._sent[:-1] = self._sent_s[1:], self._sent[1:]
-        self._sent_s[-1], self._sent[-1, 0], self._sent[-1, 1:] = time_s, effort, before
+        integrals = self._integrals(np.array([time_s]))[0]  # (2, J)
+        self._sent_s[:-1] = self._sent_s[1:]
+        self._sent[:-1] = self._sent[1:]
+        self._sent_s[-1] = time_s
+        self._sent[-1, 0] = effort
+        self._sent[-1, 1:] = integrals
 
     def observe(
         self, time_s: float, position: Sequence[float], inertia: FloatArray
@@ -134,37 +147,35 @@ class Delay:
             return None
         if step_s <= 0.0:
             return None
-        self._seen_s[:-1], self._seen[:-1] = self._seen_s[1:], self._seen[1:]
-        self._seen_s[-1], self._seen[-1] = time_s, position
-        self._seen_for_s = (
-            self._seen_for_s + step_s if step_s <= GAP_S and self._seen_for_s >= 0.0 else 0.0
-        )
+        self._seen_s[:-1] = self._seen_s[1:]
+        self._seen[:-1] = self._seen[1:]
+        self._seen_s[-1] = time_s
+        self._seen[-1] = position
+        if step_s <= GAP_S and self._seen_for_s >= 0.0:
+            self._seen_for_s += step_s
+        else:
+            self._seen_for_s = 0.0
         if self._seen_for_s < 2.0 * WINDOW_S:
             return None
-        places_s = time_s - WINDOW_S * np.arange(3)
-        q = np.stack(
-            [np.interp(places_s, self._seen_s, column) for column in self._seen.T],
-            axis=1,
-        )
-        inertial = inertia @ _second_difference(q)
-        twice = self._integrals((places_s[:, None] - LAGS_S).ravel())[:, 1]
-        efforts = _second_difference(twice.reshape(3, len(LAGS_S), -1))
+        places_s = time_s - WINDOW_S * np.arange(3)  # (3,)
+        columns = [np.interp(places_s, self._seen_s, column) for column in self._seen.T]
+        inertial = inertia @ _second_difference(np.stack(columns, axis=1))  # (J,)
+        lagged_s = places_s[:, None] - LAGS_S  # (3, L)
+        twice = self._integrals(lagged_s.ravel())[:, 1]
+        efforts = _second_difference(twice.reshape(3, len(LAGS_S), -1))  # (L, J)
         self._compare(step_s, efforts, inertial, np.diag(inertia))
         return inertial, efforts[round(self.assumed_s / LAG_STEP_S)]
 
     def coming(self) -> tuple[FloatArray, FloatArray]:
         """What efforts that are under way will have added to momenta when the last one begins to work, and that one's integral."""
         ahead_s = self.assumed_s
-        now_s = self.last_s
-        (then, then_twice), (now, now_twice) = self._integrals(np.array([now_s, now_s - ahead_s]))
-        return then - now, then_twice - now_twice - now * ahead_s
+        begins_s = self.last_s - ahead_s  # what was sent then begins to work now
+        then, now = self._integrals(np.array([self.last_s, begins_s]))  # (2, J) each: once, twice
+        return then[0] - now[0], then[1] - now[1] - now[0] * ahead_s
 
     def _integrals(self, times_s: FloatArray) -> FloatArray:
         """Of the efforts, once and twice, shape (T, 2, J); before the first one there are none."""
-        row = np.maximum(
-            self._sent_s.searchsorted(times_s, side="right") - 1,
-            0,
-        )
+        row = np.maximum(self._sent_s.searchsorted(times_s, side="right") - 1, 0)
         since = (times_s - self._sent_s[row])[:, None]
         sent = self._sent[row]
         effort = sent[:, 0]
@@ -177,12 +188,21 @@ class Delay:
     def _compare(
         self, step_s: float, efforts: FloatArray, inertial: FloatArray, inertia: FloatArray
     ) -> None:
-        slow = min(step_s / SLOW_S, 1.0) if self._seen_for_s > 2.0 * WINDOW_S + step_s else 1.0
+        """Update the correlation of efforts and accelerations at each lag, and with it the delay.
+
+        Args:
+            step_s: Since the last reading [s].
+            efforts: By lag and joint, shape (L, J) [N m or N].
+            inertial: Inertial efforts, shape (J,) [N m or N].
+            inertia: Of the joints, shape (J,) [kg m^2 or kg].
+        """
+        begun = self._seen_for_s > 2.0 * WINDOW_S + step_s
+        slow = min(step_s / SLOW_S, 1.0) if begun else 1.0
         self._slow_effort += slow * (efforts - self._slow_effort)
         self._slow_inertial += slow * (inertial - self._slow_inertial)
         of = np.where(inertia > 0.0, inertia, math.inf)
-        x = (efforts - self._slow_effort) / of
-        y = (inertial - self._slow_inertial) / of
+        x = (efforts - self._slow_effort) / of  # (L, J) accelerations that were asked for
+        y = (inertial - self._slow_inertial) / of  # (J,) accelerations that were seen
         asked = np.abs(x).max(axis=0) > ASKED_RAD_S2
         if not asked.any():
             return
@@ -192,17 +212,25 @@ class Delay:
         self._xx = kept * self._xx + step_s * np.sum(x * x, axis=1)
         self._xy = kept * self._xy + step_s * np.sum(x * y, axis=1)
         self._yy = kept * self._yy + step_s * float(y @ y)
+        if self._yy < LEAST_RAD_S2**2:
+            return
+        # squared correlation, of lags at which both have the same sign
         alike = np.maximum(self._xy, 0.0) ** 2 / np.maximum(self._xx * self._yy, 1e-12)
-        best = int(np.argmax(alike))
-        if self._yy >= LEAST_RAD_S2**2 and alike[best] >= SURE:
-            before, at, after = alike[
-                [max(best - 1, 0), best, min(best + 1, len(LAGS_S) - 1)]
-            ].tolist()
-            bend = before - 2.0 * at + after  # the vertex of a parabola through them
-            off = (
-                0.5 * (before - after) / bend if 0 < best < len(LAGS_S) - 1 and bend < 0.0 else 0.0
-            )
-            self.delay_s = float(LAGS_S[best]) + off * LAG_STEP_S
+        if alike.max() >= SURE:
+            self.delay_s = _peak_s(alike)
+
+
+def _peak_s(alike: FloatArray) -> float:
+    """The lag of the best one of `LAGS_S`, by the vertex of a parabola through it and its neighbours [s]."""
+    best = int(np.argmax(alike))
+    lag_s = float(LAGS_S[best])
+    if not 0 < best < len(LAGS_S) - 1:
+        return lag_s
+    before, at, after = alike[best - 1 : best + 2].tolist()
+    bend = before - 2.0 * at + after
+    if not bend < 0.0:
+        return lag_s
+    return lag_s + 0.5 * (before - after) / bend * LAG_STEP_S
 
 
 def _second_difference(three: FloatArray) -> FloatArray:

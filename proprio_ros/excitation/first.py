@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -55,78 +56,102 @@ def poses_of(robot: Robot) -> Mapping[str, Sequence[tuple[float, dict[str, float
         for name in robot.drive_trains
         if abs(lever_m(robot, name, bent)) > 1e-6
     }
-    drawn = [
-        {**rest, **{n: round(float(random.uniform(*span)), 2) for n, span in limits.items()}}
-        for _ in range(POSES)
-    ]
-    found: dict[str, list[tuple[float, dict[str, float]]]] = {}
-    for name in limits:
-        slides = robot.model.joint(name).kind == "prismatic"
-        levers = [
-            (lever_m(robot, name, pose), pose)
-            for pose in drawn
-            if not slides and _has_room(robot, name, pose)
-        ]
-        found[name] = [(lever, pose) for lever, pose in levers if abs(lever) > LEAST_LEVER_M]
+    drawn = []
+    for _ in range(POSES):
+        places = {name: round(float(random.uniform(*span)), 2) for name, span in limits.items()}
+        drawn.append({**rest, **places})
+    return {name: _with_lever(robot, name, drawn) for name in limits}
+
+
+def _with_lever(
+    robot: Robot, name: str, poses: Sequence[dict[str, float]]
+) -> list[tuple[float, dict[str, float]]]:
+    """The poses in which a joint has room for a push, and a weight in the hand a lever on it, with that lever [m/rad]."""
+    if robot.model.joint(name).kind == "prismatic":
+        return []
+    found = []
+    for pose in poses:
+        if not _has_room(robot, name, pose):
+            continue
+        lever = lever_m(robot, name, pose)
+        if abs(lever) > LEAST_LEVER_M:
+            found.append((lever, pose))
     return found
 
 
 def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.ExcitationSequence:
-    """Pushes of an arm with what `WORDS` says in its hand; the same whenever they are asked for.
+    """Pushes of an arm; the same whenever they are asked for.
 
-    Raises `ConfigurationError`: No driven joint that turns feels a weight in the hand where there is room for a push.
+    Args:
+        robot: The arm.
+        hand: What should be in the hand, one of `WORDS`.
+        held_kg: What is known to be in the hand [kg].
+
+    Raises:
+        ConfigurationError: No driven joint that turns feels a weight in the hand where there is room for a push.
     """
-    goals = [
-        drive.driven_by is not None and drive.driven_by.follows_goal
-        for drive in robot.drive_trains.values()
-    ]
-    loads, steps, found = Loads(robot), any(goals), poses_of(robot)
+    found = poses_of(robot)
 
     def shows(name: str) -> float:
         """How much of a weight in the hand: against what rubs, which grows with what the joint can lift."""
-        return max((abs(lever) for lever, _ in found[name]), default=0.0) / plans.largest_current_A(
-            robot, name
-        )
+        longest = max((abs(lever) for lever, _ in found[name]), default=0.0)
+        return longest / plans.largest_current_A(robot, name)
 
-    best = sorted((name for name, poses in found.items() if poses), key=shows, reverse=True)[
-        :JOINTS
-    ]
+    with_poses = [name for name, poses in found.items() if poses]
+    best = sorted(with_poses, key=shows, reverse=True)[:JOINTS]
     if not best:
         words = "no joint that a motor turns feels a weight in the hand where there is room for a push: state sequences"
         raise ConfigurationError(f"{robot.name}: {words}, and payload_frame")
+    loads = Loads(robot)
     runs: list[plans.ExcitationRun] = []
     for name in best:
-        poses = sorted(
-            found[name],
-            key=lambda each: -abs(each[0]) + 0.02 * _far(each[1], best),
-        )
-        longest = poses[0][1]
-        # a second one in which gravity turns the joint the other way, or less, tells weight from friction
-        other = min(
-            poses,
-            key=lambda each: each[0] * math.copysign(1.0, poses[0][0]) + 0.02 * _far(each[1], best),
-        )[1]
+        longest, other = _two_poses(found[name], best)
         for pose, lifts in ((longest, True), (longest, False), (other, True), (other, False)):
             start = {joint: pose[joint] for joint in found}
             up = math.copysign(1.0, lever_m(robot, name, pose)) * (1.0 if lifts else -1.0)
-            if steps:
+            if _takes_goals(robot):
                 step = up * plans.margin(robot, name, STEP_RAD)
                 runs.append(plans.ExcitationRun(name, 0.0, DURATION_S, start, goal_step=step))
             else:
-                runs.append(
-                    _push(
-                        robot,
-                        name,
-                        start,
-                        up,
-                        lifts,
-                        loads.at(pose, held_kg),
-                    )
-                )
+                load = loads.at(pose, held_kg)
+                runs.append(_push(robot, name, start, up, lifts, load))
     return plans.ExcitationSequence(
-        f"first_{hand}", hand, tuple(runs), description=f"lifts and lowers {' and '.join(best)} {WORDS[hand]}",
+        name=f"first_{hand}",
+        hand=hand,
+        runs=tuple(runs),
+        description=f"lifts and lowers {' and '.join(best)} {WORDS[hand]}",
         min_clearance_m=CLEARANCE_M,
-    )  # fmt: skip
+    )
+
+
+def _takes_goals(robot: Robot) -> bool:
+    """Whether a servo of the arm takes goals alone."""
+    servos = [drive.driven_by for drive in robot.drive_trains.values()]
+    return any(servo is not None and servo.follows_goal for servo in servos)
+
+
+def _two_poses(
+    found: Sequence[tuple[float, dict[str, float]]], pushed: Sequence[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """The one with the longest lever, and one in which gravity turns the joint the other way, or less.
+
+    Both together tell weight from friction.
+    """
+
+    def short(each: tuple[float, dict[str, float]]) -> float:
+        lever, pose = each
+        return -abs(lever) + 0.02 * _far(pose, pushed)
+
+    poses = sorted(found, key=short)
+    longest_lever, longest = poses[0]
+    sign = math.copysign(1.0, longest_lever)
+
+    def same_way(each: tuple[float, dict[str, float]]) -> float:
+        lever, pose = each
+        return lever * sign + 0.02 * _far(pose, pushed)
+
+    _, other = min(poses, key=same_way)
+    return longest, other
 
 
 def _push(
@@ -137,38 +162,52 @@ def _push(
     lifts: bool,
     load: Load,
 ) -> plans.ExcitationRun:
+    """A push of a joint, ``up`` the sign of its motion: raised until it moves, or eased until gravity moves it."""
     drive = robot.drive_trains[name]
     per_A = drive.nominal_effort_per_current
     rotor = (drive.armature.value or drive.armature.std) / drive.transmission**2
     weight_A = load.gravity[name] / per_A
     slow_A = ACCELERATION_RAD_S2 * (load.inertia[name] + rotor) / abs(per_A)
     most_A = 0.9 * plans.largest_current_A(robot, name)
-    limits = {"min_travel": LEAST_TRAVEL_RAD, "max_travel": TRAVEL_RAD}
+    run = plans.ExcitationRun(
+        joint=name,
+        current_A=0.0,
+        duration_s=DURATION_S,
+        start=start,
+        min_travel=LEAST_TRAVEL_RAD,
+        max_travel=TRAVEL_RAD,
+    )
     if not lifts and abs(weight_A) > 4.0 * slow_A:
-        lowered_A = max(-most_A, min(SUPPORT * weight_A, most_A))
-        return plans.ExcitationRun(name, lowered_A, DURATION_S, start, raise_by=0.7, **limits)
+        supporting_A = max(-most_A, min(SUPPORT * weight_A, most_A))
+        return replace(run, current_A=supporting_A, raise_by=0.7)
     current_A = weight_A + up * math.copysign(slow_A, per_A)
     if abs(current_A) < plans.LEAST_CURRENT_A:
         current_A = up * math.copysign(plans.LEAST_CURRENT_A, per_A)
-    raised = min(max(1.0 + slow_A / abs(current_A), 1.15), 1.6)
-    bounded_A = max(-most_A, min(current_A, most_A))
-    return plans.ExcitationRun(
-        name, bounded_A, DURATION_S, start, raise_by=raised, max_current_A=most_A, **limits
+    return replace(
+        run,
+        current_A=max(-most_A, min(current_A, most_A)),
+        raise_by=min(max(1.0 + slow_A / abs(current_A), 1.15), 1.6),
+        max_current_A=most_A,
     )
 
 
-def lever_m(
-    robot: Robot,
-    joint: str,
-    pose: Mapping[str, float],
-) -> float:
-    """How far the hand rises as a joint turns: the moment of a weight in it, per newton [m/rad]."""
+def lever_m(robot: Robot, joint: str, pose: Mapping[str, float]) -> float:
+    """How far the hand rises as a joint turns: the moment of a weight in it, per newton.
+
+    Args:
+        robot: The arm.
+        joint: The joint that turns.
+        pose: Of all independent joints [rad or m].
+
+    Returns:
+        The lever [m/rad].
+    """
     up = -robot.gravity / np.linalg.norm(robot.gravity)
-    ends = [
-        robot.model.frame_transform(robot.payload_frame, {**pose, joint: pose[joint] + d})
-        for d in (-1e-4, 1e-4)
-    ]
-    return float(up @ (ends[1][:3, 3] - ends[0][:3, 3])) / 2e-4
+    before, after = (
+        robot.model.frame_transform(robot.payload_frame, {**pose, joint: pose[joint] + step})
+        for step in (-1e-4, 1e-4)
+    )
+    return float(up @ (after[:3, 3] - before[:3, 3])) / 2e-4
 
 
 def _limits(robot: Robot, name: str) -> tuple[float, float]:
@@ -176,14 +215,13 @@ def _limits(robot: Robot, name: str) -> tuple[float, float]:
     spare = plans.margin(robot, name, plans.START_MARGIN_RAD)
     low = max(joint.lower + spare, -WIDEST_RAD)
     high = min(joint.upper - spare, WIDEST_RAD)
-    return (low, high) if low < high else (0.5 * (low + high),) * 2
+    if low < high:
+        return low, high
+    middle = 0.5 * (low + high)
+    return middle, middle
 
 
-def _has_room(
-    robot: Robot,
-    name: str,
-    pose: Mapping[str, float],
-) -> bool:
+def _has_room(robot: Robot, name: str, pose: Mapping[str, float]) -> bool:
     joint = robot.model.joint(name)
     places = [pose[name] + part * ROOM_RAD for part in (-1.0, -0.5, 0.0, 0.5, 1.0)]
     if not joint.lower <= places[0] <= places[-1] <= joint.upper:

@@ -61,16 +61,26 @@ def unfit(sample: JointSample, joints: Sequence[str]) -> str:
 
 
 def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
-    """Raises ExcitationError where no excitation may begin: the sample is no good, or a joint is beyond its limits."""
+    """Whether an excitation may begin.
+
+    Args:
+        sample: The newest reading.
+        ways: Of the arm.
+        guards: Limits of motion.
+
+    Raises:
+        ExcitationError: The sample is no good, or a joint is beyond its limits.
+    """
     if problem := unfit(sample, ways.joints):
         raise ExcitationError(f"cannot start: {problem}")
     for name in ways.joints:
         low, high = ways.limits(name, -guards.limit_margin_rad)
         if not low <= sample.position[name] <= high:
             joint = ways.robot.model.joint(name)
+            limits = f"{joint.lower:.4g} .. {joint.upper:.4g}"
+            remedy = "check its zero and its unit, or move it back by hand with torque off"
             raise ExcitationError(
-                f"cannot start: {name} reads {sample.position[name]:.4g}, outside its limits {joint.lower:.4g} .. "
-                f"{joint.upper:.4g}; check its zero and its unit, or move it back by hand with torque off"
+                f"cannot start: {name} reads {sample.position[name]:.4g}, outside its limits {limits}; {remedy}"
             )
 
 
@@ -82,7 +92,19 @@ def check_step(
     guards: Guards,
     words: str,
 ) -> None:
-    """Raises ExcitationError where a servo that goes all the way to its goal leaves its limits, or comes too near to the table."""
+    """Whether a push by a step of the goal is safe, as far as that can be computed before anything moves.
+
+    Args:
+        run: The push.
+        start: Pose of all driven joints before it [rad or m].
+        sequence: States the clearance.
+        ways: Of the arm.
+        guards: Limits of motion.
+        words: The run, as messages name it.
+
+    Raises:
+        ExcitationError: A servo that goes all the way to its goal leaves its limits, or comes too near to the table.
+    """
     low, high = ways.limits(run.joint, guards.limit_margin_rad)
     goal = start[run.joint] + run.goal_step
     if not low <= goal <= high:
@@ -107,7 +129,16 @@ class FreeResponse:
         return self.moment_N_m * math.sin(self.rest - position)
 
     def speed_at(self, position: float, start: float, rotor_kg_m2: float = 0.0) -> float:
-        """Speed without friction on the way from a start at rest [rad/s]."""
+        """Speed without friction on the way from a start at rest.
+
+        Args:
+            position: Of the joint now [rad].
+            start: Where it began [rad].
+            rotor_kg_m2: What the rotor adds to the inertia [kg m^2].
+
+        Returns:
+            The speed [rad/s].
+        """
         fallen = math.cos(self.rest - position) - math.cos(self.rest - start)
         return math.sqrt(
             max(2.0 * self.moment_N_m * fallen / (self.inertia_kg_m2 + rotor_kg_m2), 0.0)
@@ -116,21 +147,19 @@ class FreeResponse:
     def way(self, start: float) -> np.ndarray:
         """Places from a start to where it would swing to without friction, as far beyond the rest [rad]."""
         end = 2.0 * self.rest - start
-        return np.linspace(
-            start,
-            end,
-            2 + math.ceil(abs(end - start) / STEP_RAD),
-        )
+        return np.linspace(start, end, 2 + math.ceil(abs(end - start) / STEP_RAD))
 
 
-def free_swing(
-    robot: Robot,
-    joint: str,
-    pose: Mapping[str, float],
-) -> FreeResponse:
-    """The pendulum that a joint is, with an empty hand, where all independent joints are at a pose [rad or m].
+def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeResponse:
+    """The pendulum that a joint is, with an empty hand.
 
-    Raises `ExcitationError`: The joint slides, drives another one too, or gravity does not move it.
+    Args:
+        robot: The arm.
+        joint: A joint that turns.
+        pose: Of all independent joints [rad or m].
+
+    Raises:
+        ExcitationError: The joint slides, drives another one too, or gravity does not move it.
     """
     if robot.model.joint(joint).kind == "prismatic":
         raise ExcitationError(
@@ -151,11 +180,8 @@ def free_swing(
         )
     rest = math.atan2(at_zero, -at_quarter)
     rest += 2.0 * math.pi * round((pose[joint] - rest) / (2.0 * math.pi))
-    return FreeResponse(
-        moment,
-        rest,
-        float(np.trace(second) - axis @ second @ axis),
-    )
+    inertia = float(np.trace(second) - axis @ second @ axis)
+    return FreeResponse(moment, rest, inertia)
 
 
 def check_free_response(
@@ -166,45 +192,87 @@ def check_free_response(
     guards: Guards,
     words: str,
 ) -> None:
-    """Raises ExcitationError where a guard would end the swing, with the lightest rotor that the robot file allows."""
-    name = run.joint
+    """Whether a joint that is let go of swings back without a guard, with the lightest rotor that the robot file allows.
+
+    Args:
+        run: The free response.
+        start: Pose of all driven joints before it [rad or m].
+        sequence: States the clearance.
+        ways: Of the arm.
+        guards: Limits of motion.
+        words: The run, as messages name it.
+
+    Raises:
+        ExcitationError: A guard would end the swing, or friction would keep the joint where it is.
+    """
     pose = ways.whole(start)
-    swing = free_swing(ways.robot, name, pose)
-    drive = ways.robot.drive_trains[name]
-    weight_N_m = abs(swing.moment_at(pose[name]) * drive.transmission)
-    # what is to be expected of a number that cannot be negative and is only known to be small: a half-normal's mean
-    friction_N_m = max(
-        drive.coulomb.value,
-        math.sqrt(2.0 / math.pi) * drive.coulomb.std,
-    )
-    hangs = f"it would hang at {swing.rest:.3g} rad"
-    low, high = ways.limits(name, guards.limit_margin_rad)
-    if not low <= swing.rest <= high:
-        raise ExcitationError(
-            f"{words}: {hangs}, outside {low:.3g} .. {high:.3g} (limits less a margin); move the other joints, so that it "
-            "hangs inside, or choose another joint"
-        )
-    if weight_N_m <= friction_N_m:
-        raise ExcitationError(
-            f"{words}: from {pose[name]:.3g} rad gravity pulls with {weight_N_m:.2g} N m, and its friction is probably "
-            f"{friction_N_m:.2g} N m; start farther from where {hangs}, or take a calibration that knows the friction"
-        )
+    swing = free_swing(ways.robot, run.joint, pose)
+    _check_pull(run.joint, pose, swing, ways, guards, words)
+    position = pose[run.joint]
+    drive = ways.robot.drive_trains[run.joint]
     rotor = max(drive.armature.value - drive.armature.std, 0.0) / drive.transmission**2
-    for place in swing.way(pose[name]).tolist():
-        speed = swing.speed_at(place, pose[name], rotor)
-        if speed > guards.max_velocity_rad_s * ways.per_rad[name]:
-            raise ExcitationError(
-                f"{words}: it may reach {speed:.1f} rad/s; start nearer to where {hangs}"
+    for place in swing.way(position).tolist():
+        speed = swing.speed_at(place, position, rotor)
+        if speed > guards.max_velocity_rad_s * ways.per_rad[run.joint]:
+            near = f"start nearer to where {_hangs(swing)}"
+            raise ExcitationError(f"{words}: it may reach {speed:.1f} rad/s; {near}")
+        reach = speed * guards.lookahead_s
+        for ahead in (place - reach, place + reach):
+            _check_place(
+                run.joint, {**pose, run.joint: ahead}, swing, sequence, ways, guards, words
             )
-        for ahead in (place - speed * guards.lookahead_s, place + speed * guards.lookahead_s):
-            if not low <= ahead <= high:
-                raise ExcitationError(
-                    f"{words}: {hangs}, and may swing past {ahead:.3g} rad without friction, outside {low:.3g} .. {high:.3g} "
-                    "(limits less a margin); start nearer to where it hangs, or move the other joints"
-                )
-            height = ways.height({**pose, name: ahead})
-            if height < sequence.min_clearance_m:
-                raise ExcitationError(
-                    f"{words}: it would come {100 * height:.1f} cm above the base's plane at {ahead:.3g} rad without friction; "
-                    "choose a higher pose, or start nearer to where it hangs"
-                )
+
+
+def _hangs(swing: FreeResponse) -> str:
+    return f"it would hang at {swing.rest:.3g} rad"
+
+
+def _check_pull(
+    joint: str,
+    pose: Mapping[str, float],
+    swing: FreeResponse,
+    ways: Ways,
+    guards: Guards,
+    words: str,
+) -> None:
+    """Whether gravity moves the joint, towards a place inside its limits."""
+    low, high = ways.limits(joint, guards.limit_margin_rad)
+    hangs = _hangs(swing)
+    if not low <= swing.rest <= high:
+        inside = f"{low:.3g} .. {high:.3g} (limits less a margin)"
+        remedy = "move the other joints, so that it hangs inside, or choose another joint"
+        raise ExcitationError(f"{words}: {hangs}, outside {inside}; {remedy}")
+    drive = ways.robot.drive_trains[joint]
+    weight_N_m = abs(swing.moment_at(pose[joint]) * drive.transmission)
+    # what is to be expected of a number that cannot be negative and is only known to be small: a half-normal's mean
+    usual_N_m = math.sqrt(2.0 / math.pi) * drive.coulomb.std
+    friction_N_m = max(drive.coulomb.value, usual_N_m)
+    if weight_N_m <= friction_N_m:
+        pulls = f"from {pose[joint]:.3g} rad gravity pulls with {weight_N_m:.2g} N m"
+        rubs = f"its friction is probably {friction_N_m:.2g} N m"
+        remedy = f"start farther from where {hangs}, or take a calibration that knows the friction"
+        raise ExcitationError(f"{words}: {pulls}, and {rubs}; {remedy}")
+
+
+def _check_place(
+    joint: str,
+    pose: Mapping[str, float],
+    swing: FreeResponse,
+    sequence: ExcitationSequence,
+    ways: Ways,
+    guards: Guards,
+    words: str,
+) -> None:
+    """Whether a joint that swings may get to a pose."""
+    low, high = ways.limits(joint, guards.limit_margin_rad)
+    if not low <= pose[joint] <= high:
+        past = f"{_hangs(swing)}, and may swing past {pose[joint]:.3g} rad without friction"
+        inside = f"{low:.3g} .. {high:.3g} (limits less a margin)"
+        remedy = "start nearer to where it hangs, or move the other joints"
+        raise ExcitationError(f"{words}: {past}, outside {inside}; {remedy}")
+    height = ways.height(pose)
+    if height < sequence.min_clearance_m:
+        above = f"{100 * height:.1f} cm above the base's plane"
+        place = f"at {pose[joint]:.3g} rad without friction"
+        remedy = "choose a higher pose, or start nearer to where it hangs"
+        raise ExcitationError(f"{words}: it would come {above} {place}; {remedy}")

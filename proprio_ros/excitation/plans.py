@@ -172,34 +172,31 @@ def load_sequence(
     """
     text = str(name_or_path)
     if text.startswith("{"):  # from a program, which chose it
-        section = _inline(text)
-        name = "chosen"
-        where = "chosen"
+        sequence = _sequence(_inline(text), "chosen", robot, "chosen")
     else:
-        given = Path(text).expanduser()
-        is_path = isinstance(name_or_path, Path) or "/" in text or given.suffix in (".yaml", ".yml")
-        path = given if is_path else resource("probes", text)
-        content = _content(path)
-        if "excitation" not in content:
-            words = f"has no section 'excitation'; probe files with one: {', '.join(sequence_names()) or 'none'}; or add it"
-            raise ConfigurationError(f"{path.name}: {words}")
-        section = _whole(content["excitation"], path)
-        name = path.stem
-        where = f"{path.name}: excitation"
-        if (
-            not is_path
-            and name in FIRST
-            and {*robot.drive_trains}.isdisjoint(run["joint"] for run in section["runs"])
-        ):
+        sequence = _from_file(name_or_path, robot, held_kg)
+    check_sequence(sequence, robot)
+    return sequence
+
+
+def _from_file(name_or_path: str | Path, robot: Robot, held_kg: float) -> ExcitationSequence:
+    text = str(name_or_path)
+    given = Path(text).expanduser()
+    is_path = isinstance(name_or_path, Path) or "/" in text or given.suffix in (".yaml", ".yml")
+    path = given if is_path else resource("probes", text)
+    content = _content(path)
+    if "excitation" not in content:
+        words = f"has no section 'excitation'; probe files with one: {', '.join(sequence_names()) or 'none'}; or add it"
+        raise ConfigurationError(f"{path.name}: {words}")
+    section = _whole(content["excitation"], path)
+    if not is_path and path.stem in FIRST:
+        pushed = {run["joint"] for run in section["runs"]}
+        if pushed.isdisjoint(robot.drive_trains):
             # which is written in the words of this file
             from proprio_ros.excitation.first import first_sequence
 
-            sequence = first_sequence(robot, section["hand"], held_kg)
-            check_sequence(sequence, robot)
-            return sequence
-    sequence = _sequence(section, name, robot, where)
-    check_sequence(sequence, robot)
-    return sequence
+            return first_sequence(robot, section["hand"], held_kg)
+    return _sequence(section, path.stem, robot, f"{path.name}: excitation")
 
 
 def largest_current_A(robot: Robot, joint: str) -> float:
@@ -218,7 +215,16 @@ def push_unit(robot: Robot, joint: str) -> str:
 
 
 def margin(robot: Robot, joint: str, margin_rad: float) -> float:
-    """A distance at the motor's shaft [rad] in the unit of the joint [rad or m]."""
+    """A distance at the motor's shaft in the unit of the joint.
+
+    Args:
+        robot: The arm.
+        joint: A driven joint.
+        margin_rad: The distance at the shaft [rad].
+
+    Returns:
+        The same at the joint [rad or m].
+    """
     return margin_rad * abs(robot.drive_trains[joint].transmission)
 
 
@@ -234,41 +240,57 @@ def check_sequence(sequence: ExcitationSequence, robot: Robot) -> None:
 
 
 def _of_sequence(sequence: ExcitationSequence, robot: Robot) -> Iterator[str]:
-    drives = f"{robot.name} drives {', '.join(robot.drive_trains)}"
     if not sequence.runs and sequence.until is None:
         yield "has no run; state at least one under 'runs'"
     if sequence.until is not None:
         yield from (f"until: {words}" for words in _of_until(sequence.until, sequence))
     if sequence.hand not in HANDS:
         yield f"hand={sequence.hand!r} is unknown; choose from: {', '.join(HANDS)}"
-    for key in ("approach_velocity", "settle_s", "brake_s", "min_clearance_m"):
-        value = getattr(sequence, key)
-        if not math.isfinite(value) or value < 0.0 or (key == "approach_velocity" and value == 0.0):
-            yield f"{key}={value} must be a positive number"
+    yield from _of_times(sequence)
     for name in sequence.from_here:
         if name not in robot.drive_trains:
-            yield f"from_here: {name!r} is no driven joint; {drives}"
+            yield f"from_here: {name!r} is no driven joint; {_drives(robot)}"
     yield from (f"home: {words}" for words in _of_pose(sequence.home, {}, sequence, robot))
     pose: dict[str, float] = {}
     for number, run in enumerate(sequence.runs, 1):
-        where = f"run {number} ({run.joint})"
-        if run.joint not in robot.drive_trains:
-            yield f"{where}: no such driven joint; {drives}"
-        yield from (f"{where}: {words}" for words in _of_run(run, robot))
         pose |= run.start
-        yield from (f"{where}: {words}" for words in _of_pose(run.start, pose, sequence, robot))
-        if run.goal_step and run.joint in pose:
-            stepped = {run.joint: pose[run.joint] + run.goal_step}
-            yield from (
-                f"{where}: with goal_step: {words}"
-                for words in _of_pose(stepped, pose, sequence, robot)
-            )
+        for words in _of_run_from(run, pose, sequence, robot):
+            yield f"run {number} ({run.joint}): {words}"
     swings = [run.free for run in sequence.runs]
     if any(swings) and not all(swings):
-        yield (
-            f"run {swings.index(True) + 1} swings freely (current_A is 0) and others are driven by a current: what they tell is "
-            "not computed together; make a sequence of each"
-        )
+        others = "others are driven by a current"
+        why = "what they tell is not computed together; make a sequence of each"
+        first = swings.index(True) + 1
+        yield f"run {first} swings freely (current_A is 0) and {others}: {why}"
+
+
+def _drives(robot: Robot) -> str:
+    return f"{robot.name} drives {', '.join(robot.drive_trains)}"
+
+
+def _of_times(sequence: ExcitationSequence) -> Iterator[str]:
+    for key in ("approach_velocity", "settle_s", "brake_s", "min_clearance_m"):
+        value = getattr(sequence, key)
+        zero = key == "approach_velocity" and value == 0.0
+        if not math.isfinite(value) or value < 0.0 or zero:
+            yield f"{key}={value} must be a positive number"
+
+
+def _of_run_from(
+    run: ExcitationRun,
+    pose: Mapping[str, float],
+    sequence: ExcitationSequence,
+    robot: Robot,
+) -> Iterator[str]:
+    """Of a run and the pose that it starts from, as far as that is stated [rad or m]."""
+    if run.joint not in robot.drive_trains:
+        yield f"no such driven joint; {_drives(robot)}"
+    yield from _of_run(run, robot)
+    yield from _of_pose(run.start, pose, sequence, robot)
+    if run.goal_step and run.joint in pose:
+        stepped = {run.joint: pose[run.joint] + run.goal_step}
+        for words in _of_pose(stepped, pose, sequence, robot):
+            yield f"with goal_step: {words}"
 
 
 def _of_until(until: Until, sequence: ExcitationSequence) -> Iterator[str]:
@@ -291,11 +313,34 @@ def _of_until(until: Until, sequence: ExcitationSequence) -> Iterator[str]:
 
 def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
     if run.goal_step != 0.0:
-        if run.current_A or run.shake_A or run.max_current_A:
-            yield "has a goal_step and a current: a servo is pushed by one or the other"
-        largest_step = margin(robot, run.joint, LARGEST_STEP_RAD)
-        if not abs(run.goal_step) <= largest_step:
-            yield f"goal_step={run.goal_step:g} must be {largest_step:.3g} at most, either way; it is in rad (m for a slide)"
+        yield from _of_step(run, robot)
+    yield from _of_current(run, robot)
+    if not 0.0 < run.duration_s <= 60.0:
+        yield f"duration_s={run.duration_s:g} must be above 0 s, and 60 s at most"
+    if not 0.0 <= run.min_travel < run.max_travel:
+        yield f"min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
+    if run.free and run.max_current_A:
+        yield f"{_SWINGS} has no max_current_A"
+    elif run.free and robot.model.joint(run.joint).kind == "prismatic":
+        yield f"{_SWINGS} needs a joint that turns, and {run.joint} slides"
+    if not (0.0 < run.raise_by <= 0.95 or 1.05 <= run.raise_by < 10.0):
+        yield f"raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"
+    if run.shake_A != 0.0:
+        yield from _of_shake(run, robot)
+
+
+_SWINGS = "current_A is 0, which lets the joint swing freely: that"
+
+
+def _of_step(run: ExcitationRun, robot: Robot) -> Iterator[str]:
+    if run.current_A or run.shake_A or run.max_current_A:
+        yield "has a goal_step and a current: a servo is pushed by one or the other"
+    largest = margin(robot, run.joint, LARGEST_STEP_RAD)
+    if not abs(run.goal_step) <= largest:
+        yield f"goal_step={run.goal_step:g} must be {largest:.3g} at most, either way; it is in rad (m for a slide)"
+
+
+def _of_current(run: ExcitationRun, robot: Robot) -> Iterator[str]:
     largest = max(abs(run.current_A), run.max_current_A or 0.0) + abs(run.shake_A)
     unit = push_unit(robot, run.joint)
     most = largest_current_A(robot, run.joint)
@@ -303,41 +348,29 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
         yield f"{largest:g} {unit} is too much for a servo: currents are in A, not mA"
     limit = robot.motors[run.joint].current_limit_A
     if largest > limit:
-        yield (
-            f"{largest:g} {unit}{' with shake_A' * (run.shake_A != 0.0)} is above the motor's limit of {limit:g} {unit}; lower it, "
-            "or current_limit_A in the robot file"
-        )
+        pushed = f"{largest:g} {unit} with shake_A" if run.shake_A != 0.0 else f"{largest:g} {unit}"
+        remedy = "lower it, or current_limit_A in the robot file"
+        yield f"{pushed} is above the motor's limit of {limit:g} {unit}; {remedy}"
     if run.max_current_A is not None and not abs(run.current_A) <= run.max_current_A:
         yield f"max_current_A={run.max_current_A:g} is a magnitude and must not be below that of {run.current_A:g} {unit}"
-    if not 0.0 < run.duration_s <= 60.0:
-        yield f"duration_s={run.duration_s:g} must be above 0 s, and 60 s at most"
-    if not 0.0 <= run.min_travel < run.max_travel:
-        yield f"min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
-    if run.free and (run.max_current_A or robot.model.joint(run.joint).kind == "prismatic"):
-        why = (
-            "has no max_current_A"
-            if run.max_current_A
-            else f"needs a joint that turns, and {run.joint} slides"
-        )
-        yield f"current_A is 0, which lets the joint swing freely: that {why}"
-    if not (0.0 < run.raise_by <= 0.95 or 1.05 <= run.raise_by < 10.0):
-        yield f"raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"
-    if run.shake_A == 0.0:
-        return
+
+
+def _of_shake(run: ExcitationRun, robot: Robot) -> Iterator[str]:
     longest_s = run.duration_s / LEAST_SHAKES
     if not SHORTEST_SHAKE_S <= run.shake_period_s <= longest_s:
-        yield (
-            f"shake_period_s={run.shake_period_s:g} must be from {SHORTEST_SHAKE_S:g} s to {longest_s:g} s, so that "
-            f"{LEAST_SHAKES} periods fit into duration_s={run.duration_s:g}; it is in s, not ms"
-        )
+        range_s = f"from {SHORTEST_SHAKE_S:g} s to {longest_s:g} s"
+        why = f"so that {LEAST_SHAKES} periods fit into duration_s={run.duration_s:g}"
+        yield f"shake_period_s={run.shake_period_s:g} must be {range_s}, {why}; it is in s, not ms"
+    unit = push_unit(robot, run.joint)
     mean_A: float | None = run.current_A
     while mean_A is not None:  # in every attempt that raising or easing can lead to
         least_A = min(abs(mean_A + run.shake_A), abs(mean_A - run.shake_A))
         if least_A < LEAST_CURRENT_A:
+            half = f"the current is {least_A:.3g} {unit} for half of each period"
+            keep = f"keep both halves at {LEAST_CURRENT_A:g} {unit} or more"
             yield (
-                f"with shake_A={run.shake_A:g} about {mean_A:g} {unit} the current is {least_A:.3g} {unit} for half of each "
-                f"period, and a recording would be cut there; keep both halves at {LEAST_CURRENT_A:g} {unit} or more: change "
-                "shake_A, current_A, raise_by or max_current_A"
+                f"with shake_A={run.shake_A:g} about {mean_A:g} {unit} {half}, and a recording would be cut there; {keep}: "
+                "change shake_A, current_A, raise_by or max_current_A"
             )
         mean_A = run.other_current(mean_A)
 
@@ -351,27 +384,21 @@ def _of_pose(
     """Limits of the joints stated; and the height of the pose, where the joints that are not known yet are at zero."""
     for name, position in stated.items():
         if name not in robot.drive_trains:
-            yield f"{name!r} is no driven joint; {robot.name} drives {', '.join(robot.drive_trains)}"
+            yield f"{name!r} is no driven joint; {_drives(robot)}"
         joint = robot.model.joint(name)
         spare = margin(robot, name, START_MARGIN_RAD)
         low = joint.lower + spare
         high = joint.upper - spare
-        if (
-            not math.isfinite(position)
-            or abs(position) > LARGEST_POSITION_RAD
-            or not low <= position <= high
-        ):
+        believable = math.isfinite(position) and abs(position) <= LARGEST_POSITION_RAD
+        if not believable or not low <= position <= high:
             unit, other = ("m", "mm") if joint.kind == "prismatic" else ("rad", "degrees")
-            yield (
-                f"{name}={position:g} is outside {low:.4g} .. {high:.4g} {unit} (limits less a margin); positions are in {unit}, "
-                f"not {other}"
-            )
+            limits = f"{low:.4g} .. {high:.4g} {unit} (limits less a margin)"
+            yield f"{name}={position:g} is outside {limits}; positions are in {unit}, not {other}"
     height = clearance(robot, {**zero_pose(robot), **known, **stated}) if stated else math.inf
     if height < sequence.min_clearance_m:
-        yield (
-            f"the arm would be {100 * height:.1f} cm above the base's plane, less than "
-            f"min_clearance_m={sequence.min_clearance_m:g}; choose a higher pose"
-        )
+        where = f"{100 * height:.1f} cm above the base's plane"
+        least = f"min_clearance_m={sequence.min_clearance_m:g}"
+        yield f"the arm would be {where}, less than {least}; choose a higher pose"
 
 
 def _inline(text: str) -> Any:
@@ -396,29 +423,21 @@ def _whole(section: Any, path: Path) -> Any:
     if not isinstance(section, Mapping) or "like" not in section:
         return section
     like = section["like"]
-    if like not in sequence_names() or "like" in (
-        base := _content(resource("probes", like))["excitation"]
-    ):
+    base: Mapping[str, Any] = {"like": like}
+    if like in sequence_names():
+        base = _content(resource("probes", like))["excitation"]
+    if "like" in base:
         named = one_line(repr(like), 60)
-        raise ConfigurationError(
-            f"{path.name}: excitation.like={named}: name one of the package's sequences"
-        )
-    return {
-        **base,
-        **{key: value for key, value in section.items() if key != "like"},
-    }
+        words = "name one of the package's sequences"
+        raise ConfigurationError(f"{path.name}: excitation.like={named}: {words}")
+    own = {key: value for key, value in section.items() if key != "like"}
+    return {**base, **own}
 
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:
-    # then there need be no runs of one's own
-    chosen = isinstance(section, Mapping) and "until" in section
-    own = ("runs", "from_here", "until")
-    values = _values(
-        {"runs": [], **section} if chosen else section,
-        ExcitationSequence,
-        where,
-        own,
-    )
+    if isinstance(section, Mapping) and "until" in section:
+        section = {"runs": [], **section}  # there need be no runs of one's own
+    values = _values(section, ExcitationSequence, where, own=("runs", "from_here", "until"))
     if "from_here" in values:
         names = values["from_here"]
         if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
@@ -466,19 +485,17 @@ def _values(
 
     Raises `ConfigurationError`: An entry is unknown, missing though it has no default, or none of these.
     """
-    entries = [entry for entry in fields(kind) if entry.name != "name"]
-    choices = ", ".join(entry.name for entry in entries)
+    entries = {entry.name: entry for entry in fields(kind) if entry.name != "name"}
+    choices = ", ".join(entries)
     if not isinstance(section, Mapping):
-        raise ConfigurationError(
-            f"{where}: expected keys and values, got {section!r}; keys: {choices}"
-        )
-    if unknown := [str(key) for key in section if key not in {entry.name for entry in entries}]:
-        raise ConfigurationError(
-            f"{where}: unknown key {', '.join(unknown)}; valid keys: {choices}"
-        )
+        words = f"expected keys and values, got {section!r}; keys: {choices}"
+        raise ConfigurationError(f"{where}: {words}")
+    if unknown := [str(key) for key in section if key not in entries]:
+        words = f"unknown key {', '.join(unknown)}; valid keys: {choices}"
+        raise ConfigurationError(f"{where}: {words}")
     required = [
-        entry.name
-        for entry in entries
+        name
+        for name, entry in entries.items()
         if entry.default is MISSING and entry.default_factory is MISSING
     ]
     if missing := [name for name in required if name not in section]:
@@ -487,9 +504,8 @@ def _values(
     for key, value in section.items():
         if key in _TEXTS:
             if not isinstance(value, str):
-                raise ConfigurationError(
-                    f"{where}.{key}: expected {_TEXTS[key]}, got {one_line(repr(value), 60)}"
-                )
+                words = f"expected {_TEXTS[key]}, got {one_line(repr(value), 60)}"
+                raise ConfigurationError(f"{where}.{key}: {words}")
         elif key in _POSES:
             values[key] = _pose(value, f"{where}.{key}")
         elif key not in own:

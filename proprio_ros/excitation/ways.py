@@ -36,17 +36,21 @@ class Way:
 
     def at(self, elapsed_s: float) -> dict[str, float]:
         """Positions of all joints at a time from the beginning [rad or m]."""
-        for (before, after), duration_s in zip(
-            itertools.pairwise(self.poses), self.durations_s, strict=True
-        ):
+        spans = itertools.pairwise(self.poses)
+        for (before, after), duration_s in zip(spans, self.durations_s, strict=True):
             if elapsed_s < duration_s:
                 s = max(elapsed_s, 0.0) / duration_s
-                part = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-                return {
-                    name: start + part * (after[name] - start) for name, start in before.items()
-                }
+                part = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)  # minimum jerk
+                return _between(before, after, part)
             elapsed_s -= duration_s
         return dict(self.poses[-1])
+
+
+def _between(
+    before: Mapping[str, float], after: Mapping[str, float], part: float
+) -> dict[str, float]:
+    """The pose at a part of the straight way."""
+    return {name: start + part * (after[name] - start) for name, start in before.items()}
 
 
 def approach_s(widest_rad: FloatArray | float, velocity_rad_s: float) -> FloatArray:
@@ -58,7 +62,8 @@ class Ways:
     """Poses of one arm and ways between them.
 
     Attributes:
-        robot: The arm; joints: Those with a drive train.
+        robot: The arm.
+        joints: Those with a drive train.
         per_rad: By joint, what an angle at the motor's shaft is in the joint's own unit [1 or m/rad].
     """
 
@@ -94,22 +99,36 @@ class Ways:
         sequence: ExcitationSequence,
         where: str,
     ) -> Way:
-        """The straight way of all driven joints [rad or m], or one over a higher pose when that comes too low.
+        """The straight way of all driven joints, or one over a higher pose when that comes too low.
 
-        Raises `ExcitationError`: Neither keeps the sequence's clearance; ``where`` says what is there.
+        Args:
+            before: Where they begin [rad or m].
+            after: Where they go [rad or m].
+            sequence: States the clearance and the speed.
+            where: What is there, in words.
+
+        Raises:
+            ExcitationError: No way keeps the sequence's clearance.
         """
-        for via in itertools.chain([()], ((pose,) for pose in self._high_poses(before, after))):
-            poses = (dict(before), *via, dict(after))
+        straight = (dict(before), dict(after))
+        if self.clear(straight, sequence.min_clearance_m):
+            return self._timed(straight, sequence)
+        for high in self._high_poses(before, after):
+            poses = (dict(before), high, dict(after))
             if self.clear(poses, sequence.min_clearance_m):
-                spans = [self._widest_rad(*pair) for pair in itertools.pairwise(poses)]
-                return Way(
-                    poses,
-                    tuple(float(approach_s(span, sequence.approach_velocity)) for span in spans),
-                )
+                return self._timed(poses, sequence)
+        clearance_cm = f"{100 * sequence.min_clearance_m:.0f} cm"
         raise ExcitationError(
-            f"no way to {where} keeps the arm {100 * sequence.min_clearance_m:.0f} cm above the base's plane: move it to a "
+            f"no way to {where} keeps the arm {clearance_cm} above the base's plane: move it to a "
             "higher pose by hand, with torque off, and start again"
         )
+
+    def _timed(self, poses: tuple[dict[str, float], ...], sequence: ExcitationSequence) -> Way:
+        durations_s = []
+        for before, after in itertools.pairwise(poses):
+            widest_rad = self._widest_rad(before, after)
+            durations_s.append(float(approach_s(widest_rad, sequence.approach_velocity)))
+        return Way(poses, tuple(durations_s))
 
     def _high_poses(
         self, before: Mapping[str, float], after: Mapping[str, float]
@@ -117,43 +136,27 @@ class Ways:
         """Poses to go over, highest first: some joints moved before the others, or the arm at its zero pose."""
         turning = [name for name in self.joints if self.robot.model.joint(name).kind != "prismatic"]
         moved = [name for name in turning if before[name] != after[name]]
-        some = itertools.chain.from_iterable(
-            itertools.combinations(moved, count) for count in range(1, len(moved))
-        )
-        poses = [{**before, **{name: after[name] for name in first}} for first in some]
+        poses = []
+        for count in range(1, len(moved)):
+            for first in itertools.combinations(moved, count):
+                moved_first = {name: after[name] for name in first}
+                poses.append({**before, **moved_first})
         # the base joint does not lift anything: leave it where it is
-        poses.append(
-            {
-                **before,
-                **{name: self._rest[name] for name in turning[1:]},
-            }
-        )
+        at_rest = {name: self._rest[name] for name in turning[1:]}
+        poses.append({**before, **at_rest})
         return sorted(poses, key=lambda pose: -self.height(pose))
 
-    def clear(
-        self,
-        poses: Sequence[Mapping[str, float]],
-        min_clearance_m: float,
-    ) -> bool:
+    def clear(self, poses: Sequence[Mapping[str, float]], min_clearance_m: float) -> bool:
         """Whether the arm stays high enough; where it begins too low, whether it only rises until it is."""
         reached = self.height(poses[0])
         for before, after in itertools.pairwise(poses):
-            steps = max(
-                2,
-                1 + math.ceil(self._widest_rad(before, after) / PATH_STEP_RAD),
-            )
+            steps = max(2, 1 + math.ceil(self._widest_rad(before, after) / PATH_STEP_RAD))
             for part in np.linspace(0.0, 1.0, steps).tolist():
-                height = self.height(
-                    {name: q + part * (after[name] - q) for name, q in before.items()}
-                )
+                height = self.height(_between(before, after, part))
                 if height < min(min_clearance_m, reached) - PATH_SLACK_M:
                     return False
                 reached = max(reached, height)
         return reached >= min_clearance_m - PATH_SLACK_M
 
-    def _widest_rad(
-        self,
-        before: Mapping[str, float],
-        after: Mapping[str, float],
-    ) -> float:
+    def _widest_rad(self, before: Mapping[str, float], after: Mapping[str, float]) -> float:
         return max(abs(after[name] - before[name]) / self.per_rad[name] for name in self.joints)
