@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from proprio_ros.calibration_files.own_terms import UNITS, OwnTerms
 from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
-from proprio_ros.identification.regression.between import spread_of_runs
+from proprio_ros.identification.regression.recording_variability import spread_of_runs
 from proprio_ros.quantity import shown
 from proprio_ros.records import FloatArray
 

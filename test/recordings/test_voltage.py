@@ -12,8 +12,12 @@ from support.servo_bag import write
 
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.regression.between import SPREADS, spread_of, spread_posterior
 from proprio_ros.identification.regression.one_joint_estimate import best_delay
+from proprio_ros.identification.regression.recording_variability import (
+    SPREADS,
+    spread_of,
+    spread_posterior,
+)
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.loading import bag_recording, bag_runs_or_motion

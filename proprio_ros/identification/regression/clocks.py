@@ -24,8 +24,8 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import motion_prior
-from proprio_ros.identification.regression.between import CLOCK, Between
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
+from proprio_ros.identification.regression.recording_variability import CLOCK, RecordingVariability
 from proprio_ros.identification.regression.solve import solve
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.voltage import voltage_driven
@@ -192,10 +192,10 @@ def _step(
     problem = Problem.of([equations(robot, motion, joints)], int(holds))
     if calibration is None:
         prior = motion_prior.prior_of_file(robot, arm, 1)
-        between = Between.unknown(arm.count)
+        between = RecordingVariability.unknown(arm.count)
     else:
         prior, _ = motion_prior.calibrated_prior(arm, calibration, 1)
-        between = motion_prior.between_of(calibration)
+        between = motion_prior.variability_of(calibration)
     spreads = {**between.spreads, "pace": 2.0 * PACE_SPREAD, "lag": LAG_SPREAD_S}
     between = replace(between, spreads=spreads)
     per_kg = motion_prior.payload_stds(arm)

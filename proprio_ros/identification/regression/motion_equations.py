@@ -382,7 +382,7 @@ def fill_drives(
 
 @dataclass(frozen=True)
 class Problem:
-    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and each motion's own, 5 n + 3 (see `Between`)."""
+    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and each motion's own, 5 n + 3."""
 
     # shape (E, U); columns of gears, torque constants, scales, zeros and clocks are filled while it is solved
     matrix: FloatArray

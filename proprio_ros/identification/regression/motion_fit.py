@@ -32,7 +32,6 @@ from proprio_ros.calibration_files.motions import (
 from proprio_ros.errors import RecordingError, RobotError, some
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression import motion_prior
-from proprio_ros.identification.regression.between import DIFFERS, WORDS, Between, effective_freedom
 from proprio_ros.identification.regression.motion_equations import (
     MIN_STRETCHES,
     WINDOW_S,
@@ -41,6 +40,12 @@ from proprio_ros.identification.regression.motion_equations import (
     Rows,
     equations,
     weighable,
+)
+from proprio_ros.identification.regression.recording_variability import (
+    DIFFERS,
+    WORDS,
+    RecordingVariability,
+    effective_freedom,
 )
 from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
 from proprio_ros.identification.regression.traces import Explained
@@ -61,7 +66,7 @@ STRETCHES, UNDETERMINED, CALIBRATION, CONSTANTS = (
     "what the calibration leaves open",
     "torque constants",
 )
-"""Of what a mass errs by, beside what recordings differ by (`between.WORDS`)."""
+"""Of what a mass errs by, beside what recordings differ by (`recording_variability.WORDS`)."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +184,7 @@ def learn_arm(
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
     prior = motion_prior.prior_of_file(robot, arm, runs)
     friction = len(FRICTION_TERMS) * count
-    published = Between.unknown(count)
+    published = RecordingVariability.unknown(count)
     per_kg = motion_prior.payload_stds(arm)
     if runs == 1:
         solution = solve(problem, prior, published, per_kg)
@@ -261,7 +266,7 @@ def held_by_file(robot: Robot, motions: Sequence[Motion]) -> HeldByFile:
     problem = Problem.of(parts, len(motions))
     prior = motion_prior.prior_of_file(robot, arm, len(motions))
     per_kg = motion_prior.payload_stds(arm)
-    solution = solve(problem, prior, Between.unknown(arm.count), per_kg)
+    solution = solve(problem, prior, RecordingVariability.unknown(arm.count), per_kg)
     shared = slice(PARAMETERS, PARAMETERS + ARM_TERMS * arm.count)
     seen = solution.values[:4]  # mass and first moment: what gravity pulls at
     squared = float(seen @ np.linalg.solve(solution.covariance[:4, :4], seen))
@@ -272,7 +277,7 @@ def held_by_file(robot: Robot, motions: Sequence[Motion]) -> HeldByFile:
     )
 
 
-def _friction_between(problem: Problem, solution: Solution) -> Between:
+def _friction_between(problem: Problem, solution: Solution) -> RecordingVariability:
     """With what friction and offset differ by: from run to run, and what stretches of a run show of it."""
     count = problem.count
     own = len(FRICTION_TERMS) * problem.count
@@ -357,7 +362,7 @@ def fit_payload(
         least=least,
     )
     known, terms = motion_prior.calibrated_prior(arm, calibration, len(motions))
-    between = motion_prior.between_of(calibration, motions)
+    between = motion_prior.variability_of(calibration, motions)
     per_kg = motion_prior.payload_stds(arm)
     if centre is not None:
         per_kg[1:4] = np.maximum(centre[1], 1e-3)

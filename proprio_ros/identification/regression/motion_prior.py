@@ -12,13 +12,13 @@ from proprio_ros.calibration_files.motions import (
     TERMS,
     MotionCalibration,
 )
-from proprio_ros.identification.regression.between import (
+from proprio_ros.identification.regression.motion_equations import Arm, own_terms, sizes
+from proprio_ros.identification.regression.recording_variability import (
     CONSIDERED,
     PSEUDO_RECORDINGS,
     PUBLISHED,
-    Between,
+    RecordingVariability,
 )
-from proprio_ros.identification.regression.motion_equations import Arm, own_terms, sizes
 from proprio_ros.identification.regression.solve import WAVES, Prior
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -123,7 +123,9 @@ def calibrated_prior(
     return with_payload(arm, Prior(terms @ calibration.values, covariance)), terms
 
 
-def between_of(calibration: MotionCalibration, motions: Sequence[Motion] = ()) -> Between:
+def variability_of(
+    calibration: MotionCalibration, motions: Sequence[Motion] = ()
+) -> RecordingVariability:
     """By how much recordings differ from a calibration, whose own torque, zeros and clock nobody knows, either.
 
     ``motions``: those recordings; of theirs clocks are known as well as they say.
@@ -145,7 +147,7 @@ def between_of(calibration: MotionCalibration, motions: Sequence[Motion] = ()) -
          for kind, share in (("friction", 2), ("offset", 1))]
     )  # fmt: skip
     spread = calibration.friction_spread
-    return Between(spreads, recordings, spread * unit, np.zeros_like(spread))
+    return RecordingVariability(spreads, recordings, spread * unit, np.zeros_like(spread))
 
 
 def payload_stds(arm: Arm) -> FloatArray:

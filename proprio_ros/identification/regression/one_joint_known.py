@@ -28,12 +28,6 @@ from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCal
 from proprio_ros.calibration_files.own_terms import OwnTerms
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
-from proprio_ros.identification.regression.between import (
-    PUBLISHED,
-    half_width,
-    spread_of,
-    spread_posterior,
-)
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE
 from proprio_ros.identification.regression.one_joint_fit import (
     HOP_SHARE,
@@ -47,6 +41,12 @@ from proprio_ros.identification.regression.one_joint_fit import (
     stretches_of,
     table_of,
     without,
+)
+from proprio_ros.identification.regression.recording_variability import (
+    PUBLISHED,
+    half_width,
+    spread_of,
+    spread_posterior,
 )
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray

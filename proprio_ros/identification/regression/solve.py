@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
-from proprio_ros.identification.regression.between import (
+from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
+from proprio_ros.identification.regression.recording_variability import (
     CLOCK,
     CONSIDERED,
     LEARNT,
     PUBLISHED,
-    Between,
+    RecordingVariability,
     by_evidence,
 )
-from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
 
@@ -79,7 +79,7 @@ class Solution:
     rms: FloatArray
     correlation: FloatArray
     prior: Prior  # as it was in the end
-    between: Between  # by what recordings differ, with what these show
+    between: RecordingVariability  # by what recordings differ, with what these show
     scaled: FloatArray  # the equations times their weights, shape (E, U)
     weight: FloatArray  # shape (E,)
 
@@ -113,7 +113,7 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
 def solve_following(
     problem: Problem,
     prior: Prior,
-    between: Between,
+    between: RecordingVariability,
     per_kg: FloatArray,
     known: MotionCalibration | None,
 ) -> tuple[Solution, Solution, FloatArray]:
@@ -187,7 +187,7 @@ def _contrasts(count: int) -> FloatArray:
 def solve(
     problem: Problem,
     prior: Prior,
-    between: Between,
+    between: RecordingVariability,
     per_kg: FloatArray,
     known: MotionCalibration | None = None,
     followed: Sequence[str] = (),

@@ -11,11 +11,11 @@ from support.arm_in_motion import Twin, write_robot
 from support.machines import REAL
 
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.regression.between import CLOCK
 from proprio_ros.identification.regression.clocks import Clock, clock_of, with_clocks
 from proprio_ros.identification.regression.motion_equations import Problem, equations, own_terms
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.regression.motion_fit import fit_empty
+from proprio_ros.identification.regression.recording_variability import CLOCK
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.probes.payload.moving import identify_in_motion

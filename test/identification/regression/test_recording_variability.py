@@ -16,12 +16,12 @@ from support.machines import pendulum_urdf
 from support.servo_bag import write
 
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.regression.between import (
+from proprio_ros.identification.regression.recording_variability import (
     DIFFERS,
     FACTORS,
     PSEUDO_RECORDINGS,
     PUBLISHED,
-    Between,
+    RecordingVariability,
     by_evidence,
     likely,
     spread_of_runs,
@@ -38,7 +38,7 @@ FRICTION = np.full(6, 0.2)
 
 
 def test_what_nobody_repeated_differs_as_published() -> None:
-    stated = Between.published(FRICTION, np.zeros(6))
+    stated = RecordingVariability.published(FRICTION, np.zeros(6))
     # viscous and Coulomb friction, offset, share, zero of two joints, the share in common, and a clock that keeps time
     assert stated.std == pytest.approx(
         [*[0.2 * PUBLISHED["friction"]] * 4, *[0.2 * PUBLISHED["offset"]] * 2, *[PUBLISHED["own_scale"]] * 2,
@@ -52,7 +52,7 @@ def test_what_nobody_repeated_differs_as_published() -> None:
 
 
 def test_spreads_follow_recordings_where_there_are_many() -> None:
-    stated = Between.published(FRICTION, np.zeros(6))
+    stated = RecordingVariability.published(FRICTION, np.zeros(6))
     true = replace(
         stated,
         spreads={kind: 3.0 * spread for kind, spread in PUBLISHED.items()},
@@ -66,7 +66,7 @@ def test_spreads_follow_recordings_where_there_are_many() -> None:
 
 
 def test_what_rests_on_several_spreads_is_known_as_well_as_the_least_of_them() -> None:
-    stated = Between.published(FRICTION, np.zeros(6))
+    stated = RecordingVariability.published(FRICTION, np.zeros(6))
     for kind in ("common_scale", "own_scale", "zero"):
         more = {**dict.fromkeys(PUBLISHED, 9.0), kind: 5.0}
         assert replace(stated, recordings=more).by_word[DIFFERS] == 5.0

@@ -77,7 +77,7 @@ def spread_of_runs(
 
 
 @dataclass(frozen=True)
-class Between:
+class RecordingVariability:
     """What recordings of an arm of n joints have of their own, as standard deviations.
 
     A recording's own terms are viscous friction, Coulomb friction, offset, share of the torque and zero of each joint, and a share
@@ -91,12 +91,12 @@ class Between:
     drift: FloatArray  # what these change by within a recording, shape (3 n,)
 
     @classmethod
-    def published(cls, friction: FloatArray, drift: FloatArray) -> Between:
+    def published(cls, friction: FloatArray, drift: FloatArray) -> RecordingVariability:
         """Nothing is known of this arm but its friction."""
         return cls(PUBLISHED, dict.fromkeys(PUBLISHED, PSEUDO_RECORDINGS), friction, drift)
 
     @classmethod
-    def unknown(cls, count: int) -> Between:
+    def unknown(cls, count: int) -> RecordingVariability:
         """Nothing is known of an arm of so many joints, not even its friction."""
         friction = np.zeros(3 * count)
         return cls.published(friction, friction)
@@ -135,8 +135,12 @@ class Between:
         return np.maximum(std, 1e-9)
 
     def learnt(
-        self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED
-    ) -> Between:
+        self,
+        now: RecordingVariability,
+        off: FloatArray,
+        variances: FloatArray,
+        kinds: Iterable[str] = PUBLISHED,
+    ) -> RecordingVariability:
         """With what recordings show, beside what this says.
 
         ``now``: the spreads under which they were fitted; ``off``: how each one's own terms differ from the machine's,
