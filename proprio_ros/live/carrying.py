@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.errors import RobotError
+from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, fill_drives
 from proprio_ros.identification.regression.motion_prior import file_prior
 from proprio_ros.quantity import Z95
@@ -144,7 +145,7 @@ class Carrier:
             design,
             self._values,
             rows,
-            slice(11 * count, 12 * count),
+            ArmTerms(count),
             load.mass_kg * along,
         )
         variance = (

@@ -25,8 +25,9 @@ import numpy as np
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
 from proprio_ros.errors import TooLittleMotion
 from proprio_ros.identification.gates import chi2_limit
+from proprio_ros.identification.regression.error_budget import CALIBRATION, CONSTANTS
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
-from proprio_ros.identification.regression.motion_fit import CALIBRATION, CONSTANTS, check_arm
+from proprio_ros.identification.regression.motion_fit import check_arm
 from proprio_ros.identification.regression.motion_prior import LOAD_FRICTION_SPREAD, payload_stds
 from proprio_ros.identification.regression.online import TOLD_S, OnlineEstimate, OnlineEstimator
 from proprio_ros.quantity import Z95

@@ -23,9 +23,12 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
-from proprio_ros.identification.regression.recording_variability import CLOCK, RecordingVariability
+from proprio_ros.identification.regression.motion_prior import (
+    priors_of_calibration,
+    priors_of_file,
+)
+from proprio_ros.identification.regression.recording_variability import CLOCK
 from proprio_ros.identification.regression.solve import solve
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.voltage import voltage_driven
@@ -190,17 +193,16 @@ def _step(
     # a tool that nobody stated would bend the clock of an arm that only its file describes
     holds = loaded or calibration is None
     problem = Problem.of([equations(robot, motion, joints)], int(holds))
-    if calibration is None:
-        prior = motion_prior.prior_of_file(robot, arm, 1)
-        between = RecordingVariability.unknown(arm.count)
-    else:
-        prior, _ = motion_prior.calibrated_prior(arm, calibration, 1)
-        between = motion_prior.variability_of(calibration)
-    spreads = {**between.spreads, "pace": 2.0 * PACE_SPREAD, "lag": LAG_SPREAD_S}
-    between = replace(between, spreads=spreads)
-    per_kg = motion_prior.payload_stds(arm)
-    solution = solve(problem, prior, between, per_kg, calibration, followed=CLOCK)
-    at = [problem.own(0).start + between.place(kind) for kind in CLOCK]
+    priors = priors_of_file(robot, arm, 1)
+    if calibration is not None:
+        priors = priors_of_calibration(arm, calibration, [motion])
+    # accelerations are off by twice as much as the pace
+    open_clock = {"pace": 2.0 * PACE_SPREAD, "lag": LAG_SPREAD_S}
+    spreads = {**priors.variability.spreads, **open_clock}
+    variability = replace(priors.variability, spreads=spreads)
+    priors = replace(priors, variability=variability)
+    solution = solve(problem, priors, calibration, followed=CLOCK)
+    at = [problem.own(0).start + variability.place(kind) for kind in CLOCK]
     acceleration, lag_s = solution.values[at]
     # the larger of what the fit and what its stretches say
     variance = np.maximum(

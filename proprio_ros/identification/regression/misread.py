@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.regression import motion_prior
 from proprio_ros.identification.regression.motion_equations import (
     HOP_SHARE,
     Arm,
@@ -26,6 +25,7 @@ from proprio_ros.identification.regression.motion_equations import (
     equations,
     own_terms,
 )
+from proprio_ros.identification.regression.motion_prior import priors_of_file
 from proprio_ros.identification.regression.solve import Prior, posterior
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -148,7 +148,7 @@ class _Fitting:
         self.shared = PARAMETERS + ARM_TERMS * count
         self.own = len(FRICTION_TERMS) * count
         size = self.shared + self.own * motions
-        stated = motion_prior.prior_of_file(robot, arm, motions)
+        stated = priors_of_file(robot, arm, motions).unknowns
         first = self.shared + own_terms(count) * np.arange(motions)
         friction = (first[:, None] + np.arange(self.own)).ravel()
         kept = np.concatenate([np.arange(self.shared), friction])

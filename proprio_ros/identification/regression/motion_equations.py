@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS
 from proprio_ros.errors import RobotError, TooLittleMotion
+from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.rigid_body import pseudo_inertia
 from proprio_ros.identification.regression.weak_form import (
     Windows,
@@ -357,7 +358,7 @@ def fill_drives(
     matrix: FloatArray,
     values: FloatArray,
     rows: Rows | Problem,
-    geared: slice,
+    terms: ArmTerms,
     beside: FloatArray | float = 0.0,
 ) -> None:
     """Fill the columns that go with a solution: gears lose a share of what they transmit, a motor is off by a share of its torque.
@@ -366,18 +367,16 @@ def fill_drives(
         matrix: Of payload, where it has one, and of the arm's terms as in `Rows.design`; changed in place, shape (E, U).
         values: The solution, shape (U,).
         rows: Whose matrix it is.
-        geared: Columns of load friction, n; those of bodies end n before, and those of shares of the torque follow.
+        terms: Where the arm's terms stand in it.
         beside: Torque that the matrix has no column of [N m], shape (E,).
     """
-    count = geared.stop - geared.start
-    bodies = slice(0, geared.start - count)
-    shares = slice(geared.stop, geared.stop + count)
-    own = np.eye(count)[rows.joint]
+    bodies = slice(0, terms.bodies.stop)  # the payload's before them, where there is one
+    own = np.eye(terms.count)[rows.joint]
     transmitted = np.abs(matrix[:, bodies] @ values[bodies] + beside)
-    matrix[:, geared] = own * (transmitted * rows.direction)[:, None]
+    matrix[:, terms.load_friction] = own * (transmitted * rows.direction)[:, None]
     # not the measured torque: its noise would make every share too small
-    matrix[:, shares] = 0.0
-    matrix[:, shares] = -own * (matrix @ values + beside)[:, None]
+    matrix[:, terms.torque_shares] = 0.0
+    matrix[:, terms.torque_shares] = -own * (matrix @ values + beside)[:, None]
 
 
 @dataclass(frozen=True)
@@ -397,6 +396,7 @@ class Problem:
     zero: FloatArray
     inertial: FloatArray
     torque_rate: FloatArray  # see `Rows`
+    start_s: FloatArray  # when each equation's window begins in its motion [s], shape (E,)
     loaded: int  # so many motions, the first ones, hold the payload
     count: int  # of joints, n
 
@@ -424,18 +424,19 @@ class Problem:
         inertial = rows.inertial.copy()
         inertial[motion >= loaded, :PARAMETERS] = 0.0
         return cls(
-            np.vstack(matrix),
-            rows.torque,
-            rows.joint,
-            stretch,
-            rows.direction,
-            motion,
-            rows.payload[:, 0],
-            zero,
-            inertial,
-            rows.torque_rate,
-            loaded,
-            count,
+            matrix=np.vstack(matrix),
+            torque=rows.torque,
+            joint=rows.joint,
+            stretch=stretch,
+            direction=rows.direction,
+            motion=motion,
+            by_mass=rows.payload[:, 0],
+            zero=zero,
+            inertial=inertial,
+            torque_rate=rows.torque_rate,
+            start_s=rows.start_s,
+            loaded=loaded,
+            count=count,
         )
 
     def only(self, kept: NDArray[np.bool_]) -> Problem:
@@ -522,3 +523,26 @@ class Problem:
         return np.array(
             [np.sqrt(np.mean(of_joint**2)) if len(of_joint) else np.nan for of_joint in mine]
         )
+
+
+def problem_of(
+    robot: Robot,
+    motions: Sequence[Motion],
+    joints: Sequence[str],
+    loaded: int,
+    centre_m: FloatArray | None = None,
+) -> Problem:
+    """The equations of all motions, but for joints that move too little to leave a residual.
+
+    Args:
+        robot: Its torque constants and geometry.
+        motions: Of these joints.
+        joints: Whose terms are the columns.
+        loaded: So many motions, the first ones, hold the payload.
+        centre_m: Where the payload's mass sits, see `equations`, shape (3,).
+
+    Raises:
+        RecordingError: A motion is too short, or too fast for its rate.
+    """
+    parts = [equations(robot, motion, joints, centre_m) for motion in motions]
+    return Problem.of(weighable(parts), loaded)

@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtrit
 
 from proprio_ros.calibration_files.motions import (
     ARM_TERMS,
@@ -31,23 +30,30 @@ from proprio_ros.calibration_files.motions import (
 )
 from proprio_ros.errors import RecordingError, RobotError, some
 from proprio_ros.identification.estimate import JointFit
-from proprio_ros.identification.regression import motion_prior
+from proprio_ros.identification.regression.arm_terms import ArmTerms
+from proprio_ros.identification.regression.error_budget import ErrorBudget
 from proprio_ros.identification.regression.motion_equations import (
     MIN_STRETCHES,
     WINDOW_S,
     Arm,
     Problem,
-    Rows,
-    equations,
-    weighable,
+    problem_of,
 )
-from proprio_ros.identification.regression.recording_variability import (
-    DIFFERS,
-    WORDS,
-    RecordingVariability,
-    effective_freedom,
+from proprio_ros.identification.regression.motion_prior import (
+    URDF_SHARE,
+    calibrated_terms,
+    priors_of_calibration,
+    priors_of_file,
+    relative_torque_std,
 )
-from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_following
+from proprio_ros.identification.regression.recording_variability import RecordingVariability
+from proprio_ros.identification.regression.solve import (
+    Priors,
+    Solution,
+    solve,
+    solve_following,
+    window_weights,
+)
 from proprio_ros.identification.regression.traces import Explained
 from proprio_ros.identification.regression.trends import Trend, trend_of
 from proprio_ros.recordings.motions import Motion
@@ -56,26 +62,11 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import PARAMETERS
 
 SPREAD_ITERATIONS = 10
-# A recording tells a joint's share of the torque where it makes its variance this much smaller.
+# A recording tells a joint's share of the torque where it makes its variance this much smaller: a guess.
 LEAST_TOLD = 0.2
+LEAST_PLACE_STD_M = 1e-3  # Nobody states a centre of mass better.
 Centre = tuple[FloatArray, FloatArray]
 """A payload's centre of mass in its frame, and the standard deviation of each coordinate [m], each of shape (3,)."""
-STRETCHES, UNDETERMINED, CALIBRATION, CONSTANTS = (
-    "what differs from stretch to stretch",
-    "what the motion does not determine",
-    "what the calibration leaves open",
-    "torque constants",
-)
-"""Of what a mass errs by, beside what recordings differ by (`recording_variability.WORDS`)."""
-
-
-@dataclass(frozen=True)
-class Solved:
-    """Equations, and their solution."""
-
-    problem: Problem
-    solution: Solution
-    start_s: FloatArray  # when each equation's window begins [s], shape (E,)
 
 
 @dataclass(frozen=True)
@@ -91,7 +82,7 @@ class MotionFit:
     # residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m], shape (n,)
     residual: FloatArray
     empty_residual: FloatArray
-    # mean square of the former over that of the latter, each joint as much as it tells: reduced chi-square
+    # mean square of the former over that of the latter, each joint as much as it contributes: reduced chi-square
     misfit: float
     driven: FloatArray  # rms of the mean torque itself [N m], shape (n,)
     # half width of a 95 % interval in standard deviations: Student's, by the number of stretches
@@ -115,15 +106,16 @@ class MotionFit:
     louder_kg: float
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
     shown: tuple[JointFit, ...]  # torque over time, for a picture
-    solved: Solved  # what all of it was made of
+    # what all of it was made of
+    problem: Problem
+    solution: Solution
 
     @functools.cached_property
     def trends(self) -> tuple[Trend, ...]:
         """What changes along each motion with the payload; it takes a quarter of a fit, and few who fit ask for it."""
-        problem = self.solved.problem
         return tuple(
-            trend_of(self.joints, problem, self.solved.solution, self.solved.start_s, number)
-            for number in range(problem.loaded)
+            trend_of(self.joints, self.problem, self.solution, number)
+            for number in range(self.problem.loaded)
         )
 
     @property
@@ -175,44 +167,15 @@ def learn_arm(
     Raises `RecordingError`: A motion is of no use, or all together are too short.
     """
     joints = motions[0].joints
-    runs = len(motions)
     arm = Arm.of(robot, joints, dict(motions[0].held))
-    count = arm.count
-    shared = PARAMETERS + ARM_TERMS * arm.count
-    parts = weighable([equations(robot, motion, joints) for motion in motions])
-    problem = Problem.of(parts, 0)
+    problem = problem_of(robot, motions, joints, 0)
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
-    prior = motion_prior.prior_of_file(robot, arm, runs)
-    friction = len(FRICTION_TERMS) * count
-    published = RecordingVariability.unknown(count)
-    per_kg = motion_prior.payload_stds(arm)
-    if runs == 1:
-        solution = solve(problem, prior, published, per_kg)
-    else:
-        solution, _, scatter = solve_following(problem, prior, published, per_kg, None)
-        solution = replace(solution, covariance=solution.covariance + scatter)
-    # the mean of the runs' friction
-    mean = np.zeros((TERMS * count, len(solution.values)))
-    mean[: ARM_TERMS * count, PARAMETERS:shared] = np.eye(ARM_TERMS * count)
-    for number in range(runs):
-        mean[ARM_TERMS * count :, problem.own(number)][:, :friction] = np.eye(friction) / runs
-    between = _friction_between(problem, solution)
+    priors = priors_of_file(robot, arm, len(motions))
+    solution = _solved_empty(problem, priors)
+    mean = _mean_of_runs(problem)
+    variability = _friction_variability(problem, solution)
     names = arm.model.joint_names
-    bodies = slice(PARAMETERS, PARAMETERS * (1 + count))
-    fitted, by_urdf = (
-        problem.matrix[:, bodies] @ each[bodies] for each in (solution.values, prior.values)
-    )
-    over_urdf = float(fitted @ by_urdf / (by_urdf @ by_urdf))
-    scale_std = max(motion_prior.relative_torque_std(robot, name) for name in names)
-    # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
-    limit = motion_prior.URDF_SHARE
-    if robot.arm_scale.std > 0.0:
-        limit = min(
-            2.0 * float(np.hypot(robot.arm_scale.std, scale_std)),
-            max(motion_prior.URDF_SHARE, 2.0 * scale_std),
-        )
-    if abs(over_urdf - 1.0) > limit:
-        scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
+    over_urdf = _over_urdf(problem, solution, priors)
     learnt = MotionCalibration(
         joints=names,
         torque_constants=np.array(
@@ -221,14 +184,15 @@ def learn_arm(
         values=mean @ solution.values,
         covariance=mean @ solution.covariance @ mean.T,
         deviations=solution.deviations @ mean.T,
-        friction_spread=between.std[:friction],
+        friction_spread=variability.std[: len(FRICTION_TERMS) * arm.count],
         between={
-            kind: (between.spreads[kind], between.recordings[kind]) for kind in sorted(BETWEEN)
+            kind: (variability.spreads[kind], variability.recordings[kind])
+            for kind in sorted(BETWEEN)
         },
         residual=solution.rms,
         correlation=solution.correlation,
         torque_scale=1.0,
-        torque_scale_std=scale_std,
+        torque_scale_std=_torque_scale_std(robot, names, over_urdf),
         arm_over_urdf=over_urdf,
         fingerprint=robot.model.fingerprint(),
         runs=tuple(
@@ -236,13 +200,52 @@ def learn_arm(
         ),
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
-    return learnt, _shown(
-        problem,
-        parts,
-        solution,
-        learnt,
-        [motion.name for motion in motions],
-    )
+    return learnt, _shown(problem, solution, learnt, motions)
+
+
+def _solved_empty(problem: Problem, priors: Priors) -> Solution:
+    """Of motions with an empty hand: of several, with what differs between them."""
+    if problem.motions == 1:
+        return solve(problem, priors)
+    followed = solve_following(problem, priors, None)
+    solution = followed.estimate
+    return replace(solution, covariance=solution.covariance + followed.scatter)
+
+
+def _mean_of_runs(problem: Problem) -> FloatArray:
+    """A calibration's terms by the unknowns: the arm's as they are, friction's mean over the motions, shape (20 n, U)."""
+    count = problem.count
+    shared = ARM_TERMS * count
+    friction = len(FRICTION_TERMS) * count
+    mean = np.zeros((TERMS * count, problem.matrix.shape[1]))
+    mean[:shared, PARAMETERS : PARAMETERS + shared] = np.eye(shared)
+    for number in range(problem.motions):
+        mean[shared:, problem.own(number)][:, :friction] = np.eye(friction) / problem.motions
+    return mean
+
+
+def _over_urdf(problem: Problem, solution: Solution, priors: Priors) -> float:
+    """By how much the torques of the arm's bodies are those that its URDF says, by least squares."""
+    bodies = ArmTerms(problem.count, PARAMETERS).bodies
+    columns = problem.matrix[:, bodies]
+    fitted = columns @ solution.values[bodies]
+    by_urdf = columns @ priors.unknowns.values[bodies]
+    return float(fitted @ by_urdf / (by_urdf @ by_urdf))
+
+
+def _torque_scale_std(robot: Robot, names: Sequence[str], over_urdf: float) -> float:
+    """How well the torque constants are known, relative, of an arm that by its torques is so much heavier than its URDF."""
+    scale_std = max(relative_torque_std(robot, name) for name in names)
+    # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
+    limit = URDF_SHARE
+    if robot.arm_scale.std > 0.0:
+        limit = min(
+            2.0 * float(np.hypot(robot.arm_scale.std, scale_std)),
+            max(URDF_SHARE, 2.0 * scale_std),
+        )
+    if abs(over_urdf - 1.0) > limit:
+        return float(np.hypot(scale_std, over_urdf - 1.0))
+    return scale_std
 
 
 @dataclass(frozen=True)
@@ -262,65 +265,62 @@ def held_by_file(robot: Robot, motions: Sequence[Motion]) -> HeldByFile:
     """
     joints = motions[0].joints
     arm = Arm.of(robot, joints, dict(motions[0].held))
-    parts = weighable([equations(robot, motion, joints) for motion in motions])
-    problem = Problem.of(parts, len(motions))
-    prior = motion_prior.prior_of_file(robot, arm, len(motions))
-    per_kg = motion_prior.payload_stds(arm)
-    solution = solve(problem, prior, RecordingVariability.unknown(arm.count), per_kg)
-    shared = slice(PARAMETERS, PARAMETERS + ARM_TERMS * arm.count)
+    problem = problem_of(robot, motions, joints, len(motions))
+    solution = solve(problem, priors_of_file(robot, arm, len(motions)))
     seen = solution.values[:4]  # mass and first moment: what gravity pulls at
     squared = float(seen @ np.linalg.solve(solution.covariance[:4, :4], seen))
     return HeldByFile(
         *solution.mass_and_std(),
-        float(np.sqrt(squared)),
-        solution.values[shared],
+        sigmas=float(np.sqrt(squared)),
+        arm=solution.values[PARAMETERS : problem.own(0).start],
     )
 
 
-def _friction_between(problem: Problem, solution: Solution) -> RecordingVariability:
+def _friction_variability(problem: Problem, solution: Solution) -> RecordingVariability:
     """With what friction and offset differ by: from run to run, and what stretches of a run show of it."""
     count = problem.count
-    own = len(FRICTION_TERMS) * problem.count
     places = [problem.own(number) for number in range(problem.motions)]
-    runs = np.array([solution.values[place] for place in places])
-    variances = np.array([np.diag(solution.covariance)[place] for place in places])
-    # each motion has columns of its own; together they are those of one friction
-    columns = np.sum(
-        [problem.matrix[:, place][:, :own] for place in places],
-        axis=0,
-    )
-    drift = np.zeros(own)
-    for number in range(own):
-        mine = problem.joint == number % count
-        column = columns[mine, number]
-        residual = solution.residual[mine]
-        stretch = problem.stretch[mine]
-        of_stretch = [
-            float(residual[out] @ column[out]) / max(float(column[out] @ column[out]), 1e-12)
-            for out in (stretch == label for label in np.unique(stretch))
-        ]
-        # what a stretch shows may be any of the three
-        drift[number] = (
-            np.sqrt(np.mean(np.square(of_stretch)) / len(FRICTION_TERMS)) if of_stretch else 0.0
-        )
-    usual = np.abs(runs[:, :own]).mean(axis=0)
-    usual[2 * count :] = usual[count : 2 * count]
-    stated = replace(solution.between, friction=usual, drift=drift)
+    runs = np.array([solution.values[place] for place in places])  # (R, 5 n + 3)
+    usual = np.abs(runs[:, : len(FRICTION_TERMS) * count]).mean(axis=0)
+    usual[2 * count :] = usual[count : 2 * count]  # an offset counts by Coulomb friction
+    drift = _friction_drift(problem, solution)
+    stated = replace(solution.variability, friction=usual, drift=drift)
     if len(runs) == 1:
         return stated
     # about their mean they differ by less than about the arm's own
     off = (runs - runs.mean(axis=0)) * np.sqrt(len(runs) / (len(runs) - 1))
-    told = (len(runs) - 1) / len(runs)
+    determined = (len(runs) - 1) / len(runs)
+    variances = np.array([np.diag(solution.covariance)[place] for place in places])
     now = stated
     for _ in range(SPREAD_ITERATIONS):
-        left = 1.0 - told * (1.0 - np.minimum(variances / (variances + now.std**2), 1.0))
-        now = stated.learnt(
-            now,
-            off,
-            left * now.std**2,
-            ("friction", "offset"),
-        )
+        shrunk = np.minimum(variances / (variances + now.std**2), 1.0)
+        left = 1.0 - determined * (1.0 - shrunk)
+        now = stated.learnt(now, off, left * now.std**2, ("friction", "offset"))
     return now
+
+
+def _friction_drift(problem: Problem, solution: Solution) -> FloatArray:
+    """What friction and offsets change by within a motion, standard deviation over its stretches, shape (3 n,)."""
+    count = problem.count
+    terms = len(FRICTION_TERMS) * count
+    # each motion has columns of its own; together they are those of one friction
+    own = [problem.matrix[:, problem.own(number)][:, :terms] for number in range(problem.motions)]
+    columns = np.sum(own, axis=0)  # (E, 3 n)
+    drift = np.zeros(terms)
+    for number in range(terms):
+        mine = problem.joint == number % count
+        column = columns[mine, number]
+        residual = solution.residual[mine]
+        stretch = problem.stretch[mine]
+        of_stretch = []
+        for label in np.unique(stretch):
+            out = stretch == label
+            squares = max(float(column[out] @ column[out]), 1e-12)
+            of_stretch.append(float(residual[out] @ column[out]) / squares)
+        if of_stretch:
+            # what a stretch shows may be any of the three
+            drift[number] = np.sqrt(np.mean(np.square(of_stretch)) / len(FRICTION_TERMS))
+    return drift
 
 
 def fit_payload(
@@ -347,89 +347,69 @@ def fit_payload(
         RobotError: Torque constants are no longer those of the calibration.
     """
     motions = [*loaded, *empty]
-    joints = calibration.joints
     check_arm(robot, motions, calibration)
-    arm = Arm.of(robot, joints, dict(motions[0].held))
+    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
     place = None if centre is None else centre[0]
-    parts = weighable([equations(robot, motion, joints, place) for motion in motions])
-    problem = Problem.of(parts, len(loaded))
-    carrying = problem.carrying
+    problem = problem_of(robot, motions, calibration.joints, len(loaded), place)
     _refuse_other_joints(loaded, problem, calibration)
-    stretches = problem.stretches_of(
-        carrying,
-        loaded[0].name,
-        better_s=15.0,
-        least=least,
-    )
-    known, terms = motion_prior.calibrated_prior(arm, calibration, len(motions))
-    between = motion_prior.variability_of(calibration, motions)
-    per_kg = motion_prior.payload_stds(arm)
+    carrying = problem.carrying
+    stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
+    priors = priors_of_calibration(arm, calibration, motions)
     if centre is not None:
-        per_kg[1:4] = np.maximum(centre[1], 1e-3)
-    solution, opened, scatter = solve_following(problem, known, between, per_kg, calibration)
+        priors.per_kg[1:4] = np.maximum(centre[1], LEAST_PLACE_STD_M)
+    followed = solve_following(problem, priors, calibration)
+    solution = followed.estimate
     tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
     residual = problem.rms_by_joint(solution.residual, carrying)
-    covariances = _covariances(
-        problem, solution, scatter[:PARAMETERS, :PARAMETERS], terms, calibration
-    )
-    # what is explained worse than the empty motions is not only noise: the arm is not where it was calibrated
     empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
     misfit = float(np.nansum(tells * np.square(residual / empty_residual)))
-    covariances[CALIBRATION] *= max(1.0, misfit)
-    variances = {name: float(part[0, 0]) for name, part in covariances.items()}
-    # what few stretches or recordings say of their own scatter is uncertain
-    freedom = [
-        (variances[STRETCHES], stretches - 1.0),
-        (variances[CALIBRATION], calibration.stretches - 1.0),
-    ]
-    freedom += [
-        (variances[word], number)
-        for word, number in solution.between.by_word.items()
-        if word != DIFFERS
-    ]
-    halves = None
-    if stretches >= 2 * MIN_STRETCHES:
-        each = [problem.motion == number for number in range(len(loaded))]
-        late = np.any(
-            [mine & (problem.stretch > np.median(problem.stretch[mine])) for mine in each], axis=0
-        )
-        first, second = (
-            solve(problem.only(kept), known, between, per_kg, calibration).mass_and_std()
-            for kept in (~late, late | ~carrying)
-        )
-        halves = (first, second)
-    followed, rows = np.nonzero(terms)
+    budget = ErrorBudget.of(problem, followed, calibration, misfit, stretches)
+    scale = calibration.torque_scale
+    long_enough = stretches >= 2 * MIN_STRETCHES
+    unknowns, terms = np.nonzero(calibrated_terms(arm.count, len(motions)))
+    of_arm = PARAMETERS + unknowns
     return MotionFit(
         joints=arm.model.joint_names,
-        values=(scale := calibration.torque_scale) * solution.values[:PARAMETERS],
-        covariance=scale**2 * np.sum(list(covariances.values()), axis=0),
-        parts={name: scale * float(np.sqrt(variance)) for name, variance in variances.items()},
+        values=scale * solution.values[:PARAMETERS],
+        covariance=scale**2 * budget.covariance,
+        parts=budget.mass_stds(scale),
         stretches=stretches,
         residual=residual,
         empty_residual=empty_residual,
         misfit=misfit,
         driven=problem.rms_by_joint(problem.torque, carrying),
-        quantile=float(stdtrit(effective_freedom(sum(variances.values()), freedom), 0.975)),
-        halves=halves,
+        quantile=budget.quantile,
+        halves=_weighed_by_halves(problem, priors, calibration) if long_enough else None,
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
         payload_prior=solution.payload_prior,
-        keys=tuple(calibration.keys[row] for row in rows),
-        arm=solution.values[PARAMETERS:][followed],
-        arm_prior=known.values[PARAMETERS:][followed],
-        arm_std=np.sqrt(np.diag(solution.prior.covariance))[PARAMETERS:][followed],
-        off={kind: _of_its_own(problem, opened, kind) for kind in ("zero", "own_scale")},
+        keys=tuple(calibration.keys[term] for term in terms),
+        arm=solution.values[of_arm],
+        arm_prior=priors.unknowns.values[of_arm],
+        arm_std=np.sqrt(np.diag(solution.prior.covariance))[of_arm],
+        off={kind: _of_its_own(problem, followed.opened, kind) for kind in ("zero", "own_scale")},
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
-        shown=_shown(
-            problem,
-            parts,
-            solution,
-            calibration,
-            [motion.name for motion in loaded],
-        ),
-        solved=Solved(problem, solution, Rows.together(parts).start_s),
+        shown=_shown(problem, solution, calibration, loaded),
+        problem=problem,
+        solution=solution,
     )
+
+
+def _weighed_by_halves(
+    problem: Problem, priors: Priors, calibration: MotionCalibration
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Mass and its standard deviation [kg] by the first and by the second half of the motions with the payload.
+
+    The motions with an empty hand count with both.
+    """
+    late = np.zeros(len(problem.motion), dtype=bool)
+    for number in range(problem.loaded):
+        mine = problem.motion == number
+        late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
+    first = solve(problem.only(~late), priors, calibration)
+    second = solve(problem.only(late | ~problem.carrying), priors, calibration)
+    return first.mass_and_std(), second.mass_and_std()
 
 
 def _refuse_other_joints(
@@ -455,21 +435,22 @@ def _refuse_other_joints(
 
 def _shown(
     problem: Problem,
-    parts: Sequence[Rows],
     solution: Solution,
     calibration: MotionCalibration,
-    names: Sequence[str],
+    motions: Sequence[Motion],
 ) -> tuple[JointFit, ...]:
-    """Torque over time of the motions with the payload, whose names these are."""
+    """Torque over time of the first motions, whose names are shown."""
+    weight = window_weights(calibration.residual, calibration.correlation)
     explained = Explained(
-        Rows.together(parts).start_s + 0.5 * WINDOW_S,
-        problem.motion,
-        problem.joint,
-        problem.torque,
-        solution.residual,
-        problem.matrix[:, :PARAMETERS] @ solution.values[:PARAMETERS],
-        problem.by_mass * _weights(calibration.residual, calibration.correlation)[problem.joint],
+        middle_s=problem.start_s + 0.5 * WINDOW_S,
+        motion=problem.motion,
+        joint=problem.joint,
+        measured=problem.torque,
+        left_over=solution.residual,
+        payload=problem.matrix[:, :PARAMETERS] @ solution.values[:PARAMETERS],
+        by_mass=problem.by_mass * weight[problem.joint],
     )
+    names = [motion.name for motion in motions]
     return explained.joint_fits(names, calibration.joints, calibration.residual)
 
 
@@ -501,55 +482,6 @@ def check_torque_constant(robot: Robot, joint: str, constant: float, what: str) 
         )
 
 
-def _covariances(
-    problem: Problem,
-    solution: Solution,
-    scatter: FloatArray,
-    terms: FloatArray,
-    calibration: MotionCalibration,
-) -> dict[str, FloatArray]:
-    """Of the payload's parameters by what they err by, each of shape (10, 10)."""
-    # how the payload follows what its prior is made of: the calibration's values, what recordings differ by, its own size
-    by_prior = solution.by_prior()
-    follows = by_prior[:, PARAMETERS:] @ terms
-    count = len(calibration.joints)
-    opened = by_prior[:, :PARAMETERS] * solution.payload_prior
-    geared = (
-        by_prior[:, PARAMETERS + 11 * count : PARAMETERS + 12 * count]
-        * motion_prior.LOAD_FRICTION_SPREAD
-    )
-    between = solution.between
-    own = slice(problem.own(0).start, None)
-    words = np.tile(
-        [WORDS[kind] for kind in between.kinds],
-        problem.motions,
-    )
-    of_own = by_prior[:, own]
-    followed = of_own * np.tile(between.std, problem.motions)
-    # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
-    by_share = (
-        follows @ calibration.covariance[:, 12 * count : 13 * count] / motion_prior.LEAST_TORQUE_STD
-    )
-    apart = by_share @ by_share.T
-    by_calibration = larger(
-        follows @ calibration.deviations.T @ calibration.deviations @ follows.T,
-        follows @ calibration.covariance @ follows.T - apart,
-    )
-    # nobody knows whether all torque constants are off together or each on its own: the larger covers every mixture
-    together = calibration.torque_scale_std * solution.values[:PARAMETERS]
-    return {
-        STRETCHES: solution.noise(),
-        UNDETERMINED: opened @ opened.T + geared @ geared.T,
-        CALIBRATION: by_calibration,
-        CONSTANTS: larger(np.outer(together, together), apart),
-        **{
-            word: followed[:, words == word] @ followed[:, words == word].T
-            + (scatter if word == DIFFERS else 0.0)
-            for word in dict.fromkeys(WORDS.values())
-        },
-    }
-
-
 def _of_its_own(
     problem: Problem,
     solution: Solution,
@@ -559,47 +491,34 @@ def _of_its_own(
 
     ``kind``: zero, or own_scale, which then counts with what all joints have in common. Where nothing tells it is 0, and infinite.
     """
-    share = np.zeros((problem.count, len(solution.values)))
+    share = np.zeros((problem.count, len(solution.values)))  # (n, U)
     for number in range(problem.loaded):
         own = problem.own(number)
-        share[:, own][:, solution.between.kinds == kind] = np.eye(problem.count) / problem.loaded
+        share[:, own][:, solution.variability.kinds == kind] = (
+            np.eye(problem.count) / problem.loaded
+        )
         if kind == "own_scale":
-            share[:, own.start + solution.between.place("common_scale")] = 1.0 / problem.loaded
-    before, after = (
-        np.sum(share @ each * share, axis=1)
-        for each in (solution.prior.covariance, solution.covariance)
-    )
-    tells = 1.0 - after / before > LEAST_TOLD
-    told = np.maximum(1.0 - after / before, LEAST_TOLD)
-    return np.where(tells, share @ solution.values / told, 0.0), np.where(
-        tells, np.sqrt(after / told), np.inf
-    )
+            share[:, own.start + solution.variability.place("common_scale")] = 1.0 / problem.loaded
+    before = np.sum(share @ solution.prior.covariance * share, axis=1)
+    after = np.sum(share @ solution.covariance * share, axis=1)
+    shown = 1.0 - after / before > LEAST_TOLD
+    determined = np.maximum(1.0 - after / before, LEAST_TOLD)
+    values = np.where(shown, share @ solution.values / determined, 0.0)
+    return values, np.where(shown, np.sqrt(after / determined), np.inf)
 
 
 def _follows_torque(problem: Problem, solution: Solution) -> float:
     """How the mass follows the loaded motions' share of the torque in common [kg]."""
-    common = solution.between.place("common_scale")
+    common = solution.variability.place("common_scale")
     shares = [problem.own(number).start + common for number in range(problem.loaded)]
-    return float(
-        solution.covariance[0, shares].sum() / solution.covariance[np.ix_(shares, shares)].sum()
-    )
+    together = solution.covariance[np.ix_(shares, shares)].sum()
+    return float(solution.covariance[0, shares].sum() / together)
 
 
 def _weight_by_joint(problem: Problem, residual: FloatArray, correlation: FloatArray) -> FloatArray:
     """How much of what the motions tell about a mass each joint tells that leaves so much over, shape (n,), sum 1."""
-    weight = _weights(residual, correlation)
-    told = np.bincount(
-        problem.joint, np.square(weight[problem.joint] * problem.by_mass), minlength=problem.count
-    )
-    result: FloatArray = told / max(float(told.sum()), 1e-300)
+    weight = window_weights(residual, correlation)[problem.joint]
+    squares = np.square(weight * problem.by_mass)
+    by_joint = np.bincount(problem.joint, squares, minlength=problem.count)
+    result: FloatArray = by_joint / max(float(by_joint.sum()), 1e-300)
     return result
-
-
-def _weights(residual: FloatArray, correlation: FloatArray) -> FloatArray:
-    """Of a window of each joint, shape (n,); 0 of one that did not move."""
-    counts = residual > 0.0
-    return np.where(
-        counts,
-        1.0 / (np.where(counts, residual, 1.0) * np.sqrt(correlation)),
-        0.0,
-    )

@@ -12,6 +12,7 @@ from proprio_ros.calibration_files.motions import (
     TERMS,
     MotionCalibration,
 )
+from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.motion_equations import Arm, own_terms, sizes
 from proprio_ros.identification.regression.recording_variability import (
     CONSIDERED,
@@ -19,7 +20,7 @@ from proprio_ros.identification.regression.recording_variability import (
     PUBLISHED,
     RecordingVariability,
 )
-from proprio_ros.identification.regression.solve import WAVES, Prior
+from proprio_ros.identification.regression.solve import WAVES, Prior, Priors
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -61,11 +62,10 @@ def body_stds(arm: Arm, share: float) -> list[float]:
 def drive_stds(robot: Robot, arm: Arm) -> list[float]:
     """The same of rotors [kg m^2] and of the share that gears lose, length 2 n."""
     drives = [robot.drive_trains[name] for name in arm.model.joint_names]
-    rotors = [
-        max(d.armature.std, 0.5 * abs(d.armature.value), 1e-3 * arm.kg * arm.reach_m**2)
-        for d in drives
-    ]
-    return rotors + [max(d.load_friction.std, LEAST_LOAD_FRICTION_STD) for d in drives]
+    least = 1e-3 * arm.kg * arm.reach_m**2
+    rotors = [max(d.armature.std, 0.5 * abs(d.armature.value), least) for d in drives]
+    gears = [max(d.load_friction.std, LEAST_LOAD_FRICTION_STD) for d in drives]
+    return rotors + gears
 
 
 def file_prior(robot: Robot, arm: Arm) -> Prior:
@@ -79,60 +79,84 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
     # until the fit knows Coulomb friction itself
     stds += [d.coulomb.std or 0.1 * arm.kg * arm.reach_m for d in drives] * WAVES
     stds += [arm.kg * 9.81 * arm.reach_m] * (len(FRICTION_TERMS) * len(drives))
-    together = np.concatenate(arm.bodies)
-    count = len(together)
+    together = np.concatenate(arm.bodies)  # (10 n,)
+    terms = ArmTerms(arm.count)
     values = np.zeros(len(stds))
-    values[:count] = together
-    values[count : count + 2 * len(drives)] = [d.armature.value for d in drives] + [
-        d.load_friction.value for d in drives
-    ]
+    values[terms.bodies] = together
+    values[terms.rotors] = [d.armature.value for d in drives]
+    values[terms.load_friction] = [d.load_friction.value for d in drives]
     covariance = np.diag(np.square(stds))
-    covariance[:count, :count] += URDF_SHARE**2 * np.outer(together, together)
+    covariance[terms.bodies, terms.bodies] += URDF_SHARE**2 * np.outer(together, together)
     return Prior(values, covariance)
 
 
-def prior_of_file(robot: Robot, arm: Arm, motions: int) -> Prior:
-    """Of all unknowns of some motions by the robot file; friction of one motion says nothing about that of another."""
+def priors_of_file(robot: Robot, arm: Arm, motions: int) -> Priors:
+    """Of all unknowns of some motions by the robot file alone.
+
+    Args:
+        robot: As its file states it.
+        arm: Of it.
+        motions: How many there are; friction of one says nothing about that of another.
+    """
     stated = file_prior(robot, arm)
-    shared = ARM_TERMS * arm.count
     count = arm.count
+    shared = ARM_TERMS * count
     friction = np.zeros(own_terms(count))
     friction[: TERMS * count - shared] = np.diag(stated.covariance)[shared:]
     values = np.concatenate([stated.values[:shared], np.zeros(motions * len(friction))])
     covariance = np.diag(np.concatenate([np.zeros(shared), np.tile(friction, motions)]))
     covariance[:shared, :shared] = stated.covariance[:shared, :shared]
-    return with_payload(arm, Prior(values, covariance))
+    return Priors(
+        unknowns=with_payload(arm, Prior(values, covariance)),
+        variability=RecordingVariability.unknown(count),
+        per_kg=payload_stds(arm),
+    )
 
 
-def calibrated_prior(
-    arm: Arm, calibration: MotionCalibration, motions: int
-) -> tuple[Prior, FloatArray]:
-    """Of all unknowns of some motions by a calibration, and which of its terms each unknown behind the payload follows.
+def calibrated_terms(count: int, motions: int) -> FloatArray:
+    """Which of a calibration's terms each unknown behind the payload follows, shape (U - 10, 20 n), with a 1 for each that is one.
 
-    Returns: The prior, without what recordings differ by, and the terms, shape (U - 10, 20 n), with a 1 for each that is one.
+    ``count``: of joints, n; ``motions``: how many there are.
     """
-    count = arm.count
-    shared = ARM_TERMS * arm.count
-    friction = len(FRICTION_TERMS) * arm.count
+    shared = ARM_TERMS * count
+    friction = len(FRICTION_TERMS) * count
     of_motion = np.zeros((own_terms(count), TERMS * count))
     of_motion[:friction, shared:] = np.eye(friction)
-    terms = np.vstack([np.eye(TERMS * count)[:shared], *[of_motion] * motions])
+    return np.vstack([np.eye(TERMS * count)[:shared], *[of_motion] * motions])
+
+
+def priors_of_calibration(
+    arm: Arm, calibration: MotionCalibration, motions: Sequence[Motion]
+) -> Priors:
+    """Of all unknowns of some motions by a calibration.
+
+    Args:
+        arm: That was calibrated.
+        calibration: What is known of it.
+        motions: Whose clocks are known as well as they say.
+    """
+    terms = calibrated_terms(arm.count, len(motions))
     covariance = terms @ calibration.covariance @ terms.T
-    geared = range(11 * count, 12 * count)
-    covariance[geared, geared] += LOAD_FRICTION_SPREAD**2
-    return with_payload(arm, Prior(terms @ calibration.values, covariance)), terms
+    geared = ArmTerms(arm.count).load_friction
+    at = range(geared.start, geared.stop)
+    covariance[at, at] += LOAD_FRICTION_SPREAD**2
+    return Priors(
+        unknowns=with_payload(arm, Prior(terms @ calibration.values, covariance)),
+        variability=variability_of(calibration, motions),
+        per_kg=payload_stds(arm),
+    )
 
 
 def variability_of(
-    calibration: MotionCalibration, motions: Sequence[Motion] = ()
+    calibration: MotionCalibration, motions: Sequence[Motion]
 ) -> RecordingVariability:
-    """By how much recordings differ from a calibration, whose own torque, zeros and clock nobody knows, either.
+    """By how much motions differ from a calibration, whose own torque, zeros and clock nobody knows, either.
 
-    ``motions``: those recordings; of theirs clocks are known as well as they say.
+    Their clocks are known as well as they say.
     """
-    stated = {kind: (spread, PSEUDO_RECORDINGS) for kind, spread in PUBLISHED.items()} | dict(
-        calibration.between
-    )
+    stated = {kind: (spread, PSEUDO_RECORDINGS) for kind, spread in PUBLISHED.items()}
+    stated |= calibration.between
+    # two that differ from the machine alike differ from each other by the root of two more
     spreads = {
         kind: 2.0**0.5 * PUBLISHED[kind] if kind in CONSIDERED else stated[kind][0]
         for kind in PUBLISHED
@@ -142,11 +166,11 @@ def variability_of(
     spreads["lag"] = 2.0**0.5 * max((motion.lag_std_s for motion in motions), default=0.0)
     recordings = {kind: stated[kind][1] for kind in PUBLISHED}
     # the file has friction's spread in full
-    unit = np.concatenate(
-        [np.full(len(calibration.friction_spread) * share // 3, 1.0 / spreads[kind])
-         for kind, share in (("friction", 2), ("offset", 1))]
-    )  # fmt: skip
     spread = calibration.friction_spread
+    count = len(spread) // 3
+    of_friction = np.full(2 * count, 1.0 / spreads["friction"])
+    of_offset = np.full(count, 1.0 / spreads["offset"])
+    unit = np.concatenate([of_friction, of_offset])
     return RecordingVariability(spreads, recordings, spread * unit, np.zeros_like(spread))
 
 
@@ -159,9 +183,8 @@ def with_payload(arm: Arm, prior: Prior) -> Prior:
     """The prior with the payload's ten parameters before it: anything up to what the arm itself weighs."""
     size = len(prior.values) + PARAMETERS
     covariance = np.zeros((size, size))
-    covariance[range(PARAMETERS), range(PARAMETERS)] = np.square(arm.kg * payload_stds(arm))
+    payload = range(PARAMETERS)
+    covariance[payload, payload] = np.square(arm.kg * payload_stds(arm))
     covariance[PARAMETERS:, PARAMETERS:] = prior.covariance
-    return Prior(
-        np.concatenate([np.zeros(PARAMETERS), prior.values]),
-        covariance,
-    )
+    values = np.concatenate([np.zeros(PARAMETERS), prior.values])
+    return Prior(values, covariance)

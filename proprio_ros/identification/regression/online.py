@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
+from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.motion_equations import HOP_SHARE, Arm, Rows, fill_drives
 from proprio_ros.identification.regression.motion_equations import WINDOW_S as CALIBRATED_S
 from proprio_ros.identification.regression.motion_prior import LEAST_TORQUE_STD, relative_torque_std
@@ -664,7 +665,7 @@ class _Filter:
             design,
             knows.values,
             window,
-            slice(11 * count, 12 * count),
+            ArmTerms(count),
             mass_kg * along,
         )
         heavy = max(abs(mass_kg), 0.02) * knows.centre_std_m

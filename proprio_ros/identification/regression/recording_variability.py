@@ -67,10 +67,13 @@ SPREADS = np.geomspace(1e-4, 1.0, 200)  # At which the posterior of that is take
 def spread_of_runs(
     stated: float, found: FloatArray, learnt: FloatArray, pseudo_runs: float
 ) -> float:
-    """Standard deviation of what differs from run to run, a stated one counting as ``pseudo_runs``.
+    """Standard deviation of what differs from run to run, by what R runs have of it.
 
-    ``stated``: standard deviation that is expected; ``found``: what each run has, shape (R,); ``learnt``: how much of it the run
-    determines rather than its prior, 0 to 1, shape (R,); ``pseudo_runs``: of how many runs the expectation is worth.
+    Args:
+        stated: Standard deviation that is expected.
+        found: What each run has, shape (R,).
+        learnt: How much of it the run determines rather than its prior, 0 to 1, shape (R,).
+        pseudo_runs: How many runs the expectation is worth.
     """
     total = float(np.sum(np.square(found))) + pseudo_runs * stated**2
     return float(np.sqrt(total / (max(float(np.sum(learnt)), 0.0) + pseudo_runs)))
@@ -141,10 +144,13 @@ class RecordingVariability:
         variances: FloatArray,
         kinds: Iterable[str] = PUBLISHED,
     ) -> RecordingVariability:
-        """With what recordings show, beside what this says.
+        """With what R recordings show, beside what this says.
 
-        ``now``: the spreads under which they were fitted; ``off``: how each one's own terms differ from the machine's,
-        shape (R, 5 n + 3); ``variances``: of these, after the fit, shape (R, 5 n + 3); ``kinds``: what is learnt.
+        Args:
+            now: The spreads under which they were fitted.
+            off: How each one's own terms differ from the machine's, shape (R, 5 n + 3).
+            variances: Of these, after the fit, shape (R, 5 n + 3).
+            kinds: What is learnt.
         """
         std = now.std
         own = self.kinds
@@ -153,44 +159,55 @@ class RecordingVariability:
         for kind in kinds:
             mine = own == kind
             stated = self.spreads[kind]
-            told = np.clip(
-                1.0 - variances[:, mine] / std[mine] ** 2,
-                0.0,
-                1.0,
-            )
+            determined = np.clip(1.0 - variances[:, mine] / std[mine] ** 2, 0.0, 1.0)
             found = off[:, mine] / std[mine] * now.spreads[kind]
-            spreads[kind] = spread_of_runs(stated, found, told, self.recordings[kind])
-            recordings[kind] = self.recordings[kind] + float(told.sum())
+            spreads[kind] = spread_of_runs(stated, found, determined, self.recordings[kind])
+            recordings[kind] = self.recordings[kind] + float(determined.sum())
         return replace(self, spreads=spreads, recordings=recordings)
 
 
-def by_evidence(
-    kinds: NDArray[np.str_], information: FloatArray, side: FloatArray
-) -> tuple[FloatArray, dict[str, float], FloatArray, FloatArray]:
-    """What data say of T terms of which nobody knows how far they scatter: by information, shape (T, T), in what is stated of that.
+@dataclass(frozen=True)
+class Evidence:
+    """What data say of T terms of which nobody knows how far they scatter, at each of F spreads."""
 
-    Returns:
-        Their mean over all spreads, none among them, shape (T,); how many times as far as stated they scatter if they do, by
-        kind; the terms at each of F spreads, shape (F, T); how likely each is, shape (F,).
+    mean: FloatArray  # of the terms over all spreads, none among them, shape (T,)
+    wider: Mapping[str, float]  # how many times as far as stated they scatter if they do, by kind
+    terms: FloatArray  # by each spread, shape (F, T)
+    weights: FloatArray  # how likely each spread is, shape (F,), sum 1
+
+
+def by_evidence(kinds: NDArray[np.str_], information: FloatArray, side: FloatArray) -> Evidence:
+    """Average terms over how far they may scatter, by how likely each spread makes the data.
+
+    Args:
+        kinds: Of the T terms.
+        information: Of the data, in parts of what is stated of the terms, shape (T, T).
+        side: What the data say, weighted alike, shape (T,).
     """
     together = np.array([[kind in group for group in FOLLOWED_TOGETHER] for kind in kinds])
-    pairs = np.array(list(itertools.product(FACTORS, repeat=len(FOLLOWED_TOGETHER))))
+    pairs = np.array(list(itertools.product(FACTORS, repeat=len(FOLLOWED_TOGETHER))))  # (F, 2)
     each = [under(np.square(together @ pair), information, side) for pair in pairs]
-    evidence, terms = (np.array(part) for part in zip(*each, strict=True))
+    evidence = np.array([log_evidence for log_evidence, _ in each])
+    terms = np.array([values for _, values in each])
     weights, agree = likely(evidence, pairs)
-    factors = np.sqrt(weights @ np.square(pairs)).tolist()
-    wider = {
-        kind: factor
-        for group, factor in zip(FOLLOWED_TOGETHER, factors, strict=True)
-        for kind in group
-    }
-    return (1.0 - agree) * (weights @ terms), wider, terms, weights
+    wider: dict[str, float] = {}
+    for group, factor in zip(FOLLOWED_TOGETHER, np.sqrt(weights @ np.square(pairs)), strict=True):
+        wider |= dict.fromkeys(group, float(factor))
+    return Evidence((1.0 - agree) * (weights @ terms), wider, terms, weights)
 
 
 def under(
     variances: FloatArray, information: FloatArray, side: FloatArray
 ) -> tuple[float, FloatArray]:
-    """Logarithm of how likely data are, over that without the terms; and these, whose prior is so wide about nothing."""
+    """The terms under a prior about nothing, and how likely it makes the data (see how_it_works, log p of lambda).
+
+    Args:
+        variances: Of the prior, shape (T,).
+        information: Of the data, shape (T, T).
+        side: What the data say, weighted alike, shape (T,).
+
+    Returns: Logarithm of the data's likelihood over that without the terms, and the terms, shape (T,).
+    """
     widened = np.eye(len(side)) + variances[:, None] * information
     values = np.asarray(
         np.linalg.solve(widened, variances * side),
@@ -200,7 +217,12 @@ def under(
 
 
 def likely(log_evidence: FloatArray, factors: FloatArray) -> tuple[FloatArray, float]:
-    """How likely pairs of `FACTORS` are by their evidence, where recordings differ, shape (F,); and that they agree."""
+    """How likely pairs of `FACTORS` are by their evidence, where recordings differ, and that they agree.
+
+    ``log_evidence``: shape (F,); ``factors``: the pairs, shape (F, 2).
+
+    Returns: Shape (F,), sum 1; and the probability that recordings agree.
+    """
     # a half Cauchy prior (Gelman 2006, Bayesian Analysis 1), and the steps of the grid
     steps = np.gradient(np.array(FACTORS))[np.searchsorted(FACTORS, factors)]
     prior = np.prod(
@@ -252,13 +274,17 @@ def half_width(
     rest: float,
     freedom: Sequence[tuple[float, float]],
 ) -> float:
-    """Of the 95 % interval [kg].
+    """Half width of the 95 % interval of a mass [kg].
 
-    ``posterior``: see `spread_posterior`; ``mass``: that the spread is relative to [kg]; ``rest``: variance of everything else
-    [kg^2]; ``freedom``: of its parts that are known from a few only: variance [kg^2] and degrees of freedom.
+    Args:
+        posterior: How likely each of `SPREADS` is, see `spread_posterior`, shape (200,).
+        mass: That the spread is relative to [kg].
+        rest: Variance of everything else [kg^2].
+        freedom: Variance [kg^2] and degrees of freedom of the parts of it that a few recordings say.
     """
     total = rest + np.square(SPREADS * mass)
-    effective, stds = effective_freedom(total, freedom), np.sqrt(total)
+    effective = effective_freedom(total, freedom)
+    stds = np.sqrt(total)
 
     def beyond(half: float) -> float:
         return float(posterior @ stdtr(effective, half / stds)) - 0.975

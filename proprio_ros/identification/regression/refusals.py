@@ -9,8 +9,8 @@ import numpy as np
 from proprio_ros.calibration_files.motions import UNITS, Key
 from proprio_ros.errors import some
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.regression.error_budget import CONSTANTS
 from proprio_ros.identification.regression.motion_fit import (
-    CONSTANTS,
     Centre,
     HeldByFile,
     MotionFit,

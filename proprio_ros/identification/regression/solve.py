@@ -1,24 +1,28 @@
 """The regression: unknowns with a Gaussian prior, rows in windows whose errors are correlated, one solution with its covariance.
 
-The weights of a joint's rows follow what is left over of them, and for how many windows that is alike. What goes with the solution
-itself is filled in from step to step: gears lose a share of what they transmit, and a motor's torque is off by a share of itself.
+It is solved by iteratively reweighted least squares. The weights of a joint's rows follow what is left over of them, and for how
+many windows that is alike. What goes with the solution itself is filled in from step to step: gears lose a share of what they
+transmit, and a motor's torque is off by a share of itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
+from proprio_ros.calibration_files.motions import MotionCalibration
+from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
 from proprio_ros.identification.regression.recording_variability import (
     CLOCK,
     CONSIDERED,
     LEARNT,
     PUBLISHED,
+    Evidence,
     RecordingVariability,
     by_evidence,
 )
@@ -28,13 +32,19 @@ from proprio_ros.robot.regressor import PARAMETERS
 # Of weights and load friction; the mass of a UR10e changes by less than 1 g in the last.
 ITERATIONS = 6
 WAVES = 4  # Sine and cosine of a joint's angle, and of twice the angle.
-PLACE_SHARE = 0.15  # Standard deviation of each of them in Coulomb friction, relative to it.
+PLACE_SHARE = (
+    0.15  # Standard deviation of each of them in Coulomb friction, relative to it: a guess.
+)
 
-# Of a joint's independent windows at least so many count as not used up by unknowns.
+# Of a joint's independent windows at least so many count as not used up by unknowns: a guess, no recording comes near.
 FEWEST_FREE = 0.2
 FIXED = 1e-6  # Of its spread is what a term that is not followed may move by.
 # Inertia that ends so many standard deviations of its prior from nothing is as open as that.
 SPREAD_SIGMAS = 3.0
+LEAST_RMS = 1e-9  # [N m] of residuals: below it there is only rounding.
+LEAST_CORRELATION = 0.05  # Windows whose residuals are less correlated, and all that are farther apart, are independent.
+# A longer recording knows the residuals of a short one, too, to this factor.
+KNOWN_RESIDUAL = 0.5
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,15 @@ class Prior:
     covariance: FloatArray
 
 
+@dataclass(frozen=True)
+class Priors:
+    """What is known before motions are looked at."""
+
+    unknowns: Prior  # without what recordings differ by
+    variability: RecordingVariability  # by how much they do
+    per_kg: FloatArray  # standard deviations of the payload's parameters per kg that it weighs, shape (10,)
+
+
 def posterior(
     information: FloatArray, side: FloatArray, prior: Prior
 ) -> tuple[FloatArray, FloatArray]:
@@ -52,7 +71,12 @@ def posterior(
 
     Both are scaled by the prior's standard deviations, which differ by ten orders of magnitude.
 
-    ``information``: of the data, N, shape (U, U); ``side``: what they say, weighted alike, shape (U,); ``prior``: of the unknowns.
+    Args:
+        information: Of the data, N, shape (U, U).
+        side: What they say, weighted alike, shape (U,).
+        prior: Of the unknowns.
+
+    Returns: Shapes (U,) and (U, U).
     """
     spread = np.sqrt(np.diag(prior.covariance))
     correlation = prior.covariance / spread[:, None] / spread
@@ -79,7 +103,7 @@ class Solution:
     rms: FloatArray
     correlation: FloatArray
     prior: Prior  # as it was in the end
-    between: RecordingVariability  # by what recordings differ, with what these show
+    variability: RecordingVariability  # by what recordings differ, with what these show
     scaled: FloatArray  # the equations times their weights, shape (E, U)
     weight: FloatArray  # shape (E,)
 
@@ -110,70 +134,121 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
     return one if one[0, 0] > other[0, 0] else other
 
 
-def solve_following(
-    problem: Problem,
-    prior: Prior,
-    between: RecordingVariability,
-    per_kg: FloatArray,
-    known: MotionCalibration | None,
-) -> tuple[Solution, Solution, FloatArray]:
-    """The estimate that follows what differs as the evidence has it, the open one, and its scatter, shape (U, U).
+def window_weights(residual: FloatArray, correlation: FloatArray) -> FloatArray:
+    """Of a window of each joint, shape (n,); 0 of one that did not move.
 
-    Where nothing is ``known``, recordings differ from their mean: torque and zeros of that are the arm's own.
+    ``residual``: rms of what is left over of its windows [N m], shape (n,); ``correlation``: how many share an error, shape (n,).
     """
-    opened = solve(problem, prior, between, per_kg, known, followed=CONSIDERED)
-    first = problem.own(0).start
-    kinds = np.tile(between.kinds, problem.motions)
-    at = first + np.flatnonzero(np.isin(kinds, CONSIDERED))
-    basis: FloatArray = np.eye(len(at))
-    if known is None:
-        basis = np.asarray(
-            np.kron(
-                _contrasts(problem.motions),
-                np.eye(len(at) // problem.motions),
-            ),
-            np.float64,
-        )
+    counts = residual > 0.0
+    return np.where(
+        counts,
+        1.0 / (np.where(counts, residual, 1.0) * np.sqrt(correlation)),
+        0.0,
+    )
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A solution that follows what differs between recordings, averaged over how far that may be."""
+
+    estimate: Solution
+    opened: Solution  # by spreads as they are stated
+    scatter: FloatArray  # how solutions by each spread scatter about the estimate, covariance, shape (U, U)
+
+
+def solve_following(problem: Problem, priors: Priors, known: MotionCalibration | None) -> Followed:
+    """The mean of solutions over all spreads of what differs between recordings, each as likely as it makes the data.
+
+    Args:
+        problem: Its equations.
+        priors: Of its U unknowns.
+        known: By which residuals are known. Without one, recordings differ from their mean, whose torque and zeros are the arm's.
+    """
+    opened = solve(problem, priors, known, followed=CONSIDERED)
+    variability = priors.variability
+    terms = _Considered.of(problem, variability, about_mean=known is None)
+    std = terms.each_motion(variability.std)
     # what the data say of these terms alone; all else follows them linearly
-    precision = np.linalg.inv(opened.covariance[np.ix_(at, at)])
-    information = precision - np.diag(
-        1.0 / np.square(np.tile(opened.between.std, problem.motions)[at - first])
-    )
-    leads = opened.covariance[:, at] @ precision
-    std = np.tile(between.std, problem.motions)[at - first]
-    information = std[:, None] * information * std
-    side = std * (precision @ opened.values[at])
-    of_basis = basis.T @ information @ basis, basis.T @ side
-    mean, wider, terms, weights = by_evidence(
-        kinds[at - first][: basis.shape[1]],
-        *of_basis,
-    )
-    mean = basis @ mean
-    terms = terms @ basis.T
-    apart = (terms - mean) * std @ leads.T
-    spreads = {
-        **opened.between.spreads,
-        **{kind: between.spreads[kind] * times for kind, times in wider.items()},
-    }
-    differs = replace(opened.between, spreads=spreads)
+    covariance = opened.covariance[np.ix_(terms.at, terms.at)]
+    precision = np.asarray(np.linalg.inv(covariance), np.float64)  # (K, K)
+    leads = opened.covariance[:, terms.at] @ precision  # (U, K)
+    found = terms.evidence(opened, precision, variability)
+    mean = terms.basis @ found.mean  # (K,), in parts of std
+    apart = (found.terms @ terms.basis.T - mean) * std @ leads.T  # (F, U)
+    wider = {kind: variability.spreads[kind] * times for kind, times in found.wider.items()}
+    differs = replace(opened.variability, spreads={**opened.variability.spreads, **wider})
+    spread = terms.each_motion(differs.std)[:, None] * terms.basis
     wide = Prior(opened.prior.values, opened.prior.covariance.copy())
-    spread = np.tile(differs.std, problem.motions)[at - first][:, None] * basis
-    wide.covariance[np.ix_(at, at)] = spread @ spread.T
-    _, covariance = posterior(opened.information, opened.information @ wide.values, wide)
-    values = opened.values + leads @ (std * mean - opened.values[at])
-    left_over = problem.torque - opened.scaled @ values / opened.weight
-    deviations = scores(opened.scaled, left_over * opened.weight, problem.stretch) @ covariance
-    fields = {
-        "values": values,
-        "covariance": covariance,
-        "prior": wide,
-        "between": differs,
-        "residual": left_over,
-    }
-    return (
-        replace(opened, deviations=deviations, **fields),
+    wide.covariance[np.ix_(terms.at, terms.at)] = spread @ spread.T
+    values = opened.values + leads @ (std * mean - opened.values[terms.at])
+    return Followed(
+        estimate=_moved(problem, opened, values, wide, differs),
+        opened=opened,
+        scatter=(apart * found.weights[:, None]).T @ apart,
+    )
+
+
+@dataclass(frozen=True)
+class _Considered:
+    """The K terms of M motions whose spread the evidence decides."""
+
+    motions: int
+    own: NDArray[np.int64]  # their numbers among the own terms of all motions, shape (K,)
+    at: NDArray[np.int64]  # where they stand among the unknowns, shape (K,)
+    basis: FloatArray  # orthonormal columns, of which they are a sum, shape (K, T)
+
+    @classmethod
+    def of(
+        cls, problem: Problem, variability: RecordingVariability, about_mean: bool
+    ) -> _Considered:
+        """Those of a problem, as they are or as they differ from their mean over the motions."""
+        motions = problem.motions
+        own = np.flatnonzero(np.isin(np.tile(variability.kinds, motions), CONSIDERED))
+        basis: FloatArray = np.eye(len(own))
+        if about_mean:
+            each = np.eye(len(own) // motions)
+            basis = np.asarray(np.kron(_contrasts(motions), each), np.float64)
+        return cls(motions, own, problem.own(0).start + own, basis)
+
+    def each_motion(self, of_own: NDArray[Any]) -> NDArray[Any]:
+        """Of these terms, what is the same for every motion's own terms, shape (K,)."""
+        return np.tile(of_own, self.motions)[self.own]
+
+    def evidence(
+        self, opened: Solution, precision: FloatArray, stated: RecordingVariability
+    ) -> Evidence:
+        """What data say of these terms, which a solution had open with such a precision, in parts of what is stated of them."""
+        opened_std = self.each_motion(opened.variability.std)
+        std = self.each_motion(stated.std)
+        data = precision - np.diag(1.0 / np.square(opened_std))
+        information = std[:, None] * data * std
+        side = std * (precision @ opened.values[self.at])
+        return by_evidence(
+            self.each_motion(stated.kinds)[: self.basis.shape[1]],
+            self.basis.T @ information @ self.basis,
+            self.basis.T @ side,
+        )
+
+
+def _moved(
+    problem: Problem,
+    opened: Solution,
+    values: FloatArray,
+    prior: Prior,
+    variability: RecordingVariability,
+) -> Solution:
+    """A solution with other values, and the covariance that the same data have under another prior."""
+    _, covariance = posterior(opened.information, opened.information @ prior.values, prior)
+    residual = problem.torque - opened.scaled @ values / opened.weight
+    pulls = scores(opened.scaled, residual * opened.weight, problem.stretch)
+    return replace(
         opened,
-        (apart * weights[:, None]).T @ apart,
+        values=values,
+        covariance=covariance,
+        deviations=pulls @ covariance,
+        residual=residual,
+        prior=prior,
+        variability=variability,
     )
 
 
@@ -186,9 +261,7 @@ def _contrasts(count: int) -> FloatArray:
 
 def solve(
     problem: Problem,
-    prior: Prior,
-    between: RecordingVariability,
-    per_kg: FloatArray,
+    priors: Priors,
     known: MotionCalibration | None = None,
     followed: Sequence[str] = (),
 ) -> Solution:
@@ -196,118 +269,155 @@ def solve(
 
     Args:
         problem: Its equations.
-        prior: Of its unknowns, without what recordings differ by.
-        between: By how much they do.
-        per_kg: Standard deviations of the payload's parameters, per kg that it weighs, shape (10,).
+        priors: Of its U unknowns.
         known: By which residuals are known; without one, the place's part of Coulomb friction is open by a share of it.
         followed: Kinds of what recordings differ by that the solution follows, beside friction and offsets.
     """
-    matrix = problem.matrix.copy()
-    right = problem.torque
-    joint = problem.joint
-    count = problem.count
-    arm = PARAMETERS + ARM_TERMS * count
-    geared = slice(PARAMETERS + 11 * count, PARAMETERS + 12 * count)
-    waves = geared.stop + count + np.arange(WAVES * count)
-    same, own = np.diag(prior.covariance).copy(), slice(arm, None)
-    prior = Prior(prior.values, prior.covariance.copy())
-    stated = between
-    learnt = (*LEARNT, *followed) if between.friction.any() else followed
-    kinds = [kind for kind in PUBLISHED if kind in learnt and kind not in CLOCK]
-    follows = np.where(
-        np.isin(between.kinds, (*LEARNT, *followed)),
-        1.0,
-        FIXED,
-    )
-
-    def differing() -> None:
-        """Give every motion's own terms their spread."""
-        at = range(arm, len(same))
-        prior.covariance[at, at] = same[own] + np.tile(
-            np.square(between.std * follows), problem.motions
-        )
-
-    differing()
-    moves = np.bincount(joint, minlength=count) > 0
-    rms, correlation = np.ones(count), np.ones(count)
-
-    def solved() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        weight = 1.0 / (rms * np.sqrt(correlation))[joint]
-        scaled = matrix * weight[:, None]
-        information = scaled.T @ scaled
-        return (
-            weight,
-            scaled,
-            information,
-            *posterior(information, scaled.T @ (right * weight), prior),
-        )
-
+    regression = _Reweighted(problem, priors, known, followed)
     for _ in range(ITERATIONS):
-        _, scaled, _, values, covariance = solved()
-        residual = right - matrix @ values
-        rms, correlation = np.zeros(count), np.ones(count)
-        for number in np.flatnonzero(moves):
-            mine = joint == number
-            rms[number] = max(float(np.std(residual[mine])), 1e-9)
-            correlation[number] = correlated_windows(residual[mine], problem.stretch[mine])
-            if known is not None and followed:  # what unknowns take up is not left over
-                used = (
-                    np.einsum("ij,ij->", scaled[mine] @ covariance, scaled[mine])
-                    * correlation[number]
-                    / mine.sum()
-                )
-                rms[number] /= np.sqrt(max(1.0 - used, FEWEST_FREE))
+        regression.iterate()
+    return regression.solution()
+
+
+@dataclass(frozen=True)
+class _Weighted:
+    """A solution by the weights of the moment."""
+
+    weight: FloatArray  # shape (E,)
+    scaled: FloatArray  # the equations times their weights, shape (E, U)
+    information: FloatArray  # shape (U, U)
+    values: FloatArray  # shape (U,)
+    covariance: FloatArray  # shape (U, U)
+
+
+class _Reweighted:
+    """A regression whose weights, priors and columns follow its own solution."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        priors: Priors,
+        known: MotionCalibration | None,
+        followed: Sequence[str],
+    ) -> None:
+        prior = priors.unknowns
+        variability = priors.variability
+        self.problem = problem
+        self.matrix = problem.matrix.copy()  # (E, U)
+        self.known = known
+        self.followed = followed
+        self.terms = ArmTerms(problem.count, PARAMETERS)
+        # each motion's own terms are the last unknowns
+        self.own = slice(problem.own(0).start, None)
+        self.own_variance = np.diag(prior.covariance)[self.own].copy()
+        self.prior = Prior(prior.values, prior.covariance.copy())
+        self.per_kg = priors.per_kg
+        self.stated = variability
+        self.variability = variability
+        learnt = (*LEARNT, *followed) if variability.friction.any() else followed
+        self.learnt = [kind for kind in PUBLISHED if kind in learnt and kind not in CLOCK]
+        follows = np.isin(variability.kinds, (*LEARNT, *followed))
+        self.follows = np.where(follows, 1.0, FIXED)
+        self.rms = np.ones(problem.count)
+        self.correlation = np.ones(problem.count)
+        self._spread_own_terms()
+
+    def iterate(self) -> None:
+        """Solve once, and set weights, priors and columns by the solution."""
+        now = self._solved()
+        self._reweigh(now)
+        if self.known is None:
+            self._open_friction_by_place(now.values)
+        self._open_payload(now)
+        self._learn_variability(now)
+        self._spread_own_terms()
+        fill_drives(self.matrix, now.values, self.problem, self.terms)
+        self.problem.fill_own(self.matrix, now.values)
+
+    def solution(self) -> Solution:
+        """The last one, with what it leaves over."""
+        now = self._solved()
+        torque = self.problem.torque
+        left_over = torque * now.weight - now.scaled @ now.values
+        return Solution(
+            values=now.values,
+            covariance=now.covariance,
+            information=now.information,
+            deviations=scores(now.scaled, left_over, self.problem.stretch) @ now.covariance,
+            residual=torque - self.matrix @ now.values,
+            rms=self.rms,
+            correlation=self.correlation,
+            prior=self.prior,
+            variability=self.variability,
+            scaled=now.scaled,
+            weight=now.weight,
+        )
+
+    def _solved(self) -> _Weighted:
+        weight = window_weights(self.rms, self.correlation)[self.problem.joint]
+        scaled = self.matrix * weight[:, None]
+        information = scaled.T @ scaled
+        side = scaled.T @ (self.problem.torque * weight)
+        values, covariance = posterior(information, side, self.prior)
+        return _Weighted(weight, scaled, information, values, covariance)
+
+    def _spread_own_terms(self) -> None:
+        """Give every motion's own terms their spread."""
+        at = range(self.own.start, len(self.prior.values))
+        spread = np.square(self.variability.std * self.follows)
+        self.prior.covariance[at, at] = self.own_variance + np.tile(spread, self.problem.motions)
+
+    def _reweigh(self, now: _Weighted) -> None:
+        """Rms and correlation of what is left over, joint by joint."""
+        residual = self.problem.torque - self.matrix @ now.values
+        known = self.known
+        self.rms = np.zeros(self.problem.count)
+        self.correlation = np.ones(self.problem.count)
+        for joint in np.unique(self.problem.joint):
+            mine = self.problem.joint == joint
+            rms = max(float(np.std(residual[mine])), LEAST_RMS)
+            correlation = correlated_windows(residual[mine], self.problem.stretch[mine])
+            if known is not None and self.followed:  # what unknowns take up is not left over
+                scaled = now.scaled[mine]
+                leverage = np.einsum("ij,ij->", scaled @ now.covariance, scaled)
+                used = leverage * correlation / mine.sum()
+                rms /= np.sqrt(max(1.0 - used, FEWEST_FREE))
+            self.rms[joint] = rms
+            self.correlation[joint] = correlation
         if known is not None:
             # what a longer recording knows of its residuals holds for a short one, too
-            rms, correlation = (
-                np.maximum(rms, 0.5 * known.residual),
-                np.maximum(correlation, known.correlation),
-            )
-        else:
-            coulomb = np.mean(
-                [values[problem.own(n, count)][:count] for n in range(problem.motions)], axis=0
-            )
-            prior.covariance[waves, waves] = np.tile(
-                np.square(PLACE_SHARE * coulomb) + 1e-12, WAVES
-            )
-        # something light has little first moment and inertia, wherever in the hand it sits
-        heavy_kg = abs(values[0]) + np.sqrt(covariance[0, 0])
-        stds = heavy_kg * per_kg
+            self.rms = np.maximum(self.rms, KNOWN_RESIDUAL * known.residual)
+            self.correlation = np.maximum(self.correlation, known.correlation)
+
+    def _open_friction_by_place(self, values: FloatArray) -> None:
+        """Friction that goes with the angle is open by a share of Coulomb friction."""
+        count = self.problem.count
+        by_motion = [
+            values[self.problem.own(number, count)][:count]
+            for number in range(self.problem.motions)
+        ]
+        coulomb = np.mean(by_motion, axis=0)  # (n,)
+        place = self.terms.friction_by_place
+        waves = range(place.start, place.stop)
+        variance = np.square(PLACE_SHARE * coulomb) + 1e-12
+        self.prior.covariance[waves, waves] = np.tile(variance, WAVES)
+
+    def _open_payload(self, now: _Weighted) -> None:
+        """Something light has little first moment and inertia, wherever in the hand it sits."""
+        heavy_kg = abs(now.values[0]) + np.sqrt(now.covariance[0, 0])
+        stds = heavy_kg * self.per_kg  # (10,)
         # but what is seen to be spread further is: else 0.25 kg m^2 of a bar of 2 kg came out 12 % too small, 2.6 half widths off
-        stds[4:] *= max(
-            1.0,
-            float(np.max(np.abs(values[4:PARAMETERS]) / stds[4:])) / SPREAD_SIGMAS,
-        )
-        prior.covariance[range(1, PARAMETERS), range(1, PARAMETERS)] = stds[1:] ** 2
-        off = (values[own] - prior.values[own]).reshape(
-            problem.motions,
-            -1,
-        )
-        between = stated.learnt(
-            between,
-            off,
-            np.diag(covariance)[own].reshape(off.shape),
-            kinds,
-        )
-        differing()
-        fill_drives(matrix, values, problem, geared)
-        problem.fill_own(matrix, values)
-    weight, scaled, information, values, covariance = solved()
-    deviations = scores(scaled, right * weight - scaled @ values, problem.stretch) @ covariance
-    left_over = right - matrix @ values
-    return Solution(
-        values,
-        covariance,
-        information,
-        deviations,
-        left_over,
-        rms,
-        correlation,
-        prior,
-        between,
-        scaled,
-        weight,
-    )
+        farthest = float(np.max(np.abs(now.values[4:PARAMETERS]) / stds[4:]))
+        stds[4:] *= max(1.0, farthest / SPREAD_SIGMAS)
+        at = range(1, PARAMETERS)
+        self.prior.covariance[at, at] = stds[1:] ** 2
+
+    def _learn_variability(self, now: _Weighted) -> None:
+        """By how much recordings differ, as these do."""
+        motions = self.problem.motions
+        off = (now.values[self.own] - self.prior.values[self.own]).reshape(motions, -1)
+        variances = np.diag(now.covariance)[self.own].reshape(off.shape)
+        self.variability = self.stated.learnt(self.variability, off, variances, self.learnt)
 
 
 def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> float:
@@ -320,7 +430,7 @@ def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> floa
         if same.sum() < longest:
             break
         step = float(np.mean(residual[lag:][same] * residual[:-lag][same])) / variance
-        if step < 0.05:
+        if step < LEAST_CORRELATION:
             break
         total += 2.0 * step
     return total
@@ -331,7 +441,15 @@ def scores(
     left_over: FloatArray,
     stretch: NDArray[np.int64],
 ) -> FloatArray:
-    """What each stretch pulls the solution by, but for its covariance, shape (stretches, U)."""
+    """What each stretch pulls the solution by, but for its covariance.
+
+    Args:
+        scaled: Equations times their weights, shape (E, U).
+        left_over: Residuals times their weights, shape (E,).
+        stretch: Number of each equation's stretch, shape (E,).
+
+    Returns: Shape (stretches, U).
+    """
     labels = np.unique(stretch)
     pulls = np.array([scaled[stretch == label].T @ left_over[stretch == label] for label in labels])
     result: FloatArray = np.sqrt(len(labels) / max(len(labels) - 1, 1)) * pulls

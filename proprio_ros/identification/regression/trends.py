@@ -123,21 +123,19 @@ def _fell(change: float) -> str:
     return "fell" if change < 0.0 else "rose"
 
 
-def trend_of(
-    joints: Sequence[str], problem: Problem, solution: Solution, start_s: FloatArray, number: int
-) -> Trend:
+def trend_of(joints: Sequence[str], problem: Problem, solution: Solution, number: int) -> Trend:
     """What changes along one motion, by what a fit leaves over of it.
 
     Args:
         joints: Names, n.
         problem: Of the fit.
         solution: Of the same.
-        start_s: When each equation's window begins [s], shape (E,).
         number: Of the motion.
     """
     mine = problem.motion == number
     joint = problem.joint[mine]
-    along = _along(start_s[mine])
+    start_s = problem.start_s[mine]
+    along = _along(start_s)
     residual = solution.residual[mine]
     explained = problem.torque[mine] - residual
     weight = solution.weight[mine]
@@ -147,15 +145,15 @@ def trend_of(
     stretch = problem.stretch[mine]
     found = _explained(columns, residual * weight, stretch)
     payload = problem.matrix[mine, :FIRST_MOMENTS] * weight[:, None]
-    step = _step(payload, residual * weight, stretch, start_s[mine])
+    step = _step(payload, residual * weight, stretch, start_s)
     return Trend(
-        tuple(joints),
-        found.values[:-1],
-        found.std[:-1],
-        float(found.values[-1]),
-        float(found.std[-1]),
-        found.gain,
-        step,
+        joints=tuple(joints),
+        friction_N_m=found.values[:-1],
+        friction_std=found.std[:-1],
+        torque=float(found.values[-1]),
+        torque_std=float(found.std[-1]),
+        gain=found.gain,
+        step=step,
     )
 
 

@@ -118,14 +118,11 @@ def test_terms_are_followed_as_far_as_they_stand_out() -> None:
     kinds = np.array(["common_scale", "own_scale", "zero"])
     for found, least, most in ((0.3, 0.0, 0.05), (6.0, 5.5, 6.0)):
         # each seen to a third of what is stated
-        mean, wider, terms, weights = by_evidence(
-            kinds,
-            9.0 * np.eye(3),
-            9.0 * np.full(3, found),
-        )
-        assert np.all(mean > least) and np.all(mean < most)
-        assert len(terms) == len(weights) == len(FACTORS) ** 2 and set(wider) == set(kinds)
-    assert wider["common_scale"] > 2.0
+        evidence = by_evidence(kinds, 9.0 * np.eye(3), 9.0 * np.full(3, found))
+        assert np.all(evidence.mean > least) and np.all(evidence.mean < most)
+        assert len(evidence.terms) == len(evidence.weights) == len(FACTORS) ** 2
+        assert set(evidence.wider) == set(kinds)
+    assert evidence.wider["common_scale"] > 2.0
 
 
 def mostly_hold(answers: list[Answer], within: float = 4.0) -> None:
