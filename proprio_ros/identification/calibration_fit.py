@@ -223,12 +223,46 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
     parts = [_noise_parts(run, noise) for run in problem.runs]
     reading = np.concatenate([np.full(len(jitter), base) for base, jitter in parts])
     jitter = np.concatenate([part for _, part in parts])
-    variance = reading**2 + jitter**2
-    left = (posterior.residual**2 + posterior.leverage()) * variance
+    left = (posterior.residual**2 + posterior.leverage()) * (reading**2 + jitter**2)
     velocity = jitter / max(noise.stamp_jitter_s, 1e-12)
+    unit = (reading / noise.residual_scale) ** 2
+    scale2, jitter2 = _parts_of_noise(robot, noise, left, unit, velocity)
+    spreads = {
+        kind: spread_of_runs(usual, *of_runs(kind, problem, posterior)[1:])
+        for kind, usual in (
+            ("disturbance", robot.torque_disturbance),
+            ("v0", robot.start_velocity),
+            ("onset", robot.onset_jitter_s),
+        )
+    }
+    alike = np.sqrt(_alike(problem, posterior, left))
+    return Noise(
+        float(np.sqrt(scale2)) * alike,
+        float(np.sqrt(jitter2)) * alike,
+        spreads["disturbance"],
+        spreads["v0"],
+        max(spreads["onset"], robot.onset_jitter_s),
+    )
+
+
+def _parts_of_noise(
+    robot: Robot, noise: Noise, left: np.ndarray, unit: np.ndarray, velocity: np.ndarray
+) -> tuple[float, float]:
+    """Which part of the errors is the encoder's and which the stamps', by expectation maximisation (Dempster et al. 1977).
+
+    Args:
+        robot: What its file says counts as pseudo-data.
+        noise: Where it begins.
+        left: Expected square of each sample's error [rad^2], shape (M,).
+        unit: Variance of each reading for a scale of 1 [rad^2], shape (M,).
+        velocity: Of the joint at each sample [rad/s], shape (M,).
+
+    Returns: squares of the scale of readings, and of the stamps' jitter [s^2].
+    """
     scale2 = noise.residual_scale**2
     jitter2 = noise.stamp_jitter_s**2
-    unit = (reading / noise.residual_scale) ** 2
+    prior = PSEUDO_SAMPLES * robot.stamp_jitter_s**2
+    moving = velocity**2 > 1e-6
     for _ in range(30):
         a = scale2 * unit
         b = jitter2 * velocity**2
@@ -237,24 +271,9 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
         scale_each = ((a / total) ** 2 * left + a * b / total) / unit
         scale2 = float((scale_each.sum() + PSEUDO_SAMPLES) / (len(left) + PSEUDO_SAMPLES))
         if jitter2 > 0.0:
-            moving = velocity**2 > 1e-6
             jitter_each = ((b / total) ** 2 * left + a * b / total)[moving] / velocity[moving] ** 2
-            prior = PSEUDO_SAMPLES * robot.stamp_jitter_s**2
             jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
-    _, found, learnt = of_runs("disturbance", problem, posterior)
-    disturbance = spread_of_runs(robot.torque_disturbance, found, learnt)
-    _, found, learnt = of_runs("v0", problem, posterior)
-    start_velocity = spread_of_runs(robot.start_velocity, found, learnt)
-    _, found, learnt = of_runs("onset", problem, posterior)
-    onset = max(spread_of_runs(robot.onset_jitter_s, found, learnt), robot.onset_jitter_s)
-    alike = np.sqrt(_alike(problem, posterior, left))
-    return Noise(
-        float(np.sqrt(scale2)) * alike,
-        float(np.sqrt(jitter2)) * alike,
-        disturbance,
-        start_velocity,
-        onset,
-    )
+    return scale2, jitter2
 
 
 def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:

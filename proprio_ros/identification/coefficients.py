@@ -62,7 +62,13 @@ def link_stds(robot: Robot) -> dict[str, float]:
 
 
 def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficients:
-    """Of a revolute joint, with what the zeros of these locked joints change."""
+    """Of a revolute joint, with what the zeros of these locked joints change.
+
+    Args:
+        robot: With the arm's links.
+        run: Whose joint was driven, and where it held the others.
+        locked: Joints whose zeros may be off.
+    """
     links = _by_links(robot, run)
     count = len(locked)
     rows = np.tile(
@@ -92,8 +98,10 @@ def at_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What one joint moves in N poses at once.
 
-    ``robot``: as `ReducedModel` has it with every joint locked but the driven one; ``driven``: A joint that no other one follows;
-    ``poses``: positions of all other independent joints [rad or m], each of shape (N,), or (1,) where it is the same in all.
+    Args:
+        robot: As `ReducedModel` has it with every joint locked but the driven one.
+        driven: A joint that no other one follows.
+        poses: Positions of all other independent joints [rad or m], each of shape (N,), or (1,) where it is the same in all.
 
     Returns: Inertia and gravity load of the arm, shape (N, 4), and per payload parameter, shape (N, 4, 10).
     """
@@ -106,7 +114,8 @@ def at_poses(
     moves = {model.root: False}
     joint = model.joint(driven)
     for each in model.joints:
-        at, moves[each.child] = frames[each.parent], moves[each.parent] or each is joint
+        at = frames[each.parent]
+        moves[each.child] = moves[each.parent] or each is joint
         if each is joint:
             gravity = robot.gravity @ (at @ each.origin)[:, :3, :3]
             at = np.eye(4)[None]
@@ -137,17 +146,28 @@ def _by_links(
     """What each link's deviations from the URDF add to the moving part (see ``LINK_TERMS``), where that is noticeable."""
     model = reduced_model(robot, run, {})
     axis, gravity = axis_and_gravity(model)
-    stds = link_stds(robot)
     links = [
         link
         for link in robot.model.links
         if model.frames[link.name][0] == 0 and link.pseudo_inertia[3, 3] != 0.0
     ]
-    pseudo = np.array([link.pseudo_inertia for link in links])
     at = np.array([model.frames[link.name][1] for link in links])[:, None]
+    changes = _link_changes(np.array([link.pseudo_inertia for link in links]))
+    moved = at @ changes @ at.transpose(0, 1, 3, 2)
+    rows = joint_coefficients(moved, model.kinds[0], axis, gravity)  # (L, K, 4)
+    stds = link_stds(robot)
+    seen = np.abs(rows).max(axis=2) * np.array([*stds.values()]) > NEGLIGIBLE
+    keys: list[tuple[str, str]] = []
+    for link, of_link in zip(links, seen, strict=True):
+        keys += [(term, link.name) for term, is_seen in zip(stds, of_link, strict=True) if is_seen]
+    return tuple(keys), rows[seen]
+
+
+def _link_changes(pseudo: np.ndarray) -> np.ndarray:
+    """Derivatives of links' pseudo-inertias (L, 4, 4) by the ``LINK_TERMS``, shape (L, K, 4, 4)."""
     mass = pseudo[:, 3:, 3:]
     com = pseudo[:, :3, 3:] / pseudo[:, 3:, 3:]
-    changes = np.zeros((len(links), len(stds), 4, 4))
+    changes = np.zeros((len(pseudo), len(LINK_TERMS), 4, 4))
     changes[:, 0] = pseudo
     for term, direction in enumerate(np.eye(3)[:, :, None], start=1):
         across = com @ direction.T
@@ -155,16 +175,7 @@ def _by_links(
         changes[:, term, :3, 3:] = mass * direction
         changes[:, term, 3:, :3] = mass * direction.T
     changes[:, -1, :3, :3] = pseudo[:, :3, :3] - mass * (com @ com.transpose(0, 2, 1))
-    moved = at @ changes @ at.transpose(0, 1, 3, 2)
-    rows = joint_coefficients(moved, model.kinds[0], axis, gravity)
-    seen = np.abs(rows).max(axis=2) * np.array([*stds.values()]) > NEGLIGIBLE
-    keys = [
-        (term, link.name)
-        for link, of_link in zip(links, seen, strict=True)
-        for term, is_seen in zip(stds, of_link, strict=True)
-        if is_seen
-    ]
-    return tuple(keys), rows[seen]
+    return changes
 
 
 def slide_coefficients(robot: Robot, run: Run) -> Coefficients:

@@ -443,26 +443,29 @@ def misfit_profile(
 
     Upwards and downwards from the fit at once, each of these fits starts from its neighbour's end, where the posterior
     expects its own, so that a few iterations reach it (Raue et al. 2009, Bioinformatics 25(15), call it the profile
-    likelihood). It reaches as far about the stated value, in the unknown's unit, as about that of the fit, whose
-    posterior has the inflation of the samples' variance.
+    likelihood). It reaches as far about the stated value as about that of the fit.
+
+    Args:
+        fit: Where it ended.
+        name: Of the unknown.
+        posterior: Of the fit, with the inflation.
+        inflation: Factor on the variance of the samples.
+        value: As it is stated, in the unknown's unit.
+        std: Of the stated value.
     """
     problem = fit.problem
-    row = fit.problem.index[name]
     column = fit.column(name)
-    unknown = problem.unknowns[row]
-    best = float(fit.values[row])
+    best = fit.value_of(name)
     own = float(posterior.covariance[column, column])
     if not np.isfinite([fit.chi2, best, value, std, own]).all() or own <= 0.0:
         return Scan(np.zeros(0), np.zeros(0), PROFILE, CHI2_95)
-    # what spans orders of magnitude is less than nothing only where an empty hand reads so
-    lowest = 0.0 if unknown.asinh_scale > 0.0 and best > 0.0 else unknown.lower
-    low = min(best, value) - PROFILE_STDS * std
-    high = max(best, value) + PROFILE_STDS * std
-    at = fit.values[problem.free]
     coordinates = problem.coordinates
-    held = _Held(problem, column, inflation, at)
+    at = fit.values[problem.free]
     at_best = coordinates.internal(at)
-    step = (np.array([max(low, lowest), min(high, unknown.upper)]) - best) / PROFILE_STEPS
+    held = _Held(problem, column, inflation, at)
+    step = (_profile_ends(problem.unknowns[problem.index[name]], best, value, std) - best) / (
+        PROFILE_STEPS
+    )
     ahead = np.outer(step, posterior.covariance[:, column] / own)
     ahead[:, column] = step
     least = float(held.linearise(at_best[None])[0][0])
@@ -482,3 +485,12 @@ def misfit_profile(
     values, first = np.unique(grid, return_index=True)
     chi2 = 2.0 * np.array(costs)[first]
     return Scan(values, chi2 - chi2.min(), PROFILE, CHI2_95)
+
+
+def _profile_ends(unknown: Unknown, best: float, value: float, std: float) -> np.ndarray:
+    """How far down and up a profile goes, shape (2,): some standard deviations about both values, inside the unknown's bounds."""
+    # what spans orders of magnitude is less than nothing only where an empty hand reads so
+    lowest = 0.0 if unknown.asinh_scale > 0.0 and best > 0.0 else unknown.lower
+    low = min(best, value) - PROFILE_STDS * std
+    high = max(best, value) + PROFILE_STDS * std
+    return np.array([max(low, lowest), min(high, unknown.upper)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, ndtr
@@ -14,7 +15,7 @@ from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.quantity import shown
-from proprio_ros.robot import DriveTrain, Robot
+from proprio_ros.robot import Robot
 
 MIN_USED = 5
 # below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is
@@ -178,49 +179,74 @@ def stood_still(
     still: Sequence[PreparedRun],
     mass: float,
 ) -> str:
-    """A sentence about the first run whose joint stood still and should not have; empty where there is none.
+    """A sentence about the first run whose joint stood still and should not have.
 
-    No simulation follows a joint that friction holds, so such a run (one of ``still``) is not part of the fit. But what holds it is
-    at most its dry friction, and a current that leaves more than that over would have moved it, with the fit's ``values`` (N,) of
-    its unknowns and ``mass`` [kg] in the hand.
+    No simulation follows a joint that friction holds, so such a run is not part of the fit. But what holds it is at most its dry
+    friction, and a current that leaves more than that over would have moved it.
+
+    Args:
+        robot: Whose joints.
+        problem: That was fitted.
+        values: Of all its unknowns, shape (N,).
+        still: Runs whose joint stood still.
+        mass: In the hand [kg], where a run states no load.
+
+    Returns: empty where there is none.
     """
     for run in still:
         joint = run.run.joint
-        drive = run.drive
         driving = run.run.input_current_A[run.run.input_times_s < run.run.times_s[-1]]
         steady = len(driving) > 0 and np.ptp(driving) <= STEADY * np.abs(driving).max()
         if not steady or robot.model.joint(joint).kind == "prismatic":
             continue
-
-        def fitted(term: str, joint: str = joint, drive: DriveTrain = drive) -> float:
-            row = problem.index.get((term, joint))
-            return float(getattr(drive, term).value if row is None else values[row])
-
         current = float(driving.mean())
-        motor = fitted("torque_constant") * current
-        arm_weight = robot.arm_scale.value * run.weight_at_rest(run.coefficients.arm)
-        per_kg = run.coefficients.per_kg(problem.facts)
         held = mass if run.load is None else run.load.mass
-        net = motor - arm_weight - held * run.weight_at_rest(per_kg)
-        dry = max(fitted("coulomb"), drive.coulomb.value) + max(fitted("load_friction"), 0.0) * abs(
-            motor
-        )
-        at_rest = 1.0 + max(fitted("stribeck"), drive.stribeck.value)
-        open_stds = (*run.torque_stds, drive.stribeck.std * dry, robot.link_mass_std * arm_weight)
-        over = abs(net) - at_rest * dry - STILL_SIGMAS * float(np.hypot.reduce(open_stds))
-        inertia = (
-            run.coefficients.arm[0]
-            + held * per_kg[0]
-            + drive.armature.value
-            + 2.0 * drive.armature.std
-        )
+        net, inertia = _left_to_move(robot, problem, values, run, current, held)
         lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])
-        if 0.5 * over / float(inertia) * lasted_s**2 >= LITTLE_TRAVEL:
+        if 0.5 * net.beyond_friction / inertia * lasted_s**2 >= LITTLE_TRAVEL:
             stood = f"{run.run.name}: {joint} stood still with {shown('A', current)}"
-            left = f"{shown('kg', held)} would leave {shown('N m', abs(net))} to move it"
+            left = f"{shown('kg', held)} would leave {shown('N m', abs(net.torque))} to move it"
             why = "more than its friction can hold: it sticks, or leans on something"
             return Reason("stood_still", f"{stood}, where {left}, {why}")
     return ""
+
+
+class _Net(NamedTuple):
+    """What is left to move a joint at rest."""
+
+    torque: float  # of the motor less the weight [N m]
+    beyond_friction: float  # of its size, less all that may hold the joint [N m]
+
+
+def _left_to_move(
+    robot: Robot,
+    problem: Problem,
+    values: np.ndarray,
+    run: PreparedRun,
+    current: float,
+    held: float,
+) -> tuple[_Net, float]:
+    """Torque on a joint at rest, driven by a current [A] with so many kg in the hand, and the inertia that it moves [kg m^2]."""
+    drive = run.drive
+
+    def fitted(term: str) -> float:
+        row = problem.index.get((term, run.run.joint))
+        return float(getattr(drive, term).value if row is None else values[row])
+
+    motor = fitted("torque_constant") * current
+    arm_weight = robot.arm_scale.value * run.weight_at_rest(run.coefficients.arm)
+    per_kg = run.coefficients.per_kg(problem.facts)
+    torque = motor - arm_weight - held * run.weight_at_rest(per_kg)
+    dry = max(fitted("coulomb"), drive.coulomb.value) + max(fitted("load_friction"), 0.0) * abs(
+        motor
+    )
+    at_rest = 1.0 + max(fitted("stribeck"), drive.stribeck.value)
+    open_stds = (*run.torque_stds, drive.stribeck.std * dry, robot.link_mass_std * arm_weight)
+    over = abs(torque) - at_rest * dry - STILL_SIGMAS * float(np.hypot.reduce(open_stds))
+    inertia = (
+        run.coefficients.arm[0] + held * per_kg[0] + drive.armature.value + 2.0 * drive.armature.std
+    )
+    return _Net(torque, over), float(inertia)
 
 
 def contradicting(posterior: Posterior) -> int | None:

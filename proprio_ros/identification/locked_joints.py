@@ -124,23 +124,17 @@ def smooth(
     # a walk from a free start: covariance of its values at the knots, for scale 1
     walk = np.linalg.cholesky((np.minimum.outer(knots, knots) + knots[-1]) / (2.0 * knots[-1]))
     # where the joint rests is not known beforehand
-    middle = float(np.mean(position))
     off = position - np.mean(position)
     spread = shape @ walk
     left, size, right = np.linalg.svd(
         spread - spread.mean(axis=0),
         full_matrices=False,
     )
-    along = left.T @ off
+    along = left.T @ off  # (K,)
     across = max(float(off @ off - along @ along), 0.0)
+    noise = _noises(position, sigma)[:, None] ** 2  # (N, 1)
+    variance = noise[..., None] + (scales[:, None] * size) ** 2  # (N, S, K)
     more = len(off) - 1 - len(size)
-    noise = np.unique(
-        np.append(
-            np.geomspace(max(_rounding(position), sigma / MUCH_FINER), sigma, FINER_STEPS), sigma
-        )
-    )
-    noise = noise[noise <= sigma][:, None] ** 2
-    variance = noise[..., None] + (scales[:, None] * size) ** 2  # shape (N, S, K)
     evidence = -0.5 * (
         np.sum(along**2 / variance + np.log(variance), axis=2)
         + across / noise
@@ -149,13 +143,20 @@ def smooth(
     still = -0.5 * ((along @ along + across) / noise + (len(size) + more) * np.log(noise))
     fine, best = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
     acceleration = walk @ (right.T @ (scales[best] ** 2 * size * along / variance[fine, best]))
-    start = middle - float(np.mean(shape @ acceleration))
+    start = float(np.mean(position)) - float(np.mean(shape @ acceleration))
     return Motion(
         start,
         knots,
         acceleration,
         float(evidence[fine, best] - still.max()),
     )
+
+
+def _noises(position: np.ndarray, sigma: float) -> np.ndarray:
+    """Standard deviations of a reading to be tried, from its rounding up to ``sigma`` [rad], shape (N,)."""
+    finest = max(_rounding(position), sigma / MUCH_FINER)
+    noise = np.unique(np.append(np.geomspace(finest, sigma, FINER_STEPS), sigma))
+    return noise[noise <= sigma]
 
 
 def _knots(times_s: np.ndarray) -> np.ndarray:
@@ -278,59 +279,77 @@ def arm_and_payload(robot: Robot, model: ReducedModel, facts: PayloadFacts) -> n
     return np.array([model.pseudo_inertia, payload])
 
 
+@dataclass(frozen=True)
+class _Body:
+    """A body's homogeneous transform over time with its derivatives, shape (T, 4, 4) each, or (4, 4) where it does not move."""
+
+    place: np.ndarray
+    speed: np.ndarray
+    rate: np.ndarray  # second derivative
+    varied: np.ndarray  # derivative by the joint whose torque is sought
+
+
+_GROUND = _Body(np.eye(4), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)))
+
+
 def joint_torque(
     model: ReducedModel,
     motion: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
     joint: int,
     inertias: np.ndarray,
 ) -> np.ndarray:
-    """Torque that a joint needs for a motion of all joints (d'Alembert's principle over homogeneous transforms), shape (T, I).
+    """Torque that a joint needs for a motion of all joints (d'Alembert's principle over homogeneous transforms).
 
     With T a body's transform, P its pseudo-inertia and g gravity as a transform's last column, the torque on joint i is the sum
     over bodies of ``trace(dT/dq_i  P  (T'' - g)^T)``.
 
-    ``model``: the moving bodies and their joints; ``motion``: position, velocity and acceleration of each joint over time, each of
-    shape (T,); ``joint``: place of the joint; ``inertias``: sets of pseudo-inertias, one of each body, shape (I, n, 4, 4).
+    Args:
+        model: The moving bodies and their joints.
+        motion: Position, velocity and acceleration of each joint over time, each of shape (T,).
+        joint: Place of the joint.
+        inertias: Sets of pseudo-inertias, one of each body, shape (I, n, 4, 4).
+
+    Returns: the torque [N m], shape (T, I).
     """
     gravity = np.zeros((4, 4))
     gravity[:3, 3] = model.gravity
-    ground = np.eye(4)
-    zero = np.zeros((4, 4))
     torque = np.zeros((len(motion[0][0]), len(inertias)))
-    bodies: list[tuple[np.ndarray, ...]] = []
+    bodies: list[_Body] = []
     for n, (q, v, a) in enumerate(motion):
-        generator = np.zeros((4, 4))
-        if model.kinds[n] == "prismatic":
-            generator[:3, 3] = model.axes[n]
-            moved = np.eye(4) + q[:, None, None] * generator
-        else:
-            x, y, z = model.axes[n]
-            generator[:3, :3] = [
-                [0.0, -z, y],
-                [z, 0.0, -x],
-                [-y, x, 0.0],
-            ]
-            squared = generator @ generator
-            moved = (
-                np.eye(4)
-                + np.sin(q)[:, None, None] * generator
-                + (1.0 - np.cos(q))[:, None, None] * squared
-            )
+        generator, moved = _joint_transform(model.kinds[n], model.axes[n], q)
         # generator and motion commute
         local = model.placement[n] @ moved
         by_q = local @ generator
         first = v[:, None, None] * by_q
         second = a[:, None, None] * by_q + (v**2)[:, None, None] * (by_q @ generator)
-        parent = int(model.parents[n])
-        place, speed, rate, varied = bodies[parent] if parent >= 0 else (ground, zero, zero, zero)
-        here = (
-            place @ local,
-            speed @ local + place @ first,
-            rate @ local + 2.0 * (speed @ first) + place @ second,
-            varied @ local + (place @ by_q if n == joint else 0.0),
+        parent = bodies[int(model.parents[n])] if model.parents[n] >= 0 else _GROUND
+        body = _Body(
+            parent.place @ local,
+            parent.speed @ local + parent.place @ first,
+            parent.rate @ local + 2.0 * (parent.speed @ first) + parent.place @ second,
+            parent.varied @ local + (parent.place @ by_q if n == joint else 0.0),
         )
-        bodies.append(here)
-        torque += (here[3].swapaxes(1, 2) @ (here[2] - gravity)).reshape(-1, 16) @ inertias[
-            :, n
-        ].reshape(-1, 16).T
+        bodies.append(body)
+        work = (body.varied.swapaxes(1, 2) @ (body.rate - gravity)).reshape(-1, 16)
+        torque += work @ inertias[:, n].reshape(-1, 16).T
     return torque
+
+
+def _joint_transform(kind: str, axis: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Generator (4, 4) of a joint's motion along or about its axis (3,), and its transform at positions (T,), shape (T, 4, 4)."""
+    generator = np.zeros((4, 4))
+    if kind == "prismatic":
+        generator[:3, 3] = axis
+        return generator, np.eye(4) + q[:, None, None] * generator
+    x, y, z = axis
+    generator[:3, :3] = [
+        [0.0, -z, y],
+        [z, 0.0, -x],
+        [-y, x, 0.0],
+    ]
+    squared = generator @ generator  # Rodrigues
+    return generator, (
+        np.eye(4)
+        + np.sin(q)[:, None, None] * generator
+        + (1.0 - np.cos(q))[:, None, None] * squared
+    )

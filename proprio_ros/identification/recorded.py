@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +21,13 @@ BEFORE_SHARE = 0.3  # so much of a run's duration is shown of what came before i
 
 
 def recorded_run(robot: Robot, run: Run, baseline: bool = False) -> RecordedRun:
-    """A run as a page shows it; ``baseline`` is one made without what is to be identified."""
+    """A run as a page shows it.
+
+    Args:
+        robot: Whose joint moved.
+        run: As recorded.
+        baseline: Whether it was made without what is to be identified.
+    """
     shown = run.before_times_s >= -BEFORE_SHARE * run.duration_s
     position = np.concatenate([run.before_position[shown], run.position])
     seen = at_the_shaft(robot, run)
@@ -55,22 +62,19 @@ def held_views(
     inertia_is: str = "",
     within_m: Sequence[float] | None = None,
 ) -> tuple[HeldView, ...]:
-    """An arm in motion and what it held, from the side and from above; nothing where a position is not known.
+    """An arm in motion and what it held, from the side and from above.
 
-    ``robot``: whose joints moved; ``motion``: the arm is drawn where the hand is farthest out, and fainter at other instants;
-    ``load``: mass [kg], centre in the payload's frame [m], shape (3,), and inertia about it [kg m^2], shape (3, 3); ``inertia_is``:
-    where the inertia is from; ``within_m``: half 95 % intervals of the centre [m], shape (3,), where it was identified.
+    Args:
+        robot: Whose joints moved.
+        motion: The arm is drawn where the hand is farthest out, and fainter at other instants.
+        load: Mass [kg], centre in the payload's frame [m], shape (3,), and inertia about it [kg m^2], shape (3, 3).
+        inertia_is: Where the inertia is from.
+        within_m: Half 95 % intervals of the centre [m], shape (3,), where it was identified.
+
+    Returns: nothing where a position is not known.
     """
-    rows = [int(row) for row in np.linspace(0, len(motion.times_s) - 1, AROUND)]
-    poses = [
-        {
-            **motion.held,
-            **{joint: float(position[row]) for joint, position in motion.beside.items()},
-            **dict(zip(motion.joints, motion.position[row].tolist(), strict=True)),
-        }
-        for row in rows
-    ]
     try:
+        poses = _poses_of(motion)
         hands = [robot.model.frame_transform(robot.payload_frame, pose) for pose in poses]
         right, up = side_plane(robot, motion.joints[0], poses[0])
         out = [float(np.linalg.norm(hand[:3, 3] - up * (up @ hand[:3, 3]))) for hand in hands]
@@ -86,32 +90,43 @@ def held_views(
         return ()
     views = []
     for (side, plane), arm in zip(sides, links, strict=True):
-        hand = plane @ hands[far][:3, 3]
-        seen = plane @ hands[far][:3, :3]
-        if load is None or not load[0] > 0.0:  # nothing has no body
-            views.append(HeldView(side, arm, hand))
-            continue
-        mass, centre_m, inertia = load
-        centre = hand + seen @ np.asarray(centre_m)
-        # that of an ellipsoid along one of its half axes is a fifth of their square
-        spread = 5.0 * (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
-        within = (
-            None
-            if within_m is None
-            else _outline(centre, seen @ np.diag(np.square(within_m)) @ seen.T)
-        )
-        views.append(
-            HeldView(
-                side,
-                arm,
-                hand,
-                centre,
-                within,
-                _outline(centre, seen @ spread @ seen.T),
-                inertia_is,
-            )
-        )
+        view = HeldView(side, arm, plane @ hands[far][:3, 3])
+        if load is not None and load[0] > 0.0:  # nothing has no body
+            view = _with_body(view, plane @ hands[far][:3, :3], load, inertia_is, within_m)
+        views.append(view)
     return tuple(views)
+
+
+def _poses_of(motion: Motion) -> list[dict[str, float]]:
+    """All joints [rad or m] at instants spread evenly over a motion."""
+    rows = [int(row) for row in np.linspace(0, len(motion.times_s) - 1, AROUND)]
+    return [
+        {
+            **motion.held,
+            **{joint: float(position[row]) for joint, position in motion.beside.items()},
+            **dict(zip(motion.joints, motion.position[row].tolist(), strict=True)),
+        }
+        for row in rows
+    ]
+
+
+def _with_body(
+    view: HeldView,
+    seen: np.ndarray,
+    load: tuple[float, Sequence[float], np.ndarray],
+    inertia_is: str,
+    within_m: Sequence[float] | None,
+) -> HeldView:
+    """A view with the load in it; ``seen`` takes a vector in the payload's frame to the plane, shape (2, 3)."""
+    mass, centre_m, inertia = load
+    centre = view.hand + seen @ np.asarray(centre_m)
+    # that of an ellipsoid along one of its half axes is a fifth of their square
+    spread = 5.0 * (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
+    within = None
+    if within_m is not None:
+        within = _outline(centre, seen @ np.diag(np.square(within_m)) @ seen.T)
+    body = _outline(centre, seen @ spread @ seen.T)
+    return replace(view, centre=centre, within=within, body=body, inertia_is=inertia_is)
 
 
 def _outline(centre: np.ndarray, shape: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from proprio_ros.calibration_files.pushes import RANGES, Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import robot_calibration, solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
-from proprio_ros.identification.estimate import Fit, Verdict
+from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
 from proprio_ros.identification.posterior import Posterior, run_fits
@@ -43,6 +43,13 @@ def refresh(
 ) -> CalibrationEstimate:
     """Bring a robot's calibration, aged to when the runs were made, up to date; most of the runs are with an empty hand.
 
+    Args:
+        robot: With the calibration.
+        runs: What was recorded now.
+        progress: Is told what is being done, in words.
+
+    Returns: the new calibration, or why it is none.
+
     Raises:
         ConfigurationError: The robot has no calibration of driven runs, or a run is one of those that it was made of.
         RecordingError: A run cannot be related to the robot at all.
@@ -53,6 +60,47 @@ def refresh(
         raise ConfigurationError(f"{robot.source.name} {none}: calibrate from the start")
     started = time.perf_counter()
     found = Findings()
+    usable = _new_runs(robot, old, runs, found)
+    if not usable:
+        return robot_calibration.nothing_usable(robot, "a calibrated", len(runs), found)
+    progress(f"fitting {len(usable)} runs")
+    # where the zeros are now is what the new runs are to say
+    robot = replace(robot, zero_repeat=0.0)
+    unknowns = robot_unknowns(robot, usable, Role.FREE)
+    problem = Problem(robot, usable, PayloadFacts(), unknowns)
+    start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
+    ended = FitResult.of(
+        problem, solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)
+    )
+    chi2 = ended.reduced_chi2
+    # as in a weighing: runs that are not quite explained count for less
+    posterior = Posterior(problem, ended.values, 1.0 if ended.explains else max(1.0, chi2))
+    rows = robot_calibration.shared_rows(problem, ended.values, posterior.covariance)
+    hand = robot_calibration.empty_hand(problem, ended.values, posterior)
+    reasons = [*robot_calibration.not_empty(hand, NOT_EMPTY), *_drifted(chi2, rows)]
+    fits, rms, expected = run_fits(problem, ended.values, usable)
+    return CalibrationEstimate(
+        robot.name,
+        Verdict.REJECTED if reasons else Verdict.ACCEPTED,
+        tuple(reasons),
+        len(runs),
+        _updated(old, problem, ended.values, posterior),
+        Fit(rms, expected, chi2, condition=posterior.condition),
+        fits,
+        unknowns=rows,
+        notes=tuple(found.notes),
+        empty_hand=hand,
+        timing_s={"solve": time.perf_counter() - started},
+    )
+
+
+def _new_runs(
+    robot: Robot,
+    old: Calibration,
+    runs: Sequence[robot_calibration.LoadedRun],
+    found: Findings,
+) -> list[PreparedRun]:
+    """The runs that can be used; ConfigurationError where one of them is in the old calibration already."""
 
     def refused(run: PreparedRun) -> str:
         if not run.run.free and run.run.joint in old.driven:
@@ -64,52 +112,24 @@ def refresh(
         if robot_calibration.entry_of(run) in old.runs:
             twice = "is one of the runs that the calibration was made of: it would count twice"
             raise ConfigurationError(f"{run.run.name} {twice}")
-    if not usable:
-        return robot_calibration.nothing_usable(robot, "a calibrated", len(runs), found)
-    progress(f"fitting {len(usable)} runs")
-    # where the zeros are now is what the new runs are to say
-    robot = replace(robot, zero_repeat=0.0)
-    problem = Problem(
-        robot,
-        usable,
-        PayloadFacts(),
-        robot_unknowns(robot, usable, Role.FREE),
-    )
-    start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
-    solution = solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)
-    ended = FitResult.of(problem, solution)
-    values = ended.values
-    chi2 = ended.reduced_chi2
-    # as in a weighing: runs that are not quite explained count for less
-    posterior = Posterior(problem, values, 1.0 if ended.explains else max(1.0, chi2))
-    rows = robot_calibration.shared_rows(problem, values, posterior.covariance)
-    pulls = [(row.label, abs(row.value - row.prior), row.prior_std) for row in rows]
-    moved = [f"{label} ({off / std:.1f})" for label, off, std in pulls if off > TOO_FAR * std]
-    hand = robot_calibration.empty_hand(problem, values, posterior)
-    reasons = robot_calibration.not_empty(hand, NOT_EMPTY)
-    if chi2 > MISFIT_LIMIT or moved:
-        what = (
-            f"{', '.join(moved[:3])} standard deviations off"
-            if moved
-            else f"reduced chi-square {chi2:.1f}"
-        )
-        said = f"the calibration no longer fits, not even with the drift that the robot file states ({what})"
-        cure = "was the hand empty, and did anything touch the arm? If not, calibrate anew"
-        reasons.append(Reason("drift", f"{said}: {cure}"))
-    fits, rms, expected = run_fits(problem, values, usable)
-    return CalibrationEstimate(
-        robot.name,
-        Verdict.REJECTED if reasons else Verdict.ACCEPTED,
-        tuple(reasons),
-        len(runs),
-        _updated(old, problem, values, posterior),
-        Fit(rms, expected, chi2, condition=posterior.condition),
-        fits,
-        unknowns=rows,
-        notes=tuple(found.notes),
-        empty_hand=hand,
-        timing_s={"solve": time.perf_counter() - started},
-    )
+    return usable
+
+
+def _drifted(chi2: float, rows: Sequence[UnknownRow]) -> list[str]:
+    """That the robot changed by more than its file states, where residuals or unknowns say so."""
+    moved = []
+    for row in rows:
+        off = abs(row.value - row.prior)
+        if off > TOO_FAR * row.prior_std:
+            moved.append(f"{row.label} ({off / row.prior_std:.1f})")
+    if chi2 <= MISFIT_LIMIT and not moved:
+        return []
+    what = f"reduced chi-square {chi2:.1f}"
+    if moved:
+        what = f"{', '.join(moved[:3])} standard deviations off"
+    said = f"the calibration no longer fits, not even with the drift that the robot file states ({what})"
+    cure = "was the hand empty, and did anything touch the arm? If not, calibrate anew"
+    return [Reason("drift", f"{said}: {cure}")]
 
 
 def _updated(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -85,6 +85,13 @@ def calibrate(
 ) -> CalibrationEstimate:
     """Learn the robot from empty-hand runs, and runs with a weighed reference; what its file states is the prior.
 
+    Args:
+        robot: As its file states it.
+        runs: What was recorded, and what the hand held.
+        progress: Is told what is being done, in words.
+
+    Returns: the calibration, or why it is none.
+
     Raises:
         ConfigurationError: The robot is calibrated already, or nothing of it is open, or there is no run.
         RecordingError: A run cannot be related to the robot at all.
@@ -109,68 +116,108 @@ def calibrate(
     fitted, left_out = _fit_what_agrees(robot, usable, progress)
     if swings:
         fitted = with_another_rise(fitted)
-    problem = fitted.problem
-    values = fitted.values
-    posterior = fitted.posterior
-    whole = _as_calibration(fitted)
-    one_way = _driven_one_way(robot, problem.runs)
-    hand = empty_hand(problem, values, posterior)
-    refusals = [
-        *not_empty(hand, NOT_EMPTY),
-        *_delay_on_bound(fitted),
-        *_misfits(robot, fitted, left_out, len(usable)),
-    ]
-    verdict = Verdict.REJECTED
-    reasons = refusals
-    calibration = whole
-    if not refusals:
-        verdict, reasons, calibration = _separated(whole, problem.runs, one_way)
+    learnt = _Learnt.of(robot, fitted)
+    verdict, reasons, calibration = _verdict(robot, learnt, left_out, len(usable))
     if swings and verdict is Verdict.ACCEPTED:
-        calibration = _with_own_friction(robot, problem.runs, calibration)
-    if left_out:
-        reasons.append(
-            gates.said_left_out(
-                left_out, len(usable), "was the hand as stated, and nothing in the way?"
-            )
-        )
-    rows = shared_rows(problem, values, fitted.covariance)
-    # swings differ by more than a run says of itself: a good servo's loads would be doubted
-    if not swings:
-        reasons += _not_as_stated(empty_hand(problem, values, posterior, references=True))
-    reasons += [*not_empty(hand, MAYBE_NOT_EMPTY, NOT_EMPTY), *_far_from_file(rows)]
-    if apart := int(np.sum(~(fitted.cost <= fitted.cost.min() + 2.0))):
-        found.notes.append(
-            f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken"
-        )
-    if swings:
-        nothing = (
-            f"free swings tell nothing of the torque constant of {', '.join(joints_of(usable))}"
-        )
-        instead = "weigh from free swings with this calibration"
-        found.notes.append(
-            f"{nothing}: {instead}; what a current drives would carry the robot file's torque constant"
-        )
-    else:
-        reasons += gates.never_reversed(problem.runs)
-    fits, rms, expected = run_fits(problem, values, problem.runs)
-    chi2 = float(posterior.residual @ posterior.residual) / len(posterior.residual)
+        calibration = _with_own_friction(robot, fitted.problem.runs, calibration)
+    reasons += _remarks(learnt, left_out, len(usable))
+    found.notes += _notes(fitted, usable)
+    fits, rms, expected = run_fits(fitted.problem, fitted.values, fitted.problem.runs)
+    residual = fitted.posterior.residual
+    chi2 = float(residual @ residual) / len(residual)
     return CalibrationEstimate(
         robot.name,
         verdict,
         tuple(reasons),
         len(runs),
         calibration,
-        Fit(rms, expected, chi2, condition=posterior.condition),
+        Fit(rms, expected, chi2, condition=fitted.posterior.condition),
         fits,
-        unknowns=rows,
+        unknowns=learnt.rows,
         held_out=_held_out(fitted),
-        not_separated=_not_separated(robot, problem, rows, calibration),
+        not_separated=_not_separated(robot, fitted.problem, learnt.rows, calibration),
         notes=tuple(found.notes),
-        empty_hand=hand,
+        empty_hand=learnt.hand,
         timing_s={"solve": time.perf_counter() - started},
-        whole=whole,
-        driven_one_way=one_way,
+        whole=learnt.whole,
+        driven_one_way=learnt.one_way,
     )
+
+
+@dataclass(frozen=True)
+class _Learnt:
+    """What the fit of a calibration says, before it is judged."""
+
+    fitted: Fitted
+    whole: Calibration  # with joints driven one way only
+    one_way: dict[str, bool]  # those joints, and whether upwards
+    hand: EmptyHand | None  # how empty it was by the runs themselves
+    rows: tuple[UnknownRow, ...]  # every shared unknown
+
+    @classmethod
+    def of(cls, robot: Robot, fitted: Fitted) -> _Learnt:
+        problem = fitted.problem
+        return cls(
+            fitted,
+            _as_calibration(fitted),
+            _driven_one_way(robot, problem.runs),
+            empty_hand(problem, fitted.values, fitted.posterior),
+            shared_rows(problem, fitted.values, fitted.covariance),
+        )
+
+
+def _verdict(
+    robot: Robot, learnt: _Learnt, left_out: Sequence[str], count: int
+) -> tuple[Verdict, list[str], Calibration]:
+    """The verdict on a fit of so many usable runs, why, and what is known now."""
+    refusals = [
+        *not_empty(learnt.hand, NOT_EMPTY),
+        *_delay_on_bound(learnt.fitted),
+        *_misfits(robot, learnt.fitted, left_out, count),
+    ]
+    if refusals:
+        return Verdict.REJECTED, refusals, learnt.whole
+    return _separated(learnt.whole, learnt.fitted.problem.runs, learnt.one_way)
+
+
+def _remarks(learnt: _Learnt, left_out: Sequence[str], count: int) -> list[str]:
+    """Reasons to look closer, whatever the verdict."""
+    fitted = learnt.fitted
+    problem = fitted.problem
+    swings = are_free_responses(problem.runs)
+    reasons = []
+    if left_out:
+        question = "was the hand as stated, and nothing in the way?"
+        reasons.append(gates.said_left_out(left_out, count, question))
+    # swings differ by more than a run says of itself: a good servo's loads would be doubted
+    if not swings:
+        reasons += _not_as_stated(
+            empty_hand(problem, fitted.values, fitted.posterior, references=True)
+        )
+    reasons += not_empty(learnt.hand, MAYBE_NOT_EMPTY, NOT_EMPTY)
+    reasons += _far_from_file(learnt.rows)
+    if not swings:
+        reasons += gates.never_reversed(problem.runs)
+    return reasons
+
+
+def _notes(fitted: Fitted, usable: Sequence[PreparedRun]) -> list[str]:
+    """What is to be known of the fit beside the reasons."""
+    notes = []
+    apart = int(np.sum(~(fitted.cost <= fitted.cost.min() + 2.0)))
+    if apart:
+        notes.append(
+            f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken"
+        )
+    if are_free_responses(usable):
+        nothing = (
+            f"free swings tell nothing of the torque constant of {', '.join(joints_of(usable))}"
+        )
+        instead = "weigh from free swings with this calibration"
+        notes.append(
+            f"{nothing}: {instead}; what a current drives would carry the robot file's torque constant"
+        )
+    return notes
 
 
 def usable_runs(
@@ -312,20 +359,28 @@ def empty_hand(
     std = information**-0.5
     if abs(mass) > MAYBE_NOT_EMPTY * std:
         follows = posterior.covariance @ across * mass
-        open_to = [problem.unknowns[row] for row in problem.free]
-        places = at[problem.free] - np.linspace(0.0, 1.0, HIDDEN_STARTS)[:, None] * follows
-        starts = problem.coordinates.internal(
-            np.clip(places, [u.lower for u in open_to], [u.upper for u in open_to])
-        )
-        before = problem.linearise(starts[:1])[0]
-        after = solvers.levenberg_marquardt(
-            hiding_all(mass), starts, None, iterations=HIDDEN_ITERATIONS
-        ).cost
-        std = max(
-            std,
-            abs(mass) / max(2.0 * float(before[0] - after.min()), 1e-6) ** 0.5,
-        )
+        gained = _gained_with(problem, hiding_all(mass), at, follows)
+        std = max(std, abs(mass) / max(gained, 1e-6) ** 0.5)
     return EmptyHand(mass, std)
+
+
+def _gained_with(problem: Problem, other: Problem, at: np.ndarray, follows: np.ndarray) -> float:
+    """By how much less chi-square another problem explains the runs, fitted again.
+
+    Args:
+        problem: The one that was fitted.
+        other: The same runs with another load.
+        at: Where the fit ended, shape (N,).
+        follows: By how much the free unknowns are less with the other load, to first order, shape (F,).
+    """
+    open_to = [problem.unknowns[row] for row in problem.free]
+    places = at[problem.free] - np.linspace(0.0, 1.0, HIDDEN_STARTS)[:, None] * follows
+    starts = problem.coordinates.internal(
+        np.clip(places, [u.lower for u in open_to], [u.upper for u in open_to])
+    )
+    before = problem.linearise(starts[:1])[0]
+    after = solvers.levenberg_marquardt(other, starts, None, iterations=HIDDEN_ITERATIONS).cost
+    return 2.0 * float(before[0] - after.min())
 
 
 def not_empty(

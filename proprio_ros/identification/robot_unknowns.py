@@ -59,7 +59,15 @@ def load_unknowns(
     drive_role: Role,
     start_mass_kg: float,
 ) -> list[Unknown]:
-    """All unknowns of a weighing: the payload, from whose ``start_mass_kg`` a fit starts, and those of `robot_unknowns`."""
+    """All unknowns of a weighing: the payload, and those of `robot_unknowns`.
+
+    Args:
+        robot: As there.
+        runs: As there.
+        facts: What is stated about the payload.
+        drive_role: As there; the centre of mass is free where it is not known.
+        start_mass_kg: From which a fit starts.
+    """
     unknowns = [
         Unknown(
             "payload_mass",
@@ -90,9 +98,31 @@ def robot_unknowns(
 ) -> list[Unknown]:
     """What is open about the robot in these runs, shared and of each run on its own.
 
-    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown. ``FROZEN`` keeps
-    the robot at these values, ``FREE`` lets the recording move them under their priors.
+    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown.
+
+    Args:
+        robot: Whose file and calibration count.
+        runs: Whose joints, links and starts they are of.
+        drive_role: ``FROZEN`` keeps the robot at these values, ``FREE`` lets the recording move them under their priors.
+
+    Returns: the shared ones first, then those of each run.
     """
+    learnt = prior_of(robot, runs)
+    known = {} if learnt is None else learnt.quantities
+    unknowns = []
+    for unknown in _shared_unknowns(robot, runs):
+        if unknown.key in known:
+            unknown = _from_quantity(
+                unknown.kind, unknown.scope, known[unknown.key], unknown.lower, unknown.upper
+            )
+        unknowns.append(unknown.at_role(drive_role))
+    for row, run in enumerate(runs):
+        unknowns += _of_run(robot, row, run, drive_role)
+    return unknowns
+
+
+def _shared_unknowns(robot: Robot, runs: Sequence[PreparedRun]) -> list[Unknown]:
+    """Those that runs share, as the robot file has them: arm, delay, drive trains, zeros and encoders, links."""
     shared = [
         _from_quantity("arm_scale", None, robot.arm_scale, lower=0.1),
         _from_quantity("delay", None, robot.delay, lower=-0.1, upper=0.1),
@@ -102,57 +132,42 @@ def robot_unknowns(
         for kind in DRIVE_TERMS:
             lower = SLOWEST_STRIBECK if kind == "stribeck_velocity" else 0.0
             shared.append(_from_quantity(kind, name, getattr(drive, kind), lower=lower))
-    for name in dict.fromkeys(
-        name for run in runs for name in (run.run.joint, *run.coefficients.pose)
-    ):
+    posed = [name for run in runs for name in (run.run.joint, *run.coefficients.pose)]
+    for name in dict.fromkeys(posed):
         moved = robot.drive_trains.get(name)
-        if moved is not None and moved.transmission == 1.0:
-            # a locked joint's reading is rounded the same way in every sample
-            std = float(np.hypot(moved.zero.std, moved.encoder_resolution / np.sqrt(12.0)))
-            shared.append(_from_quantity("zero", name, Quantity(moved.zero.value, std)))
-            ripple = Quantity(0.0, moved.encoder_once_per_turn)
-            shared += [_from_quantity(kind, name, ripple) for kind in RIPPLE_TERMS]
+        if moved is None or moved.transmission != 1.0:
+            continue
+        # a locked joint's reading is rounded the same way in every sample
+        std = float(np.hypot(moved.zero.std, moved.encoder_resolution / np.sqrt(12.0)))
+        shared.append(_from_quantity("zero", name, Quantity(moved.zero.value, std)))
+        ripple = Quantity(0.0, moved.encoder_once_per_turn)
+        shared += [_from_quantity(kind, name, ripple) for kind in RIPPLE_TERMS]
     stds = link_stds(robot)
     links = dict.fromkeys(key for run in runs for key in run.coefficients.links)
-    shared += [_from_quantity(kind, link, Quantity(0.0, stds[kind])) for kind, link in links]
-    learnt = prior_of(robot, runs)
-    known = {} if learnt is None else learnt.quantities
-    shared = [
-        _from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u
-        for u in shared
+    return shared + [_from_quantity(kind, link, Quantity(0.0, stds[kind])) for kind, link in links]
+
+
+def _of_run(robot: Robot, row: int, run: PreparedRun, drive_role: Role) -> list[Unknown]:
+    """Where a run began, how its onset and torque differ from other runs', and what a free swing has of its own."""
+    free = run.run.free
+    velocity = (run.start_velocity, START_VELOCITY_STD) if free else (0.0, robot.start_velocity)
+    start = [
+        Unknown("q0", run.rest.value, run.rest.std, scope=row),
+        Unknown("v0", *velocity, scope=row),
     ]
-    unknowns = [u.at_role(drive_role) for u in shared]
-    for row, run in enumerate(runs):
-        free = run.run.free
-        start_velocity = (
-            (run.start_velocity, START_VELOCITY_STD) if free else (0.0, robot.start_velocity)
-        )
-        unknowns += [
-            Unknown("q0", run.rest.value, run.rest.std, scope=row),
-            Unknown("v0", *start_velocity, scope=row),
-        ]
-        of_run = []
-        if free:
-            zero_std = ZERO_REPEATS * robot.drive_trains[run.run.joint].zero.std
-            stds = dict(
-                zip(OF_A_SWING, (robot.friction_spread, MOMENT_REPEATS, zero_std), strict=True)
-            )
-            of_run = [Unknown(kind, 0.0, std, -0.9, scope=row) for kind, std in stds.items()]
-        of_run.append(
-            Unknown(
-                "onset",
-                0.0,
-                onset_std(robot, run),
-                -0.1,
-                0.1,
-                scope=row,
-            )
-        )
-        # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
-        disturbance = 0.0 if free else math.hypot(robot.torque_disturbance, run.current_torque_std)
-        of_run.append(Unknown("disturbance", 0.0, disturbance, scope=row))
-        unknowns += [unknown.at_role(drive_role) for unknown in of_run]
-    return unknowns
+    repeats: dict[str, float] = {}
+    if free:
+        repeats = {
+            "friction_change": robot.friction_spread,
+            "moment_change": MOMENT_REPEATS,
+            "swing_zero": ZERO_REPEATS * robot.drive_trains[run.run.joint].zero.std,
+        }
+    differs = [Unknown(kind, 0.0, std, -0.9, scope=row) for kind, std in repeats.items()]
+    differs.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row))
+    # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
+    disturbance = 0.0 if free else math.hypot(robot.torque_disturbance, run.current_torque_std)
+    differs.append(Unknown("disturbance", 0.0, disturbance, scope=row))
+    return start + [unknown.at_role(drive_role) for unknown in differs]
 
 
 def prior_of(robot: Robot, runs: Sequence[PreparedRun]) -> Calibration | None:
