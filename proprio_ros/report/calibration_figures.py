@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -37,62 +38,46 @@ def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
     rows = {row.key: row for row in unknowns}
     joints = joints_of(unknowns)
     terms = TERMS if ("torque_constant", joints[0]) in rows else OF_MOTIONS
-    with drawn(
-        9.2,
-        1.1 + 2 * (0.55 + 0.28 * len(joints)),
-        nrows=2,
-        ncols=3,
-        sharey=True,
-    ) as (
-        figure,
-        axes,
-    ):
+    height = 1.1 + 2 * (0.55 + 0.28 * len(joints))
+    with drawn(9.2, height, nrows=2, ncols=3, sharey=True) as (figure, axes):
         for axis, term in zip(axes.ravel(), terms, strict=True):
-            least = -np.inf if term in ANY_SIGN else 0.0
-            for place, joint in enumerate(joints[::-1]):
-                if (row := rows.get((term, joint))) is None:
-                    continue
-                before = (row.prior, row.prior_std, 0.62, PALE)
-                now = (row.value, row.std, 0.26, ACCENT)
-                for value, std, height, color in (before, now):
-                    low = max(value - Z95 * std, least)
-                    axis.barh(
-                        place,
-                        value + Z95 * std - low,
-                        left=low,
-                        height=height,
-                        color=color,
-                        linewidth=0,
-                    )
-                axis.plot(
-                    max(row.value, least), place, "|", color=INK, markersize=9, markeredgewidth=1.6
-                )
-            axis.set_yticks(
-                range(len(joints)), [plain(_short(joint, 32)) for joint in joints[::-1]]
-            )
-            axis.set_title(
-                f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})",
-                fontsize=9.5,
-                loc="left",
-            )
-            axis.grid(axis="y", visible=False)
-            # a file that leaves it wide open must not hide what was learnt
-            known = [
-                abs(row.value) + Z95 * row.std
-                for joint in joints
-                if (row := rows.get((term, joint))) is not None
-            ]
-            (low, high), most = axis.get_xlim(), MOST_OVER * max(known, default=1.0)
-            axis.set_xlim(max(low, -most), min(high, most))
-            axis.locator_params(axis="x", nbins=5)
+            _draw_term(axis, term, [rows.get((term, joint)) for joint in joints])
+            names = [plain(_short(joint, 32)) for joint in joints[::-1]]
+            axis.set_yticks(range(len(joints)), names)
         return figure
+
+
+def _draw_term(axis: Any, term: str, rows: Sequence[UnknownRow | None]) -> None:
+    """One term of every joint, from above; None where a joint has none."""
+    least = -np.inf if term in ANY_SIGN else 0.0
+    for place, row in enumerate(rows[::-1]):
+        if row is None:
+            continue
+        before = (row.prior, row.prior_std, 0.62, PALE)
+        now = (row.value, row.std, 0.26, ACCENT)
+        for value, std, height, color in (before, now):
+            low = max(value - Z95 * std, least)
+            width = value + Z95 * std - low
+            axis.barh(place, width, left=low, height=height, color=color, linewidth=0)
+        axis.plot(max(row.value, least), place, "|", color=INK, markersize=9, markeredgewidth=1.6)
+    kind = KINDS[term]
+    axis.set_title(f"{kind.label} ({kind.unit.replace('^2', '²')})", fontsize=9.5, loc="left")
+    axis.grid(axis="y", visible=False)
+    # a file that leaves it wide open must not hide what was learnt
+    known = [abs(row.value) + Z95 * row.std for row in rows if row is not None]
+    most = MOST_OVER * max(known, default=1.0)
+    low, high = axis.get_xlim()
+    axis.set_xlim(max(low, -most), min(high, most))
+    axis.locator_params(axis="x", nbins=5)
 
 
 def correlation_figure(calibration: Calibration) -> str:
     """Correlations between the unknowns that have any to speak of."""
-    strength = np.abs(calibration.correlation - np.eye(len(calibration.keys))).max(axis=1)
-    chosen = [row for row in np.argsort(-strength) if strength[row] > NOTICEABLE][:MOST_CORRELATED]
-    chosen = sorted(int(row) for row in chosen) or list(range(min(len(calibration.keys), 2)))
+    count = len(calibration.keys)
+    strength = np.abs(calibration.correlation - np.eye(count)).max(axis=1)
+    strongest = np.argsort(-strength).tolist()
+    chosen = [row for row in strongest if strength[row] > NOTICEABLE][:MOST_CORRELATED]
+    chosen = sorted(chosen) or list(range(min(count, 2)))
     names = [plain(label_of(calibration.keys[row])) for row in chosen]
     size = 3.8 + 0.2 * len(names)
     with drawn(size + 1.0, size) as (figure, axis):
@@ -114,9 +99,8 @@ def correlation_figure(calibration: Calibration) -> str:
         for spine in axis.spines.values():
             spine.set_visible(False)
         # so few steps that the bar is drawn as shapes, not embedded as an image
-        figure.colorbar(
-            picture, ax=axis, shrink=0.7, label="correlation", boundaries=np.linspace(-1.0, 1.0, 41)
-        )
+        steps = np.linspace(-1.0, 1.0, 41)
+        figure.colorbar(picture, ax=axis, shrink=0.7, label="correlation", boundaries=steps)
         return svg(figure, "Correlations between the unknowns of the calibration")
 
 

@@ -63,121 +63,173 @@ class Axis:
     whole: bool = False
 
 
+@dataclass(frozen=True)
+class _Scale:
+    """From values of an axis to px."""
+
+    low: float  # ends of the axis, decimal logarithms where it is logarithmic
+    high: float
+    log: bool
+
+    @classmethod
+    def about(cls, values: np.ndarray, log: bool, margin: float) -> _Scale:
+        """An axis that holds all values, as they are on it, (K,), with a margin as a share of their range."""
+        low, high = _reach(values, margin)
+        return cls(low, high, log)
+
+    def share(self, values: np.ndarray) -> np.ndarray:
+        """Where values are on the axis, 0 to 1."""
+        return (_of(values, self.log) - self.low) / (self.high - self.low)
+
+    @property
+    def ends(self) -> np.ndarray:
+        """The values at both ends, (2,)."""
+        if self.log:
+            return np.array([10.0**self.low, 10.0**self.high])
+        return np.array([self.low, self.high])
+
+    @property
+    def attribute(self) -> str:
+        """What tells the page's script that the axis is logarithmic."""
+        return " data-log" if self.log else ""
+
+
+@dataclass(frozen=True)
+class _Plot:
+    """The inside of a panel."""
+
+    across: _Scale
+    up: _Scale
+    height: float  # px
+
+    def x(self, value: float) -> str:
+        return _n(float(self.across.share(np.array(value))) * INSIDE)
+
+    def points(self, x: np.ndarray, y: np.ndarray) -> list[str]:
+        """Those that are numbers, as `x,y`."""
+        right = self.across.share(x)
+        down = (self.up.high - _of(y, self.up.log)) / (self.up.high - self.up.low)
+        good = np.isfinite(right) & np.isfinite(down)
+        return [
+            f"{_n(a * INSIDE)},{_n(b * self.height)}"
+            for a, b in zip(right[good], down[good], strict=True)
+        ]
+
+
 def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
-    """The SVG of panels from above with the axis below all of them; ``name`` is for those who cannot see it."""
-    every = np.concatenate([_of(s.x, axis.log) for panel in panels for s in panel.series])
-    x0, x1 = _reach(every, 0.01)
+    """The SVG of panels from above with the axis below all of them.
+
+    Args:
+        panels: At least one.
+        axis: That they share.
+        name: For those who cannot see it.
+    """
+    every = np.concatenate([series.x for panel in panels for series in panel.series])
+    across = _Scale.about(_of(every, axis.log), axis.log, 0.01)
     top = 0.0
     body = []
     edges = []
     for panel in panels:
         top += TITLE
-        body.append(_panel(panel, axis, x0, x1, top))
+        body.append(_panel(panel, across, top))
         edges.append((top, top + panel.height))
         top += panel.height + BELOW
     bottom = edges[-1][1]
     marks = []
-    for value, word in _ticks(x0, x1, axis.log, whole=axis.whole):
-        at = LEFT + (value - x0) / (x1 - x0) * INSIDE
+    for value, word in _ticks(across.low, across.high, axis.log, whole=axis.whole):
+        at = LEFT + (value - across.low) / (across.high - across.low) * INSIDE
         line = "".join(f"M{_n(at)},{_n(above)}V{_n(below)}" for above, below in edges)
         marks.append(
             f'<path d="{line}"/><text x="{_n(at)}" y="{_n(bottom + 18)}" text-anchor="middle">{word}</text>'
         )
     title = f'<text x="{_n(LEFT + INSIDE / 2)}" y="{_n(bottom + AXIS - 4)}" text-anchor="middle">{escape(axis.title)}</text>'
-    log = " data-log" if axis.log else ""
     return (
         f'<svg class="chart" role="img" aria-label="{escape(name)}" viewBox="0 0 {_n(WIDTH)} {_n(bottom + AXIS)}" '
-        f'data-x0="{x0:.9g}" data-x1="{x1:.9g}" data-unit="{escape(axis.unit)}"{log}>'
+        f'data-x0="{across.low:.9g}" data-x1="{across.high:.9g}" data-unit="{escape(axis.unit)}"{across.attribute}>'
         f'<g class="ticks">{"".join(marks)}</g>{title}{"".join(body)}</svg>'
     )
 
 
-def _panel(
-    panel: Panel,
-    axis: Axis,
-    x0: float,
-    x1: float,
-    top: float,
-) -> str:
-    seen = [_of(s.y, panel.log) for s in panel.series]
-    seen += [
-        _of(np.array(panel.rules), panel.log),
-        *(panel.band[1:] if panel.band is not None else ()),
+def _panel(panel: Panel, across: _Scale, top: float) -> str:
+    """A plot with its title, legend and marks, which begins at `top` [px]."""
+    plot = _Plot(across, _scale_of(panel), panel.height)
+    shown = [(series, plot.points(series.x, series.y)) for series in panel.series]
+    drawn = [
+        *_behind(panel, plot),
+        *(_curve(series, places, panel.unit) for series, places in shown if places),
     ]
-    every = np.concatenate(seen)
-    y0, y1 = _reach(np.minimum(every, panel.highest), MARGIN)
-
-    def points(x: np.ndarray, y: np.ndarray) -> list[str]:
-        x = _of(x, axis.log)
-        y = _of(y, panel.log)
-        good = np.isfinite(x) & np.isfinite(y)
-        right = (x[good] - x0) / (x1 - x0) * INSIDE
-        down = (y1 - y[good]) / (y1 - y0) * panel.height
-        return [f"{_n(a)},{_n(b)}" for a, b in zip(right, down, strict=True)]
-
-    def across(value: float) -> str:
-        return _n((float(_of(np.array(value), axis.log)) - x0) / (x1 - x0) * INSIDE)
-
-    drawn = []
-    legend = []
-    for low, high in panel.spans:
-        drawn.append(
-            f'<path class="span" d="M{across(low)},0H{across(high)}V{_n(panel.height)}H{across(low)}Z"/>'
-        )
-    if panel.band is not None:
-        times, low_y, high_y = panel.band
-        around = "L".join([*points(times, high_y), *points(times, low_y)[::-1]])
-        drawn.append(f'<path class="span" d="M{around}Z"/>')
-    drawn += [
-        f'<path class="vertical" d="M{across(value)},0V{_n(panel.height)}"/>'
-        for value in panel.verticals
-    ]
-    ends = np.array([10.0**x0, 10.0**x1] if axis.log else [x0, x1])
-    drawn += [
-        f'<path class="rule" d="M{"L".join(points(ends, np.full(2, rule)))}"/>'
-        for rule in panel.rules
-    ]
-    for series in panel.series:
-        places = points(series.x, series.y)
-        if not places:
-            continue
-        line = f"M{'L'.join(places)}"
-        if series.kind == "dots":
-            line = "".join(f"M{place}h0" for place in places)
-        elif series.kind == "pairs":
-            line = "".join(
-                f"M{low}L{high}" for low, high in zip(places[::2], places[1::2], strict=True)
-            )
-        elif series.kind == "steps":
-            line = f"M{places[0]}" + "".join(
-                f"H{place.partition(',')[0]}L{place}" for place in places[1:]
-            )
-        named = (
-            f' data-name="{escape(series.name)}" data-unit="{escape(panel.unit)}"'
-            if series.name
-            else ""
-        )
-        drawn.append(f'<path class="{series.kind} {series.color}"{named} d="{line}"/>')
-        if series.name and series.listed:
-            sign = "\N{BLACK CIRCLE}" if series.kind == "dots" else "\N{EM DASH}"
-            legend.append(
-                f'<tspan class="{series.color}" dx="14">{sign} {escape(series.name)}</tspan>'
-            )
-    words = f'<text x="2" y="{_n(top - 11)}"><tspan class="title">{escape(panel.title)}</tspan>{"".join(legend)}</text>'
+    legend = [_legend_of(series) for series, places in shown if places and series.listed]
     marks = []
-    for value, word in _ticks(y0, y1, panel.log, panel.height / 22.0):
-        at = top + (y1 - value) / (y1 - y0) * panel.height
+    low = plot.up.low
+    high = plot.up.high
+    for value, word in _ticks(low, high, panel.log, panel.height / 22.0):
+        at = top + (high - value) / (high - low) * panel.height
         marks.append(
             f'<path d="M{_n(LEFT)},{_n(at)}h{_n(INSIDE)}"/>'
             f'<text x="{_n(LEFT - 8)}" y="{_n(at)}" dy=".35em" text-anchor="end">{word}</text>'
         )
-    log = " data-log" if panel.log else ""
     return (
-        f'{words}<g class="grid">{"".join(marks)}</g>'
+        f'<text x="2" y="{_n(top - 11)}"><tspan class="title">{escape(panel.title)}</tspan>{"".join(legend)}</text>'
+        f'<g class="grid">{"".join(marks)}</g>'
         f'<svg class="plot" x="{_n(LEFT)}" y="{_n(top)}" width="{_n(INSIDE)}" height="{_n(panel.height)}" '
         f'viewBox="0 0 {_n(INSIDE)} {_n(panel.height)}" preserveAspectRatio="none" '
-        f'data-y0="{y0:.9g}" data-y1="{y1:.9g}"{log}>{"".join(drawn)}</svg>'
+        f'data-y0="{low:.9g}" data-y1="{high:.9g}"{plot.up.attribute}>{"".join(drawn)}</svg>'
     )
+
+
+def _scale_of(panel: Panel) -> _Scale:
+    """The axis that holds curves, rules and band of a panel."""
+    values = [series.y for series in panel.series]
+    values.append(np.array(panel.rules))
+    seen = [_of(each, panel.log) for each in values]
+    if panel.band is not None:
+        seen += panel.band[1:]
+    every = np.minimum(np.concatenate(seen), panel.highest)
+    return _Scale.about(every, panel.log, MARGIN)
+
+
+def _behind(panel: Panel, plot: _Plot) -> list[str]:
+    """What lies behind the curves: shaded spans, the band, lines across and upwards."""
+    height = _n(panel.height)
+    drawn = [
+        f'<path class="span" d="M{plot.x(low)},0H{plot.x(high)}V{height}H{plot.x(low)}Z"/>'
+        for low, high in panel.spans
+    ]
+    if panel.band is not None:
+        x, low_y, high_y = panel.band
+        around = "L".join([*plot.points(x, high_y), *plot.points(x, low_y)[::-1]])
+        drawn.append(f'<path class="span" d="M{around}Z"/>')
+    drawn += [
+        f'<path class="vertical" d="M{plot.x(value)},0V{height}"/>' for value in panel.verticals
+    ]
+    for rule in panel.rules:
+        line = "L".join(plot.points(plot.across.ends, np.full(2, rule)))
+        drawn.append(f'<path class="rule" d="M{line}"/>')
+    return drawn
+
+
+def _curve(series: Series, places: Sequence[str], unit: str) -> str:
+    """A curve through its points, each `x,y`; what the pointer shows of it has its unit."""
+    line = f"M{'L'.join(places)}"
+    if series.kind == "dots":
+        line = "".join(f"M{place}h0" for place in places)
+    elif series.kind == "pairs":
+        pairs = zip(places[::2], places[1::2], strict=True)
+        line = "".join(f"M{low}L{high}" for low, high in pairs)
+    elif series.kind == "steps":
+        steps = [f"H{place.partition(',')[0]}L{place}" for place in places[1:]]
+        line = f"M{places[0]}{''.join(steps)}"
+    named = ""
+    if series.name:
+        named = f' data-name="{escape(series.name)}" data-unit="{escape(unit)}"'
+    return f'<path class="{series.kind} {series.color}"{named} d="{line}"/>'
+
+
+def _legend_of(series: Series) -> str:
+    if not series.name:
+        return ""
+    sign = "\N{BLACK CIRCLE}" if series.kind == "dots" else "\N{EM DASH}"
+    return f'<tspan class="{series.color}" dx="14">{sign} {escape(series.name)}</tspan>'
 
 
 def _of(values: np.ndarray, log: bool) -> np.ndarray:
@@ -210,14 +262,8 @@ def _ticks(
     """Places on the axis and what stands there: round numbers."""
     if log:
         digits_shown = (1,) if high - low > 1.5 else (1, 2, 5)
-        decades = range(
-            math.floor(low),
-            math.ceil(high) + 1,
-            max(
-                1,
-                math.ceil((high - low) / most),
-            ),
-        )
+        every = max(1, math.ceil((high - low) / most))
+        decades = range(math.floor(low), math.ceil(high) + 1, every)
         values = [digit * 10.0**decade for decade in decades for digit in digits_shown]
         return [
             (math.log10(v), f"{v:g}".replace("e+0", "e"))
@@ -225,7 +271,8 @@ def _ticks(
             if low <= math.log10(v) <= high
         ]
     power = 10.0 ** math.floor(math.log10((high - low) / most))
-    step = next(power * digit for digit in (1, 2, 5, 10) if (high - low) / (power * digit) < most)
+    steps = [power * digit for digit in (1, 2, 5, 10)]
+    step = next(step for step in steps if (high - low) / step < most)
     if math.floor(high / step) - math.ceil(low / step) < 1:  # one mark is no scale
         step /= 2.0
     if whole:

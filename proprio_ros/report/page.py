@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.identification.estimate import Estimate, Fit, UnknownRow, Value, Verdict
 from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.records import TORQUE_OFF
@@ -53,10 +54,18 @@ def write_page(
     sources: Sequence[str] = (),
     force: bool = False,
 ) -> None:
-    """Write the page for one result; an older page is replaced in one step, another file of that name only with ``force``.
+    """Write the page for one result; an older page is replaced in one step.
 
-    ``own`` is what only its probe has to show, as HTML; the command line gives the same result again from its sources.
-    Raises `ConfigurationError`: The file cannot be written.
+    Args:
+        estimate: The result.
+        path: Of the page.
+        own: What only its probe has to show, as HTML.
+        command: The command line that gives the same result again.
+        sources: Names of what it came from.
+        force: Whether another file of that name is replaced, too.
+
+    Raises:
+        ConfigurationError: The file cannot be written.
     """
     parts = [
         *_headline(estimate),
@@ -93,7 +102,15 @@ def card(
     reasons: Sequence[str],
     interval_first: bool = False,
 ) -> str:
-    """A result in a few lines for a notebook's cell, styled by itself, so that nothing of it reaches the rest of the notebook."""
+    """A result in a few lines for a notebook's cell, styled by itself, so that nothing of it reaches the rest of the notebook.
+
+    Args:
+        title: Beside the verdict.
+        verdict: In its colour.
+        values: Each with its interval.
+        reasons: The first of which says what to do.
+        interval_first: Whether intervals are larger than the values.
+    """
     color = _COLORS.get(verdict.value, "#5a6675")
     badge = f"background:{color};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600;display:inline-block"
     lines = [f'<div style="{badge}">{escape(_verdict_in_words(verdict))}</div> {escape(title)}']
@@ -104,10 +121,9 @@ def card(
         )
         lines.append(f"<div>{escape(_interval_in_words(value, interval_first))}</div>")
     lines += bulleted(reasons)
-    if verdict is not Verdict.ACCEPTED and (
-        remedy := REMEDIES.get(getattr(next(iter(reasons), ""), "code", ""))
-    ):
-        lines.append(f"<div>What to do: {escape(remedy)}.</div>")
+    code = getattr(next(iter(reasons), ""), "code", "")
+    if verdict is not Verdict.ACCEPTED and code in REMEDIES:
+        lines.append(f"<div>What to do: {escape(REMEDIES[code])}.</div>")
     return "<div>" + "".join(lines) + "</div>"
 
 
@@ -191,7 +207,7 @@ def _in_words(value: Value, interval_first: bool = False) -> str:
     if value.value is None:
         return "no value"
     if isinstance(value.value, list):
-        return value.in_words().replace("^2", "²")
+        return _typeset(value.in_words())
     std = value.std if isinstance(value.std, float) else None
     spec = spec_for(value.unit, std)
     if interval_first and isinstance(value.ci95, list):
@@ -202,18 +218,15 @@ def _in_words(value: Value, interval_first: bool = False) -> str:
 def _interval_in_words(value: Value, interval_first: bool = False) -> str:
     """Its name and interval, or why there is none; the number where the interval leads."""
     if isinstance(value.value, list) and value.known:
-        known = [part for part in value.parts if part.ci95 is not None]
-        digits = (spec_for(part.unit, part.std) for part in known)  # type: ignore[arg-type]
-        ends = zip(known, digits, strict=True)
-        intervals = "; ".join(
-            shown(part.unit, *part.ci95, spec=spec, between=" to ") for part, spec in ends
-        )
         why = f" ({value.reason})" if value.reason else ""
-        return (
-            f"{value.label}, 95 % intervals {intervals}".replace("^2", "²") + why
-            if known
-            else f"{value.label}{why}"
-        )
+        intervals = []
+        for part in value.parts:
+            if part.ci95 is not None:
+                spec = spec_for(part.unit, part.std)  # type: ignore[arg-type]
+                intervals.append(shown(part.unit, *part.ci95, spec=spec, between=" to "))
+        if not intervals:
+            return f"{value.label}{why}"
+        return _typeset(f"{value.label}, 95 % intervals {'; '.join(intervals)}") + why
     if (
         isinstance(value.ci95, list)
         and isinstance(value.value, float)
@@ -271,83 +284,63 @@ def _convergence(estimate: Estimate) -> list[str]:
 
 
 def _values(estimate: Estimate) -> list[str]:
-    parts = ["<h2>Values and intervals</h2>"]
-    rows = []
-    for each in (
-        part for value in estimate.values for part in (value.parts if value.known else [value])
-    ):
-        interval = (
-            "-" if each.ci95 is None else " to ".join(number(end, each.std) for end in each.ci95)
-        )
-        numbers = [
-            number(each.value, each.std),
-            number(each.std, each.std),
-            interval,
-        ]
-        numbers = numbers if each.known else ["-"] * 3
-        rows.append(
-            [
-                each.label,
-                *numbers,
-                each.unit.replace("^2", "²"),
-                each.reason,
-            ]
-        )
-    header = [
-        "estimate",
-        "value",
-        "std",
-        "95 % interval",
-        "unit",
-        *[""] * any(row[-1] for row in rows),
-    ]
-    parts.append(
-        table(
-            header,
-            [row[: len(header)] for row in rows],
-            numbers=(1, 2, 3),
-            labels=1,
-        )
-    )
+    parts = ["<h2>Values and intervals</h2>", _value_table(estimate.values)]
     if estimate.unknowns:
-        parts.append(
-            "<h3>Every unknown: what the robot file says, and what the recording adds</h3>"
-        )
-        rows = []
-        for row in estimate.unknowns:
-            prior = "none" if row.prior_std == float("inf") else within(row.prior, row.prior_std)
-            # zero has no sign of its own
-            pull = "-" if row.pull is None else f"{round(row.pull, 1) + 0.0:+.1f}"
-            unit = row.unit.replace("^2", "²")
-            rows.append(
-                [
-                    row.label,
-                    _ROLES.get(row.role, row.role),
-                    prior,
-                    within(row.value, row.std),
-                    pull,
-                    unit,
-                ]
-            )
-        header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
-        parts.append(
-            table(
-                header,
-                rows,
-                numbers=(2, 3, 4),
-                labels=1,
-            )
-        )
-    if (fit := estimate.fit) is not None:
-        expected = (
-            "where the load is known" if estimate.joint_fits else "expected from encoder and stamps"
-        )
-        rows = [
-            ["rms residual", shown(fit.unit, fit.rms, spec=".3g")],
-            [expected, shown(fit.unit, fit.expected_rms, spec=".3g")],
-            ["reduced chi-square", f"{fit.reduced_chi2:.3g}"],
+        parts += [
+            "<h3>Every unknown: what the robot file says, and what the recording adds</h3>",
+            _unknown_table(estimate.unknowns),
         ]
-        if fit.condition == fit.condition:
-            rows.append(["condition of the scaled normal matrix", f"{fit.condition:.2g}"])
-        parts.append("<h3>Fit</h3>" + table(["", ""], rows, numbers=(1,)))
+    if estimate.fit is not None:
+        parts.append("<h3>Fit</h3>" + _fit_table(estimate.fit, bool(estimate.joint_fits)))
     return parts
+
+
+def _value_table(values: Sequence[Value]) -> str:
+    rows = []
+    for value in values:
+        for part in value.parts if value.known else [value]:
+            rows.append([part.label, *_numbers_of(part), _typeset(part.unit), part.reason])
+    header = ["estimate", "value", "std", "95 % interval", "unit"]
+    if any(row[-1] for row in rows):
+        header.append("")
+    rows = [row[: len(header)] for row in rows]
+    return table(header, rows, numbers=(1, 2, 3), labels=1)
+
+
+def _numbers_of(value: Value) -> list[str]:
+    """The value, its standard deviation and its interval, where it is known."""
+    if not value.known:
+        return ["-"] * 3
+    interval = "-"
+    if value.ci95 is not None:
+        interval = " to ".join(number(end, value.std) for end in value.ci95)
+    return [number(value.value, value.std), number(value.std, value.std), interval]
+
+
+def _unknown_table(unknowns: Sequence[UnknownRow]) -> str:
+    rows = []
+    for row in unknowns:
+        prior = "none" if row.prior_std == float("inf") else within(row.prior, row.prior_std)
+        # zero has no sign of its own
+        pull = "-" if row.pull is None else f"{round(row.pull, 1) + 0.0:+.1f}"
+        role = _ROLES.get(row.role, row.role)
+        found = within(row.value, row.std)
+        rows.append([row.label, role, prior, found, pull, _typeset(row.unit)])
+    header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
+    return table(header, rows, numbers=(2, 3, 4), labels=1)
+
+
+def _fit_table(fit: Fit, of_motions: bool) -> str:
+    expected = "where the load is known" if of_motions else "expected from encoder and stamps"
+    rows = [
+        ["rms residual", shown(fit.unit, fit.rms, spec=".3g")],
+        [expected, shown(fit.unit, fit.expected_rms, spec=".3g")],
+        ["reduced chi-square", f"{fit.reduced_chi2:.3g}"],
+    ]
+    if not math.isnan(fit.condition):
+        rows.append(["condition of the scaled normal matrix", f"{fit.condition:.2g}"])
+    return table(["", ""], rows, numbers=(1,))
+
+
+def _typeset(words: str) -> str:
+    return words.replace("^2", "²")

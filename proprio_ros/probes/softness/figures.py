@@ -20,6 +20,8 @@ from proprio_ros.report.html import framed
 
 # where one looks: along y, a little from the right and from above
 VIEW = np.array([-0.3, 1.0, -0.3])
+# where the light comes from
+LIGHT = np.array([0.3, -0.5, 0.81])
 
 
 def sections(estimate: Estimate) -> list[str]:
@@ -37,50 +39,51 @@ def sections(estimate: Estimate) -> list[str]:
     return parts
 
 
+def _flat(points: np.ndarray, left: float) -> np.ndarray:
+    """On paper, (.., 2), around `left`: what lies deeper is drawn a little to the right and higher."""
+    x, deep, z = np.moveaxis(points, -1, 0)
+    return np.stack([left + x - VIEW[0] * deep, z - VIEW[2] * deep], -1)
+
+
+def _seen_faces(shape: BlockShape) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of the surface that one sees, the farthest first, (F, 3, 3), and their colours by the light on them, (F, 3)."""
+    from matplotlib.colors import to_rgb
+
+    faces = shape.points[shape.triangles]
+    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    front = normal @ VIEW < 0.0
+    faces = faces[front]
+    order = np.argsort(-(faces.mean(axis=1) @ VIEW))
+    light = 0.35 + 0.65 * np.clip(normal[front] @ LIGHT, 0.0, 1.0)
+    ink = 1.0 - np.array(to_rgb(ACCENT))
+    colors = np.clip(1.0 - ink * (1.15 - 0.75 * light[:, None]), 0.0, 1.0)
+    return faces[order], colors[order]
+
+
 def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None:
     """A block between two fingers, as it is deformed, around `left`, with time and squeeze below `floor`."""
     from matplotlib.collections import PolyCollection
-    from matplotlib.colors import to_rgb
 
-    def flat(points: np.ndarray) -> np.ndarray:
-        """On paper: what lies deeper is drawn a little to the right and higher."""
-        x, deep, z = np.moveaxis(points, -1, 0)
-        return np.stack(
-            [left + x - VIEW[0] * deep, z - VIEW[2] * deep],
-            -1,
-        )
-
-    aside = np.array([0.5 * (1.0 - shape.squeeze), 0.0, 0.0])
-    half = 1.15 * np.abs(shape.points[:, 1:]).max(axis=0)
-    corners = np.array(
-        [[0.0, y * half[0], z * half[1]] for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    )
-    seen = shape.points[shape.triangles]
-    normal = np.cross(
-        seen[:, 1] - seen[:, 0],
-        seen[:, 2] - seen[:, 0],
-    )
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    front = normal @ VIEW < 0.0
-    seen = seen[front]
-    normal = normal[front]
-    order = np.argsort(-(seen.mean(axis=1) @ VIEW))
-    light = 0.35 + 0.65 * np.clip(normal @ np.array([0.3, -0.5, 0.81]), 0.0, 1.0)
-    faces = np.clip(
-        1.0 - (1.0 - np.array(to_rgb(ACCENT))) * (1.15 - 0.75 * light[:, None]), 0.0, 1.0
-    )[order]
-    far, near = ([flat(corners + side)] for side in (-aside, aside))
-    block = [*flat(seen[order])], faces, f"{INK}40", None
-    for polygons, colors, edges, alpha in (
-        (far, MUTED, MUTED, 0.9),
-        block,
-        (near, MUTED, MUTED, 0.45),
-    ):
+    def draw(polygons: Any, facecolors: Any, edgecolors: str, alpha: float | None) -> None:
         axes.add_collection(
             PolyCollection(
-                polygons, facecolors=colors, edgecolors=edges, linewidths=0.3, alpha=alpha
+                polygons,
+                facecolors=facecolors,
+                edgecolors=edgecolors,
+                linewidths=0.3,
+                alpha=alpha,
             )
         )
+
+    half = 1.15 * np.abs(shape.points[:, 1:]).max(axis=0)
+    aside = np.array([0.5 * (1.0 - shape.squeeze), 0.0, 0.0])
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
+    finger = np.column_stack([np.zeros(4), corners])  # (4, 3)
+    faces, colors = _seen_faces(shape)
+    draw([_flat(finger - aside, left)], MUTED, MUTED, 0.9)
+    draw(_flat(faces, left), colors, f"{INK}40", None)
+    draw([_flat(finger + aside, left)], MUTED, MUTED, 0.45)
     words = f"{shape.time_s:.2f} s\n{100.0 * max(shape.squeeze, 0.0):.0f} %"
     axes.text(left, floor, words, ha="center", va="top")
 
@@ -95,9 +98,8 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
         nrows=2,
         height_ratios=rows,
     ) as (figure, (above, below)):
-        floor = -1.7 * max(
-            (float(np.abs(shape.points[:, 1:]).max()) for shape in shapes), default=0.0
-        )
+        halves = [float(np.abs(shape.points[:, 1:]).max()) for shape in shapes]
+        floor = -1.7 * max(halves, default=0.0)
         for place, shape in enumerate(shapes):
             _draw_block(above, shape, 2.1 * place, floor)
         above.autoscale_view()

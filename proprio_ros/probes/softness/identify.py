@@ -146,15 +146,24 @@ def find_softness(
     options: SqueezeOptions | None = None,
     baseline: Sequence[Run] = (),
 ) -> Estimate:
-    """Identify the elastic moduli of the block that all ``runs`` squeeze; the baseline is closings of the empty gripper.
+    """Identify the elastic moduli of the block that all ``runs`` squeeze.
 
-    Raises `RecordingError`: A run cannot be related to the robot at all, or does not squeeze.
+    Args:
+        robot: As its file or its calibration states it.
+        runs: Closings of the gripper on the block.
+        facts: Of the block.
+        options: Of the solver.
+        baseline: Closings of the empty gripper.
+
+    Raises:
+        RecordingError: A run cannot be related to the robot at all, or does not squeeze.
     """
     options = options or SqueezeOptions()
     found = Findings()
-    usable: list[tuple[PreparedRun, bool]] = []
+    usable: list[PreparedRun] = []
+    squeezing: list[bool] = []
     unmoved: list[str] = []
-    for run, squeezes in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
+    for number, run in enumerate((*runs, *baseline)):
         prepared = prepare_run(robot, run, KnownLoad(), past_fast=True)
         if prepared.used < MIN_USED:
             why = prepared.cut_reason or "the probe was too short"
@@ -165,16 +174,17 @@ def find_softness(
                 "friction and not the block decides where they are: squeeze with more current, or from further away"
             )
         else:
-            usable.append((prepared, squeezes))
+            usable.append(prepared)
+            squeezing.append(number < len(runs))
         screen_run(robot, prepared, found)
-    # a probe raises a current that moved too little: those that did not move are no flaw of the others
-    (found.notes if any(squeezes for _, squeezes in usable) else found.reasons).extend(unmoved)
-    if not any(squeezes for _, squeezes in usable):
+    if not any(squeezing):
+        found.reasons.extend(unmoved)
         return no_answer(
             "softness", "youngs_modulus", "Pa", robot.name, len(runs), found.reasons, found.notes
         )
-    prepared_runs, squeezing = zip(*usable, strict=True)
-    search = SqueezeSearch(robot, prepared_runs, squeezing, facts, options)
+    # a probe raises a current that moved too little: those that did not move are no flaw of the others
+    found.notes.extend(unmoved)
+    search = SqueezeSearch(robot, tuple(usable), tuple(squeezing), facts, options)
     nominal, opened = fit_both(search.solve, unexplained)
     return Squeezed(nominal, opened, found, len(runs), search).estimate()
 
@@ -186,7 +196,15 @@ def fit_squeezes(
     options: SqueezeOptions,
     before: FitResult | None = None,
 ) -> FitResult:
-    """Fit squeezes, gripper and block together, without a verdict; ``before`` is what some of the same runs said."""
+    """Fit squeezes, gripper and block together, without a verdict.
+
+    Args:
+        robot: As its file or its calibration states it.
+        runs: All with the block, prepared.
+        facts: Of the block.
+        options: Of the solver.
+        before: What some of the same runs said.
+    """
     search = SqueezeSearch(
         robot,
         tuple(runs),
@@ -227,7 +245,7 @@ class Squeezed(Conclusion):
             return Contradiction(
                 f"{name} contradicts the other runs: was the gripper empty where it should be?"
             )
-        one, rest = (float(fit_opened(part.solve).physical(self.name)[0]) for part in parts)
+        one, rest = [float(fit_opened(part.solve).physical(self.name)[0]) for part in parts]
         alike = max(ALIKE_SHARE * rest, self.assessed.std)  # what all runs together leave open
         return contradiction(
             name, "Pa", one, rest, alike, 0.0, "was the same block held in the same way?"
@@ -254,12 +272,12 @@ class Squeezed(Conclusion):
         ratio = float(values[at["poissons_ratio"]])
         table = problem.simulator.special.squeeze_runs[0].response
         curves: list[SqueezeCurve] = []
-        for row, squeeze in zip(
-            np.flatnonzero(problem.squeezing), problem.squeezes(values), strict=True
-        ):
-            pressed = np.maximum(squeeze, 0.0)
-            force = modulus * facts.area * table(pressed, np.full(len(pressed), ratio))[0]
+        rows = np.flatnonzero(problem.squeezing)
+        for row, squeeze in zip(rows, problem.squeezes(values), strict=True):
             run = problem.runs[row]
+            pressed = np.maximum(squeeze, 0.0)
+            per_modulus, *_ = table(pressed, np.full(len(pressed), ratio))
+            force = modulus * facts.area * per_modulus
             shapes = () if curves else _shapes(facts, ratio, run.times_s, squeeze)
             curves.append(
                 SqueezeCurve(run.run.name, facts.length, run.times_s, squeeze, force, shapes)
@@ -330,7 +348,8 @@ class Squeezed(Conclusion):
         modulus, ratio, both, undetermined = self.moduli
         std_e, std_nu = np.sqrt(np.diag(both)).tolist()
         mu, lam = lame(modulus, ratio)
-        std_mu, std_lambda = np.sqrt(np.diag(_lame_covariance(modulus, ratio, both))).tolist()
+        of_lame = _lame_covariance(modulus, ratio, both)
+        std_mu, std_lambda = np.sqrt(np.diag(of_lame)).tolist()
         if undetermined:
             nu = Value("poissons_ratio", "1", None, std_nu, reason=undetermined)
             lame_lambda = Value("lame_lambda", "Pa", None, reason=undetermined)
@@ -431,7 +450,8 @@ class Squeezed(Conclusion):
 
 def _lame_covariance(modulus: float, ratio: float, both: np.ndarray) -> np.ndarray:
     """Of mu and lambda, from that of Young's modulus and Poisson's ratio; shapes (2, 2)."""
-    by = np.column_stack([lame(1.0, ratio), modulus * np.array(lame_by_poissons_ratio(ratio))])
+    by_ratio = modulus * np.array(lame_by_poissons_ratio(ratio))
+    by = np.column_stack([lame(1.0, ratio), by_ratio])
     covariance: np.ndarray = by @ both @ by.T
     return covariance
 
@@ -442,9 +462,11 @@ def _shapes(
     """The block at some instants on the way to the largest squeeze, for a picture; none where that would take long or far."""
     mesh = facts.mesh
     if mesh is None:
-        counts = np.clip(np.round(SHOWN_CELLS * facts.size / facts.size.max()), 1, None).astype(int)
+        cells = np.round(SHOWN_CELLS * facts.size / facts.size.max())
+        counts = np.maximum(cells, 1).astype(int)
         mesh = box(facts.size, tuple(counts.tolist()))
-    at = np.linspace(0, int(np.argmax(squeeze)), SHOWN_SHAPES).round().astype(int)
+    last = int(np.argmax(squeeze))
+    at = np.linspace(0, last, SHOWN_SHAPES).round().astype(int)
     if len(mesh.tets) > MOST_SHOWN_TETS:
         return ()
     moduli = lame_of_small_strain(facts.law, *lame(1.0, ratio))
@@ -456,7 +478,8 @@ def _shapes(
         return ()
     places = squeezed.points
     middle = places.mean(axis=1, keepdims=True)
-    middle[..., 0] = 0.5 * (places[..., 0].min(axis=1) + places[..., 0].max(axis=1))[:, None]
+    along = places[..., 0]
+    middle[..., 0] = 0.5 * (along.min(axis=1) + along.max(axis=1))[:, None]
     scaled = (places - middle) / mesh.length
     return tuple(
         BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.surface)
@@ -469,7 +492,8 @@ def _beyond_measured(runs: Sequence[PreparedRun]) -> list[str]:
     measured = runs[0].drive.finger_travel
     if measured is None:
         return []
-    low, high = (end(float(end(run.position)) for run in runs) for end in (min, max))
+    low = min(float(run.position.min()) for run in runs)
+    high = max(float(run.position.max()) for run in runs)
     first = measured.at_rad[0]
     last = measured.at_rad[-1]
     spare = 0.1 * (last - first)

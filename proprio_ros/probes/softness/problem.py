@@ -58,7 +58,9 @@ class BlockFacts:
     @property
     def area(self) -> float:
         """Of the face that is pressed [m^2]."""
-        return float(self.size[1] * self.size[2]) if self.mesh is None else self.mesh.area
+        if self.mesh is not None:
+            return self.mesh.area
+        return float(self.size[1] * self.size[2])
 
     def table(self, rebuild: bool = False) -> Response:
         """What finite elements say about this block: from the cache, unless it is to be rebuilt, or built and put there.
@@ -91,7 +93,15 @@ def block_unknowns(
     facts: BlockFacts,
     drive_role: Role,
 ) -> list[Unknown]:
-    """All unknowns: the block's, and those of the robot, of which the recording may move what ``drive_role`` says."""
+    """All unknowns: the block's, and those of the robot.
+
+    Args:
+        robot: Whose drive trains move the runs.
+        runs: R of them.
+        squeezing: Which of them have the block, length R.
+        facts: Of the block.
+        drive_role: What the recording may move of the robot.
+    """
     ratio = facts.poissons_ratio
     relaxation = facts.relaxation_s
     gap = facts.gap
@@ -194,9 +204,8 @@ class SqueezeProblem(Problem):
             dp[:, row, to["block_viscosity"], at["block_relaxation"]] = modulus
             # the fingers touch where they have closed by the gap from where they stood
             rest = self.runs[row].rest.value
-            p[:, row, to["gap"]] = (
-                self._closing[row] @ rest ** np.arange(1, 4) + values[:, at["gap", row]]
-            )
+            closed = self._closing[row] @ rest ** np.arange(1, 4)
+            p[:, row, to["gap"]] = closed + values[:, at["gap", row]]
             dp[:, row, to["gap"], at["gap", row]] = 1.0
         return p, dp
 
