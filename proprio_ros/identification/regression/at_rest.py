@@ -16,15 +16,16 @@ Where the arm moved for a moment, its sliding friction is known, and the running
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
+from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import TooLittleMotion
 from proprio_ros.identification.gates import chi2_limit
+from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.error_budget import CALIBRATION, CONSTANTS
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
 from proprio_ros.identification.regression.motion_fit import check_arm
@@ -36,23 +37,29 @@ from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import gravity_torques, point_mass
 
-SHORTEST_S, SETTLING_S = 0.6, 0.3
-"""How long all joints stand in a stance, and how much of it they take to come to rest."""
+SHORTEST_S = 0.6  # So long all joints stand in a stance,
+SETTLING_S = 0.3  # and so much of it they take to come to rest.
 # They stand while none leaves a band as wide as the larger of these.
 STILL_RAD = 2e-3
 STILL_COUNTS = 2.5
 SAME_POSE_RAD = 0.05
 """Stances nearer to each other, which no joint reached from the other side, are one, which somebody touched."""
-ARRIVED, ARRIVED_STD, ANYWHERE_STD = 0.6, 0.6, 0.7
-"""Of the friction that a joint has, how much carries where it arrived, against its way; and where nobody saw it arrive."""
+# Of the friction that a joint has, how much carries where it arrived, against its way; and where nobody saw it arrive. Guesses:
+# `test/benchmarks/at_rest.py` says how intervals hold with them.
+ARRIVED = 0.6
+ARRIVED_STD = 0.6
+ANYWHERE_STD = 0.7
 ALIKE = 0.5
 """Part of that variance which a joint has in common in all poses that it reached from one side: many of them are no cure."""
 FRICTION = "friction of joints that stand"
 PLACE = "where the load lies"
 MOVING = "a few seconds of motion"
 ROUNDS = 20
-STANCE_S, CHANGED_SIGMAS = 0.2, 2.0
-"""So often it is asked what an arm holds that stands; and so far from what it held on its way something was put in or taken out."""
+SETTLED_KG = 1e-6  # What the mass changes by in a round that is the last.
+LEAST_PLACE_STD_M = 1e-3  # Nobody knows a load's place better.
+STANCE_S = 0.2  # So often it is asked what an arm holds that stands.
+# And so far from what it held on its way something was put in or taken out.
+CHANGED_SIGMAS = 2.0
 
 
 def _still_band(robot: Robot, joints: Sequence[str]) -> FloatArray:
@@ -82,43 +89,75 @@ class Stances:
         columns = [motion.joints.index(name) for name in joints]
         position = motion.position[:, columns]
         current = motion.current_A[:, columns]
-        times_s = motion.times_s
         band = _still_band(robot, joints)
-        found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-        width = round(SHORTEST_S / float(np.median(np.diff(times_s)))) + 1
-        if len(times_s) < width:
-            return cls(*np.zeros((3, 0, len(joints))))
-        spans = np.ptp(
-            np.lib.stride_tricks.sliding_window_view(position, width, axis=0),
-            axis=2,
-        )
-        quiet = np.flatnonzero((spans <= band).all(axis=1))
-        end = 0
-        while len(quiet := quiet[quiet >= end]):
-            first = int(quiet[0])
-            rest = position[first:]
-            gone = ((np.maximum.accumulate(rest) - np.minimum.accumulate(rest)) > band).any(axis=1)
-            end = first + (int(np.argmax(gone)) if gone.any() else len(rest))
-            stood = slice(
-                int(np.searchsorted(times_s, times_s[first] + SETTLING_S)),
-                end,
-            )
+        found: list[_Stance] = []
+        for first, end in _quiet_spans(motion.times_s, position, band):
+            settled_s = motion.times_s[first] + SETTLING_S
+            stood = slice(int(np.searchsorted(motion.times_s, settled_s)), end)
             at = position[stood].mean(axis=0)
-            away = np.abs(position[:first] - at) > band
-            before = [int(np.flatnonzero(column)[-1]) if column.any() else -1 for column in away.T]
-            way = [
-                float(np.sign(at[n] - position[row, n])) if row >= 0 else 0.0
-                for n, row in enumerate(before)
-            ]
-            if (
-                found
-                and np.abs(found[-1][0] - at).max() < SAME_POSE_RAD
-                and way == found[-1][2].tolist()
-            ):
+            way = _way_there(position[:first], at, band)
+            stance = _Stance(at, current[stood].mean(axis=0), way)
+            if found and stance.repeats(found[-1]):
                 found.pop()
-            found.append((at, current[stood].mean(axis=0), np.array(way)))
+            found.append(stance)
         shape = (len(found), len(joints))
-        return cls(*(np.array([row[k] for row in found]).reshape(shape) for k in range(3)))
+        return cls(
+            position=np.array([each.position for each in found]).reshape(shape),
+            current_A=np.array([each.current_A for each in found]).reshape(shape),
+            way=np.array([each.way for each in found]).reshape(shape),
+        )
+
+    @classmethod
+    def together(cls, parts: Sequence[Stances]) -> Stances:
+        """Of several recordings."""
+        return cls(
+            position=np.concatenate([part.position for part in parts]),
+            current_A=np.concatenate([part.current_A for part in parts]),
+            way=np.concatenate([part.way for part in parts]),
+        )
+
+
+@dataclass(frozen=True)
+class _Stance:
+    """One of them, shape (n,) each."""
+
+    position: FloatArray
+    current_A: FloatArray
+    way: FloatArray
+
+    def repeats(self, before: _Stance) -> bool:
+        """Whether the pose is the one before, reached from the same side."""
+        near = np.abs(before.position - self.position).max() < SAME_POSE_RAD
+        return bool(near and self.way.tolist() == before.way.tolist())
+
+
+def _quiet_spans(
+    times_s: FloatArray, position: FloatArray, band: FloatArray
+) -> Iterator[tuple[int, int]]:
+    """First sample, and the one behind the last, of each span in which no joint leaves its band."""
+    width = round(SHORTEST_S / float(np.median(np.diff(times_s)))) + 1
+    if len(times_s) < width:
+        return
+    samples = np.lib.stride_tricks.sliding_window_view(position, width, axis=0)
+    quiet = np.flatnonzero((np.ptp(samples, axis=2) <= band).all(axis=1))
+    end = 0
+    while len(quiet := quiet[quiet >= end]):
+        first = int(quiet[0])
+        rest = position[first:]
+        spread = np.maximum.accumulate(rest) - np.minimum.accumulate(rest)
+        gone = (spread > band).any(axis=1)
+        end = first + (int(np.argmax(gone)) if gone.any() else len(rest))
+        yield first, end
+
+
+def _way_there(before: FloatArray, at: FloatArray, band: FloatArray) -> FloatArray:
+    """The sign of each joint's way to a pose from where it last was away from it; 0 where it never was, shape (n,)."""
+    way = np.zeros(len(at))
+    for joint, away in enumerate((np.abs(before - at) > band).T):
+        if away.any():
+            last = int(np.flatnonzero(away)[-1])
+            way[joint] = np.sign(at[joint] - before[last, joint])
+    return way
 
 
 @dataclass(frozen=True)
@@ -167,28 +206,20 @@ def fit_at_rest(
     if centre_std_m is None:
         centre_std_m = payload_stds(arm)[1:4]
     found = [Stances.of(robot, motion, calibration.joints) for motion in motions]
-    stood = Stances(
-        *(
-            np.concatenate([getattr(each, name) for each in found])
-            for name in Stances.__dataclass_fields__
-        )
-    )
-    by_stance = (
-        _by_stances(arm, calibration, stood, centre_m, centre_std_m) if len(stood.way) else None
-    )
-    moving = (
-        _in_motion(robot, motions[0], calibration, centre_m, centre_std_m)
-        if len(motions) == 1
-        else None
-    )
-    if by_stance is None and moving is None:
+    stood = Stances.together(found)
+    fits: list[RestFit] = []
+    if len(stood.way):
+        fits.append(_by_stances(arm, calibration, stood, centre_m, centre_std_m))
+    if len(motions) == 1:
+        fits += _in_motion(robot, motions[0], calibration, centre_m, centre_std_m)
+    if not fits:
         raise TooLittleMotion(
             f"{motions[0].name}: the arm neither stands still for {SHORTEST_S:g} s nor moves for long enough: hold it in several "
             "poses for 2 s each, or record 15 s of motion"
         )
-    if by_stance is None or moving is None:
-        return by_stance or moving  # type: ignore[return-value]
-    coarser, finer = sorted((by_stance, moving), key=lambda fit: -fit.std_kg)
+    if len(fits) == 1:
+        return fits[0]
+    coarser, finer = sorted(fits, key=lambda fit: -fit.std_kg)
     return replace(finer, beside=(coarser.mass_kg, coarser.std_kg))
 
 
@@ -198,30 +229,25 @@ def _in_motion(
     calibration: MotionCalibration,
     centre_m: FloatArray,
     centre_std_m: FloatArray,
-) -> RestFit | None:
-    """As the running estimate has it at the end; None where nothing moved, or something was picked up or put down meanwhile."""
-    std_m = float(max(np.max(centre_std_m), 1e-3))
+) -> list[RestFit]:
+    """As the running estimate has it at the end; none where nothing moved, or something was picked up or put down meanwhile."""
+    std_m = float(max(np.max(centre_std_m), LEAST_PLACE_STD_M))
     running = OnlineEstimator(
         robot, calibration, centre_m=centre_m.tolist(), centre_std_m=std_m, held=dict(motion.held)
     )
     columns = [motion.joints.index(name) for name in calibration.joints]
-    rows = zip(
-        motion.times_s.tolist(),
-        motion.position[:, columns],
-        motion.current_A[:, columns],
-        strict=True,
-    )
-    changes = 0
-    for time_s, position, current in rows:
-        if running.add(time_s, position.tolist(), current.tolist()):
+    positions = motion.position[:, columns].tolist()
+    currents = motion.current_A[:, columns].tolist()
+    for time_s, position, current in zip(motion.times_s.tolist(), positions, currents, strict=True):
+        if running.add(time_s, position, current):
             now = running.estimate()
-            changes += now is not None and now.changed
+            if now is not None and now.changed:
+                return []
     last = running.estimate()
-    if last is None or changes:
-        return None
-    return RestFit(
-        last.mass_kg, last.std_kg, 0, {MOVING: last.std_kg}, moved_s=float(last.motion_s)
-    )
+    if last is None:
+        return []
+    parts = {MOVING: last.std_kg}
+    return [RestFit(last.mass_kg, last.std_kg, 0, parts, moved_s=float(last.motion_s))]
 
 
 def _by_stances(
@@ -231,75 +257,122 @@ def _by_stances(
     centre_m: FloatArray,
     centre_std_m: FloatArray,
 ) -> RestFit:
-    count = arm.count
-    bodies = np.arange(10 * count)
-    gears = 11 * count + np.arange(count)
-    shares = 12 * count + np.arange(count)
-    coulomb, offset = (ARM_TERMS * count + k * count + np.arange(count) for k in (1, 2))
-    values = calibration.values
-    scale = calibration.torque_scale
-    by_body = gravity_torques(arm.model, stood.position)
-    by_payload = by_body[:, :, arm.body] @ arm.from_payload
-    per_kg = by_payload @ point_mass(centre_m) / scale
-    axes = by_payload[..., 1:4] / scale
-    torque = (stood.current_A * calibration.torque_constants).ravel()
-    stances = len(stood.way)
-    size = torque.size
-    joint = np.tile(np.arange(count), stances)
-    row = np.arange(size)
-    way = stood.way.ravel()
+    """The mass by generalised least squares over all joints of all stances."""
+    equations = _StanceEquations(arm, calibration, stood, centre_m, centre_std_m)
     mass = 0.0
-    alike = (joint[:, None] == joint) & (way[:, None] == way)
-    given = 1.0 - values[shares][joint]
-    pull = (by_body.reshape(size, -1) @ values[bodies]).ravel()
-    lever = per_kg.ravel() * given
-    shift = axes.reshape(size, 3) * given[:, None] * centre_std_m
     for _ in range(ROUNDS):
-        whole = pull + mass * per_kg.ravel()
-        friction = np.abs(values[coulomb])[joint] + (
-            np.abs(values[gears])[joint] + LOAD_FRICTION_SPREAD
-        ) * np.abs(whole)
-        follows = np.zeros((size, len(values)))
-        follows[:, bodies] = by_body.reshape(size, -1) * given[:, None]
-        follows[row, gears[joint]] = ARRIVED * way * np.abs(whole)
-        follows[row, shares[joint]] = -whole
-        follows[row, coulomb[joint]], follows[row, offset[joint]] = ARRIVED * way, 1.0
-        of_friction = friction * np.where(way != 0.0, ARRIVED_STD, ANYWHERE_STD)
-        of_recording = follows[:, calibration.friction] * calibration.friction_spread
-        learnt = follows @ calibration.covariance @ follows.T
-        stretched = follows @ calibration.deviations.T
-        parts = {
-            CALIBRATION: max(learnt, stretched @ stretched.T, key=np.trace)
-            + of_recording @ of_recording.T,
-            FRICTION: np.where(alike, ALIKE * np.outer(of_friction, of_friction), 0.0)
-            + np.diag((1.0 - ALIKE) * of_friction**2 + calibration.residual[joint] ** 2),
-            PLACE: mass**2 * shift @ shift.T,
-        }
-        covariance = np.sum(list(parts.values()), axis=0)
-        right = torque - pull * given - values[offset][joint] - ARRIVED * way * friction
-        weighted = np.linalg.solve(covariance, lever)
-        gain = weighted / max(float(lever @ weighted), 1e-12)
+        errors = equations.errors(mass)
+        covariance = np.sum(list(errors.parts.values()), axis=0)  # (E, E)
+        weighted = np.linalg.solve(covariance, equations.lever)
+        gain = weighted / max(float(equations.lever @ weighted), 1e-12)  # (E,)
         before = mass
-        mass = float(gain @ right)
-        if abs(mass - before) < 1e-6:
+        mass = float(gain @ errors.right)
+        if abs(mass - before) < SETTLED_KG:
             break
-    left = right - mass * lever
+    left = errors.right - mass * equations.lever
     chi2 = float(left @ np.linalg.solve(covariance, left))
-    freedom = max(size - 1, 1)
-    variances = {name: float(gain @ part @ gain) for name, part in parts.items()}
+    freedom = max(len(left) - 1, 1)
+    variances = {name: float(gain @ part @ gain) for name, part in errors.parts.items()}
     variances[CONSTANTS] = (mass * calibration.torque_scale_std) ** 2
     wider = max(1.0, chi2 / freedom)
-    std = float(np.sqrt(wider * sum(variances.values())))
     return RestFit(
-        mass,
-        std,
-        stances,
-        {name: float(np.sqrt(wider * variance)) for name, variance in variances.items()},
-        chi2,
-        freedom,
-        float(np.sqrt(np.mean(left**2))),
-        float(np.sqrt(np.trace(parts[FRICTION]) / size)),
+        mass_kg=mass,
+        std_kg=float(np.sqrt(wider * sum(variances.values()))),
+        stances=len(stood.way),
+        parts={name: float(np.sqrt(wider * variance)) for name, variance in variances.items()},
+        chi2=chi2,
+        freedom=freedom,
+        rms=float(np.sqrt(np.mean(left**2))),
+        expected_rms=float(np.sqrt(np.trace(errors.parts[FRICTION]) / len(left))),
     )
+
+
+@dataclass(frozen=True)
+class _StanceErrors:
+    """What equations of stances err by, where the payload has some mass."""
+
+    right: FloatArray  # torque that the mass is to explain [N m], shape (E,)
+    parts: Mapping[str, FloatArray]  # covariances of that by their cause, shape (E, E)
+
+
+class _StanceEquations:
+    """An equation for each joint of each stance, E = S n of them, and what a calibration says of its terms.
+
+    Attributes:
+        lever: Torque per kilogram of the payload [N m/kg], shape (E,).
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        calibration: MotionCalibration,
+        stood: Stances,
+        centre_m: FloatArray,
+        centre_std_m: FloatArray,
+    ) -> None:
+        count = arm.count
+        terms = ArmTerms(count)
+        values = calibration.values
+        self._terms = terms
+        self._calibration = calibration
+        self._joint = np.tile(np.arange(count), len(stood.way))  # (E,)
+        self._way = stood.way.ravel()  # (E,)
+        # one true torque of the constants, which may be off by their scale
+        by_body = gravity_torques(arm.model, stood.position)  # (S, n, n, 10)
+        by_payload = by_body[:, :, arm.body] @ arm.from_payload  # (S, n, 10)
+        scale = calibration.torque_scale
+        self._given = 1.0 - values[terms.torque_shares][self._joint]
+        self._by_body = by_body.reshape(len(self._joint), -1)  # (E, 10 n)
+        self._pull = (self._by_body @ values[terms.bodies]).ravel()
+        self._per_kg = (by_payload @ point_mass(centre_m) / scale).ravel()
+        self.lever = self._per_kg * self._given
+        axes = (by_payload[..., 1:4] / scale).reshape(len(self._joint), 3)
+        self._shift = axes * self._given[:, None] * centre_std_m  # (E, 3)
+        torque = (stood.current_A * calibration.torque_constants).ravel()
+        self._beside_arm = torque - self._pull * self._given - values[terms.offset][self._joint]
+
+    def errors(self, mass_kg: float) -> _StanceErrors:
+        """With the friction that joints have under such a payload."""
+        calibration = self._calibration
+        whole = self._pull + mass_kg * self._per_kg
+        coulomb = np.abs(calibration.values[self._terms.coulomb])[self._joint]
+        gears = np.abs(calibration.values[self._terms.load_friction])[self._joint]
+        friction = coulomb + (gears + LOAD_FRICTION_SPREAD) * np.abs(whole)  # (E,)
+        follows = self._by_terms(whole)
+        learnt = follows @ calibration.covariance @ follows.T
+        stretched = follows @ calibration.deviations.T
+        of_recording = follows[:, calibration.friction] * calibration.friction_spread
+        of_calibration = max(learnt, stretched @ stretched.T, key=np.trace)
+        return _StanceErrors(
+            right=self._beside_arm - ARRIVED * self._way * friction,
+            parts={
+                CALIBRATION: of_calibration + of_recording @ of_recording.T,
+                FRICTION: self._of_friction(friction),
+                PLACE: mass_kg**2 * self._shift @ self._shift.T,
+            },
+        )
+
+    def _by_terms(self, whole: FloatArray) -> FloatArray:
+        """How the equations follow the calibration's terms, under such torques of gravity, shape (E, 20 n)."""
+        terms = self._terms
+        row = np.arange(len(whole))
+        follows = np.zeros((len(whole), len(self._calibration.values)))
+        follows[:, terms.bodies] = self._by_body * self._given[:, None]
+        arrived = ARRIVED * self._way
+        follows[row, terms.load_friction.start + self._joint] = arrived * np.abs(whole)
+        follows[row, terms.torque_shares.start + self._joint] = -whole
+        follows[row, terms.coulomb.start + self._joint] = arrived
+        follows[row, terms.offset.start + self._joint] = 1.0
+        return follows
+
+    def _of_friction(self, friction: FloatArray) -> FloatArray:
+        """Any part of it, some of which a joint has in common in all poses that it reached from one side, covariance, (E, E)."""
+        of_friction = friction * np.where(self._way != 0.0, ARRIVED_STD, ANYWHERE_STD)
+        same_joint = self._joint[:, None] == self._joint
+        alike = same_joint & (self._way[:, None] == self._way)
+        common = np.where(alike, ALIKE * np.outer(of_friction, of_friction), 0.0)
+        residual = self._calibration.residual[self._joint]
+        return common + np.diag((1.0 - ALIKE) * of_friction**2 + residual**2)
 
 
 class StandingEstimator(OnlineEstimator):
@@ -317,7 +390,8 @@ class StandingEstimator(OnlineEstimator):
         self._stance: RestFit | None = None
         # what stood is moved by something else than its goals, or no load explains how it stands
         self._lost = False
-        self._stands_since_s, self._next_stance_s = np.inf, -np.inf
+        self._stands_since_s = np.inf
+        self._next_stance_s = -np.inf
         # since when what stands is that of a stance, and until when it is news
         self._of_stance: tuple[float, float] | None = None
 
@@ -334,66 +408,82 @@ class StandingEstimator(OnlineEstimator):
         if not np.isfinite([time_s, *row[1], *row[2]]).all():
             return new
         self._lost &= not works
+        self._keep(row)
+        if not time_s - SHORTEST_S + SETTLING_S > self._rows[0][0] or self._same:
+            return new
+        position = np.array([each[1] for each in self._rows])
+        if (np.ptp(position, axis=0) > self._band).any():
+            self._lost |= not works and self._stands_since_s < time_s
+            self._stance = None
+            self._stands_since_s = np.inf
+            return new or self._lost
+        self._stands_since_s = min(self._stands_since_s, self._rows[0][0])
+        if time_s < self._next_stance_s:
+            return new
+        self._next_stance_s = time_s + STANCE_S
+        fit = self._fit_stance(time_s, position)
+        explained = fit.chi2 <= chi2_limit(fit.freedom) and fit.mass_kg > -Z95 * fit.std_kg
+        self._stance = fit if explained else None
+        self._lost = not (works or explained)
+        return new or explained or self._lost
+
+    def _keep(self, row: tuple[float, FloatArray, FloatArray]) -> None:
+        """The rows of the last moments, without a gap."""
+        time_s = row[0]
         if self._rows and not 0.0 <= time_s - self._rows[-1][0] < SETTLING_S:
             self._rows.clear()
             self._next_stance_s = -np.inf
         self._rows.append(row)
         while time_s - self._rows[0][0] > SHORTEST_S:
             self._rows.popleft()
-        if not time_s - SHORTEST_S + SETTLING_S > self._rows[0][0] or self._same:
-            return new
-        position = np.array([each[1] for each in self._rows])
-        if (np.ptp(position, axis=0) > self._band).any():
-            self._lost |= not works and self._stands_since_s < time_s
-            self._stance, self._stands_since_s = None, np.inf
-            return new or self._lost
-        self._stands_since_s = min(self._stands_since_s, self._rows[0][0])
-        if time_s < self._next_stance_s:
-            return new
-        self._next_stance_s = time_s + STANCE_S
+
+    def _fit_stance(self, time_s: float, position: FloatArray) -> RestFit:
+        """The mass by how the arm stands now: where it came from is too long ago, or somebody touched it since."""
         late = [each[0] > time_s - SHORTEST_S + SETTLING_S for each in self._rows]
         at = position[late].mean(axis=0)[None]
         current = np.array([each[2] for each in self._rows])[late].mean(axis=0)[None]
-        # where it came from is too long ago, or somebody touched it since
         stance = Stances(at, current, np.zeros_like(at))
-        fit = _by_stances(
-            self._arm, self._calibration, stance, np.array(self.centre_m), self._centre_std_m
-        )
-        told = fit.chi2 <= chi2_limit(fit.freedom) and fit.mass_kg > -Z95 * fit.std_kg
-        self._stance, self._lost = fit if told else None, not (works or told)
-        return new or told or self._lost
+        centre_m = np.array(self.centre_m)
+        return _by_stances(self._arm, self._calibration, stance, centre_m, self._centre_std_m)
 
     def estimate(self) -> OnlineEstimate | None:
         moved = super().estimate()
         fit = self._stance
-        if fit is None and self._lost:
-            now_s = self._rows[-1][0]
-            any_kg = self._arm.kg
-            return OnlineEstimate(
-                now_s, 0.0, any_kg, (-Z95 * any_kg, Z95 * any_kg), 0.0, False, now_s, None
-            )
         if fit is None:
-            return moved
+            return self._anything() if self._lost else moved
         now_s = self._rows[-1][0]
-        half = Z95 * fit.std_kg
         if moved is not None:
-            if abs(moved.mass_kg - fit.mass_kg) < CHANGED_SIGMAS * np.hypot(
-                moved.std_kg, fit.std_kg
-            ):
+            apart = abs(moved.mass_kg - fit.mass_kg)
+            if apart < CHANGED_SIGMAS * np.hypot(moved.std_kg, fit.std_kg):
                 return replace(moved, resting_since_s=self._stands_since_s)
             self._forget()
             self._of_stance = now_s, now_s + TOLD_S
         since_s, news_s = self._of_stance or (self._stands_since_s, -np.inf)
-        interval = fit.mass_kg - half, fit.mass_kg + half
+        half = Z95 * fit.std_kg
         return OnlineEstimate(
-            now_s,
-            fit.mass_kg,
-            fit.std_kg,
-            interval,
-            0.0,
-            now_s < news_s,
-            since_s,
-            self._stands_since_s,
+            time_s=now_s,
+            mass_kg=fit.mass_kg,
+            std_kg=fit.std_kg,
+            ci95_kg=(fit.mass_kg - half, fit.mass_kg + half),
+            motion_s=0.0,
+            changed=now_s < news_s,
+            since_s=since_s,
+            resting_since_s=self._stands_since_s,
+        )
+
+    def _anything(self) -> OnlineEstimate:
+        """Nothing is known of an arm that somebody else moves, but that the load is no heavier than the arm."""
+        now_s = self._rows[-1][0]
+        any_kg = self._arm.kg
+        return OnlineEstimate(
+            time_s=now_s,
+            mass_kg=0.0,
+            std_kg=any_kg,
+            ci95_kg=(-Z95 * any_kg, Z95 * any_kg),
+            motion_s=0.0,
+            changed=False,
+            since_s=now_s,
+            resting_since_s=None,
         )
 
 

@@ -81,25 +81,37 @@ class Hinge:
     gravity: FloatArray  # [m/s^2], shape (3,)
     directions: FloatArray  # two unit vectors across the axis, and each other, shape (2, 3)
 
+    @property
+    def is_upright(self) -> bool:
+        """Whether gravity hardly turns the joint."""
+        across = self.gravity - (self.gravity @ self.axis) * self.axis
+        return bool(np.linalg.norm(across) < UPRIGHT_SHARE * np.linalg.norm(self.gravity))
+
+    def gravity_moments(self, position: FloatArray) -> FloatArray:
+        """Torque per first moment along both directions [m/s^2] at some positions [rad], shape (T,) to (T, 2)."""
+        axis = self.axis
+        gravity = self.gravity
+        cosine = np.cos(position)[:, None]
+        sine = np.sin(position)[:, None]
+        along = axis * (axis @ gravity) * (1.0 - cosine)
+        # gravity in the frame of the body, which turned by the position; its torque on a first moment d along the axis: a . (d x g)
+        seen = gravity * cosine - np.cross(axis, gravity) * sine + along  # (T, 3)
+        return -np.column_stack([np.cross(d, seen) @ axis for d in self.directions])
+
     @classmethod
     def of(cls, robot: Robot, joint: str, motion: Motion) -> Hinge:
-        """Of a motion, whose other joints stood still."""
-        model = robot.model.lock(
-            [joint],
-            dict(motion.held),
-            robot.gravity,
-        )
+        """Of a motion, whose other joints stood still.
+
+        ``robot``: its geometry; ``joint``: that moves alone; ``motion``: where the other joints stand.
+        """
+        model = robot.model.lock([joint], dict(motion.held), robot.gravity)
         axis = model.axes[0]
         least = np.eye(3)[int(np.argmin(np.abs(axis)))]
         first = np.cross(axis, least)
         first /= np.linalg.norm(first)
         gravity = model.placement[0][:3, :3].T @ model.gravity
-        return cls(
-            model,
-            axis,
-            gravity,
-            np.array([first, np.cross(axis, first)]),
-        )
+        directions = np.array([first, np.cross(axis, first)])
+        return cls(model, axis, gravity, directions)
 
 
 @dataclass(frozen=True)
@@ -112,9 +124,17 @@ class Carried:
 
 
 def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) -> Carried:
-    """Arm and payload about one joint."""
+    """Arm and payload about one joint.
+
+    Args:
+        robot: Its geometry.
+        joint: That moves alone.
+        motion: Where the other joints stand.
+        facts: Where the payload sits, and how it is spread.
+    """
     hinge = Hinge.of(robot, joint, motion)
-    directions, (bodies,) = hinge.directions, hinge.model.pseudo_inertia
+    directions = hinge.directions
+    (bodies,) = hinge.model.pseudo_inertia
     body_from_payload = hinge.model.frames[robot.payload_frame][1]
     turn = body_from_payload[:3, :3]
     lever = directions @ (turn @ facts.com + body_from_payload[:3, 3])
@@ -123,23 +143,24 @@ def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) ->
     about_centre = float(np.trace(spread) - own_axis @ spread @ own_axis)
     inertia = float(np.sum((directions @ bodies[:3, :3]) * directions))
     return Carried(
-        robot.arm_scale.value * np.array([inertia, *(directions @ bodies[:3, 3])]),
-        np.array([about_centre + float(lever @ lever), *lever]),
-        float(np.linalg.norm(directions @ turn @ np.diag(facts.com_std))),
+        arm=robot.arm_scale.value * np.array([inertia, *(directions @ bodies[:3, 3])]),
+        per_kg=np.array([about_centre + float(lever @ lever), *lever]),
+        centre_std_m=float(np.linalg.norm(directions @ turn @ np.diag(facts.com_std))),
     )
 
 
 def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJointFit:
     """Fit inertia, first moment and friction of a joint that moves alone.
 
-    ``robot``: its torque constant and geometry; ``motions``: with the same load, each with friction of its own;
-    ``joint``: that moved.
+    Args:
+        robot: Its torque constant and geometry.
+        motions: With the same load, each with friction of its own.
+        joint: That moved.
 
     Raises `RecordingError`: They are too short, or gravity does not turn the joint.
     """
     hinge = Hinge.of(robot, joint, motions[0])
-    across_gravity = hinge.gravity - (hinge.gravity @ hinge.axis) * hinge.axis
-    if np.linalg.norm(across_gravity) < UPRIGHT_SHARE * np.linalg.norm(hinge.gravity):
+    if hinge.is_upright:
         raise RecordingError(
             f"{motions[0].name}: {joint} turns about the vertical, where gravity does nothing"
         )
@@ -147,36 +168,64 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
         [table_of(robot, motion, joint, hinge, window_s) for motion in motions]
         for window_s in WINDOWS_S
     ]
-    stretches = stretches_of(tables[-1])
+    longest = tables[-1]
+    stretches = stretches_of(longest)
     if len(stretches) < MIN_STRETCHES:
         raise RecordingError(
             f"{motions[0].name}: {joint} moves for {STRETCH_S * len(stretches):.0f} s without a pause or a gap; record "
             f"{STRETCH_S * MIN_STRETCHES:.0f} s of motion at least, better 15"
         )
-    whole = _choices(tables)
-    values = whole.mean(axis=0)
-    left_out = ([without(parts, *stretch) for parts in tables] for stretch in stretches)
-    moved = np.array([_choices(rest).mean(axis=0) - values for rest in left_out])
-    covariance = (len(stretches) - 1) / len(stretches) * moved.T @ moved + np.cov(whole.T)
-    covariance[0, 0] += (LEAST_LENGTH_STD * values[0]) ** 2
-    parts = tables[-1]
-    solution = _by_torque(parts)
-    matrix = np.vstack([part.columns for part in parts])
-    acceleration = matrix[:, 0]
-    others = matrix[:, 1:]
-    alone = np.linalg.lstsq(others, acceleration, rcond=None)[0]
-    idle = acceleration - others @ alone
-    frequency_squared = float(np.hypot(alone[0], alone[1]))
+    values, covariance = _jackknifed(tables, stretches)
+    solution = _by_torque(longest)
+    columns = np.vstack([part.columns for part in longest])
+    free_share, free_m = _free_response(columns)
     torques = np.concatenate(
         [motion.complete().current_A[:, motion.joints.index(joint)] for motion in motions]
     )
     return OneJointFit(
-        joint, values, covariance, len(stretches), float(stdtrit(len(stretches) - 1, 0.975)), rms(solution.residual),
-        rms(np.concatenate([part.torque for part in parts])), rms(matrix[:, :3] @ solution.load),
-        1.0 - (rms(idle) / max(rms(acceleration), 1e-12)) ** 2, 1.0 / max(frequency_squared, 1e-9),
-        float(np.mean(solution.friction[:, 0])), float(np.mean(solution.friction[:, 1])),
-        bool(np.all(torques >= 0.0) or np.all(torques <= 0.0)), parts, solution.residual,
-    )  # fmt: skip
+        joint=joint,
+        values=values,
+        covariance=covariance,
+        stretches=len(stretches),
+        quantile=float(stdtrit(len(stretches) - 1, 0.975)),
+        residual=rms(solution.residual),
+        driven=rms(np.concatenate([part.torque for part in longest])),
+        load=rms(columns[:, :3] @ solution.load),
+        free_share=free_share,
+        free_m=free_m,
+        viscous=float(np.mean(solution.friction[:, 0])),
+        coulomb=float(np.mean(solution.friction[:, 1])),
+        one_sign=bool(np.all(torques >= 0.0) or np.all(torques <= 0.0)),
+        windows=longest,
+        left_over=solution.residual,
+    )
+
+
+def _jackknifed(
+    tables: Sequence[Sequence[Table]], stretches: Sequence[tuple[int, int]]
+) -> tuple[FloatArray, FloatArray]:
+    """Mean over the ways to take the windows, and its covariance among them and as stretches are left out, (4,) and (4, 4)."""
+    choices = _choices(tables)
+    values = choices.mean(axis=0)
+    moved = []
+    for stretch in stretches:
+        rest = [without(parts, *stretch) for parts in tables]
+        moved.append(_choices(rest).mean(axis=0) - values)
+    off = np.array(moved)  # (stretches, 4)
+    covariance = (len(stretches) - 1) / len(stretches) * off.T @ off + np.cov(choices.T)
+    covariance[0, 0] += (LEAST_LENGTH_STD * values[0]) ** 2
+    return values, covariance
+
+
+def _free_response(columns: FloatArray) -> tuple[float, float]:
+    """How much of the acceleration's variance gravity and friction explain alone, and of a pendulum of which length [m]."""
+    acceleration = columns[:, 0]
+    others = columns[:, 1:]
+    alone = np.linalg.lstsq(others, acceleration, rcond=None)[0]
+    idle = acceleration - others @ alone
+    share = 1.0 - (rms(idle) / max(rms(acceleration), 1e-12)) ** 2
+    frequency_squared = float(np.hypot(alone[0], alone[1]))
+    return share, 1.0 / max(frequency_squared, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -189,6 +238,10 @@ class Table:
     stretch: NDArray[np.int64]  # number of the stretch, shape (W,)
     middle_s: FloatArray  # of each window [s], shape (W,)
 
+    def only(self, kept: NDArray[np.bool_]) -> Table:
+        """Some of its windows."""
+        return Table(*(getattr(self, field.name)[kept] for field in fields(Table)))
+
 
 def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:
     """Number of the motion and of the stretch in it, of all."""
@@ -199,19 +252,17 @@ def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:
     ]
 
 
-def without(
-    parts: Sequence[Table],
-    number: int,
-    label: int,
-) -> list[Table]:
-    """All windows but those of one stretch of motion ``number``; a motion that has no other is none of them."""
+def without(parts: Sequence[Table], number: int, label: int) -> list[Table]:
+    """All windows but those of one stretch; a motion that has no other is none of them.
+
+    ``parts``: of each motion; ``number``: of the motion; ``label``: of its stretch.
+    """
     kept = parts[number].stretch != label
-    rest = Table(*(getattr(parts[number], field.name)[kept] for field in fields(Table)))
-    return [
-        *parts[:number],
-        *([rest] if kept.any() else []),
-        *parts[number + 1 :],
-    ]
+    rest = list(parts)
+    rest[number] = parts[number].only(kept)
+    if not kept.any():
+        del rest[number]
+    return rest
 
 
 def table_of(
@@ -222,33 +273,28 @@ def table_of(
     window_s: float,
     slow_rad_s: float = SLOW_RAD_S,
 ) -> Table:
-    """What one motion says in windows of ``window_s``; where the joint is slower than ``slow_rad_s`` it does not count.
+    """What one motion says in windows of one length.
+
+    Args:
+        robot: Its torque constant.
+        motion: Of the joint.
+        joint: That moves alone.
+        hinge: The same in the motion.
+        window_s: Length of the windows [s].
+        slow_rad_s: A window in which the joint is mostly slower does not count [rad/s].
 
     Raises `RecordingError`: It does not move for long enough.
     """
     times_s, positions, currents = evenly(motion, [joint], BANDWIDTH_HZ, currents_too=True)
     period_s = float(np.median(np.diff(motion.times_s)))
     position = positions[:, 0]
-    axis = hinge.axis
-    gravity = hinge.gravity
     velocity = np.gradient(position, period_s)
     width = max(round(window_s / period_s), 4)
-    windows = Windows.over(
-        len(times_s),
-        width,
-        max(1, round(HOP_SHARE * width)),
-    )
-    cosine = np.cos(position)[:, None]
-    sine = np.sin(position)[:, None]
-    # gravity in the frame of the body, which turned by the position; its torque on a first moment d along the axis: a . (d x g)
-    seen = (
-        gravity * cosine - np.cross(axis, gravity) * sine + axis * (axis @ gravity) * (1.0 - cosine)
-    )
-    moments = -np.column_stack([np.cross(d, seen) @ axis for d in hinge.directions])
+    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
     columns = np.column_stack(
         [
             windows.derivative(velocity, period_s),
-            windows.mean(moments),
+            windows.mean(hinge.gravity_moments(position)),
             windows.mean(velocity),
             windows.mean(np.tanh(velocity / slow_rad_s)),
             np.ones(len(windows.starts)),
@@ -263,12 +309,7 @@ def table_of(
     torque = robot.drive_trains[joint].torque_constant.value * windows.mean(currents[:, 0])
     middle_s = times_s[windows.starts] + 0.5 * window_s
     stretch = (middle_s / STRETCH_S).astype(np.int64)
-    return Table(
-        columns[counts],
-        torque[counts],
-        stretch[counts],
-        middle_s[counts],
-    )
+    return Table(columns, torque, stretch, middle_s).only(counts)
 
 
 def _choices(tables: Sequence[Sequence[Table]]) -> FloatArray:
@@ -287,26 +328,40 @@ class _Solution:
     residual: FloatArray
 
 
-def _stacked(
-    parts: Sequence[Table],
-) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
-    """Load columns, shape (W, 3), friction columns of every motion, shape (W, 3 M), torque and number of the motion, shape (W,)."""
-    number = np.repeat(
-        np.arange(len(parts)),
-        [len(part.torque) for part in parts],
-    )
-    columns = np.vstack([part.columns for part in parts])
-    friction = np.zeros((len(number), 3 * len(parts)))
-    for motion in range(len(parts)):
-        friction[number == motion, 3 * motion : 3 * motion + 3] = columns[number == motion, 3:]
-    return columns[:, :3], friction, np.concatenate([part.torque for part in parts]), number
+@dataclass(frozen=True)
+class _Stacked:
+    """Windows of M motions."""
+
+    load: FloatArray  # columns of inertia and two moments, shape (W, 3)
+    friction: FloatArray  # columns of viscous, Coulomb and offset of each motion, shape (W, 3 M)
+    torque: FloatArray  # shape (W,)
+    motion: NDArray[np.int64]  # number of the motion, shape (W,)
+
+    @classmethod
+    def of(cls, parts: Sequence[Table]) -> _Stacked:
+        """One after the other."""
+        number = motion_numbers(parts)
+        columns = np.vstack([part.columns for part in parts])
+        friction = np.zeros((len(number), 3 * len(parts)))
+        for motion in range(len(parts)):
+            mine = number == motion
+            friction[mine, 3 * motion : 3 * motion + 3] = columns[mine, 3:]
+        torque = np.concatenate([part.torque for part in parts])
+        return cls(columns[:, :3], friction, torque, number)
+
+
+def motion_numbers(parts: Sequence[Table]) -> NDArray[np.int64]:
+    """Number of the motion of each window of all, shape (W,)."""
+    return np.repeat(np.arange(len(parts)), [len(part.torque) for part in parts])
 
 
 def _by_torque(parts: Sequence[Table]) -> _Solution:
     """The torque has the error: least squares of it, with gears that lose part of the load's."""
-    load, friction, torque, number = _stacked(parts)
-    direction = friction[:, 1::3].sum(axis=1)
-    matrix = np.column_stack([load, friction, np.zeros(len(torque))])
+    windows = _Stacked.of(parts)
+    load = windows.load
+    torque = windows.torque
+    direction = windows.friction[:, 1::3].sum(axis=1)
+    matrix = np.column_stack([load, windows.friction, np.zeros(len(torque))])
     weight = np.ones(len(torque))
     # the prior of load friction, in the unit of the equations
     prior = np.zeros(matrix.shape[1])
@@ -315,26 +370,20 @@ def _by_torque(parts: Sequence[Table]) -> _Solution:
         matrix[:, -1] = np.abs(load @ values[:3]) * direction
         noise = max(rms(weight * (torque - matrix @ values)), 1e-12)
         prior[-1] = noise / LOAD_FRICTION_STD
-        values = np.linalg.lstsq(
-            np.vstack([matrix * weight[:, None], prior]),
-            np.append(torque * weight, 0.0),
-            rcond=None,
-        )[0]
+        weighted = np.vstack([matrix * weight[:, None], prior])
+        values = np.linalg.lstsq(weighted, np.append(torque * weight, 0.0), rcond=None)[0]
         residual = torque - matrix @ values
-        each = np.array([max(rms(residual[number == n]), 1e-12) for n in range(len(parts))])
-        weight = (each.min() / each)[number]
-    return _Solution(
-        values[:3],
-        values[3:-1].reshape(-1, 3),
-        residual,
-    )
+        by_motion = [residual[windows.motion == number] for number in range(len(parts))]
+        each = np.array([max(rms(of_motion), 1e-12) for of_motion in by_motion])
+        weight = (each.min() / each)[windows.motion]
+    return _Solution(values[:3], values[3:-1].reshape(-1, 3), residual)
 
 
 def _by_acceleration(parts: Sequence[Table]) -> FloatArray:
     """The acceleration has the error: inertia and two moments, shape (3,)."""
-    load, friction, torque, _ = _stacked(parts)
-    matrix = np.column_stack([torque, load[:, 1:], friction])
-    values = np.linalg.lstsq(matrix, load[:, 0], rcond=None)[0]
+    windows = _Stacked.of(parts)
+    matrix = np.column_stack([windows.torque, windows.load[:, 1:], windows.friction])
+    values = np.linalg.lstsq(matrix, windows.load[:, 0], rcond=None)[0]
     return np.array([1.0, *(-values[1:3])]) / values[0]
 
 
@@ -361,19 +410,17 @@ def shown_of(
         scale: The motor's torque and what is left over of it are so many times the true ones.
     """
     by_mass = np.concatenate([part.columns[:, :3] for part in windows]) @ per_kg
-    number = np.repeat(
-        np.arange(len(windows)),
-        [len(part.torque) for part in windows],
+    number = motion_numbers(windows)
+    explained = Explained(
+        middle_s=np.concatenate([part.middle_s for part in windows]),
+        motion=number,
+        joint=np.zeros_like(number),
+        measured=np.concatenate([part.torque for part in windows]) / scale,
+        left_over=left_over / scale,
+        payload=mass_kg * by_mass,
+        by_mass=by_mass,
     )
-    return Explained(
-        np.concatenate([part.middle_s for part in windows]),
-        number,
-        np.zeros_like(number),
-        np.concatenate([part.torque for part in windows]) / scale,
-        left_over / scale,
-        mass_kg * by_mass,
-        by_mass,
-    ).joint_fits(names, [joint], [usual])
+    return explained.joint_fits(names, [joint], [usual])
 
 
 def rms(values: FloatArray) -> float:

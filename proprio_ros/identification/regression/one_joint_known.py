@@ -16,7 +16,7 @@ known, so the wider counts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -65,8 +65,10 @@ ITERATIONS = 4
 OWN_ROUNDS = 6  # What gears lose of a load follows the load.
 USUAL_SHARE = PUBLISHED["friction"]
 """Of all friction at the motion's speed, by what dry and viscous friction each differ from recording to recording."""
-USUAL_ROTOR, USUAL_INERTIA = 0.05, 0.02
-"""Of its inertia, and of the load's, by what a rotor seems to differ: none does, but windows do not follow every motion alike."""
+# Of its inertia, and of the load's, by what a rotor seems to differ: none does, but windows do not follow every motion alike.
+USUAL_ROTOR = 0.05
+USUAL_INERTIA = 0.02
+UNKNOWN_KG = 1e6  # Standard deviation of a mass that a recording does not know, in a file.
 STRETCHES = "what differs from stretch to stretch"
 CALIBRATION = "what the calibration leaves open"
 RUNS = "what differs from recording to recording"
@@ -119,122 +121,150 @@ def _design(table: Table, load: FloatArray, share: float) -> FloatArray:
 def terms_of(
     tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carried: Carried
 ) -> tuple[FloatArray, float]:
-    """The terms that motions with known loads show, shape (6,), and rms of the torque that is left over, in true torque [N m].
+    """The terms that motions with known loads show, and what they leave over.
 
-    ``tables``: of each motion, by the length of the windows; ``loads_kg``: of each; ``carried``: what hangs on the joint.
+    Args:
+        tables: Of each motion, by the length of the windows.
+        loads_kg: Of each motion [kg].
+        carried: What hangs on the joint.
+
+    Returns: Shape (6,), and rms of the torque that is left over, in true torque [N m].
     """
-    found = []
-    left = []
-    heaviest = max(float(np.abs(part.columns[:, :3] @ (carried.arm + kg * carried.per_kg)).max()) for parts, kg in
-                   zip(tables, loads_kg, strict=True) for part in parts)  # fmt: skip
+    heaviest = 0.0
+    for parts, kg in zip(tables, loads_kg, strict=True):
+        load = carried.arm + kg * carried.per_kg
+        heaviest = max([heaviest, *(float(np.abs(p.columns[:, :3] @ load).max()) for p in parts)])
+    by_window = [
+        _bounded_terms(parts, loads_kg, carried, heaviest) for parts in zip(*tables, strict=True)
+    ]
+    terms = [found for found, _ in by_window]
+    return np.mean(terms, axis=0), float(np.mean([left for _, left in by_window]))
+
+
+def _bounded_terms(
+    parts: Sequence[Table], loads_kg: Sequence[float], carried: Carried, heaviest: float
+) -> tuple[FloatArray, float]:
+    """The same in one length of windows, by bounded least squares: ``heaviest`` is the largest torque of gravity [N m]."""
     # none of the terms can be negative, and an offset can
-    lowest = np.concatenate([np.zeros(len(TERMS)), np.full(len(tables), -np.inf)])
-    parts: tuple[Table, ...]
-    for parts in zip(*tables, strict=True):
-        values = np.array([1.0, *np.zeros(len(TERMS) - 1)])
-        for _ in range(ITERATIONS):
-            rows = []
-            rights = []
-            for number, (part, kg) in enumerate(zip(parts, loads_kg, strict=True)):
-                # each recording counts alike, however long
-                weight = 1.0 / np.sqrt(len(part.torque))
-                offsets = np.zeros((len(part.torque), len(parts)))
-                offsets[:, number] = 1.0
-                design = _design(part, carried.arm + kg * carried.per_kg, values[0])
-                rows.append(weight * np.hstack([design, offsets]))
-                rights.append(weight * part.torque)
-            matrix = np.vstack(rows)
-            right = np.concatenate(rights)
-            prior = np.zeros((2, matrix.shape[1]))
-            noise = float(np.sqrt(np.mean(np.square(right - matrix[:, : len(values)] @ values))))
-            prior[0, 4], prior[1, 5] = (
-                noise / LOAD_FRICTION_STD,
-                noise * heaviest / LOAD_FRICTION_STD,
-            )
-            # as small as it can be: the bounded search then costs nothing
-            stacked = np.column_stack([np.vstack([matrix, prior]), np.append(right, [0.0, 0.0])])
-            root = np.asarray(np.linalg.qr(stacked, mode="r"))
-            solution = lsq_linear(
-                root[:, :-1], root[:, -1], bounds=(lowest, np.inf), method="bvls"
-            ).x
-            values = solution[: len(TERMS)]
-        found.append(values)
-        left.append(
-            float(np.sqrt(np.sum(np.square(right - matrix @ solution)) / len(parts)))
-            / max(abs(values[0]), 1e-9)
-        )
-    return np.mean(found, axis=0), float(np.mean(left))
-
-
-def _left_over(
-    parts: Sequence[Table], terms: FloatArray, carried: Carried, mass: float, noise: float
-) -> list[tuple[FloatArray, float]]:
-    """Of each motion the torque beside the terms' with a mass, less an offset and a change of Coulomb friction of its own [N m].
-
-    With it comes how improbable that change is, in squares of what windows leave over, whose rms is ``noise`` [N m].
-    """
-    load = carried.arm + mass * carried.per_kg
-    found = []
-    prior = max((noise / PUBLISHED["friction"]) ** 2 / HOP_SHARE, 1e-18)  # windows overlap
-    for part in parts:
-        design = _design(part, load, terms[0])
-        residual, friction = (
-            each - each.mean() for each in (part.torque - design @ terms, design[:, 3] * terms[3])
-        )
-        change = float(friction @ residual) / (float(friction @ friction) + prior)
-        found.append((residual - change * friction, prior * change**2))
-    return found
-
-
-def _mass(
-    parts: Sequence[Table],
-    terms: FloatArray,
-    carried: Carried,
-    reach_kg: tuple[float, float],
-    noise: float,
-) -> float:
-    """The mass that leaves least over [kg]."""
-
-    def cost(mass: float) -> float:
-        return sum(
-            float(left @ left) + more
-            for left, more in _left_over(parts, terms, carried, mass, noise)
-        )
-
-    grid = np.linspace(*reach_kg, GRID)
-    best = int(np.argmin([cost(float(mass)) for mass in grid]))
-    low = grid[max(best - 1, 0)]
-    high = grid[min(best + 1, GRID - 1)]
-    return float(
-        minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-5}).x
+    lowest = np.concatenate([np.zeros(len(TERMS)), np.full(len(parts), -np.inf)])
+    values = np.array([1.0, *np.zeros(len(TERMS) - 1)])
+    # each recording counts alike, however long
+    weights = [1.0 / np.sqrt(len(part.torque)) for part in parts]
+    right = np.concatenate(
+        [weight * part.torque for weight, part in zip(weights, parts, strict=True)]
     )
+    for _ in range(ITERATIONS):
+        rows = []
+        for number, (part, kg) in enumerate(zip(parts, loads_kg, strict=True)):
+            design = _design(part, carried.arm + kg * carried.per_kg, values[0])
+            rows.append(weights[number] * _with_offsets(design, number, len(parts)))
+        matrix = np.vstack(rows)  # (W, 6 + M)
+        prior = np.zeros((2, matrix.shape[1]))
+        noise = float(np.sqrt(np.mean(np.square(right - matrix[:, : len(values)] @ values))))
+        prior[0, 4] = noise / LOAD_FRICTION_STD
+        prior[1, 5] = noise * heaviest / LOAD_FRICTION_STD
+        # as small as it can be: the bounded search then costs nothing
+        stacked = np.column_stack([np.vstack([matrix, prior]), np.append(right, [0.0, 0.0])])
+        root = np.asarray(np.linalg.qr(stacked, mode="r"))
+        bounds = (lowest, np.inf)
+        solution = lsq_linear(root[:, :-1], root[:, -1], bounds=bounds, method="bvls").x
+        values = solution[: len(TERMS)]
+    squares = np.sum(np.square(right - matrix @ solution))
+    left_over = float(np.sqrt(squares / len(parts))) / max(abs(values[0]), 1e-9)
+    return values, left_over
 
 
-def _by_stretches(
-    tables: Sequence[Sequence[Table]],
-    terms: FloatArray,
-    carried: Carried,
-    reach_kg: tuple[float, float],
-    noise: float,
-) -> tuple[float, float, int]:
-    """Mass [kg], the variance that stretches and windows put on it [kg^2], and the number of stretches."""
-    by_window = list(zip(*tables, strict=True))
-    masses = [_mass(parts, terms, carried, reach_kg, noise) for parts in by_window]
-    mass = float(np.mean(masses))
-    moved = []
-    for stretch in stretches_of(by_window[0]):
-        rest = [
-            [part for part in without(parts, *stretch) if len(part.torque) > 2]
-            for parts in by_window
-        ]
-        if all(rest):
-            moved.append(
-                float(np.mean([_mass(parts, terms, carried, reach_kg, noise) for parts in rest]))
-                - mass
+def _with_offsets(columns: FloatArray, number: int, motions: int) -> FloatArray:
+    """Columns of one motion, and of each motion's offset, shape (W, K) to (W, K + M)."""
+    offsets = np.zeros((len(columns), motions))
+    offsets[:, number] = 1.0
+    return np.hstack([columns, offsets])
+
+
+@dataclass(frozen=True)
+class _Weighing:
+    """How a mass is looked for by known terms of the joint."""
+
+    carried: Carried
+    reach_kg: tuple[float, float]  # between which masses [kg]
+    noise: float  # rms of what windows leave over [N m]
+
+    def left_over(
+        self, parts: Sequence[Table], terms: FloatArray, mass: float
+    ) -> list[tuple[FloatArray, float]]:
+        """Of each motion the torque beside the terms' with a mass, less an offset and a change of friction of its own [N m].
+
+        With it comes how improbable that change of Coulomb friction is, in squares of what windows leave over.
+        """
+        load = self.carried.arm + mass * self.carried.per_kg
+        found = []
+        # windows overlap
+        prior = max((self.noise / PUBLISHED["friction"]) ** 2 / HOP_SHARE, 1e-18)
+        for part in parts:
+            design = _design(part, load, terms[0])
+            residual = _about_mean(part.torque - design @ terms)
+            friction = _about_mean(design[:, 3] * terms[3])
+            change = float(friction @ residual) / (float(friction @ friction) + prior)
+            found.append((residual - change * friction, prior * change**2))
+        return found
+
+    def mass(self, parts: Sequence[Table], terms: FloatArray) -> float:
+        """The one that leaves least over [kg]."""
+
+        def cost(mass: float) -> float:
+            return sum(
+                float(left @ left) + more for left, more in self.left_over(parts, terms, mass)
             )
-    count = len(moved)
-    scatter = (count - 1) / count * float(np.sum(np.square(moved))) if count > 1 else np.inf
-    return mass, scatter + float(np.var(masses, ddof=1)), count
+
+        grid = np.linspace(*self.reach_kg, GRID)
+        best = int(np.argmin([cost(float(mass)) for mass in grid]))
+        bounds = grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)]
+        options = {"xatol": 1e-5}
+        return float(minimize_scalar(cost, bounds=bounds, method="bounded", options=options).x)
+
+    def by_stretches(self, tables: Sequence[Sequence[Table]], terms: FloatArray) -> _Jackknife:
+        """Mass of motions, by the length of the windows, and its variance."""
+        return _Jackknife.of(tables, lambda parts: self.mass(parts, terms), least=2)
+
+
+def _about_mean(values: FloatArray) -> FloatArray:
+    result: FloatArray = values - values.mean()
+    return result
+
+
+@dataclass(frozen=True)
+class _Jackknife:
+    """What windows of several lengths say, and how that moves where stretches are left out."""
+
+    values: FloatArray  # mean over the lengths, shape () or (K,)
+    variance: FloatArray  # among lengths and stretches; infinite of fewer than two stretches
+    stretches: int
+
+    @classmethod
+    def of(
+        cls,
+        tables: Sequence[Sequence[Table]],
+        answer: Callable[[Sequence[Table]], FloatArray | float],
+        least: int,
+    ) -> _Jackknife:
+        """By an answer to windows of one length; a motion of which no more than so many are left counts as none."""
+        by_window = list(zip(*tables, strict=True))
+        choices = np.array([answer(parts) for parts in by_window])
+        values = choices.mean(axis=0)
+        moved = []
+        for stretch in stretches_of(by_window[0]):
+            rest = [
+                [part for part in without(parts, *stretch) if len(part.torque) > least]
+                for parts in by_window
+            ]
+            if all(rest):
+                left = np.array([answer(parts) for parts in rest])
+                moved.append(left.mean(axis=0) - values)
+        count = len(moved)
+        scatter = np.inf
+        if count > 1:
+            scatter = (count - 1) / count * np.square(moved).sum(axis=0)
+        return cls(values, scatter + choices.var(axis=0, ddof=1), count)
 
 
 def own_terms(
@@ -251,30 +281,13 @@ def own_terms(
         carried: What hangs on the joint.
         start_kg: A load near that of the motions.
     """
-    by_window = list(zip(*tables, strict=True))
-    whole = np.array([_own(parts, terms, carried, start_kg) for parts in by_window])
-    values = whole.mean(axis=0)
-    moved = []
-    for stretch in stretches_of(by_window[0]):
-        rest = [
-            [part for part in without(parts, *stretch) if len(part.torque) > len(TERMS)]
-            for parts in by_window
-        ]
-        if all(rest):
-            left = [_own(parts, terms, carried, start_kg) for parts in rest]
-            moved.append(np.mean(left, axis=0) - values)
-    count = len(moved)
-    scatter = np.full(len(values), np.inf)
-    if count > 1:
-        scatter = (count - 1) / count * np.square(moved).sum(axis=0)
-    std = np.sqrt(scatter + whole.var(axis=0, ddof=1))
-    speeds = np.concatenate([part.columns[:, 3] for part in by_window[0]])
-    usual = _usual(
-        terms,
-        rms(speeds),
-        float((carried.arm + start_kg * carried.per_kg)[0]),
+    found = _Jackknife.of(
+        tables, lambda parts: _own(parts, terms, carried, start_kg), least=len(TERMS)
     )
-    return OwnTerms(values, std, usual)
+    speeds = np.concatenate([parts[0].columns[:, 3] for parts in tables])
+    inertia = float((carried.arm + start_kg * carried.per_kg)[0])
+    usual = _usual(terms, rms(speeds), inertia)
+    return OwnTerms(found.values, np.sqrt(found.variance), usual)
 
 
 def _own(
@@ -290,9 +303,8 @@ def _own(
             design = _design(part, carried.arm + mass * carried.per_kg, terms[0])
             arm = terms[0] * (part.columns[:, :3] @ carried.arm)
             per_kg = terms[0] * (part.columns[:, :3] @ carried.per_kg)
-            offsets = np.zeros((len(part.torque), len(parts)))
-            offsets[:, number] = 1.0
-            rows.append(np.column_stack([per_kg, design[:, 1:4], offsets]))
+            columns = np.column_stack([per_kg, design[:, 1:4]])
+            rows.append(_with_offsets(columns, number, len(parts)))
             rights.append(part.torque - arm - design[:, 4:] @ terms[4:])
         solution = np.linalg.lstsq(np.vstack(rows), np.concatenate(rights), rcond=None)[0]
         mass = float(np.clip(solution[0], -HEAVIEST * abs(start_kg), HEAVIEST * abs(start_kg)))
@@ -337,29 +349,37 @@ def learn_joint(
     tables = [tables_of(robot, motion, joint) for motion in motions]
     loads = np.asarray(loads_kg, dtype=np.float64)
     values, residual = terms_of(tables, loads.tolist(), carried)
-    everyone = range(len(motions))
-    without = np.array(
-        [
-            terms_of(tables[:n] + tables[n + 1 :], np.delete(loads, n).tolist(), carried)[0]
-            for n in everyone
-        ]
+    weighing = _Weighing(carried, reach_of(loads), residual * abs(values[0]))
+    without = []
+    runs = []
+    own = []
+    for number, motion in enumerate(motions):
+        kg = float(loads[number])
+        others = tables[:number] + tables[number + 1 :]
+        terms, _ = terms_of(others, np.delete(loads, number).tolist(), carried)
+        read = weighing.by_stretches([tables[number]], terms)
+        without.append(terms)
+        runs.append(
+            {
+                "name": motion.name,
+                "duration_s": float(motion.times_s[-1]),
+                "load_kg": kg,
+                "read_kg": float(read.values),
+                "std_kg": min(float(np.sqrt(read.variance)), UNKNOWN_KG),
+            }
+        )
+        own.append(own_terms([tables[number]], values, carried, kg or float(loads.max())))
+    learnt = JointCalibration(
+        joint=joint,
+        torque_constant=robot.drive_trains[joint].torque_constant.value,
+        values=values,
+        without=np.array(without),
+        spread=0.0,
+        residual=residual,
+        runs=tuple(runs),
+        own_terms=tuple(own),
+        driven_by=law_of(robot, joint),
     )
-    read = [
-        _by_stretches([tables[n]], without[n], carried, reach_of(loads), residual * abs(values[0]))
-        for n in everyone
-    ]
-    runs = tuple(
-        {"name": motion.name, "duration_s": float(motion.times_s[-1]), "load_kg": float(kg), "read_kg": mass,
-         "std_kg": min(float(np.sqrt(variance)), 1e6)}
-        for motion, kg, (mass, variance, _) in zip(motions, loads, read, strict=True)
-    )  # fmt: skip
-    constant = robot.drive_trains[joint].torque_constant.value
-    own = tuple(
-        own_terms([each], values, carried, float(kg) or float(loads.max()))
-        for each, kg in zip(tables, loads, strict=True)
-    )
-    law = law_of(robot, joint)
-    learnt = JointCalibration(joint, constant, values, without, 0.0, residual, runs, own, law)
     return replace(learnt, spread=spread_of(_spread_by(learnt)))
 
 
@@ -406,80 +426,112 @@ def identify_by_joint(
 ) -> KnownJointFit:
     """The mass that all motions share.
 
-    ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of the same joint; ``facts``: where
-    the payload sits.
+    Args:
+        robot: Of one joint that turns.
+        motions: At least one.
+        calibration: Of the same joint.
+        facts: Where the payload sits.
 
     Raises `RecordingError`: A motion is of no use.
     """
     joint = calibration.joint
     carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]
-    loads = calibration.loads_kg
-    reach_kg = reach_of(loads)
+    reach_kg = reach_of(calibration.loads_kg)
     noise = calibration.residual * abs(float(calibration.values[0]))
-    mass, by_stretches, stretches = _by_stretches(
-        tables, calibration.values, carried, reach_kg, noise
-    )
+    weighing = _Weighing(carried, reach_kg, noise)
+    found = weighing.by_stretches(tables, calibration.values)
+    mass = float(found.values)
     by_window = list(zip(*tables, strict=True))
+    variances = {
+        STRETCHES: float(found.variance),
+        CALIBRATION: _by_calibration(weighing, by_window, calibration),
+        **_by_place(calibration, carried, mass),
+    }
+    rest = max(sum(variances.values()), 1e-18)
+    freedom = [
+        (variances[STRETCHES], max(found.stretches - 1, 1)),
+        (variances[CALIBRATION], len(calibration.without) - 1),
+    ]
+    half, spread_kg = _by_recordings(calibration, mass, rest, freedom)
+    variances[RUNS] = spread_kg**2
+    std = float(np.sqrt(rest + variances[RUNS]))
+    longest = by_window[-1]
+    left_over = np.concatenate(
+        [left for left, _ in weighing.left_over(longest, calibration.values, mass)]
+    )
+    scale = max(abs(calibration.values[0]), 1e-9)
+    names = [motion.name for motion in motions]
+    usual = calibration.residual
+    return KnownJointFit(
+        mass=mass,
+        std=std,
+        quantile=half / std if np.isfinite(half) else float(stdtrit(1, 0.975)),
+        parts=tuple((name, float(np.sqrt(variance))) for name, variance in variances.items()),
+        stretches=found.stretches,
+        residual=rms(left_over) / scale,
+        driven=rms(np.concatenate([part.torque for part in longest])) / scale,
+        at_the_end=not reach_kg[0] + 1e-3 < mass < reach_kg[1] - 1e-3,
+        shown=shown_of(
+            names, joint, longest, left_over, carried.per_kg, mass, usual=usual, scale=scale
+        ),
+        own_terms=own_terms(tables, calibration.values, carried, mass),
+    )
+
+
+def _by_calibration(
+    weighing: _Weighing, by_window: Sequence[Sequence[Table]], calibration: JointCalibration
+) -> float:
+    """Variance of the mass as recordings of the calibration are left out [kg^2], a jackknife."""
     by_others = [
-        [_mass(parts, terms, carried, reach_kg, noise) for parts in by_window]
-        for terms in calibration.without
+        [weighing.mass(parts, terms) for parts in by_window] for terms in calibration.without
     ]
     others = np.mean(by_others, axis=1)
     count = len(others)
-    by_calibration = (count - 1) / count * float(np.sum(np.square(others - others.mean())))
-    lever = float(np.linalg.norm(carried.per_kg[1:]))
-    held = loads[loads > 0.0]
+    return (count - 1) / count * float(np.sum(np.square(others - others.mean())))
+
+
+def _by_place(calibration: JointCalibration, carried: Carried, mass: float) -> dict[str, float]:
+    """Variances of the mass [kg^2] by what arm and payload are taken to be, and by how far it lies outside of the known loads."""
+    held = calibration.loads_kg[calibration.loads_kg > 0.0]
+    lever = max(float(np.linalg.norm(carried.per_kg[1:])), 1e-6)
     # an arm that is not as its URDF says was taken for a load, and cancels where the loads were the same
-    arm_kg = URDF_SHARE * float(np.linalg.norm(carried.arm[1:])) / max(lever, 1e-6)
+    arm_kg = URDF_SHARE * float(np.linalg.norm(carried.arm[1:])) / lever
     outside = max(
         np.log(max(mass, 1e-9) / held.max()),
         np.log(held.min() / max(mass, 1e-9)),
         0.0,
     )
-    variances = {
-        STRETCHES: by_stretches,
-        CALIBRATION: by_calibration,
+    return {
         ARM: (arm_kg * (1.0 - mass / float(held.mean()))) ** 2,
-        PLACE: (mass * carried.centre_std_m / max(lever, 1e-6)) ** 2,
+        PLACE: (mass * carried.centre_std_m / lever) ** 2,
         OUTSIDE: (OUTSIDE_SHARE * outside * mass) ** 2,
     }
-    rest = max(sum(variances.values()), 1e-18)
-    freedom = [
-        (by_stretches, max(stretches - 1, 1)),
-        (by_calibration, count - 1),
-    ]
-    half = 0.0
-    spread_kg = 0.0
-    usual_kg = float(held.mean())
+
+
+def _by_recordings(
+    calibration: JointCalibration,
+    mass: float,
+    rest: float,
+    freedom: Sequence[tuple[float, float]],
+) -> tuple[float, float]:
+    """Half width of the interval with what differs between recordings, and that as a standard deviation [kg].
+
+    Args:
+        calibration: Whose recordings show how far they differ.
+        mass: That was found [kg].
+        rest: Variance of everything else [kg^2].
+        freedom: See `half_width`.
+    """
+    usual_kg = float(calibration.loads_kg[calibration.loads_kg > 0.0].mean())
+    halves = []
+    spreads_kg = []
     # what differs is a share of the load, as that of gears, or of its own, as dry friction is
-    for posterior, times in (
+    for posterior, scale_kg in (
         (_spread_by(calibration), abs(mass)),
         (_spread_by(calibration, usual_kg), usual_kg),
     ):
-        half = (
-            max(half, half_width(posterior, times, rest, freedom)) if np.isfinite(rest) else np.inf
-        )
-        spread_kg = max(spread_kg, spread_of(posterior) * times)
-    variances[RUNS] = spread_kg**2
-    std = float(np.sqrt(rest + variances[RUNS]))
-    longest = by_window[-1]
-    scale = max(abs(calibration.values[0]), 1e-9)
-    left_over = np.concatenate(
-        [left for left, _ in _left_over(longest, calibration.values, carried, mass, noise)]
-    )
-    names = [motion.name for motion in motions]
-    return KnownJointFit(
-        mass,
-        std,
-        half / std if np.isfinite(half) else float(stdtrit(1, 0.975)),
-        tuple((name, float(np.sqrt(variance))) for name, variance in variances.items()),
-        stretches,
-        rms(left_over) / scale,
-        rms(np.concatenate([part.torque for part in longest])) / scale,
-        not reach_kg[0] + 1e-3 < mass < reach_kg[1] - 1e-3,
-        shown_of(
-            names, joint, longest, left_over, carried.per_kg, mass, calibration.residual, scale
-        ),
-        own_terms(tables, calibration.values, carried, mass),
-    )
+        finite = np.isfinite(rest)
+        halves.append(half_width(posterior, scale_kg, rest, freedom) if finite else np.inf)
+        spreads_kg.append(spread_of(posterior) * scale_kg)
+    return max(halves), max(spreads_kg)
