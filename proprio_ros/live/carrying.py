@@ -24,16 +24,17 @@ from proprio_ros.robot.regressor import PARAMETERS, gravity_torques, point_mass
 
 CENTRE_STD_M = 0.01  # of a load's centre in each direction, where nobody says how well it is known
 FRICTION = 3  # viscous, dry, and the offset: the last terms of each joint that a calibration has
+BISECTIONS = 30  # of the heaviest load
 WAY_POSES = 15  # poses of the way to another one that are looked at
 
 
 @dataclass(frozen=True)
 class Load:
-    """What the hand holds: mass [kg] with its standard deviation, and centre in the payload frame [m], shape (3,)."""
+    """What the hand holds."""
 
     mass_kg: float
-    std_kg: float = 0.0
-    centre_m: Sequence[float] = (0.0, 0.0, 0.0)
+    std_kg: float = 0.0  # standard deviation of the mass
+    centre_m: Sequence[float] = (0.0, 0.0, 0.0)  # in the payload frame, shape (3,)
 
 
 @dataclass(frozen=True)
@@ -59,75 +60,90 @@ class Carrier:
         joints: Of the calibration, or all revolute ones with a motor, n.
         limits: Largest effort of each [N m], by URDF and current limit; infinite where nobody says, shape (n,).
 
-    Raises `RobotError`: No such joint moves the hand.
+    Raises:
+        RobotError: No such joint moves the hand.
     """
 
     def __init__(self, robot: Robot) -> None:
         known = robot.motion_calibration
-        turning = [
-            n for n in robot.model.independent_joints if robot.model.joint(n).kind != "prismatic"
-        ]
-        joints = (
-            [name for name in turning if name in robot.drive_trains]
-            if known is None
-            else list(known.joints)
-        )
+        joints = _turning_joints(robot) if known is None else list(known.joints)
         others = [name for name in robot.model.independent_joints if name not in joints]
-        held = zero_pose(robot, others) | {
-            name: at for name, at in robot.held.items() if name in others
-        }
+        held = zero_pose(robot, others)
+        for name, position in robot.held.items():
+            if name in held:
+                held[name] = position
         self._arm = Arm.of(robot, joints, held)
-        self.joints, count = self._arm.model.joint_names, len(joints)
+        self.joints = self._arm.model.joint_names
         if known is None:
-            stated = file_prior(robot, self._arm)
-            self._values, covariance, self._scale = stated.values, stated.covariance.copy(), 1.0
-            self._friction = np.array(
-                [robot.drive_trains[name].coulomb.value for name in self.joints]
-            )
-            own = slice(-FRICTION * count, None)  # nobody knows an offset: none
-            self._values[own] = covariance[own] = covariance[:, own] = 0.0
+            self._take_urdf(robot, len(joints))
         else:
-            self._values, covariance, self._scale = (
-                known.values,
-                known.covariance.copy(),
-                known.torque_scale,
-            )
-            covariance[known.friction, known.friction] += np.diag(known.friction_spread**2)
-            self._friction = np.abs(known.values[known.friction][count : 2 * count])
-        self._covariance = covariance
+            self._take_calibration(robot, len(joints))
         self.limits = np.array([self._limit(robot, name) for name in self.joints])
+
+    def _take_urdf(self, robot: Robot, count: int) -> None:
+        stated = file_prior(robot, self._arm)
+        self._values = stated.values
+        self._covariance = stated.covariance.copy()
+        self._scale = 1.0
+        coulomb = [robot.drive_trains[name].coulomb.value for name in self.joints]
+        self._friction = np.array(coulomb)
+        own = slice(-FRICTION * count, None)  # nobody knows an offset: none
+        self._values[own] = 0.0
+        self._covariance[own] = 0.0
+        self._covariance[:, own] = 0.0
+
+    def _take_calibration(self, robot: Robot, count: int) -> None:
+        known = robot.motion_calibration
+        assert known is not None
+        self._values = known.values
+        self._covariance = known.covariance.copy()
+        self._scale = known.torque_scale
+        self._covariance[known.friction, known.friction] += np.diag(known.friction_spread**2)
+        coulomb = known.values[known.friction][count : 2 * count]
+        self._friction = np.abs(coulomb)
 
     @staticmethod
     def _limit(robot: Robot, name: str) -> float:
+        by_urdf = robot.model.joint(name).effort_limit or np.inf
+        by_current = np.inf
         motor = robot.motors.get(name)
-        constant = robot.drive_trains[name].torque_constant.value
-        by_current = (
-            np.inf
-            if motor is None or motor.current_limit_A <= 0.0
-            else motor.current_limit_A * constant
-        )
-        return float(min(robot.model.joint(name).effort_limit or np.inf, by_current))
+        if motor is not None and motor.current_limit_A > 0.0:
+            by_current = motor.current_limit_A * robot.drive_trains[name].torque_constant.value
+        return float(min(by_urdf, by_current))
 
-    def efforts(
-        self,
-        pose: Mapping[str, float],
-        load: Load,
-    ) -> tuple[FloatArray, FloatArray]:
+    def efforts(self, pose: Mapping[str, float], load: Load) -> tuple[FloatArray, FloatArray]:
         """Torque of each joint that carries arm and load at a pose [rad], and its standard deviation [N m], shape (n,) each.
 
-        Raises `RobotError`: The pose lacks a joint.
+        Raises:
+            RobotError: The pose lacks a joint.
         """
         if lacking := [name for name in self.joints if name not in pose]:
             raise RobotError(f"the pose lacks {', '.join(lacking)}; state all joints")
+        positions = np.array([[pose[name] for name in self.joints]])  # (1, n)
+        columns = gravity_torques(self._arm.model, positions)[0]
+        hand = columns[:, self._arm.body] @ self._arm.from_payload  # (n, 10)
+        per_kg = hand @ point_mass(np.asarray(load.centre_m)) / self._scale  # (n,)
+        design = self._design(columns, hand, load.mass_kg * per_kg)
+        covariance = np.einsum("ij,jk,ik->i", design, self._covariance, design)
+        variance = covariance + (load.std_kg * per_kg) ** 2
+        of_centre = load.mass_kg * CENTRE_STD_M / self._scale * hand[:, 1:4]
+        variance += np.square(of_centre).sum(axis=1)
+        result: FloatArray = design @ self._values + load.mass_kg * per_kg
+        return result, np.sqrt(variance)
+
+    def _design(self, columns: FloatArray, hand: FloatArray, carried: FloatArray) -> FloatArray:
+        """What each of the calibration's values gives to each torque of an arm at rest, shape (n, P).
+
+        Args:
+            columns: Gravity's torques by the bodies' parameters.
+            hand: By the parameters of what the hand holds, shape (n, 10).
+            carried: Torques that the load takes, shape (n,) [N m].
+        """
         count = len(self.joints)
-        columns = gravity_torques(
-            self._arm.model, np.array([[pose[name] for name in self.joints]])
-        )[0]
-        own = np.eye(count)
-        none = np.zeros((count, count))
         bodies = columns.reshape(count, -1)
-        design = np.hstack([bodies, *[none] * (len(self._values) // count - PARAMETERS - 1), own])
-        hand = columns[:, self._arm.body] @ self._arm.from_payload
+        # at rest nothing of the motors but the offset
+        none = [np.zeros((count, count))] * (len(self._values) // count - PARAMETERS - 1)
+        design = np.hstack([bodies, *none, np.eye(count)])
         nothing = np.zeros(0)
         rows = Rows(
             start_s=np.zeros(count),
@@ -140,68 +156,56 @@ class Carrier:
             inertial=nothing,
             torque_rate=nothing,
         )
-        along = hand @ point_mass(np.asarray(load.centre_m)) / self._scale
-        fill_drives(
-            design,
-            self._values,
-            rows,
-            ArmTerms(count),
-            load.mass_kg * along,
-        )
-        variance = (
-            np.einsum("ij,jk,ik->i", design, self._covariance, design) + (load.std_kg * along) ** 2
-        )
-        variance += np.square(load.mass_kg * CENTRE_STD_M / self._scale * hand[:, 1:4]).sum(axis=1)
-        result: FloatArray = design @ self._values + load.mass_kg * along
-        return result, np.sqrt(variance)
+        fill_drives(design, self._values, rows, ArmTerms(count), carried)
+        return design
 
     def _left(self, pose: Mapping[str, float], load: Load) -> FloatArray:
         """Of each joint, relative to its limit; shape (n,)."""
         efforts, stds = self.efforts(pose, load)
         needed = np.abs(efforts) + self._friction + Z95 * stds
         with np.errstate(invalid="ignore"):
-            return np.where(
-                np.isfinite(self.limits),
-                1.0 - needed / self.limits,
-                1.0,
-            )
+            left = 1.0 - needed / self.limits
+        return np.where(np.isfinite(self.limits), left, 1.0)
 
-    def capability(
-        self,
-        poses: Sequence[Mapping[str, float]],
-        load: Load,
-    ) -> Capability:
+    def capability(self, poses: Sequence[Mapping[str, float]], load: Load) -> Capability:
         """Whether the arm can carry a load at all of some poses [rad]; the worst of them decides."""
-        worst = min((self._left(pose, load) for pose in poses), key=lambda left: float(left.min()))
-        least = 0.0
-        most = self._arm.kg
-        for _ in range(30):
-            middle = 0.5 * (least + most)
-            able = (
-                min(
-                    float(self._left(pose, Load(middle, 0.0, load.centre_m)).min())
-                    for pose in poses
-                )
-                >= 0.0
-            )
-            least, most = (middle, most) if able else (least, middle)
-        return Capability(
-            self.joints[int(worst.argmin())],
-            float(worst.min()),
-            least,
-        )
+
+        def least_left(carried: Load) -> FloatArray:
+            """At the worst pose."""
+            all_left = [self._left(pose, carried) for pose in poses]
+            return min(all_left, key=lambda left: float(left.min()))
+
+        worst = least_left(load)
+        able_kg = 0.0
+        unable_kg = self._arm.kg
+        for _ in range(BISECTIONS):
+            middle_kg = 0.5 * (able_kg + unable_kg)
+            if least_left(Load(middle_kg, 0.0, load.centre_m)).min() >= 0.0:
+                able_kg = middle_kg
+            else:
+                unable_kg = middle_kg
+        joint = self.joints[int(worst.argmin())]
+        return Capability(joint, margin=float(worst.min()), most_kg=able_kg)
 
 
-def way(
-    start: Mapping[str, float],
-    goal: Mapping[str, float],
-) -> list[dict[str, float]]:
-    """Poses on the straight way of the joints from one pose to another, which may leave joints where they are [rad]."""
-    shares = np.linspace(0.0, 1.0, WAY_POSES)
+def _turning_joints(robot: Robot) -> list[str]:
+    """Revolute joints with a motor."""
     return [
-        {**start, **{name: (1.0 - s) * start.get(name, to) + s * to for name, to in goal.items()}}
-        for s in shares.tolist()
+        name
+        for name in robot.model.independent_joints
+        if name in robot.drive_trains and robot.model.joint(name).kind != "prismatic"
     ]
+
+
+def way(start: Mapping[str, float], goal: Mapping[str, float]) -> list[dict[str, float]]:
+    """Poses on the straight way of the joints from one pose to another, which may leave joints where they are [rad]."""
+    poses = []
+    for share in np.linspace(0.0, 1.0, WAY_POSES).tolist():
+        pose = dict(start)
+        for name, to in goal.items():
+            pose[name] = (1.0 - share) * start.get(name, to) + share * to
+        poses.append(pose)
+    return poses
 
 
 def capability_entries(found: Capability, load: Load) -> dict[str, object]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
@@ -25,13 +26,22 @@ NO_MOTIONS = f"there is no calibration of motions; {_RECORD}, and give that file
 
 
 def current_A(effort: float, unit: str, effort_per_current: float) -> float:
-    """What flows in a motor by the effort of a joint state."""
-    return (1.0 / effort_per_current if unit == "N.m" else ampere(unit)) * effort
+    """What flows in a motor by the effort of a joint state.
+
+    Args:
+        effort: As the joint state has it, in ``unit``.
+        unit: ``N.m``, ``A``, ``mA`` or ``raw``.
+        effort_per_current: Of the joint, for efforts in N m [N m/A].
+
+    Returns:
+        The current [A].
+    """
+    scale = 1.0 / effort_per_current if unit == "N.m" else ampere(unit)
+    return scale * effort
 
 
 def any_moved(
-    states: Iterable[tuple[Sequence[str], Sequence[float]]],
-    joints: Iterable[str],
+    states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]
 ) -> bool:
     """Whether any of these joints moved, by the names and positions of joint states [rad or m]."""
     seen: dict[str, list[float]] = {name: [] for name in joints}
@@ -39,13 +49,29 @@ def any_moved(
         for name, position in zip(names, positions, strict=False):
             if name in seen and math.isfinite(position):
                 seen[name].append(position)
-    return any(max(at) - min(at) > MOVED_RAD for at in seen.values() if at)
+    spans = [max(places) - min(places) for places in seen.values() if places]
+    return any(span > MOVED_RAD for span in spans)
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """The latest one of a joint."""
+
+    position: float  # [rad or m]
+    current_A: float
+
+    @property
+    def known(self) -> bool:
+        return math.isfinite(self.position) and math.isfinite(self.current_A)
 
 
 class OnlineFeed:
     """Makes a running estimate of joint states as they come, on a robot with a calibration of motions.
 
     Args:
+        probe: What is identified while the arm works.
+        robot: The arm, with a calibration of motions.
+        facts: What the user states of the object.
         stated: Where joints stand, whatever is heard of them [rad or m]; the robot's file says it of those that are not heard.
 
     Attributes:
@@ -55,7 +81,8 @@ class OnlineFeed:
         stall: What flows in motors that a voltage drives; goals and voltage go in there.
         moved: Those of the others that are elsewhere than they count as standing.
 
-    Raises `RobotError`: The calibration is of another arm.
+    Raises:
+        RobotError: The calibration is of another arm.
     """
 
     def __init__(
@@ -67,9 +94,11 @@ class OnlineFeed:
     ) -> None:
         assert robot.motion_calibration is not None
         self._stated = dict(stated or {})
-        self.probe, self._robot, self._facts = probe, robot, facts
+        self.probe = probe
+        self._robot = robot
+        self._facts = facts
         self._per_current = {
-            n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()
+            name: drive.nominal_effort_per_current for name, drive in robot.drive_trains.items()
         }
         self.stall = StallCurrents(robot)
         self.joints = robot.motion_calibration.joints
@@ -77,14 +106,15 @@ class OnlineFeed:
         self._measured = [name for name in self.joints if name not in self.stall.joints]
         self.others = [name for name in robot.model.independent_joints if name not in self.joints]
         self._make({})  # so that a calibration of another arm is refused now
-        self._latest: dict[str, tuple[float, float]] = {}
+        self._latest: dict[str, _Reading] = {}
         self._running: StandingEstimator | None = None
         self._unfed = Stretch(math.inf, 0.0)
-        here = {
-            name: at for name, at in {**robot.held, **self._stated}.items() if name in self.others
-        }
-        self._held = {**zero_pose(self._robot, self.others), **here}
-        self.waits_for, self.samples = "", 0
+        self._held = zero_pose(self._robot, self.others)
+        for name, position in {**robot.held, **self._stated}.items():
+            if name in self._held:
+                self._held[name] = position
+        self.waits_for = ""
+        self.samples = 0
         self.moved: set[str] = set()
 
     def _make(self, held: dict[str, float]) -> StandingEstimator:
@@ -102,15 +132,13 @@ class OnlineFeed:
     @property
     def about(self) -> str:
         """What a user should know of it, as a sentence without its end."""
-        stand = (
-            f"; {', '.join(self.others)} counts as standing where it first stood"
-            if self.others
-            else ""
-        )
-        takes = (
-            "measured effort of the joint states alone" if self._measured else "goals and positions"
-        )
-        return f"the running estimate takes {takes}{stand}"
+        takes = "goals and positions"
+        if self._measured:
+            takes = "measured effort of the joint states alone"
+        words = f"the running estimate takes {takes}"
+        if not self.others:
+            return words
+        return f"{words}; {', '.join(self.others)} counts as standing where it first stood"
 
     @property
     def warning(self) -> str:
@@ -128,90 +156,98 @@ class OnlineFeed:
         effort: Sequence[float],
         unit: str,
     ) -> OnlineEstimate | None:
-        """One joint state, of some or all joints, and the estimate, where there is a new one.
+        """Take one joint state, of some or all joints.
 
-        Positions are in rad or m; the unit of efforts is ``N.m``, ``A``, ``mA`` or ``raw``, and empty where nobody says it.
+        Args:
+            time_s: Its stamp [s].
+            names: Joints, shape (J,).
+            position: Of these, shape (J,) [rad or m].
+            effort: Of these, or of the first of them, shape (J,) at most, in ``unit``.
+            unit: Of efforts: ``N.m``, ``A``, ``mA`` or ``raw``; empty where nobody says it.
+
+        Returns:
+            The estimate, where there is a new one.
         """
-        heard = {name: at for name, at in zip(names, position, strict=False) if math.isfinite(at)}
-        others = {
-            name: at
-            for name, at in heard.items()
-            if name in self._held and name not in self._stated
-        }
-        if self._running is None:
-            self._held |= others
-        self.moved |= {
-            name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD
-        }
+        self._note_others(names, position)
         if self._measured:
-            mine = {name: number for number, name in enumerate(names) if name in self._measured}
-            self.waits_for = _why_not(mine, effort, unit) or self.waits_for
+            self.waits_for = self._why_no_effort(names, effort, unit) or self.waits_for
             if not unit:
                 return None
-        for name, at, said in zip_longest(
-            names, position, effort[: len(names)], fillvalue=math.nan
-        ):
+        self._read(time_s, names, position, effort, unit)
+        absent = [name for name in self.joints if name not in self._latest]
+        if absent and not self.waits_for:
+            self.waits_for = f"no joint states of {', '.join(absent)} are coming"
+        if absent or self.joints[0] not in names:
+            return None
+        return self._estimated(time_s)
+
+    def _note_others(self, names: Sequence[str], position: Sequence[float]) -> None:
+        """Where joints that count as standing are, and which of them moved."""
+        for name, at in zip(names, position, strict=False):
+            if name not in self._held or name in self._stated or not math.isfinite(at):
+                continue
+            if self._running is None:
+                self._held[name] = at
+            if abs(at - self._held[name]) > MOVED_RAD:
+                self.moved.add(name)
+
+    def _why_no_effort(self, names: Sequence[str], effort: Sequence[float], unit: str) -> str:
+        """Why the effort of a joint state says nothing, or an empty string."""
+        if not unit:
+            return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
+        efforts = dict(zip_longest(names, effort[: len(names)], fillvalue=math.nan))
+        without = [
+            name
+            for name, value in efforts.items()
+            if name in self._measured and not math.isfinite(value)
+        ]
+        if not without:
+            return ""
+        none = f"the joint states carry no measured effort of {', '.join(without)}"
+        remedy = "have the driver publish what it measures"
+        return f"{none}, and what is commanded does not count: {remedy}"
+
+    def _read(
+        self,
+        time_s: float,
+        names: Sequence[str],
+        position: Sequence[float],
+        effort: Sequence[float],
+        unit: str,
+    ) -> None:
+        """Where each joint with a motor is, and what flows in its motor."""
+        efforts = effort[: len(names)]
+        for name, at, value in zip_longest(names, position, efforts, fillvalue=math.nan):
             if name in self.stall.joints:
-                self._latest[name] = (
-                    at,
-                    self.stall.current_A(
-                        name,
-                        time_s,
-                        at,
-                        said,
-                    ),
-                )
-                if math.isnan(self._latest[name][1]) and name in self.joints:
-                    self.waits_for = (
-                        f"nobody says where {name} is sent: publish goals on joint_command, "
-                        "stamped as joint states are"
-                    )
+                current = self.stall.current_A(name, time_s, at, value)
+                if math.isnan(current) and name in self.joints:
+                    remedy = "publish goals on joint_command, stamped as joint states are"
+                    self.waits_for = f"nobody says where {name} is sent: {remedy}"
+                self._latest[name] = _Reading(at, current)
             elif name in self._per_current:
-                self._latest[name] = at, current_A(said, unit, self._per_current[name])
-        if absent := [name for name in self.joints if name not in self._latest]:
-            self.waits_for = self.waits_for or f"no joint states of {', '.join(absent)} are coming"
-            return None
-        if self.joints[0] not in names:
-            return None
+                current = current_A(value, unit, self._per_current[name])
+                self._latest[name] = _Reading(at, current)
+
+    def _estimated(self, time_s: float) -> OnlineEstimate | None:
+        """Hand the latest readings of all joints of the calibration to the estimate; a new one, where there is one."""
         if self._running is None:
             self._running = self._make(self._held)
-        rows = [self._latest[name] for name in self.joints]
-        works = self.stall.works(time_s)
+        readings = [self._latest[name] for name in self.joints]
         new = self._running.add(
             time_s,
-            [row[0] for row in rows],
-            [row[1] for row in rows],
-            works,
+            [each.position for each in readings],
+            [each.current_A for each in readings],
+            self.stall.works(time_s),
         )
         if self._running.frozen:
             self.waits_for = "joint states say the same again and again of an arm that was moving: their publisher stalls"
-        elif all(math.isfinite(value) for row in rows for value in row):
-            self.waits_for, self.samples = "", self.samples + 1
+        elif all(each.known for each in readings):
+            self.waits_for = ""
+            self.samples += 1
         return self._running.estimate() if new else None
 
 
-def _why_not(
-    mine: Mapping[str, int],
-    effort: Sequence[float],
-    unit: str,
-) -> str:
-    """Why the effort of a joint state says nothing, or an empty string; ``mine``: the place of each joint that matters."""
-    if not unit:
-        return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
-    without = [
-        name for name, at in mine.items() if at >= len(effort) or not math.isfinite(effort[at])
-    ]
-    if not without:
-        return ""
-    none = f"the joint states carry no measured effort of {', '.join(without)}, and what is commanded does not count"
-    return f"{none}: have the driver publish what it measures"
-
-
-def online_entries(
-    feed: OnlineFeed,
-    estimate: OnlineEstimate,
-    behind_s: float,
-) -> dict[str, Any]:
+def online_entries(feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float) -> dict[str, Any]:
     """Keys and values of a diagnostics message.
 
     Args:
@@ -219,12 +255,13 @@ def online_entries(
         estimate: What the hand holds.
         behind_s: How long ago the newest sample was sent that it rests on [s].
 
-    Returns: As `~/estimate` has them.
+    Returns:
+        As `~/estimate` has them.
     """
     name, unit = feed.probe.answer
-    at_rest_s = (
-        0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s
-    )
+    at_rest_s = 0.0
+    if estimate.resting_since_s is not None:
+        at_rest_s = estimate.time_s - estimate.resting_since_s
     return {
         "probe": feed.probe.name,
         "running": True,
@@ -272,4 +309,4 @@ def online_words(estimate: OnlineEstimate) -> str:
         spec=spec_for("kg", estimate.std_kg),
         between=" +- ",
     )
-    return f"running: {f'changed just now: {words}' if estimate.changed else words}"
+    return f"running: changed just now: {words}" if estimate.changed else f"running: {words}"

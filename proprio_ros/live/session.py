@@ -47,18 +47,18 @@ _RECORD = struct.Struct("<qHHI")  # time [ns], and lengths of topic, type and da
 
 
 class Session:
-    """The messages of one calibration, in a folder of its own below a root, whose name says when it began and of what ``kind``.
+    """The messages of one calibration, in a folder of its own, whose name says when it began and of what kind it is.
 
     Each is written as it comes, so that a process that is killed loses none (see `recover`), and becomes part of the bag at the
     end: the index of an MCAP file is written last.
+
+    Args:
+        root: Folder below which it is.
+        kind: What is recorded, as part of the folder's name.
+        now: When it began; None: now.
     """
 
-    def __init__(
-        self,
-        root: Path,
-        kind: str,
-        now: datetime | None = None,
-    ) -> None:
+    def __init__(self, root: Path, kind: str, now: datetime | None = None) -> None:
         stamp = (now or datetime.now(timezone.utc)).strftime("%Y%m%d_%H%M%S_%f")[:-3]
         self.name = f"{stamp}_{kind}"
         self.folder = root / self.name
@@ -81,28 +81,32 @@ class Session:
             self.discard()
             raise unwritable(self.folder.parent, error) from error
 
-    def add(
-        self,
-        topic: str,
-        msgtype: str,
-        time_ns: int,
-        data: bytes,
-    ) -> None:
-        """Keep one message; from any thread."""
+    def add(self, topic: str, msgtype: str, time_ns: int, data: bytes) -> None:
+        """Keep one message; from any thread.
+
+        Args:
+            topic: On which it came.
+            msgtype: Its type, as ``sensor_msgs/msg/JointState``.
+            time_ns: When it came [ns].
+            data: The message, serialized.
+        """
         with self._lock:
             self._messages.append(RawMessage(topic, msgtype, time_ns, data))
             if self._journal is not None:
-                names = [topic.encode(), msgtype.encode()]
-                record = _RECORD.pack(time_ns, *map(len, names), len(data)) + b"".join(
-                    [*names, data]
-                )
-                try:
-                    complete = self._journal.write(record) == len(record)
-                except OSError:
-                    complete = False
-                if not complete:  # a full disk: `save` finds another place, and says so
-                    self._journal.close()
-                    self._journal = None
+                self._write(self._journal, topic.encode(), msgtype.encode(), time_ns, data)
+
+    def _write(
+        self, journal: BinaryIO, topic: bytes, msgtype: bytes, time_ns: int, data: bytes
+    ) -> None:
+        head = _RECORD.pack(time_ns, len(topic), len(msgtype), len(data))
+        record = head + topic + msgtype + data
+        try:
+            complete = journal.write(record) == len(record)
+        except OSError:
+            complete = False
+        if not complete:  # a full disk: `save` finds another place, and says so
+            journal.close()
+            self._journal = None
 
     def __len__(self) -> int:
         return len(self._messages)
@@ -133,18 +137,19 @@ class Session:
                 problem = problem or str(error)
                 continue
             self.discard()
-            self.folder, self.bag = folder, folder / "bag"
-            return (
-                self.bag,
-                f"the recording is in {folder}, because of this: {problem}" if problem else "",
-            )
+            self.folder = folder
+            self.bag = folder / "bag"
+            if problem:
+                problem = f"the recording is in {folder}, because of this: {problem}"
+            return self.bag, problem
         cure = "free some room; it is kept in memory meanwhile"
         raise RecordingError(f"the recording can be written nowhere ({problem}): {cure}")
 
     def discard(self) -> None:
         """Take away what was written as it came, and the folder where nothing else is in it."""
         with self._lock:
-            journal, self._journal = self._journal, None
+            journal = self._journal
+            self._journal = None
         if journal is not None:
             journal.close()
         with contextlib.suppress(OSError):
@@ -220,19 +225,22 @@ def prepare_identification(options: Options) -> None:
     compile_kernels(rises=robot_of(options).friction_rises)
 
 
-def settings_for(
-    probe: Probe[Any],
-    settings: Mapping[str, Any],
-) -> dict[str, Any]:
+def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
     """What concerns a probe; what is stated about another probe's object is left out."""
-    foreign = tuple(
-        start for other in all_probes() if other.name != probe.name for start in other.keys
-    )
-    return {
-        key: value
-        for key, value in settings.items()
-        if key == "payload.frame" or not key.startswith(foreign)
-    }
+    foreign: tuple[str, ...] = ()
+    for other in all_probes():
+        if other.name != probe.name:
+            foreign += tuple(other.keys)
+
+    def concerns(key: str) -> bool:
+        return key == "payload.frame" or not key.startswith(foreign)
+
+    return {key: value for key, value in settings.items() if concerns(key)}
+
+
+def _concerned(probe: Probe[Any], settings: Settings) -> bool:
+    """Whether a setting is about a probe's object."""
+    return any(key.startswith(probe.keys) for key in settings.left)
 
 
 def check_settings(options: Options) -> None:
@@ -244,11 +252,7 @@ def check_settings(options: Options) -> None:
     def take(settings: Settings) -> None:
         settings.take_prefix("solver.")
         # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
-        concerned = [
-            probe
-            for probe in all_probes()
-            if any(key.startswith(probe.keys) for key in settings.left)
-        ]
+        concerned = [probe for probe in all_probes() if _concerned(probe, settings)]
         for probe in concerned:
             facts = probe.facts(settings)
             if isinstance(probe, Guards):
@@ -271,9 +275,10 @@ def live_request(options: Options) -> Request:
 
 def baseline_runs(request: Request) -> list[Run]:
     """The runs of the baseline, as the identification of the object will read them. Raises `RecordingError`: One cannot be read."""
-    return [
-        run for path in paths_of(request.options.baseline) for run in bag_runs(Path(path), request)
-    ]
+    runs: list[Run] = []
+    for path in paths_of(request.options.baseline):
+        runs += bag_runs(Path(path), request)
+    return runs
 
 
 def baseline_options(request: Request) -> Options:
@@ -301,9 +306,11 @@ def check_input(
         messages: Some tenths of a second of all topics.
         request: With which the recording will be identified; its robot should be in them.
 
-    Returns: The repairs that reading it takes, one sentence each.
+    Returns:
+        The repairs that reading it takes, one sentence each.
 
-    Raises `RecordingError`: The folder cannot be written, or the messages cannot be read, or are of another robot.
+    Raises:
+        RecordingError: The folder cannot be written, or the messages cannot be read, or are of another robot.
     """
     bag = folder / "check"
     try:
@@ -351,12 +358,17 @@ def as_parameters(sentence: str) -> str:
 def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
     """Write `estimate.json` beside a bag: the result, and the command that gives it again.
 
-    Raises `ConfigurationError`: It cannot be written.
+    Args:
+        bag: The recording.
+        estimate: What it says.
+        command: The command line that gives the same numbers again.
+
+    Raises:
+        ConfigurationError: It cannot be written.
     """
     content = {**estimate.as_json(), "command": command}
-    write_in_one_step(
-        bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result"
-    )
+    text = json.dumps(content, indent=1) + "\n"
+    write_in_one_step(bag.parent / "estimate.json", text, "the result")
 
 
 def replay_command(bag: Path, options: Options) -> str:
@@ -394,13 +406,14 @@ class LiveEstimate:
             self._newest_ns: dict[tuple[str, ...], int] = {}
             self._weighed = 0
 
-    def add_state(
-        self,
-        stamp_ns: int,
-        names: Sequence[str],
-        position: Sequence[float],
-    ) -> None:
-        """One joint state, of some or all joints; others than the robot's, and what is no number, are passed over."""
+    def add_state(self, stamp_ns: int, names: Sequence[str], position: Sequence[float]) -> None:
+        """Take one joint state, of some or all joints; others than the robot's, and what is no number, are passed over.
+
+        Args:
+            stamp_ns: Its stamp [ns].
+            names: Joints, shape (J,).
+            position: Of these, shape (J,) [rad or m].
+        """
         row = self._row(names, position)
         with self._lock:
             key = tuple(names)  # arm and gripper may come from two publishers, each with a clock
@@ -408,17 +421,18 @@ class LiveEstimate:
                 self._newest_ns[key] = stamp_ns
                 self._states.append((stamp_ns, row))
 
-    def add_input(
-        self,
-        stamp_ns: int,
-        names: Sequence[str],
-        effort: Sequence[float],
-    ) -> None:
-        """One applied effort [N m or N]."""
+    def add_input(self, stamp_ns: int, names: Sequence[str], effort: Sequence[float]) -> None:
+        """Take one applied effort.
+
+        Args:
+            stamp_ns: Its stamp [ns].
+            names: Joints, shape (J,).
+            effort: Of these, shape (J,) [N m or N].
+        """
         drives = self._request.robot.drive_trains
         row = {
-            name: e / drives[name].nominal_effort_per_current
-            for name, e in self._row(names, effort).items()
+            name: value / drives[name].nominal_effort_per_current
+            for name, value in self._row(names, effort).items()
         }
         with self._lock:
             if row and (not self._inputs or stamp_ns > self._inputs[-1][0]):
@@ -431,15 +445,11 @@ class LiveEstimate:
             if not self._commands or time_ns > self._commands[-1][0]:
                 self._commands.append((time_ns, row))
 
-    def _row(
-        self,
-        names: Sequence[str],
-        values: Sequence[float],
-    ) -> dict[str, float]:
-        known = self._request.robot.drive_trains
-        row = {
-            name: float(value) for name, value in zip(names, values, strict=False) if name in known
-        }
+    def _row(self, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+        row = {}
+        for name, value in zip(names, values, strict=False):
+            if name in self._request.robot.drive_trains:
+                row[name] = float(value)
         return {name: value for name, value in row.items() if math.isfinite(value)}
 
     def position(self) -> dict[str, float]:
@@ -460,35 +470,34 @@ class LiveEstimate:
         drives = self.joints
         current = np.array([[row.get(name, 0.0) for name in drives] for _, row in inputs])
         driven = {name for name, column in zip(drives, current.T, strict=True) if column.any()}
-        # as from a bag: a row for each message that has the driven joints; what others report in between is held
-        latest = dict(item for _, row in reversed(states) for item in row.items())
-        names = tuple(name for name in drives if name in latest)
-        rows: dict[int, list[float]] = {}
-        for stamp_ns, row in states:
-            latest |= row
-            if driven <= row.keys() and stamp_ns > next(reversed(rows), -1):
-                rows[stamp_ns] = [latest[name] for name in names]
         try:
-            record = JointRecord(
-                np.array(list(rows)),
-                names,
-                np.array(list(rows.values())).reshape(
-                    -1,
-                    len(names),
-                ),
-            )
+            record = self._joint_record(states, driven)
             topic = "/applied_effort" if applied else "/current_command"
-            source = InputRecord(
-                np.array([time_ns for time_ns, _ in inputs]), drives, current, topic
-            )
-            return cut_runs(
-                Recording("live", record, source),
-                held=standing(self._request, names),
-                joints=drives,
-            )
+            times_ns = np.array([time_ns for time_ns, _ in inputs])
+            source = InputRecord(times_ns, drives, current, topic)
+            held = standing(self._request, record.names)
+            return cut_runs(Recording("live", record, source), held=held, joints=drives)
         except ProprioError:
             # not enough yet; what is wrong for good is reported by the identification of the bag
             return ()
+
+    def _joint_record(
+        self, states: Sequence[tuple[int, dict[str, float]]], driven: set[str]
+    ) -> JointRecord:
+        """As from a bag: a row for each message that has the driven joints; what others report in between is held."""
+        latest: dict[str, float] = {}
+        for _, row in reversed(states):
+            latest |= row
+        names = tuple(name for name in self.joints if name in latest)
+        rows: dict[int, list[float]] = {}
+        newest_ns = -1
+        for stamp_ns, row in states:
+            latest |= row
+            if driven <= row.keys() and stamp_ns > newest_ns:
+                rows[stamp_ns] = [latest[name] for name in names]
+                newest_ns = stamp_ns
+        positions = np.array(list(rows.values())).reshape(-1, len(names))  # (T, J)
+        return JointRecord(np.array(list(rows)), names, positions)
 
     def estimate(self) -> Estimate | None:
         """The estimate of all runs so far; None before there is one, or when nothing new came."""

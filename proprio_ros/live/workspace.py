@@ -103,12 +103,10 @@ class Workspace:
 
     def _driven(self, path: Path | None) -> set[str]:
         """Joints of which a calibration knows what a current does; none where it cannot be used any more."""
+        if path is None:
+            return set()
         try:
-            learnt = (
-                None
-                if path is None
-                else robot_of(Options(robot=self.robot, calibration=path)).calibration
-            )
+            learnt = robot_of(Options(robot=self.robot, calibration=path)).calibration
         except RobotError:
             return set()
         return set() if learnt is None else set(learnt.driven)
