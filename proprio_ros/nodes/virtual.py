@@ -24,8 +24,8 @@ from proprio_ros.nodes.process import run_node
 from proprio_ros.nodes.qos import FROM_MANY, LATCHED, STREAM
 from proprio_ros.probes import virtual_object, virtual_objects
 from proprio_ros.recordings.description import robot_named
-from proprio_ros.virtual.arm import import_mujoco
 from proprio_ros.virtual.effort_driver import UNITS, EffortDriver, PositionDriver
+from proprio_ros.virtual.model import import_mujoco
 from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth

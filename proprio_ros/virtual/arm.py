@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -21,15 +20,11 @@ from proprio_ros.errors import ConfigurationError, SimulationError
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Joint, Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.virtual.objects import HandObject, set_inertia
-from proprio_ros.virtual.truth import LinkTruth, Truth
+from proprio_ros.virtual.model import ArmModel
+from proprio_ros.virtual.objects import HandObject
+from proprio_ros.virtual.truth import Truth
 
 LONGEST_SUBSTEP_S = 0.0005
-STICKING_SOLREF = (0.001, 1.0)
-STICKING_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""MuJoCo's constraints are soft: with these a stuck joint creeps at 1e-4 of its acceleration times half a millisecond."""
-SOLVER_TOLERANCE = 1e-14
-LIMIT_SOLREF = (0.004, 1.0)
 
 
 class VirtualArm:
@@ -38,7 +33,9 @@ class VirtualArm:
     Attributes:
         joints: The driven joints, in the order of the robot file; the columns of all arrays.
         object: What the hand holds; None is nothing.
-        mujoco, model, data: MuJoCo's module, and the arm with its object in it.
+        mujoco: MuJoCo's module.
+        model: The arm with its object in it.
+        data: State of `model`.
         finger: Degree of freedom of the driven joint that slides; None: there is none.
         fingers: How many slide with it, itself among them.
         grip_m: Where it was when the object was put into the hand.
@@ -53,9 +50,14 @@ class VirtualArm:
         seed: int = 0,
         control_period_s: float = 0.001,
     ) -> None:
-        """Build the arm at rest; the seed is of the encoder noise, and a `step` advances by the control period.
+        """Build the arm at rest.
 
-        True joint positions at the start [rad or m] are 0, or the limit next to it, where none is given.
+        Args:
+            robot: The arm as its file states it.
+            truth: What it is really like.
+            position: True joint positions at the start; where none is given, 0 or the limit next to it [rad or m].
+            seed: Of the encoder noise.
+            control_period_s: By so much a `step` advances [s].
 
         Raises:
             ConfigurationError: MuJoCo is missing or refuses the robot, the truth is of another robot, or a position lies
@@ -78,11 +80,12 @@ class VirtualArm:
         self._substeps = math.ceil(control_period_s / LONGEST_SUBSTEP_S - 1e-9)
         self._substep_s = control_period_s / self._substeps
 
+        joints = [truth.joints[name] for name in self.joints]
+
         def columns(*terms: str) -> FloatArray:
-            return np.array(
-                [[getattr(truth.joints[name], term) for name in self.joints] for term in terms],
-                float,
-            )
+            """A row for each term, a column for each joint."""
+            rows = [[getattr(joint, term) for joint in joints] for term in terms]
+            return np.array(rows, float)
 
         self._transmission = np.array(
             [robot.drive_trains[name].transmission for name in self.joints]
@@ -92,14 +95,16 @@ class VirtualArm:
             "zero_rad", "once_per_turn_sin_rad", "once_per_turn_cos_rad", "encoder_noise_rad"
         ).T
         # as plain numbers: arrays of a few joints take longer to begin with than to compute
-        self._drives, self._encoders = drives.tolist(), encoders.tolist()
+        self._drives = drives.tolist()
+        self._encoders = encoders.tolist()
         self._drawn: list[list[float]] = []
         self._stribeck, self._stribeck_velocity = columns("stribeck", "stribeck_velocity")
         self._rises = bool(self._stribeck.any())
         self._velocity_before = np.zeros(len(self.joints))  # of the shafts, one substep ago
         self.grip_m = 0.0
 
-        self.mujoco = import_mujoco()
+        self._models = ArmModel(robot, truth, self._substep_s)
+        self.mujoco = self._models.mujoco
         self._build(None)
         self.set_position(zero_pose(robot) | dict(position or {}))
 
@@ -247,122 +252,35 @@ class VirtualArm:
                 places[int(self.model.joint(joint.name).qposadr[0])] = position(joint)
 
     def _build(self, held: HandObject | None) -> None:
-        """Compile the model with what the hand holds; the arm is at zero then."""
-        mujoco = self.mujoco
-        robot = self.robot
-        spec = mujoco.MjSpec()
-        spec.compiler.degree = False
-        spec.option.timestep = self._substep_s
-        # second order and more: a first-order method would be half a step ahead of the true motion
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        spec.option.gravity = robot.gravity
-        # the default counts relative to the mean inertia, which a geared slide of 90 kg makes large: joints would stick
-        spec.option.tolerance = SOLVER_TOLERANCE
-        # an arm that diverged must not silently begin anew at zero; to look for joints that press on nothing costs a tenth
-        spec.option.disableflags = int(
-            mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
-        )
-        links = {link.name: link for link in robot.model.links}
-        bodies = {robot.model.root: spec.worldbody.add_body(name=robot.model.root)}
-        for joint in robot.model.joints:
-            body = bodies[joint.parent].add_body(
-                name=joint.child,
-                pos=joint.origin[:3, 3],
-            )
-            mujoco.mju_mat2Quat(
-                body.quat,
-                np.ascontiguousarray(joint.origin[:3, :3]).ravel(),
-            )
-            bodies[joint.child] = body
-            self._add_inertia(
-                body,
-                links[joint.child].pseudo_inertia,
-                self.truth.links.get(joint.child, LinkTruth()),
-            )
-            if joint.kind != "fixed":
-                self._add_joint(spec, body, joint)
-        if held is not None:
-            held.build(mujoco, spec, bodies[robot.payload_frame])
-        try:
-            model = spec.compile()
-        except ValueError as error:
-            raise ConfigurationError(
-                f"{robot.name}: MuJoCo refuses it ({' '.join(str(error).split())}); correct the URDF or the object"
-            ) from error
-        self.model, self.data, self.object = model, mujoco.MjData(model), held
+        """Take a model with what the hand holds; the arm is at zero then."""
+        self.model = self._models.compiled(held)
+        self.data = self.mujoco.MjData(self.model)
+        self.object = held
         # the memory itself: asking for it takes as long as using it
-        self._qpos, self._qvel = self.data.qpos, self.data.qvel
-        self._force, self._friction = self.data.qfrc_applied, model.dof_frictionloss
+        self._qpos = self.data.qpos
+        self._qvel = self.data.qvel
+        self._force = self.data.qfrc_applied
+        self._friction = self.model.dof_frictionloss
+        self._look_up_places()
 
+    def _look_up_places(self) -> None:
+        """Where the joints are in the model's arrays: what hangs in the hand has joints of its own among the arm's."""
+        robot = self.robot
         moving = [joint for joint in robot.model.joints if joint.kind != "fixed"]
-        made = {joint.name: model.joint(joint.name) for joint in moving}
+        made = {joint.name: self.model.joint(joint.name) for joint in moving}
         places = {name: int(one.qposadr[0]) for name, one in made.items()}
         dofs = {name: int(one.dofadr[0]) for name, one in made.items()}
         self._place_of = {joint.name: places[joint.name] for joint in moving if not joint.mimic}
         self._places = np.array([places[name] for name in self.joints])
         self._dofs = np.array([dofs[name] for name in self.joints])
+        transmission = self._transmission.tolist()
         self._rows = list(
-            zip(
-                self._places.tolist(), self._dofs.tolist(), self._transmission.tolist(), strict=True
-            )
+            zip(self._places.tolist(), self._dofs.tolist(), transmission, strict=True)
         )
-        self._arm_places, self._arm_dofs = (
-            np.array(list(places.values())),
-            np.array(list(dofs.values())),
-        )
+        self._arm_places = np.array(list(places.values()))
+        self._arm_dofs = np.array(list(dofs.values()))
         slides = [name for name in self.joints if robot.model.joint(name).kind == "prismatic"]
         self._finger_joint = slides[0] if slides else ""
         self.finger = dofs[slides[0]] if slides else None
-        self.fingers = 1 + sum(
-            joint.mimic is not None and joint.mimic[0] == self._finger_joint for joint in moving
-        )
-
-    def _add_inertia(self, body: Any, pseudo: FloatArray, departure: LinkTruth) -> None:
-        mass = float(pseudo[3, 3])
-        if mass <= 0.0:
-            return
-        com = pseudo[:3, 3] / mass
-        second = pseudo[:3, :3] - mass * np.outer(com, com)
-        inertia = np.trace(second) * np.eye(3) - second
-        scale = self.truth.arm_scale * (1.0 + departure.mass)
-        inertia *= scale * (1.0 + departure.inertia)
-        six = (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2])
-        set_inertia(body, scale * mass, com + departure.com_m, six)
-
-    def _add_joint(self, spec: Any, body: Any, joint: Joint) -> None:
-        mujoco = self.mujoco
-        slides = joint.kind == "prismatic"
-        kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
-        made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
-        made.solref_friction, made.solimp_friction = STICKING_SOLREF, STICKING_SOLIMP
-        if joint.mimic is not None:
-            source, multiplier, offset = joint.mimic
-            tie = spec.add_equality(
-                type=mujoco.mjtEq.mjEQ_JOINT,
-                name1=joint.name,
-                name2=source,
-            )
-            tie.objtype = mujoco.mjtObj.mjOBJ_JOINT
-            tie.data[:5] = (offset, multiplier, 0.0, 0.0, 0.0)
-            tie.solref, tie.solimp = STICKING_SOLREF, STICKING_SOLIMP
-            return
-        made.limited = math.isfinite(joint.lower) and math.isfinite(joint.upper)
-        if made.limited:
-            made.range = (joint.lower, joint.upper)
-        made.solref_limit = LIMIT_SOLREF
-        if joint.name in self.truth.joints:
-            drive = self.truth.joints[joint.name]
-            transmission = self.robot.drive_trains[joint.name].transmission
-            made.armature = drive.armature / transmission**2
-            made.damping[0] = drive.viscous / transmission**2
-
-
-def import_mujoco() -> Any:
-    """MuJoCo's module. Raises `ConfigurationError`: It is not installed."""
-    try:
-        import mujoco
-    except ImportError as error:
-        raise ConfigurationError(
-            "a virtual arm needs MuJoCo: install the extra sim, e.g. proprio_ros[sim]"
-        ) from error
-    return mujoco
+        followers = [joint.mimic[0] for joint in moving if joint.mimic is not None]
+        self.fingers = 1 + followers.count(self._finger_joint)

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.quantity import Quantity
 from proprio_ros.robot import DriveTrain, Robot
 
-ALIKE, OFF_TOGETHER = 0.03, 0.3
+ALIKE = 0.03
+OFF_TOGETHER = 0.3
 """Torque constants of servos of one type, in one arm, differ by the first from each other; and all together from the robot file by
 that share of what it leaves open, which allows for other gears and supplies, too."""
 # from a command on the bus to the motor's torque
@@ -85,70 +87,24 @@ class Truth:
         stuck for good. Everything else is normal, and cut off where it would make no sense. Where voltages drive the
         motors, an arm's torque constants are off together by 0.3 of what the file leaves open, and each by 3 % more.
 
-        The same seed gives the same motors, whether or not masses, centres and inertias of links and the scale of all
-        depart from the URDF (``links``), and dry friction is greater at rest (``stribeck``).
+        Args:
+            robot: The arm as its file states it.
+            seed: The same seed gives the same motors, whatever else is drawn.
+            links: Whether masses, centres and inertias of links, and the scale of all, depart from the URDF.
+            stribeck: Whether dry friction is greater at rest.
+
+        Returns:
+            The hidden numbers.
         """
-        motors, bodies, excess = (np.random.default_rng((seed, part)) for part in range(3))
-        together = float(np.random.default_rng((seed, 3)).normal())
-        joints = {}
-        for name, drive in robot.drive_trains.items():
-
-            def friction(
-                term: str,
-                low: float,
-                high: float,
-                drive: DriveTrain = drive,
-            ) -> float:
-                quantity = getattr(drive, term)
-                if quantity.value > 0.0:
-                    return max(float(motors.normal(quantity.value, quantity.std)), 0.0)
-                return float(motors.uniform(low, high)) * float(quantity.std)
-
-            constant = drive.torque_constant
-            armature = drive.armature
-            excess_part = abs(float(excess.normal(drive.stribeck.value, drive.stribeck.std)))
-            excess_velocity = float(
-                excess.normal(drive.stribeck_velocity.value, drive.stribeck_velocity.std)
-            )
-            mean = constant.value
-            std = constant.std
-            if drive.driven_by is not None:
-                mean, std = max(mean + OFF_TOGETHER * together * std, 0.5 * mean), ALIKE * mean
-            joints[name] = JointTruth(
-                torque_constant=max(
-                    float(motors.normal(mean, std)),
-                    0.5 * constant.value,
-                ),
-                coulomb=friction("coulomb", 0.3, 0.9),
-                viscous=friction("viscous", 0.1, 0.6),
-                load_friction=friction("load_friction", 0.0, 0.6),
-                armature=max(
-                    float(motors.normal(armature.value, armature.std)), 0.4 * armature.value
-                ),
-                zero_rad=float(motors.normal(drive.zero.value, drive.zero.std)),
-                stribeck=excess_part if stribeck else 0.0,
-                stribeck_velocity=max(excess_velocity, 0.3 * drive.stribeck_velocity.value),
-                once_per_turn_sin_rad=float(motors.normal(0.0, drive.encoder_once_per_turn)),
-                once_per_turn_cos_rad=float(motors.normal(0.0, drive.encoder_once_per_turn)),
-                encoder_noise_rad=drive.encoder_noise,
-            )
-        latency_s = float(motors.uniform(FASTEST_LATENCY_S, SLOWEST_LATENCY_S))
+        draw = _Draw(robot, seed)
+        joints = {
+            name: draw.joint(drive, stribeck=stribeck) for name, drive in robot.drive_trains.items()
+        }
+        latency_s = float(draw.motors.uniform(FASTEST_LATENCY_S, SLOWEST_LATENCY_S))
         if not links:
             return cls(joints, latency_s, robot.arm_scale.value)
-        scale = max(
-            float(bodies.normal(robot.arm_scale.value, robot.arm_scale.std)),
-            0.5,
-        )
-        departures = {}
-        for link in robot.model.links:
-            if link.pseudo_inertia[3, 3] > 0.0:
-                x, y, z = (float(shift) for shift in bodies.normal(0.0, robot.link_com_std, 3))
-                departures[link.name] = LinkTruth(
-                    mass=max(float(bodies.normal(0.0, robot.link_mass_std)), -0.5),
-                    com_m=(x, y, z),
-                    inertia=max(float(bodies.normal(0.0, robot.link_inertia_std)), -0.5),
-                )
-        return cls(joints, latency_s, scale, departures)
+        scale = float(draw.bodies.normal(robot.arm_scale.value, robot.arm_scale.std))
+        return cls(joints, latency_s, max(scale, 0.5), draw.links())
 
     def as_json(self) -> str:
         """As the text of a JSON file."""
@@ -160,10 +116,10 @@ class Truth:
         try:
             given: dict[str, Any] = json.loads(text)
             joints = {name: JointTruth(**values) for name, values in given.pop("joints").items()}
-            links = {
-                name: LinkTruth(**{**values, "com_m": tuple(values["com_m"])})
-                for name, values in given.pop("links", {}).items()
-            }
+            links = {}
+            for name, values in given.pop("links", {}).items():
+                centre = tuple(values["com_m"])
+                links[name] = LinkTruth(**{**values, "com_m": centre})
             return cls(joints=joints, links=links, **given)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ConfigurationError(
@@ -180,3 +136,65 @@ _TERMS = (
     "stribeck",
     "stribeck_velocity",
 )
+
+
+class _Draw:
+    """Draws of one robot, from streams that do not depend on what else is drawn."""
+
+    def __init__(self, robot: Robot, seed: int) -> None:
+        self._robot = robot
+        self.motors = np.random.default_rng((seed, 0))
+        self.bodies = np.random.default_rng((seed, 1))
+        self._excess = np.random.default_rng((seed, 2))
+        # by how much all torque constants are off, in standard deviations
+        self._together = float(np.random.default_rng((seed, 3)).normal())
+
+    def joint(self, drive: DriveTrain, *, stribeck: bool) -> JointTruth:
+        """One motor; the order of the draws is part of what a seed means."""
+        excess = abs(float(self._excess.normal(drive.stribeck.value, drive.stribeck.std)))
+        slowest = drive.stribeck_velocity
+        excess_velocity = float(self._excess.normal(slowest.value, slowest.std))
+        armature = drive.armature
+        return JointTruth(
+            torque_constant=self._torque_constant(drive),
+            coulomb=self._friction(drive.coulomb, 0.3, 0.9),
+            viscous=self._friction(drive.viscous, 0.1, 0.6),
+            load_friction=self._friction(drive.load_friction, 0.0, 0.6),
+            armature=max(self._normal(armature.value, armature.std), 0.4 * armature.value),
+            zero_rad=self._normal(drive.zero.value, drive.zero.std),
+            stribeck=excess if stribeck else 0.0,
+            stribeck_velocity=max(excess_velocity, 0.3 * slowest.value),
+            once_per_turn_sin_rad=self._normal(0.0, drive.encoder_once_per_turn),
+            once_per_turn_cos_rad=self._normal(0.0, drive.encoder_once_per_turn),
+            encoder_noise_rad=drive.encoder_noise,
+        )
+
+    def _normal(self, mean: float, std: float) -> float:
+        return float(self.motors.normal(mean, std))
+
+    def _torque_constant(self, drive: DriveTrain) -> float:
+        constant = drive.torque_constant
+        least = 0.5 * constant.value
+        if drive.driven_by is None:
+            return max(self._normal(constant.value, constant.std), least)
+        mean = max(constant.value + OFF_TOGETHER * self._together * constant.std, least)
+        return max(self._normal(mean, ALIKE * constant.value), least)
+
+    def _friction(self, known: Quantity, low: float, high: float) -> float:
+        if known.value > 0.0:
+            return max(self._normal(known.value, known.std), 0.0)
+        return float(self.motors.uniform(low, high)) * float(known.std)
+
+    def links(self) -> dict[str, LinkTruth]:
+        """All links that have a mass."""
+        robot = self._robot
+        departures = {}
+        for link in robot.model.links:
+            if link.pseudo_inertia[3, 3] > 0.0:
+                x, y, z = self.bodies.normal(0.0, robot.link_com_std, 3).tolist()
+                mass = float(self.bodies.normal(0.0, robot.link_mass_std))
+                inertia = float(self.bodies.normal(0.0, robot.link_inertia_std))
+                departures[link.name] = LinkTruth(
+                    mass=max(mass, -0.5), com_m=(x, y, z), inertia=max(inertia, -0.5)
+                )
+        return departures
