@@ -8,13 +8,14 @@ numbers of each joint, and that one of each run, are fitted to what its encoder 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from proprio_ros.identification.locked_joints import Followed, arm_and_payload, joint_torque
 from proprio_ros.records import FloatArray, Run
-from proprio_ros.robot import Robot
+from proprio_ros.robot import DriveTrain, ReducedModel, Robot
 from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -29,8 +30,18 @@ LEAST_FRICTION_N_M = 0.005
 LEAST_TORQUE_N_M = 1e-3
 SWEEPS = 2  # over the joints: each moves the others
 STEP = 1e-3  # rad, rad/s, rad/s^2: torques are linear in what a joint gives way by
-Forced = tuple[JointRun, Mapping[str, float], FloatArray, FloatArray]
-"""What moves a held joint, its law as far as it is known, and times [s] and what its encoder showed [rad], before the push, too."""
+
+
+@dataclass(frozen=True)
+class Forced:
+    """What moves a held joint in a run."""
+
+    run: JointRun
+    # its law as far as it is known, by the names of the simulator's parameters
+    known: Mapping[str, float]
+    # when its encoder was read [s], and what it showed [rad], before the push, too; both (N,)
+    read_s: FloatArray
+    shown: FloatArray
 
 
 def give_way(
@@ -40,9 +51,17 @@ def give_way(
     facts: PayloadFacts,
     carried_kg: Sequence[float],
 ) -> list[dict[str, Followed]]:
-    """How held joints move in each run, by joint, while another moves as a fit has it, at even instants from 0 on.
+    """How held joints move while another moves as a fit has it; only those with a drive train and an encoder do.
 
-    Only joints with drive trains and an encoder do; ``facts``: where what is carried sits.
+    Args:
+        robot: The arm.
+        runs: R runs.
+        driven: The motion of the driven joint in each run, at even instants from 0 on.
+        facts: Where what is carried sits.
+        carried_kg: Its mass in each run.
+
+    Returns:
+        The motions in each run, by joint.
     """
     found: list[dict[str, Followed]] = [{} for _ in runs]
     turning = [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
@@ -50,19 +69,57 @@ def give_way(
         name: [float(np.ptp(run.held_position.get(name, [0.0]))) for run in runs]
         for name in turning
     }
-    for name in sorted(travels, key=lambda name: -max(travels[name])) * SWEEPS:
+    farthest_first = sorted(travels, key=lambda name: -max(travels[name]))
+    for name in farthest_first * SWEEPS:
         forced: dict[int, Forced] = {}
         for row, run in enumerate(runs):
+            if not travels[name][row] > 0.0:  # nor where it is not a number
+                continue
             moving = {run.joint: driven[row], **found[row]}
-            if travels[name][row] > 0.0 and (
-                push := forced_on(robot, run, name, moving, facts, carried_kg[row])
-            ):
+            push = forced_on(robot, run, name, moving, facts, carried_kg[row])
+            if push is not None:
                 forced[row] = push
         if forced:
             servo = Servo([*forced.values()], robot.drive_trains[name].reading_std)
             for row, motion in zip(forced, servo.motions(), strict=True):
                 found[row][name] = motion
     return found
+
+
+@dataclass(frozen=True)
+class HeldJoint:
+    """A joint that is held while others move."""
+
+    name: str
+    held_at: float  # [rad]
+    moving: Mapping[str, Followed]
+    model: ReducedModel
+    inertias: FloatArray  # of the arm with what it carries
+
+    def torque(
+        self,
+        times_s: FloatArray,
+        further: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> FloatArray:
+        """What the joint needs [N m], shape (T,).
+
+        Args:
+            times_s: Instants of the others' motion, shape (T,).
+            further: How far it is from where it is held, how fast, and how accelerated [rad, rad/s, rad/s^2].
+        """
+        motion = []
+        for name in self.model.joint_names:
+            own = name == self.name
+            start = self.held_at if own else self.moving[name].start
+            parts = further if own else self.moving[name].at(times_s)
+            q, v, a = (np.zeros(len(times_s)) + part for part in parts)
+            motion.append((start + q, v, a))
+        row = self.model.joint_names.index(self.name)
+        return joint_torque(self.model, motion, row, self.inertias)[:, 0]
+
+    def slope(self, times_s: FloatArray, load: FloatArray, further: FloatArray) -> float:
+        """The torque's mean change by one of position, velocity and acceleration, the one of ``further`` that is not zero."""
+        return float(np.mean(self.torque(times_s[::10], further.tolist()) - load[::10])) / STEP
 
 
 def forced_on(
@@ -73,59 +130,76 @@ def forced_on(
     facts: PayloadFacts,
     carried_kg: float,
 ) -> Forced | None:
-    """What others that move do to a held joint; None where that is nothing."""
-    moving = {each: motion for each, motion in moving.items() if each != name}
-    model = robot.model.lock(
-        [*moving, name],
-        run.held,
-        robot.gravity,
-    )
+    """What others that move do to a held joint.
+
+    Args:
+        robot: The arm.
+        run: What was recorded.
+        name: The held joint.
+        moving: Motions of all joints that move, at even instants from 0 on.
+        facts: Where what is carried sits.
+        carried_kg: Its mass.
+
+    Returns:
+        None where they do nothing to it.
+    """
+    others = {each: motion for each, motion in moving.items() if each != name}
+    model = robot.model.lock([*others, name], run.held, robot.gravity)
     inertias = np.tensordot([1.0, carried_kg], arm_and_payload(robot, model, facts), axes=1)[None]
-    times_s = next(iter(moving.values())).times_s
-    drive = robot.drive_trains[name]
-
-    def torque(
-        times_s: FloatArray,
-        more: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> FloatArray:
-        """What the joint needs that stands where it is held, or is so much further, faster, and accelerated."""
-        motion = []
-        for each in model.joint_names:
-            start, parts = (
-                (run.held[name], more)
-                if each == name
-                else (moving[each].start, moving[each].at(times_s))
-            )
-            q, v, a = (np.zeros(len(times_s)) + part for part in parts)
-            motion.append((start + q, v, a))
-        return joint_torque(model, motion, model.joint_names.index(name), inertias)[:, 0]
-
+    joint = HeldJoint(name, run.held[name], others, model, inertias)
+    times_s = next(iter(others.values())).times_s
     middle_s = times_s + 0.5 * times_s[1]
-    none = np.zeros(len(times_s))
-    load = torque(middle_s)
-    still = float(torque(np.array([-1.0]))[0])
+    load = joint.torque(middle_s)  # (T,) [N m]
+    still = float(joint.torque(np.array([-1.0]))[0])
     # nor where a fit that failed says how the driven joint moved
     if not np.ptp([*load, still]) >= LEAST_TORQUE_N_M:
         return None
-    spring, damper, inertia = (
-        float(np.mean(torque(middle_s[::10], more) - load[::10])) / STEP
-        for more in STEP * np.eye(3)
+    known = known_law(robot.drive_trains[name], joint, middle_s, load, still)
+    fine_s = float(
+        np.clip(FRICTION_VELOCITY * known["inertia"] / known["coulomb"], 2e-5, times_s[1])
     )
-    rubs = max(
-        drive.coulomb.value + drive.load_friction.value * abs(still),
-        LEAST_FRICTION_N_M,
-    )
-    known = {
-        "inertia": inertia + drive.armature.value, "gravity_sin": spring, "viscous": damper + drive.viscous.value,
-        "coulomb": rubs, "stribeck": drive.stribeck.value, "stribeck_velocity": drive.stribeck_velocity.value,
-    }  # fmt: skip
-    fine_s = float(np.clip(FRICTION_VELOCITY * known["inertia"] / rubs, 2e-5, times_s[1]))
-    loads = np.stack([load - still, none], axis=1)
-    one = JointRun(
-        times_s, times_s, none, (0.0, 0.0, 1.0), FRICTION_VELOCITY, times_s[1], fine_s, loads
+    nothing = np.zeros(len(times_s))
+    forced = JointRun(
+        times_s,
+        times_s,
+        nothing,
+        (0.0, 0.0, 1.0),
+        FRICTION_VELOCITY,
+        times_s[1],
+        fine_s,
+        np.stack([load - still, nothing], axis=1),
     )
     read_s = np.concatenate([run.before_times_s, run.times_s])
-    return one, known, read_s[read_s <= times_s[-1]], run.held_position[name][read_s <= times_s[-1]]
+    seen = read_s <= times_s[-1]
+    return Forced(forced, known, read_s[seen], run.held_position[name][seen])
+
+
+def known_law(
+    drive: DriveTrain,
+    joint: HeldJoint,
+    middle_s: FloatArray,
+    load: FloatArray,
+    still: float,
+) -> dict[str, float]:
+    """The law of a held joint without its servo, by the names of the simulator's parameters.
+
+    Args:
+        drive: The joint's drive train.
+        joint: The joint, and what moves around it.
+        middle_s: Instants [s], shape (T,).
+        load: What the joint needs at them [N m], shape (T,).
+        still: What it needs at rest [N m].
+    """
+    spring, damper, inertia = (joint.slope(middle_s, load, further) for further in STEP * np.eye(3))
+    friction = drive.coulomb.value + drive.load_friction.value * abs(still)
+    return {
+        "inertia": inertia + drive.armature.value,
+        "gravity_sin": spring,
+        "viscous": damper + drive.viscous.value,
+        "coulomb": max(friction, LEAST_FRICTION_N_M),
+        "stribeck": drive.stribeck.value,
+        "stribeck_velocity": drive.stribeck_velocity.value,
+    }
 
 
 class Servo:
@@ -135,11 +209,11 @@ class Servo:
     """
 
     def __init__(self, forced: Sequence[Forced], sigma: float) -> None:
-        self._simulator, self._sigma = JointSimulator([run for run, *_ in forced]), sigma
-        self._known = np.array(
-            [[known.get(name, 0.0) for name in INDEX] for _, known, *_ in forced]
-        )
-        self._read = [(read_s, shown) for *_, read_s, shown in forced]
+        self._simulator = JointSimulator([each.run for each in forced])
+        self._sigma = sigma
+        self._forced = tuple(forced)
+        known = [[each.known.get(name, 0.0) for name in INDEX] for each in forced]
+        self._known = np.array(known)  # (R, P)
         self._last: tuple[FloatArray, tuple[FloatArray, ...]] | None = None
 
     def _law(self, z: FloatArray) -> FloatArray:
@@ -149,10 +223,8 @@ class Servo:
         friction = self._known[:, INDEX["coulomb"]] * np.exp(SPREADS[2] * z[2])
         p[:, INDEX["gravity_sin"]] += stiffness
         p[:, INDEX["viscous"]] += stiffness * lag_s
-        p[:, INDEX["coulomb"]], p[:, INDEX["gravity_constant"]] = (
-            friction,
-            -friction * np.tanh(z[3:]),
-        )
+        p[:, INDEX["coulomb"]] = friction
+        p[:, INDEX["gravity_constant"]] = -friction * np.tanh(z[3:])
         return p
 
     def _shaken(self, z: FloatArray) -> tuple[FloatArray, ...]:
@@ -173,46 +245,41 @@ class Servo:
         """What of positions (T, ...) the encoder read, shape (N, ...)."""
         times_s = self._simulator.runs[row].sample_times_s
         columns = [
-            np.interp(self._read[row][0], times_s, each[: len(times_s)])
+            np.interp(self._forced[row].read_s, times_s, each[: len(times_s)])
             for each in q.reshape(len(q), -1).T
         ]
-        return np.stack(columns, axis=1).reshape(
-            -1,
-            *q.shape[1:],
-        )
+        return np.stack(columns, axis=1).reshape(-1, *q.shape[1:])
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Of all readings, then of the priors, in standard deviations. Where a joint rests, the readings' mean says."""
-        off = [
-            self._seen(row, q) - shown
-            for row, (q, (_, shown)) in enumerate(zip(self._shaken(z)[0], self._read, strict=True))
-        ]
-        return np.concatenate([*((each - each.mean()) / self._sigma for each in off), z])
+        positions = self._shaken(z)[0]
+        off = [self._seen(row, q) - self._forced[row].shown for row, q in enumerate(positions)]
+        readings = [(each - each.mean()) / self._sigma for each in off]
+        return np.concatenate([*readings, z])
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         """The residual's derivative."""
         seen = [self._seen(row, slopes) for row, slopes in enumerate(self._shaken(z)[2])]
-        return np.concatenate(
-            [*((each - each.mean(axis=0)) / self._sigma for each in seen), np.eye(len(z))]
-        )
+        readings = [(each - each.mean(axis=0)) / self._sigma for each in seen]
+        return np.concatenate([*readings, np.eye(len(z))])
 
     def motions(self) -> list[Followed]:
         """How the joint moved in each run, by the numbers that follow the readings best."""
         start = np.zeros(3 + len(self._known))
         best = least_squares(
-            self.residual, start, self.jacobian, method="lm", xtol=1e-3, ftol=1e-3
+            self.residual,
+            start,
+            self.jacobian,
+            method="lm",
+            xtol=1e-3,
+            ftol=1e-3,
         ).x
+        positions, velocities, _ = self._shaken(best)
         found = []
-        for row, (run, q, v) in enumerate(
-            zip(self._simulator.runs, *self._shaken(best)[:2], strict=True)
-        ):
-            count = len(run.sample_times_s)
-            rest = float(np.mean(self._read[row][1] - self._seen(row, q)))
-            found.append(
-                Followed(
-                    run.sample_times_s,
-                    rest + q[:count],
-                    v[:count],
-                )
-            )
+        for row, run in enumerate(self._simulator.runs):
+            q = positions[row]
+            times_s = run.sample_times_s
+            rest = float(np.mean(self._forced[row].shown - self._seen(row, q)))
+            motion = Followed(times_s, rest + q[: len(times_s)], velocities[row][: len(times_s)])
+            found.append(motion)
         return found

@@ -24,7 +24,7 @@ from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
 from proprio_ros.identification.fit import FitResult, SearchOptions, summary, unknown_rows
 from proprio_ros.identification.gates import Findings, admitted
-from proprio_ros.identification.judge import Refusal, Useful, positive
+from proprio_ros.identification.judge import Assessment, Refusal, Useful, positive
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
@@ -54,6 +54,13 @@ KINDS = np.array([*law.MODELS.values()])  # of each model
 # standard deviations of frequency and density together from which on a cylinder is not as stated
 UNLIKE = 3.0
 FILL_SHARE = 0.1  # of the container's height: how well a fill has to be known
+LIQUID = (
+    ("fill", "m"),
+    ("slosh_frequency", "Hz"),
+    ("slosh_damping", "1"),
+    ("viscosity", "Pa s"),
+)
+"""What is said of a liquid, and units."""
 
 
 def evidence(known: Posterior) -> float:
@@ -320,74 +327,39 @@ class ContentsFound(Conclusion):
 
     def liquid_values(self, withheld: str) -> Iterator[Value]:
         """What is said of a liquid; with the reason where it is not."""
-        withheld = withheld or (
-            "" if self.kind() == "liquid" else "the recording does not say that it is a liquid"
-        )
-        names = (
-            ("fill", "m"),
-            ("slosh_frequency", "Hz"),
-            ("slosh_damping", "1"),
-            ("viscosity", "Pa s"),
-        )
-
-        def unsaid(first: int, why: str) -> Iterator[Value]:
-            return (Value(*of, None, reason=why) for of in names[first:])
-
+        if not withheld and self.kind() != "liquid":
+            withheld = "the recording does not say that it is a liquid"
+        if not withheld and in_another_cylinder(self.fit, self.assessed.covariance):
+            withheld = "it sloshes as its mass does in another cylinder: check contents.radius and contents.density"
         if withheld:
-            yield from unsaid(0, withheld)
+            yield from not_determined(LIQUID, withheld)
             return
-        rows = unknown_rows(self.fit, self.assessed.covariance)
-        if (
-            np.linalg.norm(
-                [
-                    row.pull or 0.0
-                    for row in rows
-                    if row.kind in ("slosh_tuning", "contents_density")
-                ]
-            )
-            > UNLIKE
-        ):
-            yield from unsaid(
-                0,
-                "it sloshes as its mass does in another cylinder: check contents.radius and contents.density",
-            )
+        explained = self.fit.explains
+        if explained:
+            (fill, frequency, _), (fill_std, frequency_std, _) = self.of_liquid
+        else:
+            fill, fill_std = fill_by_mass(self.assessed, self.facts)
+        height = self.facts.height
+        wide = "it is not known to a tenth of the container's height"
+        known = Z95 * fill_std <= FILL_SHARE * height
+        yield positive("fill", "m", float(fill), float(fill_std), "" if known else wide, height)
+        if not explained:
+            why = "it moves otherwise than small waves do: push it less"
+            yield from not_determined(LIQUID[1:], why)
             return
-        if self.fit.explains:
-            (fill, turn, _), (fill_std, turn_std, _) = self.of_liquid
-        else:  # its mass says how high it stands, however it moves
-            facts = self.facts
-            mass = self.assessed
-            fill = mass.value / (facts.density * np.pi * facts.radius**2)
-            fill_std = fill * np.hypot(mass.std / mass.value, facts.density_std / facts.density)
-        wide = (
-            ""
-            if Z95 * fill_std <= FILL_SHARE * self.facts.height
-            else "it is not known to a tenth of the container's height"
-        )
-        yield positive(
-            "fill",
-            "m",
-            float(fill),
-            float(fill_std),
-            wide,
-            self.facts.height,
-        )
-        if not self.fit.explains:
-            yield from unsaid(1, "it moves otherwise than small waves do: push it less")
+        yield positive("slosh_frequency", "Hz", float(frequency), float(frequency_std))
+        damping = self.log_damping
+        if damping is None:
+            why = "the recording says too little of how fast the sloshing dies"
+            yield from not_determined(LIQUID[2:], why)
             return
-        yield positive("slosh_frequency", "Hz", float(turn), float(turn_std))
-        if (damping := self.log_damping) is None:
-            yield from unsaid(2, "the recording says too little of how fast the sloshing dies")
-            return
-        log, std = damping
+        yield from self.damping_values(*damping)
+
+    def damping_values(self, log: float, std: float) -> Iterator[Value]:
+        """Damping ratio and viscosity, by the ratio's logarithm and its standard deviation."""
         ends = [log + side * Z95 * std for side in (-1.0, 1.0)]
-        yield Value(
-            "slosh_damping",
-            "1",
-            float(np.exp(log)),
-            float(np.exp(log)) * std,
-            np.exp(ends).tolist(),
-        )
+        ratio = float(np.exp(log))
+        yield Value("slosh_damping", "1", ratio, ratio * std, np.exp(ends).tolist())
         value = self.viscosity(log)
         limits = [self.viscosity(end) for end in ends]
         yield Value("viscosity", "Pa s", value, 2.0 * std * value, limits)
@@ -421,3 +393,25 @@ class ContentsFound(Conclusion):
             "one of four: nothing, one rigid thing, a liquid (first sloshing mode), grains; each as likely as another beforehand",
             stated_in(self.robot),
         )
+
+
+def not_determined(values: Sequence[tuple[str, str]], why: str) -> list[Value]:
+    """Values without a number, by name and unit, and the reason."""
+    return [Value(name, unit, None, reason=why) for name, unit in values]
+
+
+def in_another_cylinder(fit: FitResult, covariance: np.ndarray) -> bool:
+    """Whether frequency and density, whose priors follow from the stated cylinder, are pulled far from them together."""
+    pulls = [
+        row.pull or 0.0
+        for row in unknown_rows(fit, covariance)
+        if row.kind in ("slosh_tuning", "contents_density")
+    ]
+    return bool(np.linalg.norm(pulls) > UNLIKE)
+
+
+def fill_by_mass(mass: Assessment, facts: ContentsFacts) -> tuple[float, float]:
+    """How high a liquid of this mass stands, however it moves, and the standard deviation [m]."""
+    fill = mass.value / (facts.density * np.pi * facts.radius**2)
+    share = np.hypot(mass.std / mass.value, facts.density_std / facts.density)
+    return fill, fill * share

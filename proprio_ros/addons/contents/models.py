@@ -44,6 +44,8 @@ LOWEST_FILL_M = 2e-3  # below this a fill is smoothed, so that a search may pass
 LEVEL = 0.3  # cosine between joint's and container's axes up to which the law holds
 MASS_STD_KG = 0.3  # of a prior that is the same for all, so wide that it moves nothing
 COMPLEX_STEP = 1e-30
+TEN = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (2, 2), (3, 3), (1, 2), (1, 3), (2, 3))
+"""Places of the ten inertial parameters in a pseudo-inertia whose first row has mass and mass times centre."""
 FINE_S = 0.0025  # what held joints do is computed at instants so far apart
 
 
@@ -149,69 +151,117 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
 
 
 def inside_terms(
-    model: str, facts: ContentsFacts, u: Mapping[str, np.ndarray]
+    model: str,
+    facts: ContentsFacts,
+    u: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the contents put into the simulator, as analytic functions of their unknowns, each of shape (S,).
+    """What the contents put into the simulator, as analytic functions of their unknowns.
+
+    Args:
+        model: One of `MODELS`, but "nothing".
+        facts: The container.
+        u: The unknowns, each of shape (S,), by name; complex for derivatives.
 
     Returns:
-        The ten inertial parameters of what is rigid, shape (S, 10); moving mass, its height, stiffness, damping and friction,
-        shape (S, 5), zeros of what does not move.
+        The ten inertial parameters of what is rigid, shape (S, 10), and what moves as `sloshing_terms` gives it, shape (S, 5),
+        zeros where nothing moves.
     """
-    mass, zero = u["contents_mass"], np.zeros_like(u["contents_mass"])
-    area = np.pi * facts.radius**2
-    axis = facts.rotation[:, 2]
-
-    def ten(
-        part: np.ndarray,
-        com: np.ndarray,
-        tall: np.ndarray,
-    ) -> np.ndarray:
-        level = u["contents_spread"] * facts.radius**2 / 4.0
-        up = u["contents_spread"] * tall**2 / 12.0
-        along = np.outer(axis, axis)
-        spread = level[:, None, None] * (np.eye(3) - along) + up[:, None, None] * along
-        whole = np.zeros(
-            (len(part), 4, 4),
-            dtype=np.result_type(part, com, spread),
-        )
-        whole[:, 0, 0], whole[:, 0, 1:] = part, part[:, None] * com
-        whole[:, 1:, 1:] = (
-            part[:, None, None] * (com[:, :, None] * com[:, None, :]) + mass[:, None, None] * spread
-        )
-        rows = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (2, 2), (3, 3), (1, 2), (1, 3), (2, 3)]
-        return np.stack(
-            [whole[:, i, j] for i, j in rows],
-            axis=1,
-        )
-
+    mass = u["contents_mass"]
+    nothing = np.zeros_like(mass)
+    still = np.stack([nothing] * 5, axis=1)  # (S, 5)
     if model == "rigid":
-        com = np.stack([u[f"contents_com_{name}"] for name in "xyz"], axis=1)
-        return ten(mass, com, zero + 0.5 * facts.height), np.stack([zero] * 5, axis=1)
+        com = np.stack([u[f"contents_com_{axis}"] for axis in "xyz"], axis=1)  # (S, 3)
+        return inertial_parameters(facts, u, mass, com, nothing + 0.5 * facts.height), still
+    area = np.pi * facts.radius**2
     fill = np.sqrt((mass / (u["contents_density"] * area)) ** 2 + LOWEST_FILL_M**2)
-    # beside where the container was said to stand, as its own centre is
-    beside = np.stack(
-        [u.get(name, at) - at + zero for name, at in zip(PLACE, facts.shell.com, strict=True)],
-        axis=1,
-    )
-    beside = beside - (beside @ axis)[:, None] * axis
+    axis = facts.rotation[:, 2]
     if model == "frozen":
-        return ten(
-            mass,
-            facts.bottom + beside + 0.5 * fill[:, None] * axis,
-            fill,
-        ), np.stack([zero] * 5, axis=1)
+        com = facts.bottom + displaced(facts, u) + 0.5 * fill[:, None] * axis
+        return inertial_parameters(facts, u, mass, com, fill), still
     slosh = Slosh.of(facts.radius, fill)
     share = slosh.share * u["slosh_share"]
-    stiffness = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2
-    friction = GRAVITY * u.get("grain_friction", zero)
-    damping = 2.0 * np.exp(u["slosh_damping_log"]) * np.sqrt(stiffness)
-    rigid = mass * (1.0 - share)
     height = (0.5 * fill - share * slosh.height) / (1.0 - share)
     # the bowl stays where it was said to be: to first order the rest may have its share of the difference
-    place = facts.bottom + beside / (1.0 - share)[:, None] + height[:, None] * axis
-    return ten(rigid, place, fill), np.stack(
-        [mass * share, slosh.height + zero, stiffness, damping, friction], axis=1
+    beside = displaced(facts, u) / (1.0 - share)[:, None]
+    com = facts.bottom + beside + height[:, None] * axis
+    rigid = inertial_parameters(facts, u, mass * (1.0 - share), com, fill)
+    return rigid, sloshing_terms(slosh, mass * share, u)
+
+
+def displaced(
+    facts: ContentsFacts,
+    u: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """How far across its axis the container stands from where it was said to, as its own centre does [m], shape (S, 3)."""
+    axis = facts.rotation[:, 2]
+    nothing = np.zeros_like(u["contents_mass"])
+    centre = facts.shell.com
+    beside = np.stack(
+        [u.get(name, at) - at + nothing for name, at in zip(PLACE, centre, strict=True)],
+        axis=1,
     )
+    return beside - (beside @ axis)[:, None] * axis
+
+
+def sloshing_terms(
+    slosh: Slosh,
+    moving: np.ndarray,
+    u: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """The part that moves across the container's axis.
+
+    Args:
+        slosh: The first mode, at fills of shape (S,).
+        moving: Mass of the part [kg], shape (S,).
+        u: The unknowns, each of shape (S,).
+
+    Returns:
+        Mass [kg], height above the bottom [m], and of each kilogram stiffness [1/s^2], damping [1/s] and friction [m/s^2],
+        shape (S, 5).
+    """
+    nothing = np.zeros_like(moving)
+    stiffness = slosh.stiffness * u.get("slosh_tuning", 1.0) ** 2
+    damping = 2.0 * np.exp(u["slosh_damping_log"]) * np.sqrt(stiffness)
+    friction = GRAVITY * u.get("grain_friction", nothing)
+    return np.stack(
+        [moving, slosh.height + nothing, stiffness, damping, friction],
+        axis=1,
+    )
+
+
+def inertial_parameters(
+    facts: ContentsFacts,
+    u: Mapping[str, np.ndarray],
+    mass: np.ndarray,
+    com: np.ndarray,
+    tall: np.ndarray,
+) -> np.ndarray:
+    """Of what is rigid inside; its inertia is the share ``contents_spread`` of that of a solid cylinder with all of the mass.
+
+    Args:
+        facts: The container.
+        u: The unknowns, each of shape (S,).
+        mass: Of what is rigid [kg], shape (S,).
+        com: Its centre in the payload frame [m], shape (S, 3).
+        tall: Height of the cylinder [m], shape (S,).
+
+    Returns:
+        Mass, mass times centre, and second moments about the frame's origin, shape (S, 10).
+    """
+    axis = facts.rotation[:, 2]
+    along = np.outer(axis, axis)
+    level = u["contents_spread"] * facts.radius**2 / 4.0
+    up = u["contents_spread"] * tall**2 / 12.0
+    spread = level[:, None, None] * (np.eye(3) - along) + up[:, None, None] * along  # (S, 3, 3)
+    pseudo = np.zeros(
+        (len(mass), 4, 4),
+        dtype=np.result_type(mass, com, spread),
+    )
+    pseudo[:, 0, 0] = mass
+    pseudo[:, 0, 1:] = mass[:, None] * com
+    about_origin = mass[:, None, None] * (com[:, :, None] * com[:, None, :])
+    pseudo[:, 1:, 1:] = about_origin + u["contents_mass"][:, None, None] * spread
+    return np.stack([pseudo[:, row, column] for row, column in TEN], axis=1)
 
 
 def slosh_of(
@@ -255,6 +305,17 @@ def container_seen(
     )
 
 
+@dataclass(frozen=True)
+class InsideTerms:
+    """`inside_terms` at guesses, and their derivatives by C of the problem's unknowns."""
+
+    rigid: np.ndarray  # (S, 10)
+    moving: np.ndarray  # (S, 5)
+    columns: np.ndarray  # of the unknowns, (C,)
+    by_rigid: np.ndarray  # (C, S, 10)
+    by_moving: np.ndarray  # (C, S, 5)
+
+
 class ContentsProblem(Problem):
     """Whitened residuals of runs with and without contents in the container, as in ``Problem``, under one of `MODELS`.
 
@@ -262,12 +323,20 @@ class ContentsProblem(Problem):
     """
 
     def __init__(
-        self, robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool], model: str
-    ,) -> None:  # fmt: skip
-        self.container, self.filled, self.model = facts, np.asarray(filled, dtype=bool), model
+        self,
+        robot: Robot,
+        runs: Sequence[PreparedRun],
+        facts: ContentsFacts,
+        filled: Sequence[bool],
+        model: str,
+    ) -> None:
+        self.container = facts
+        self.filled = np.asarray(filled, dtype=bool)
+        self.model = model
         self.inside = inside_unknowns(model, facts)
-        self._prepared, self._turns = tuple(runs), [turning_with(robot, run) for run in runs]
-        self._now: tuple[np.ndarray, ...] = ()
+        self._prepared = tuple(runs)
+        self._turns = [turning_with(robot, run) for run in runs]
+        self._now: InsideTerms | None = None
         known = load_unknowns(robot, runs, facts.shell, Role.FREE, facts.mass)
         known[0] = replace(
             known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG
@@ -300,32 +369,38 @@ class ContentsProblem(Problem):
             return bool(self.filled[row])
         return super().touches(unknown, row)
 
-    def _terms(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """`inside_terms` at values (S, N), and their derivatives by each of the contents' unknowns, by complex steps."""
+    def _terms(self, values: np.ndarray) -> InsideTerms:
+        """At values (S, N); derivatives are complex steps."""
         names = [*(unknown.kind for unknown in self.inside), *PLACE]
         columns = [self.index[name] for name in names]
-        found = inside_terms(
-            self.model, self.container, dict(zip(names, values[:, columns].T, strict=True))
-        )
-        slopes = []
-        for row in columns:
+
+        def terms(guesses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            unknowns = dict(zip(names, guesses[:, columns].T, strict=True))
+            return inside_terms(self.model, self.container, unknowns)
+
+        by_rigid = []
+        by_moving = []
+        for column in columns:
             shifted = values.astype(complex)
-            shifted[:, row] += 1j * COMPLEX_STEP
-            changed = inside_terms(
-                self.model, self.container, dict(zip(names, shifted[:, columns].T, strict=True))
-            )
-            slopes.append([part.imag / COMPLEX_STEP for part in changed])
-        return (
-            *found,
+            shifted[:, column] += 1j * COMPLEX_STEP
+            rigid, moving = terms(shifted)
+            by_rigid.append(rigid.imag / COMPLEX_STEP)
+            by_moving.append(moving.imag / COMPLEX_STEP)
+        rigid, moving = terms(values)
+        return InsideTerms(
+            rigid,
+            moving,
             np.array(columns),
-            *(np.array([slope[n] for slope in slopes]) for n in (0, 1)),
+            np.array(by_rigid),
+            np.array(by_moving),
         )
 
     def payload_in(self, row: int, payload: InertialTerms) -> InertialTerms:
-        if not self.inside or not self.filled[row]:
+        inside = self._now
+        if inside is None or not self.filled[row]:
             return payload
-        ten, _, columns, by_ten, _ = self._now
-        return payload.plus(ten, dict(zip(columns.tolist(), by_ten, strict=True)))
+        slopes = zip(inside.columns.tolist(), inside.by_rigid, strict=True)
+        return payload.plus(inside.rigid, dict(slopes))
 
     def all_parameters(
         self,
@@ -333,37 +408,45 @@ class ContentsProblem(Problem):
     ) -> tuple[np.ndarray, np.ndarray]:
         if not self.inside:
             return super().all_parameters(values)
-        self._now = self._terms(values)
+        inside = self._terms(values)
+        self._now = inside
         p, dp = super().all_parameters(values)
-        _, moving, columns, _, by_moving = self._now
         mass = self.index["contents_mass"]
         names = list(self.simulator.parameters)
-        first = names.index("slosh_mass") if len(names) == len(SLOSH_PARAMETERS) else 0
+        carried = names.index("carried")
+        sloshes = len(names) == len(SLOSH_PARAMETERS)
         for row in np.flatnonzero(self.filled).tolist():
-            p[:, row, names.index("carried")] += values[:, mass]
-            dp[:, row, names.index("carried"), mass] += 1.0
-            if not first:
-                continue
-            p[:, row, first : first + 5] = moving
-            dp[:, row, first : first + 5, columns] = by_moving
-            p[:, row, names.index("settled")] = float(self.model == "liquid")
-            tilt = names.index("tilt")
-            zero = self.index.get(("zero", self.runs[row].run.joint))
-            if zero is not None:
-                p[:, row, tilt] += values[:, zero]
-                dp[:, row, tilt, zero] += 1.0
-            for name, share in self._turns[row]:
-                posed = self.shift(
-                    name,
-                    self.runs[row].run.held[name],
-                    values,
-                )
-                p[:, row, tilt] += share * posed.shift
-                for column, factor in posed.by_unknown:
-                    dp[:, row, tilt, column] += share * factor
-        if first:
-            p[:, ~self.filled, first + 2] = 1.0
+            p[:, row, carried] += values[:, mass]
+            dp[:, row, carried, mass] += 1.0
+            if sloshes:
+                first = names.index("slosh_mass")
+                p[:, row, first : first + 5] = inside.moving
+                dp[:, row, first : first + 5, inside.columns] = inside.by_moving
+                p[:, row, names.index("settled")] = float(self.model == "liquid")
+                tilt = names.index("tilt")
+                self._add_tilt(row, values, p[:, row, tilt], dp[:, row, tilt])
+        if sloshes:
+            p[:, ~self.filled, names.index("slosh_stiffness")] = 1.0
         return p, dp
+
+    def _add_tilt(
+        self,
+        row: int,
+        values: np.ndarray,
+        tilt: np.ndarray,
+        by_unknown: np.ndarray,
+    ) -> None:
+        """How far encoders' errors turn the container about the joint's axis, added in place: shapes (S,) and (S, N)."""
+        run = self.runs[row].run
+        zero = self.index.get(("zero", run.joint))
+        if zero is not None:
+            tilt += values[:, zero]
+            by_unknown[:, zero] += 1.0
+        for name, share in self._turns[row]:
+            posed = self.shift(name, run.held[name], values)
+            tilt += share * posed.shift
+            for column, factor in posed.by_unknown:
+                by_unknown[:, column] += share * factor
 
     def held(self, values: np.ndarray) -> list[PreparedRun]:
         """The runs with held joints that give way as their servos let them where all else moves by these unknowns, shape (N,)."""
@@ -376,7 +459,11 @@ class ContentsProblem(Problem):
             np.arange(len(p), dtype=np.int32), p, np.zeros((*p.shape, 1))
         )
         driven = [
-            Followed(run.sample_times_s, *(each[row, : len(run.sample_times_s)] for each in (q, v)))
+            Followed(
+                run.sample_times_s,
+                q[row, : len(run.sample_times_s)],
+                v[row, : len(run.sample_times_s)],
+            )
             for row, run in enumerate(fine)
         ]
         inside = values[self.index["contents_mass"]] if self.inside else 0.0

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-from proprio_ros.addons.contents.detail import KINDS_INSIDE
+from proprio_ros.addons.contents.detail import UNKNOWNS
 from proprio_ros.addons.contents.virtual_object import Filled
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
@@ -28,22 +28,7 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         {"mass": "contents_mass", "fill": "fill", "liquid_inside": "liquid_inside"}
     )
     keys = ("contents.",)
-    unknowns: ClassVar[Mapping[str, Kind]] = {
-        "contents_mass": Kind("kg", "mass of the contents"), "total_mass": Kind("kg", "container with contents"),
-        **{f"contents_com_{axis}": Kind("m", f"centre of the contents, {axis}") for axis in "xyz"},
-        "contents_density": Kind("kg/m^3", "density of the contents"),
-        "contents_spread": Kind("1", "inertia of the contents over that of a solid cylinder"),
-        "slosh_tuning": Kind("1", "slosh frequency over that of the theory"),
-        "slosh_share": Kind("1", "moving share over that of the theory"),
-        "slosh_damping_log": Kind("1", "logarithm of the slosh's damping ratio"),
-        "grain_friction": Kind("1", "friction between grains"),
-        **{
-            f"{kind}_inside": Kind("1", f"probability of {said}")
-            for kind, said in zip(KINDS_INSIDE, ("nothing", "one rigid thing", "a liquid", "grains"), strict=True)
-        },
-        "fill": Kind("m", "fill height"), "slosh_frequency": Kind("Hz", "slosh frequency"),
-        "slosh_damping": Kind("1", "damping ratio of the slosh"), "viscosity": Kind("Pa s", "viscosity"),
-    }  # fmt: skip
+    unknowns: ClassVar[Mapping[str, Kind]] = UNKNOWNS
     hand = "the filled container has to be upright in the hand"
     default_sequence = "contents"
     virtual_object = Filled
@@ -55,11 +40,21 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         missing="put it into the hand empty and call ~/record_contents_baseline, or state its mass (settings: contents.mass=KG)",
     )
     example = base.Example(
-        help="of the liquid in it", truth=0.15, lowest=0.01, highest=0.5, held="filled:0.05,liquid={truth:g}",
-        now="now there is a liquid in the container", was="the liquid in the virtual container weighed", takes="two minutes",
+        help="of the liquid in it",
+        truth=0.15,
+        lowest=0.01,
+        highest=0.5,
+        held="filled:0.05,liquid={truth:g}",
+        now="now there is a liquid in the container",
+        was="the liquid in the virtual container weighed",
+        takes="two minutes",
         sequences={"robot_sequence": "empty_hand_container"},
-        stated=("contents.radius=0.035", "contents.height=0.1", "contents.bottom=[0.015,0,-0.04]"),
-    )  # fmt: skip
+        stated=(
+            "contents.radius=0.035",
+            "contents.height=0.1",
+            "contents.bottom=[0.015,0,-0.04]",
+        ),
+    )
 
     def facts(
         self, settings: Settings, solver: str = "lm", profile: str = "default"

@@ -282,29 +282,34 @@ def drift_parts(periods: Drift) -> list[str]:
     """A table and a picture for the page; nothing where there is only one period."""
     if len(periods) < 2:
         return []
-    joints = periods[0].arm.joints
-    at = np.array([period.at for period in periods])
     dated = "-" in periods[0].name
     axis = Axis("since the first [days]", "days") if dated else Axis("episode", "")
-    terms = [period.term("coulomb") for period in periods]
-    over = np.array([period.arm.arm_over_urdf for period in periods])
-    weight = Series("arm", at, over, "measured", "dots")
-    panels = [Panel("what the arm weighs by its torques, over its URDF", "", [weight], 90.0)]
-    for row, joint in enumerate(joints):
-        value, std = (np.array([term[part][row] for term in terms]) for part in (0, 1))
-        band = at, value - Z95 * std, value + Z95 * std
-        series = Series(joint, at, value, "measured", "dots")
-        panels.append(Panel(f"Coulomb friction of {joint} [N m]", "N m", [series], 90.0, band))
-    said = f"{escape(periods.sentence())} Drift of all torque constants together shows in what the arm weighs by its torques."
+    sentence = f"{escape(periods.sentence())} Drift of all torque constants together shows in what the arm weighs by its torques."
     titles, *rows = periods.friction()
     return [
         "<h2>How the arm drifts</h2>",
-        f"<p>{said}</p>",
+        f"<p>{sentence}</p>",
         framed(
-            chart(panels, axis, "drift"),
+            chart(_drift_panels(periods), axis, "drift"),
             "Each period learnt anew from its empty hand; bands are 95 % intervals.",
         ),
         "<p>Coulomb friction with its standard deviation:</p>",
         table(titles, rows, range(1, len(titles)), labels=1),
         "<p class=small>The same with viscous friction and offsets: <code>drift.csv</code> beside this page.</p>",
     ]
+
+
+def _drift_panels(periods: Drift) -> list[Panel]:
+    """What the arm weighs, and the Coulomb friction of each joint, over the periods."""
+    at = np.array([period.at for period in periods])
+    over = np.array([period.arm.arm_over_urdf for period in periods])
+    weight = Series("arm", at, over, "measured", "dots")
+    panels = [Panel("what the arm weighs by its torques, over its URDF", "", [weight], 90.0)]
+    terms = [period.term("coulomb") for period in periods]
+    for row, joint in enumerate(periods[0].arm.joints):
+        value = np.array([values[row] for values, _ in terms])
+        std = np.array([stds[row] for _, stds in terms])
+        band = at, value - Z95 * std, value + Z95 * std
+        series = Series(joint, at, value, "measured", "dots")
+        panels.append(Panel(f"Coulomb friction of {joint} [N m]", "N m", [series], 90.0, band))
+    return panels

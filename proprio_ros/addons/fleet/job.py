@@ -115,58 +115,146 @@ def run_batch(
     job = replace(job, options=_located(job.options))
     episodes = episodes_of(sources)
     _check_units(episodes, job.options)
-    plain = job.options
-    empties = list[Episode]()
-    if empty is not None:
-        empties = _marked(episodes, empty)
-        job = replace(
-            job,
-            options=self_calibrated(empties, plain, "--empty", Path(out), tell),
-        )
-    elif empty_first_s is not None:
-        empties = [
-            each for each in episodes if not each.problem and not is_text_recording(each.path)
-        ]
-        plain = replace(plain, span=(0, round(1e9 * empty_first_s)))
-        options = self_calibrated(empties, plain, "--empty-first", Path(out), tell)
-        job = replace(job, options=options, empty_first_s=empty_first_s)
+    empty_hand = EmptyHand.of(episodes, job.options, empty, empty_first_s)
+    job = empty_hand.calibrating(job, Path(out), tell)
+    using = Engine(engine, processes or processors(), address, chunk, bars)
     with closing(Store(Path(out), job)) as store:
-        check_page(store.folder / "batch.html", "--out")
-        if empties:
+        page = store.folder / "batch.html"
+        check_page(page, "--out")
+        if empty_hand.episodes:
             check_drift(store.folder / "drift.csv")
-        done = store.done()
-        missing = [each for each in episodes if (each.source, each.name) not in done]
+        missing = _missing(episodes, store)
         before = len(episodes) - len(missing)
         tell(f"{len(episodes)} episodes, {before} of them done before")
-        if missing and engine == "ray":
-            run_ray(missing, job, store, address, tell, chunk, quiet=not bars)
-        elif missing:
-            run_local(missing, job, store, processes or processors(), tell, chunk)
-        done = store.done()
-        undone = sum((each.source, each.name) not in done for each in episodes)
+        if missing:
+            using.run(missing, job, store, tell)
+        undone = len(_missing(episodes, store))
         rows = store.read(COLUMNS)
-        stamps = {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
-        drift = drift_of(empties, stamps, plain, tell) if empties else Drift(())
+        drift = empty_hand.drift(rows, tell)
         if drift:
             write_drift(drift, store.folder / "drift.csv")
-        pages = _reports(store.folder, rows, job, reports, processes or processors(), tell)
-        write_batch_page(rows, store.folder / "batch.html", command, pages, drift, job.options)
-        rows = [row for row in rows if row["kind"] != GRASP]
-        rows.sort(
-            key=lambda row: (
-                row["source"],
-                row["episode_index"] or 0,
-                row["episode"],
-                row["segment"],
-            )
-        )
-        verdicts = dict(sorted(Counter(row["verdict"] for row in rows).items()))
-        first = rows[:MOST_SHOWN]
-        return Outcome(len(episodes), before, verdicts, store.folder, first, drift, undone)
+        pages = _reports(store.folder, rows, job, reports, using.processes, tell)
+        write_batch_page(rows, page, command, pages, drift, job.options)
+    whole = sorted((row for row in rows if row["kind"] != GRASP), key=_place_in_order)
+    verdicts = dict(sorted(Counter(row["verdict"] for row in whole).items()))
+    first = whole[:MOST_SHOWN]
+    return Outcome(
+        episodes=len(episodes),
+        before=before,
+        verdicts=verdicts,
+        folder=store.folder,
+        first=first,
+        drift=drift,
+        undone=undone,
+    )
+
+
+def _missing(episodes: Sequence[Episode], store: Store) -> list[Episode]:
+    """Those that have no rows yet."""
+    done = store.done()
+    return [each for each in episodes if (each.source, each.name) not in done]
+
+
+def _place_in_order(row: Row) -> tuple[str, int, str, int]:
+    return row["source"], row["episode_index"] or 0, row["episode"], row["segment"]
+
+
+@dataclass(frozen=True)
+class Engine:
+    """What computes rows: processes of this machine, or a Ray cluster."""
+
+    name: str
+    processes: int  # of this machine
+    address: str | None  # of a Ray cluster; None: the one that runs here
+    chunk: int  # episodes per file at most
+    bars: bool  # whether Ray shows its progress bars
+
+    def run(
+        self,
+        missing: Sequence[Episode],
+        job: Job,
+        store: Store,
+        tell: Callable[[str], Any],
+    ) -> None:
+        """Compute the rows of episodes into a store.
+
+        Args:
+            missing: The episodes.
+            job: What is asked of each.
+            store: Takes the rows.
+            tell: Hears how far it is.
+        """
+        if self.name == "ray":
+            run_ray(missing, job, store, self.address, tell, self.chunk, quiet=not self.bars)
+        else:
+            run_local(missing, job, store, self.processes, tell, self.chunk)
+
+
+@dataclass(frozen=True)
+class EmptyHand:
+    """When the hand is known to be empty, which calibrates the arm; nothing where nobody says it."""
+
+    option: str  # of the command line that says it, else ""
+    episodes: Sequence[Episode]
+    options: Options  # whose span is what of each episode is empty
+    first_s: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        episodes: Sequence[Episode],
+        options: Options,
+        column: str | None,
+        first_s: float | None,
+    ) -> EmptyHand:
+        """As the command line says it.
+
+        Args:
+            episodes: All of a batch.
+            options: What is asked of each.
+            column: Of data sets, not zero where the hand is empty.
+            first_s: How long it is empty at the beginning of each episode [s].
+
+        Raises:
+            ConfigurationError: A data set lacks the column, or no episode is marked.
+        """
+        if column is not None:
+            return cls("--empty", _marked(episodes, column), options)
+        if first_s is not None:
+            read = [
+                each for each in episodes if not each.problem and not is_text_recording(each.path)
+            ]
+            at_first = replace(options, span=(0, round(1e9 * first_s)))
+            return cls("--empty-first", read, at_first, first_s)
+        return cls("", (), options)
+
+    def calibrating(self, job: Job, out: Path, tell: Callable[[str], Any]) -> Job:
+        """The job with the calibration that this makes; what is asked is what the hand holds later.
+
+        Args:
+            job: What is asked of each episode.
+            out: Folder of the batch, which keeps the calibration.
+            tell: Hears what is done.
+        """
+        if not self.option:
+            return job
+        options = self_calibrated(self.episodes, self.options, self.option, out, tell)
+        job = replace(job, options=options)
+        return job if self.first_s is None else replace(job, empty_first_s=self.first_s)
+
+    def drift(self, rows: Sequence[Row], tell: Callable[[str], Any]) -> Drift:
+        """How the arm drifts, by these episodes and when they were recorded."""
+        if not self.episodes:
+            return Drift(())
+        stamps = {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
+        return drift_of(self.episodes, stamps, self.options, tell)
 
 
 def _check_options(
-    engine: str, options: Options, empty: str | None, empty_first_s: float | None
+    engine: str,
+    options: Options,
+    empty: str | None,
+    empty_first_s: float | None,
 ) -> None:
     """What is wrong for every episode is said once; Raises as `run_batch` does."""
     if empty is None and empty_first_s is None:
@@ -323,13 +411,16 @@ def _located(options: Options) -> Options:
     """The same with absolute paths: another process may run elsewhere."""
 
     def absolute(name: str | Path | None) -> str | None:
-        return None if name is None else str(real_path(name)) if Path(name).is_file() else str(name)
+        if name is None:
+            return None
+        return str(real_path(name)) if Path(name).is_file() else str(name)
 
-    robot, calibration, driver = map(
-        absolute,
-        (options.robot, options.calibration, options.driver),
+    return replace(
+        options,
+        robot=absolute(options.robot),
+        calibration=absolute(options.calibration),
+        driver=absolute(options.driver),
     )
-    return replace(options, robot=robot, calibration=calibration, driver=driver)
 
 
 def refuse_device(device: str) -> None:

@@ -104,47 +104,51 @@ def _sources(rows: Iterable[Row]) -> dict[str, tuple[str, str]]:
 
 
 def _summary(whole: Sequence[Row]) -> list[str]:
+    """How many rows have which verdict, and of each source what its accepted values are."""
     verdicts = Counter(row["verdict"].replace("_", " ") for row in whole)
     episodes = len({(row["source"], row["episode"]) for row in whole})
     parts = "" if episodes == len(whole) else f" in {len(whole)} parts"
-    said = escape(", ".join(f"{count} {name}" for name, count in sorted(verdicts.items())))
-    found = []
+    counted = escape(", ".join(f"{count} {name}" for name, count in sorted(verdicts.items())))
     names = _sources(whole)
-    for source, own in _by_source(whole).items():
-        good = [row for row in own if row["verdict"] == "accepted" and row["value"] is not None]
-        numbers = ["", "", ""]
-        if good:
-            values = np.array([row["value"] for row in good])
-            unit = good[0]["unit"]
-            std = float(np.median([row["std"] or 0.0 for row in good]))
-            spec = spec_for(unit, std)
-            low, high = np.percentile(values, (25, 75))
-            middle = shown(unit, low, high, spec=spec, between=" to ")
-            half = shown(unit, Z95 * std, spec=spec)
-            numbers = [
-                shown(unit, float(np.median(values)), spec=spec),
-                middle,
-                f"± {half}" if std else "",
-            ]
-        share = f"{len(good)} ({_percent(len(good), len(own))})"
-        found.append(
-            [
-                names[source][0],
-                str(len(own)),
-                share,
-                *numbers,
-            ]
-        )
-    known = sorted({(row["robot"], row["calibration"] or "") for row in whole if row["robot"]})
-    arms = ", ".join(
-        f"{robot} ({f'calibration {made}' if made else 'not calibrated'})" for robot, made in known
-    )
+    by_source = [
+        [names[source][0], str(len(own)), *_of_accepted(own)]
+        for source, own in _by_source(whole).items()
+    ]
     header = ("source", "rows", "accepted", "median", "middle half", "95 % interval, usually")
     return [
         "<h1>Many recordings</h1>",
         f"<p class=value>{verdicts['accepted']} of {len(whole)} accepted</p>",
-        f"<p class=interval>{episodes} episodes{parts}: {said}{f'; robot {escape(arms)}' if arms else ''}</p>",
-        f"<div class=sources>{table(header, found, range(1, 6), labels=1)}</div>",
+        f"<p class=interval>{episodes} episodes{parts}: {counted}{_arms(whole)}</p>",
+        f"<div class=sources>{table(header, by_source, range(1, 6), labels=1)}</div>",
+    ]
+
+
+def _arms(whole: Sequence[Row]) -> str:
+    """The robots and their calibrations, in words; nothing where no row has one."""
+    known = sorted({(row["robot"], row["calibration"] or "") for row in whole if row["robot"]})
+    arms = ", ".join(
+        f"{robot} ({f'calibration {made}' if made else 'not calibrated'})" for robot, made in known
+    )
+    return f"; robot {escape(arms)}" if arms else ""
+
+
+def _of_accepted(own: Sequence[Row]) -> list[str]:
+    """How many rows of a source are accepted; of their values the median, the middle half, and the usual interval."""
+    good = [row for row in own if row["verdict"] == "accepted" and row["value"] is not None]
+    share = f"{len(good)} ({_percent(len(good), len(own))})"
+    if not good:
+        return [share, "", "", ""]
+    values = np.array([row["value"] for row in good])
+    unit = good[0]["unit"]
+    std = float(np.median([row["std"] or 0.0 for row in good]))
+    spec = spec_for(unit, std)
+    low, high = np.percentile(values, (25, 75))
+    half = shown(unit, Z95 * std, spec=spec)
+    return [
+        share,
+        shown(unit, float(np.median(values)), spec=spec),
+        shown(unit, low, high, spec=spec, between=" to "),
+        f"± {half}" if std else "",
     ]
 
 
@@ -184,7 +188,9 @@ def _masses(whole: Sequence[Row]) -> list[str]:
 
 
 def _refused(
-    whole: Sequence[Row], reports: Mapping[str, str], options: Options | None
+    whole: Sequence[Row],
+    reports: Mapping[str, str],
+    options: Options | None,
 ) -> list[str]:
     """By cause, the most frequent first, with the sentence that helps and some of its episodes."""
     rows: dict[tuple[str, str], list[Row]] = {}
@@ -194,39 +200,63 @@ def _refused(
     if not rows:
         return []
     count = sum(map(len, rows.values()))
-    parts = [f"<h2>Refused: {_percent(count, len(whole))}</h2>"]
     most = max(map(len, rows.values()))
+    parts = [f"<h2>Refused: {_percent(count, len(whole))}</h2>"]
     for number, cause in enumerate(causes_of(whole)[:MOST_CAUSES]):
-        own, (code, words) = rows[cause], cause
-        sentences = [own_words(row, row["reasons"][0]) for row in own if row["reasons"]]
-        said = escape(Counter(sentences).most_common(1)[0][0] if sentences else "")
-        title = f"{escape(code.replace('_', ' '))}: {len(own)} ({_percent(len(own), len(whole))})"
-        parts.append(
-            f"<div class=cause><h3>{title}</h3><i style='width:{100.0 * len(own) / most:.1f}%'></i>"
+        own = rows[cause]
+        title = (
+            f"{escape(cause[0].replace('_', ' '))}: {len(own)} ({_percent(len(own), len(whole))})"
         )
-        if words:  # no reason of a fit: the sentence is the cause
-            checked = f"<code>proprio check {escape(named(own[0]).partition(' --span ')[0] + asked(options, True))}</code>"
-            parts.append(
-                f"<p>{said}</p><p><b>What to do:</b> {_HELP.get(code, _HELP['']).replace('CHECK', checked)}</p>"
-            )
-        else:
-            meaning, remedy = (
-                escape(words[0].upper() + words[1:]) for words in (CODES[code], REMEDIES[code])
-            )
-            # commands are between backticks
-            remedy = re.sub(r"`([^`]*)`", r"<code>\1</code>", remedy)
-            parts.append(
-                f"<p>{meaning}.</p><p><b>What to do:</b> {remedy}.</p><p class=small>One of them: {said}</p>"
-            )
-        examples = ", ".join(_linked(row, reports) for row in own[:EXAMPLES])
-        more = f" and {len(own) - EXAMPLES} more" if len(own) > EXAMPLES else ""
-        jump = f" <a class=jump href='#all' data-cause='{number}'>Show {'all' if more else 'in the list'}</a>"
-        parts.append(f"<p class=small>{examples}{more}.{jump}</p></div>")
-    if (left := len(rows) - MOST_CAUSES) > 0:
+        width = 100.0 * len(own) / most
+        parts.append(f"<div class=cause><h3>{title}</h3><i style='width:{width:.1f}%'></i>")
+        parts.append(_what_to_do(own, cause, options))
+        parts.append(_examples(own, reports, number))
+    left = len(rows) - MOST_CAUSES
+    if left > 0:
         parts.append(
             f"<p class=small>And {left} other causes, each of fewer rows: choose them in the list below.</p>"
         )
     return parts
+
+
+def _what_to_do(
+    own: Sequence[Row],
+    cause: tuple[str, str],
+    options: Options | None,
+) -> str:
+    """What rows of one cause say, and the remedy."""
+    code, words = cause
+    sentences = [own_words(row, row["reasons"][0]) for row in own if row["reasons"]]
+    most_common = escape(Counter(sentences).most_common(1)[0][0] if sentences else "")
+    if words:  # no reason of a fit: the sentence is the cause
+        name = named(own[0]).partition(" --span ")[0]
+        check = f"<code>proprio check {escape(name + asked(options, True))}</code>"
+        remedy = _HELP.get(code, _HELP[""]).replace("CHECK", check)
+        return f"<p>{most_common}</p><p><b>What to do:</b> {remedy}</p>"
+    meaning = escape(_capitalised(CODES[code]))
+    # commands are between backticks
+    remedy = re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(_capitalised(REMEDIES[code])))
+    return (
+        f"<p>{meaning}.</p><p><b>What to do:</b> {remedy}.</p>"
+        f"<p class=small>One of them: {most_common}</p>"
+    )
+
+
+def _capitalised(words: str) -> str:
+    return words[0].upper() + words[1:]
+
+
+def _examples(
+    own: Sequence[Row],
+    reports: Mapping[str, str],
+    number: int,
+) -> str:
+    """Some rows of a cause, which ends the cause's box; ``number`` is the cause's in the list of all rows."""
+    examples = ", ".join(_linked(row, reports) for row in own[:EXAMPLES])
+    more = f" and {len(own) - EXAMPLES} more" if len(own) > EXAMPLES else ""
+    show = "all" if more else "in the list"
+    jump = f" <a class=jump href='#all' data-cause='{number}'>Show {show}</a>"
+    return f"<p class=small>{examples}{more}.{jump}</p></div>"
 
 
 def _linked(row: Row, reports: Mapping[str, str]) -> str:

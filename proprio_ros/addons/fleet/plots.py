@@ -20,61 +20,57 @@ SHORTEST_NS = 60 * 10**9
 def values_figure(own: Sequence[Row], name: str) -> str:
     """Of one source; ``number`` of a row is kept for the script that opens the row of a dot."""
     own = own[:: -(-len(own) // MOST_POINTS)]
-    (x, axis), (factor, unit) = _over_time(own), shown_unit(own[0]["unit"])
-    columns = [
-        [row["value"] if row[key] is None else row[key] for row in own]
-        for key in ("value", "low", "high")
-    ]
-    value, low, high = factor * np.array(columns, dtype=float)
+    x, axis = _over_time(own)
+    factor, unit = shown_unit(own[0]["unit"])
+    value = factor * np.array([row["value"] for row in own], dtype=float)
+    ends = factor * np.array([_interval(row) for row in own], dtype=float)  # (R, 2)
     accepted = np.array([row["verdict"] == "accepted" for row in own])
     # an interval of a metre must not make all others invisible
-    seen = accepted if accepted.any() else np.full(len(own), True)
-    bottom = min(
-        value[seen].min(),
-        np.percentile(low[seen], 2),
-    )
-    top = max(
-        value[seen].max(),
-        np.percentile(high[seen], 98),
-    )
-    bottom, top = 1.5 * bottom - 0.5 * top, 1.5 * top - 0.5 * bottom
-    inside = (value >= bottom) & (value <= top)
-    ends = np.clip(np.column_stack([low, high]), bottom, top)
+    shown = _range_of(value, ends, accepted)
+    inside = (value >= shown[0]) & (value <= shown[1])
+    ends = np.clip(ends, *shown)
     series = []
     dots = []
     for words, color, mask in (
-        ("not accepted", "apart", ~accepted),
-        ("accepted", "agreeing", accepted),
+        ("not accepted", "apart", inside & ~accepted),
+        ("accepted", "agreeing", inside & accepted),
     ):
-        mask = mask & inside
         if mask.any():
-            series.append(
-                Series(
-                    "",
-                    np.repeat(x[mask], 2),
-                    ends[mask].ravel(),
-                    color,
-                    "pairs",
-                )
-            )
-            series.append(
-                Series(
-                    words,
-                    x[mask],
-                    value[mask],
-                    color,
-                    "dots",
-                )
-            )
-            dots.append(
-                ",".join(str(row["number"]) for row, drawn in zip(own, mask, strict=True) if drawn)
-            )
+            series.append(Series("", np.repeat(x[mask], 2), ends[mask].ravel(), color, "pairs"))
+            series.append(Series(words, x[mask], value[mask], color, "dots"))
+            dots.append(",".join(str(own[row]["number"]) for row in np.flatnonzero(mask).tolist()))
     title = own[0]["quantity"].replace("_", " ") + f" ({unit})" * bool(unit)
     caption = f"{name}: dots with their 95 % intervals"
-    if outside := int((~inside).sum()):
-        caption += f"; {outside} that were not accepted lie outside of the picture"
+    if not inside.all():
+        left = int((~inside).sum())
+        caption += f"; {left} that were not accepted lie outside of the picture"
     svg = chart([Panel(title, unit, series, 220.0)], axis, f"Values of {name}")
     return f"<div data-dots='{' '.join(dots)}'>{framed(svg, caption)}</div>"
+
+
+def _interval(row: Row) -> tuple[float, float]:
+    """Of a row that has a value; where it has no interval, twice that."""
+    low = row["value"] if row["low"] is None else row["low"]
+    high = row["value"] if row["high"] is None else row["high"]
+    return low, high
+
+
+def _range_of(
+    value: np.ndarray,
+    ends: np.ndarray,
+    accepted: np.ndarray,
+) -> tuple[float, float]:
+    """What a picture shows: the accepted values, or all where none is accepted, and half as much beyond at each side.
+
+    Args:
+        value: The values, shape (R,).
+        ends: Their intervals, shape (R, 2).
+        accepted: Which are accepted, shape (R,).
+    """
+    seen = accepted if accepted.any() else np.full(len(value), True)
+    bottom = min(value[seen].min(), np.percentile(ends[seen, 0], 2))
+    top = max(value[seen].max(), np.percentile(ends[seen, 1], 98))
+    return 1.5 * bottom - 0.5 * top, 1.5 * top - 0.5 * bottom
 
 
 def _over_time(rows: Sequence[Row]) -> tuple[np.ndarray, Axis]:
@@ -105,9 +101,7 @@ def histogram(accepted: Sequence[Row]) -> list[str]:
     reach = 3.0 * max(high - low, 1e-6 * abs(high), 1e-9)
     inside = values[(values >= low - reach) & (values <= high + reach)]
     std = factor * float(np.median([row["std"] or 0.0 for row in accepted]))
-    least = max(np.ptp(inside) / 80.0, 1e-3 * reach, 0.5 * std)
-    power = 10.0 ** np.floor(np.log10(least))
-    step = next(power * digit for digit in (1, 2, 5, 10) if power * digit >= least * (1.0 - 1e-9))
+    step = _round_step(max(np.ptp(inside) / 80.0, 1e-3 * reach, 0.5 * std))
     edges = step * np.arange(np.floor(inside.min() / step), np.floor(inside.max() / step) + 2)
     counts = np.append(np.histogram(inside, edges)[0], 0).astype(float)
     bars = Series(
@@ -120,10 +114,14 @@ def histogram(accepted: Sequence[Row]) -> list[str]:
     )
     quantity = accepted[0]["quantity"].replace("_", " ")
     axis = Axis(f"accepted {quantity}" + f" ({unit})" * bool(unit), unit)
-    svg = chart(
-        [Panel(f"rows, in steps of {step:g} {unit}", "", [bars], 120.0)],
-        axis,
-        f"Histogram: {axis.title}",
-    )
+    panel = Panel(f"rows, in steps of {step:g} {unit}", "", [bars], 120.0)
+    svg = chart([panel], axis, f"Histogram: {axis.title}")
     left = len(values) - len(inside)
     return [framed(svg, f"{left} accepted rows lie further off" if left else "")]
+
+
+def _round_step(least: float) -> float:
+    """The least round number that is not less."""
+    power = 10.0 ** np.floor(np.log10(least))
+    enough = least * (1.0 - 1e-9)
+    return next(power * digit for digit in (1, 2, 5, 10) if power * digit >= enough)

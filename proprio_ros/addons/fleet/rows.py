@@ -146,55 +146,57 @@ def _later(span: Span | None, job: Job) -> Span | None:
 
 
 def _answered(
-    episode: Episode, job: Job, request: Request, spans: Sequence[Span | None]
+    episode: Episode,
+    job: Job,
+    request: Request,
+    spans: Sequence[Span | None],
 ) -> list[Row]:
     """Rows of each part, and of the grasps in all of them; none where one of several parts holds pushes."""
+    several = len(spans) > 1
     rows: list[Row] = []
     grasps: Grasps | None = None
     for span in spans:
-        here = (
-            request
-            if span is None
-            else replace(request, options=replace(request.options, span=span))
-        )
+        here = _within(request, span)
+        read: Recorded | None = None
         try:
             robot, read = read_for(here, [episode.path])
-            if len(spans) > 1 and read.runs:
+            if several and read.runs:
                 return []
-            rows.append(
-                _whole(
-                    episode,
-                    here,
-                    read,
-                    identify(here, robot, read, [episode.path]),
-                )
-            )
+            row = _whole(episode, here, read, identify(here, robot, read, [episode.path]))
         except ProprioError as error:
             if span is None or of_the_machine(error):
                 raise
-            rows.append(failed_row(episode, job, str(error), "unreadable"))
+            row = failed_row(episode, job, str(error), "unreadable")
         if span is not None:
-            rows[-1] |= _place(rows[-1], span)
-        if len(spans) > 1 and rows[-1]["kind"] == EPISODE:
-            rows[-1]["kind"] = PART
-        if (
-            job.grasps
-            and rows[-1]["kind"] != FAILED
-            and read.motions
-            and isinstance(here.probe, Online)
-        ):
-            if grasps is None and robot.motion_calibration is not None:
-                grasps = Grasps(here, robot, read.motions[0])
-            if grasps is not None:
-                grasps.add(
-                    read.motions[0],
-                    0.0 if span is None else 1e-9 * span[0],
-                )
+            row |= _place(row, span)
+        if several and row["kind"] == EPISODE:
+            row["kind"] = PART
+        rows.append(row)
+        wanted = job.grasps and row["kind"] != FAILED and isinstance(here.probe, Online)
+        if read is None or not read.motions or not wanted:
+            continue
+        (motion, *_) = read.motions
+        if grasps is None and robot.motion_calibration is not None:
+            grasps = Grasps(here, robot, motion)
+        if grasps is not None:
+            grasps.add(motion, 0.0 if span is None else 1e-9 * span[0])
     if grasps is not None:
-        whole = next(row for row in rows if row["kind"] != FAILED)
-        used = calibration_used(grasps.robot.source)
-        rows += [_of_grasp(episode, whole, grasp, used) for grasp in grasps.found()]
+        rows += _of_grasps(episode, rows, grasps)
     return rows
+
+
+def _within(request: Request, span: Span | None) -> Request:
+    """The same for a part of a recording."""
+    if span is None:
+        return request
+    return replace(request, options=replace(request.options, span=span))
+
+
+def _of_grasps(episode: Episode, rows: Sequence[Row], grasps: Grasps) -> list[Row]:
+    """A row of each stretch with one load, beside those of the episode's parts."""
+    whole = next(row for row in rows if row["kind"] != FAILED)
+    used = calibration_used(grasps.robot.source)
+    return [_of_grasp(episode, whole, grasp, used) for grasp in grasps.found()]
 
 
 def _place(row: Row, span: Span) -> Row:
