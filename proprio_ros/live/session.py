@@ -29,14 +29,15 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.resources import paths_of, private_folder, write_in_one_step
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.loading import bag_runs, motors_notes, read_options, standing
+from proprio_ros.pipeline.loading import bag_runs, standing
 from proprio_ros.pipeline.request import Options, Request, read_request, request_of, robot_of
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Probe
 from proprio_ros.recordings.effort import Effort
+from proprio_ros.recordings.for_robot import motors_notes
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.runs import cut_runs
-from proprio_ros.recordings.sources import Attempt, BagSource
+from proprio_ros.recordings.sources import BagSource
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.sim.joint import compile_kernels
@@ -322,7 +323,7 @@ def check_input(
     command = options.command_topic
     heard = any(message.topic == command for message in messages)
     asked = replace(
-        read_options(request),
+        request.reading.options,
         # at rest nothing says what it means, and nothing asks
         effort=Effort(request.unit or "raw", request.effort_per_current),
         command_topic=command if heard else None,
@@ -332,8 +333,7 @@ def check_input(
     try:
         with BagSource(bag) as source:
             recording = source.recording(asked)
-            motors = Attempt.to(lambda: source.motors(options.state_topic))
-        about_motors = motors_notes(bag, robot, motors)
+            about_motors = motors_notes(source, robot, options.state_topic)
     except RecordingError as error:
         raise RecordingError(str(error).removeprefix(f"{bag}: ")) from error
     finally:

@@ -24,7 +24,7 @@ from proprio_ros.calibration_files.section import DIGEST, digest_of
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.planning import SECONDS, plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
-from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.estimate import RecordedRun, Verdict
 from proprio_ros.identification.judge import FAR
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.reasons import Reason
@@ -49,12 +49,13 @@ from proprio_ros.inputs.resources import (
 )
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.distinct import Distinct
-from proprio_ros.pipeline.loading import Read, found_in, read_bag, runs_in, runs_or_motion
+from proprio_ros.pipeline.loading import found_in, read_bag, runs_in, runs_or_motion
 from proprio_ros.pipeline.replay import aged_robot, moment_of
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import probe_that
 from proprio_ros.probes.base import Carries
 from proprio_ros.quantity import Z95, Quantity, shown
+from proprio_ros.recordings.for_robot import Read
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.voltage import with_stall_currents
 from proprio_ros.records import Recording, Run
@@ -96,12 +97,13 @@ def calibrate_from_bags(
     paths = paths_of(paths)
     started = time.perf_counter()
     request = _calibration_request(paths, references, options, output, force)
-    loads = [(Path(path), KnownLoad()) for path in paths]
-    loads += [(Path(path), KnownLoad(mass, request.facts)) for path, mass in references.items()]
-    recorded = _read([path for path, _ in loads], request, progress)
-    masses = [load.mass for _, load in loads]
+    loads = [KnownLoad() for _ in paths]
+    loads += [KnownLoad(mass, request.facts) for mass in references.values()]
+    given = [Path(path) for path in (*paths, *references)]
+    recorded = _read(given, request, progress)
+    masses = [load.mass for load in loads]
     request = _with_learnt_delay(request, recorded.recordings, masses, progress)
-    runs, motions = _found(request, recorded, [load for _, load in loads])
+    runs, motions = _found(request, recorded, loads)
     read = time.perf_counter()
     if motions:
         estimate = _from_motions(request, motions, progress)
@@ -116,13 +118,20 @@ def calibrate_from_bags(
     if references:
         swings = bool(runs) and runs[0].run.free
         estimate = _with_implied_scale(estimate, request.robot, swings)
+    estimate = replace(estimate, unused=_unused(estimate, request.robot, runs))
+    origin = {
+        "bags": [str(path) for path in paths],
+        "references": [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()],
+    }
+    return _written(estimate, output, request, origin, read - started)
+
+
+def _unused(
+    estimate: CalibrationEstimate, robot: Robot, runs: Sequence[LoadedRun]
+) -> tuple[RecordedRun, ...]:
+    """The runs that the fit left out, as they were recorded."""
     used = {fit.name for fit in estimate.run_fits}
-    unused = tuple(
-        recorded_run(request.robot, each.run) for each in runs if each.run.name not in used
-    )
-    weighed = [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()]
-    origin = {"bags": [str(path) for path in paths], "references": weighed}
-    return _written(replace(estimate, unused=unused), output, request, origin, read - started)
+    return tuple(recorded_run(robot, each.run) for each in runs if each.run.name not in used)
 
 
 def _calibration_request(

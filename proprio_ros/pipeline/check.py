@@ -22,8 +22,6 @@ from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.loading import (
-    read_options,
-    read_source,
     refuse_uncalibrated,
     runs_or_motion,
     turning_joints,
@@ -35,16 +33,10 @@ from proprio_ros.probes import all_probes
 from proprio_ros.recordings.contents import Contents
 from proprio_ros.recordings.drivers import drivers_of
 from proprio_ros.recordings.effort import EFFORT_UNITS, Effort
+from proprio_ros.recordings.effort_units import EffortUnit, plausible_units
 from proprio_ros.recordings.motions import SLOWEST_HZ, Motion, motion_of
-from proprio_ros.recordings.plausibility import (
-    EffortUnit,
-    Finding,
-    findings,
-    moving,
-    plausible_units,
-)
-from proprio_ros.recordings.read_options import ReadOptions
-from proprio_ros.recordings.sources import BagSource, EpisodeSource, TextSource, open_recording
+from proprio_ros.recordings.plausibility import Finding, findings, moving
+from proprio_ros.recordings.sources import RecordingSource, TextSource, open_recording
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.voltage import voltage_driven
@@ -110,12 +102,12 @@ class _Looked:
 
 def _bag_check(request: Request, path: Path) -> BagCheck:
     """A bag or an episode."""
-    options = read_options(request)
+    options = request.reading.options
     with open_recording(path) as source:
         contents = source.contents(options)
         looked = _Looked(problem=contents.problem)
         if not contents.problem:
-            looked = _looked_into(source, request, options, contents)
+            looked = _looked_into(source, request, contents)
     types = {name: kind for name, kind, _ in contents.topics}
     check = BagCheck(
         str(path),
@@ -129,13 +121,11 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     return _shown(request, looked, looked.recording, types, check)
 
 
-def _looked_into(
-    source: BagSource | EpisodeSource, request: Request, options: ReadOptions, contents: Contents
-) -> _Looked:
+def _looked_into(source: RecordingSource, request: Request, contents: Contents) -> _Looked:
     """What an open source holds, as far as it can be read."""
     looked = _Looked()
     try:
-        recording = read_source(source, request).recording.get()
+        recording = request.reading.recording(source)
         looked = _Looked(recording)
         return _with_found(looked, runs_or_motion(recording, request), request.robot)
     except (RecordingError, RobotError) as error:
@@ -144,7 +134,11 @@ def _looked_into(
         return looked
     # only to look at: no run is cut from a current of an unstated unit
     states = replace(
-        options, effort=Effort(None, {}), command_topic=None, span=None, states_only=True
+        request.reading.options,
+        effort=Effort(None, {}),
+        command_topic=None,
+        span=None,
+        states_only=True,
     )
     try:
         return replace(looked, recording=source.recording(states))

@@ -7,6 +7,8 @@ learnt, in every pose and motion, and whatever stands on the other links finds t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -34,6 +36,14 @@ class LearntUrdf(NamedTuple):
     bent: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _Friction:
+    """Of a joint, in SI units."""
+
+    viscous: float = 0.0
+    coulomb: float = 0.0
+
+
 def learnt_urdf(robot: Robot) -> LearntUrdf:
     """The robot's URDF with what its calibration learnt: viscous and Coulomb friction in SI units at the joint, and links.
 
@@ -49,59 +59,64 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
         )
     builder = ElementTree.TreeBuilder(insert_comments=True)
     root = ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=builder))
-    calibration = robot.motion_calibration
-    friction = {
-        name: (
-            drive.viscous.value / drive.transmission**2,
-            drive.coulomb.value / abs(drive.transmission),
-        )
-        for name, drive in robot.drive_trains.items()
-    }
-    if calibration is None:
-        scale = robot.arm_scale.value
-        bodies = {
-            link.name: scale * link.pseudo_inertia
-            for link in robot.model.links
-            if scale != 1.0 and link.pseudo_inertia[3, 3]
-        }
-        bent: list[str] = []
-    else:
-        count = len(calibration.joints)
-        own = calibration.torque_scale * calibration.values[ARM_TERMS * count :]
-        friction |= {name: (own[n], own[count + n]) for n, name in enumerate(calibration.joints)}
-        bodies, bent = _bodies(robot)
+    bodies, bent = _bodies(robot)
     for element in root.findall("link"):
         if (pseudo := bodies.get(str(element.get("name")))) is not None:
             _state_inertia(element, pseudo)
-    stated = []
-    for element in root.findall("joint"):
-        viscous, coulomb = friction.get(
-            str(element.get("name")),
-            (0.0, 0.0),
-        )
-        if (viscous, coulomb) != (0.0, 0.0):
-            stated.append(str(element.get("name")))
-            dynamics = element.find("dynamics")
-            dynamics = ElementTree.SubElement(element, "dynamics") if dynamics is None else dynamics
-            # no simulator takes friction that drives
-            dynamics.set("damping", f"{max(viscous, 0.0):.6g}")
-            dynamics.set("friction", f"{max(coulomb, 0.0):.6g}")
+    stated = _state_friction(root, _friction(robot))
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
     RobotModel.from_urdf_string(text, path.name)
     return LearntUrdf(text, tuple(stated), tuple(bodies), tuple(bent))
 
 
-def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
-    """Pseudo-inertias of the heaviest link of each body, in that link's frame, and the links whose inertia had to give way."""
+def _friction(robot: Robot) -> dict[str, _Friction]:
+    """Of each joint, as its drive train has it, or as motions learnt it."""
+    friction = {}
+    for name, drive in robot.drive_trains.items():
+        viscous = drive.viscous.value / drive.transmission**2
+        coulomb = drive.coulomb.value / abs(drive.transmission)
+        friction[name] = _Friction(viscous, coulomb)
     calibration = robot.motion_calibration
-    assert calibration is not None
-    others = [name for name in robot.model.independent_joints if name not in calibration.joints]
-    held = zero_pose(robot, others) | {
-        name: at for name, at in robot.held.items() if name in others
-    }
-    model = robot.model.lock(list(calibration.joints), held, robot.gravity)
+    if calibration is None:
+        return friction
+    count = len(calibration.joints)
+    own = calibration.torque_scale * calibration.values[ARM_TERMS * count :]
+    for number, name in enumerate(calibration.joints):
+        friction[name] = _Friction(own[number], own[count + number])
+    return friction
+
+
+def _state_friction(root: ElementTree.Element, friction: Mapping[str, _Friction]) -> list[str]:
+    """Write friction into the joints of a URDF; returns their names."""
+    stated = []
+    for element in root.findall("joint"):
+        name = str(element.get("name"))
+        own = friction.get(name, _Friction())
+        if own == _Friction():
+            continue
+        stated.append(name)
+        dynamics = element.find("dynamics")
+        if dynamics is None:
+            dynamics = ElementTree.SubElement(element, "dynamics")
+        # no simulator takes friction that drives
+        dynamics.set("damping", f"{max(own.viscous, 0.0):.6g}")
+        dynamics.set("friction", f"{max(own.coulomb, 0.0):.6g}")
+    return stated
+
+
+def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
+    """Pseudo-inertias of links that weigh otherwise than in the URDF, and those whose inertia had to give way."""
+    calibration = robot.motion_calibration
+    scale = robot.arm_scale.value
     masses = {link.name: link.pseudo_inertia for link in robot.model.links}
+    if calibration is None:
+        scaled = {name: scale * pseudo for name, pseudo in masses.items() if pseudo[3, 3]}
+        return (scaled if scale != 1.0 else {}), []
+    others = [name for name in robot.model.independent_joints if name not in calibration.joints]
+    held = zero_pose(robot, others)
+    held |= {name: at for name, at in robot.held.items() if name in others}
+    model = robot.model.lock(list(calibration.joints), held, robot.gravity)
     found = {}
     bent = []
     for body, joint in enumerate(calibration.joints):
@@ -112,25 +127,32 @@ def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
                 f"what moves with {joint} weighs {learnt[0]:.3g} kg by this calibration; calibrate with more motion"
             )
         change = pseudo_inertia(learnt) - model.pseudo_inertia[body]
-        link = max(
-            (name for name, (of, _) in model.frames.items() if of == body),
-            key=lambda name: masses[name][3, 3],
-        )
+        links = [name for name, (of, _) in model.frames.items() if of == body]
+        link = max(links, key=lambda name: masses[name][3, 3])
         back = np.linalg.inv(model.frames[link][1])
         pseudo = masses[link] + back @ change @ back.T
-        mass = float(pseudo[3, 3])
-        if mass <= 0.0:
+        if pseudo[3, 3] <= 0.0:
             raise RobotError(
-                f"{link} would weigh {mass:.3g} kg by this calibration; calibrate with more motion"
+                f"{link} would weigh {pseudo[3, 3]:.3g} kg by this calibration; calibrate with more motion"
             )
-        # the torques of gravity stay exactly, and inertia about the centre is that of the nearest body that can be
-        about = np.outer(pseudo[:3, 3], pseudo[:3, 3]) / mass
-        size, axes = np.linalg.eigh(pseudo[:3, :3] - about)
-        if size[0] < (least := mass * LEAST_RADIUS_M**2):
-            bent.append(link)
-        pseudo[:3, :3] = about + (axes * np.maximum(size, least)) @ axes.T
-        found[link] = pseudo
+        found[link], gave_way = _possible(pseudo)
+        bent += [link] * gave_way
     return found, bent
+
+
+def _possible(pseudo: FloatArray) -> tuple[FloatArray, bool]:
+    """A pseudo-inertia, shape (4, 4), that a body can have, and whether the inertia about its centre had to give way for it.
+
+    The torques of gravity stay exactly, and inertia about the centre is that of the nearest body that can be.
+    """
+    mass = float(pseudo[3, 3])
+    about = np.outer(pseudo[:3, 3], pseudo[:3, 3]) / mass
+    size, axes = np.linalg.eigh(pseudo[:3, :3] - about)
+    least = mass * LEAST_RADIUS_M**2
+    possible = pseudo.copy()
+    spread = (axes * np.maximum(size, least)) @ axes.T
+    possible[:3, :3] = about + spread
+    return possible, bool(size[0] < least)
 
 
 def _state_inertia(element: ElementTree.Element, pseudo: FloatArray) -> None:

@@ -8,31 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.calibration_files.motors import Motors, other_arm, other_firmware
 from proprio_ros.errors import RecordingError
 from proprio_ros.pipeline.request import Request
 from proprio_ros.recordings.contradictions import refuse_other_current
-from proprio_ros.recordings.effort import Effort
-from proprio_ros.recordings.jumps import without_jumps
+from proprio_ros.recordings.for_robot import Read
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.recordings.pace import refuse_pace_of_joint, refuse_pace_of_runs
-from proprio_ros.recordings.plausibility import plausible_units
 from proprio_ros.recordings.published import published_robot, published_run
-from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
-from proprio_ros.recordings.signals import refuse_prefix
-from proprio_ros.recordings.sources import (
-    Attempt,
-    BagSource,
-    EpisodeSource,
-    TextSource,
-    open_recording,
-    open_source,
-)
+from proprio_ros.recordings.sources import Attempt, TextSource, open_recording, open_source
 from proprio_ros.recordings.text import TextRecording
-from proprio_ros.recordings.voltage import refuse_unit, voltage_driven, with_stall_currents
 from proprio_ros.records import InputRecord, Recording, Run
-from proprio_ros.robot import Robot, is_description
+from proprio_ros.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -47,16 +34,6 @@ class Loaded:
     text: TextRecording | None = None  # where it is one
 
 
-@dataclass(frozen=True)
-class Read:
-    """One bag or episode as it was read for a robot, before runs or a motion are made of it."""
-
-    path: Path
-    recording: Attempt[Recording]
-    motors: Attempt[Motors]  # as far as the recording says whose arm it is of
-    temperatures: Attempt[Mapping[str, float]]  # as of `Loaded`
-
-
 def load(path: Path, request: Request) -> Loaded:
     """The runs or the motion of one bag, episode or text.
 
@@ -68,7 +45,7 @@ def load(path: Path, request: Request) -> Loaded:
             robot = published_robot(request.robot, text)
             run = published_run(robot, text, request.locked)
             return Loaded(path, robot, (run,), Attempt({}), text)
-        read = read_source(source, request)
+        read = request.reading.of(source)
     found = found_in(read.recording.get(), request)
     return Loaded(path, request.robot, found, read.temperatures)
 
@@ -76,19 +53,7 @@ def load(path: Path, request: Request) -> Loaded:
 def read_bag(path: Path, request: Request) -> Read:
     """What one bag or episode holds. Raises `RecordingError`: It cannot be opened."""
     with open_recording(path) as source:
-        return read_source(source, request)
-
-
-def read_source(source: BagSource | EpisodeSource, request: Request) -> Read:
-    """What an open bag or episode holds, as far as it can be read."""
-    topic = request.options.state_topic
-    motors = Attempt.to(lambda: source.motors(topic))
-    return Read(
-        source.path,
-        Attempt.to(lambda: recording_in(source, request, motors)),
-        motors,
-        Attempt.to(lambda: source.temperatures(topic)),
-    )
+        return request.reading.of(source)
 
 
 def bag_recording(path: Path, request: Request) -> Recording:
@@ -144,7 +109,7 @@ def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
     runs = cut_runs(recording, held=held, joints=list(request.robot.drive_trains))
     usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
     refuse_pace_of_runs(recording, runs)
-    refuse_other_current(recording, Effort(request.unit, request.effort_per_current), usable)
+    refuse_other_current(recording, request.reading.options.effort, usable)
     return runs
 
 
@@ -212,123 +177,6 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
         learnt = robot.motion_calibration is not None or robot.joint_calibration is not None
         return learnt and robot.calibration is None
     return not inputs.current_A.any()
-
-
-def recording_in(
-    source: BagSource | EpisodeSource, request: Request, motors: Attempt[Motors]
-) -> Recording:
-    """What an open bag or episode holds for a robot, named after it.
-
-    Args:
-        source: The bag or episode.
-        request: What is asked, with the robot.
-        motors: Of the arm, as the source has them.
-
-    Returns:
-        The recording, with a note on each repair.
-
-    Raises:
-        RecordingError: It cannot be read, or is of another arm.
-        ConfigurationError: What is stated of it cannot be.
-    """
-    robot = request.robot
-    path = source.path
-    if request.driver is not None and request.driver.refused:
-        raise RecordingError(f"{path}: {request.driver.refused}")
-    refuse_unit(robot, request.unit)
-    options = read_options(request)
-    recording = source.recording(options)
-    refuse_prefix(path, recording.joints.names, options.joint_order)
-    recording = without_jumps(recording, options.joint_order)
-    if voltage_driven(robot):
-        signals = source.drive_signals(options)
-        if signals is not None:
-            recording = replace(recording, signals=signals)
-        recording = with_stall_currents(recording, robot)
-    recording = replace(
-        recording,
-        name=source.name or recording.name,
-        notes=(
-            *recording.notes,
-            *motors_notes(path, robot, motors),
-            *_implausible_unit(recording, request),
-        ),
-    )
-    _refuse_currents(path, recording.inputs, request)
-    return recording
-
-
-def read_options(request: Request) -> ReadOptions:
-    """How a recording is read for a request; raises ConfigurationError: its unit of the effort is unknown."""
-    options = request.options
-    driver = request.driver
-    robot = request.robot
-    model = robot.model
-    joints = {name: model.joint(name) for name in model.independent_joints}
-    return ReadOptions(
-        Effort(request.unit, request.effort_per_current),
-        list(robot.drive_trains),
-        request.conventions,
-        options.state_topic,
-        options.command_topic,
-        options.span,
-        states_only=len(voltage_driven(robot)) == len(robot.drive_trains),
-        columns=None if driver is None else driver.columns,
-        limits={name: (joint.lower, joint.upper) for name, joint in joints.items()},
-    )
-
-
-def _refuse_currents(path: Path, inputs: InputRecord | None, request: Request) -> None:
-    """Raise RecordingError: currents were commanded, and a URDF alone states no torque constants."""
-    source = request.robot.source
-    if request.unit != "N.m" or not is_description(str(source)) or inputs is None:
-        return
-    if not inputs.measured and inputs.unit != "N.m":
-        raise RecordingError(
-            f"{path}: {inputs.source} are currents, and {source.name} states no torque constants: write a file with "
-            "`proprio robot new`, or state each with --set robot.joints.JOINT.motor.nominal_torque_constant_N_m_per_A=VALUE"
-        )
-
-
-def _implausible_unit(recording: Recording, request: Request) -> tuple[str, ...]:
-    """A note where the effort is far from what gravity needs in the unit of the driver's profile."""
-    driver = request.driver
-    if driver is None:
-        return ()
-    return tuple(
-        f"effort in {each.unit} (--driver {driver.name}) is {np.median(list(each.ratio.values())):.2g} times the torque "
-        "that gravity needs by the URDF, and an empty hand gives 1: is it this driver, and are the torque constants right?"
-        for each in plausible_units(recording, request.robot)[1]
-        if each.unit == request.unit and not each.plausible
-    )
-
-
-def motors_notes(path: Path, robot: Robot, motors: Attempt[Motors]) -> tuple[str, ...]:
-    """A note where a recording is of the motors that were calibrated, but these have other firmware now.
-
-    Args:
-        path: Of the recording, for a refusal.
-        robot: With its calibration; one that names no motors is of any arm.
-        motors: As the recording names them.
-
-    Returns:
-        A sentence, or none.
-
-    Raises:
-        RecordingError: It is of another arm, as far as both say whose it is, or cannot be read.
-    """
-    if robot.calibration is None or not robot.calibration.motors:
-        return ()
-    recorded = motors.get()
-    if differences := other_arm(robot.calibration.motors, recorded):
-        raise RecordingError(
-            f"{path}: another arm than that of {robot.source.name}, or its motors were set anew: {differences}: calibrate this "
-            "arm, or name its own calibration"
-        )
-    updated = other_firmware(robot.calibration.motors, recorded)
-    if not updated:
-        return ()
-    return (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",)
 
 
 def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 from proprio_ros.identification.estimate import plain
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.drivers import Driver
+from proprio_ros.recordings.effort_units import EffortUnit
 from proprio_ros.recordings.motions import Motion
-from proprio_ros.recordings.plausibility import EffortUnit, Finding
+from proprio_ros.recordings.plausibility import Finding
 from proprio_ros.records import STALL_CURRENT
 from proprio_ros.schema import header, reason_codes
 

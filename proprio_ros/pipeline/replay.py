@@ -20,7 +20,6 @@ from proprio_ros.inputs.resources import paths_of
 from proprio_ros.pipeline.distinct import Distinct
 from proprio_ros.pipeline.loading import (
     Loaded,
-    Read,
     bag_motion,
     bag_runs,
     load,
@@ -29,6 +28,7 @@ from proprio_ros.pipeline.loading import (
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.base import Carries, Recorded, TakesMotions
+from proprio_ros.recordings.for_robot import Read
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.text import TextRecording, is_text_recording
 from proprio_ros.records import Run

@@ -20,8 +20,12 @@ from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.drivers import Driver, load_driver
+from proprio_ros.recordings.effort import Effort
+from proprio_ros.recordings.for_robot import RobotReading
+from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.recordings.topics import OUR_DRIVER, Conventions
+from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.records import Span
 from proprio_ros.robot import Robot, with_recorded_torque
 from proprio_ros.robot.fields import CALIBRATIONS
@@ -102,6 +106,25 @@ class Request:
             name: drive.nominal_effort_per_current
             for name, drive in self.robot.drive_trains.items()
         }
+
+    @property
+    def reading(self) -> RobotReading:
+        """How recordings are read. Raises `ConfigurationError`: The unit of the effort is unknown."""
+        robot = self.robot
+        stated = self.options
+        joints = {name: robot.model.joint(name) for name in robot.model.independent_joints}
+        options = ReadOptions(
+            Effort(self.unit, self.effort_per_current),
+            list(robot.drive_trains),
+            self.conventions,
+            stated.state_topic,
+            stated.command_topic,
+            stated.span,
+            states_only=len(voltage_driven(robot)) == len(robot.drive_trains),
+            columns=None if self.driver is None else self.driver.columns,
+            limits={name: (joint.lower, joint.upper) for name, joint in joints.items()},
+        )
+        return RobotReading(robot, self.driver, options)
 
 
 def request_of(options: Options) -> Request:

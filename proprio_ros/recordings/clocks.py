@@ -413,45 +413,82 @@ class _Steps:
     whole: bool  # whether the ordering clock goes on as ever at each step
 
 
+@dataclass(frozen=True)
+class _Beside:
+    """Times of one clock in the order of another, all [ns], shape (M,) each."""
+
+    ordered: TimeArray  # of the clock that orders
+    other: TimeArray
+    ahead: TimeArray  # how far the other one is ahead, since the first message
+    level: TimeArray  # the same without single late messages
+
+    @classmethod
+    def of(cls, order_ns: TimeArray, other_ns: TimeArray) -> _Beside | None:
+        """None where no two neighbours are a step apart."""
+        from scipy.ndimage import median_filter  # half of a second to import
+
+        order = np.argsort(order_ns, kind="stable")
+        ordered = order_ns[order]
+        other = other_ns[order]
+        ahead = other - ordered
+        ahead -= ahead[0]
+        if not np.any(np.abs(np.diff(ahead)) > LEAST_STEP_NS):
+            return None
+        level = median_filter(ahead, NEIGHBOURS, mode="nearest")
+        return cls(ordered, other, ahead, level)
+
+    @property
+    def jumps(self) -> int:
+        """How often neighbours are a step apart."""
+        return int(np.sum(np.abs(np.diff(self.ahead)) > LEAST_STEP_NS))
+
+    def bounds(self) -> list[int]:
+        """Rows between which the level stays: the first, those behind each step, and the number of messages."""
+        rows = np.flatnonzero(np.abs(np.diff(self.level)) > LEAST_STEP_NS) + 1
+        return [0, *(int(row) for row in rows), len(self.level)]
+
+
 def _steps(order_ns: TimeArray, other_ns: TimeArray) -> _Steps | None:
     """Steps of the other clock, in the order of the first; None where there are none, or what is no step."""
-    from scipy.ndimage import median_filter  # half of a second to import
-
-    order = np.argsort(order_ns, kind="stable")
-    ordered = order_ns[order]
-    other = other_ns[order]
-    ahead = other - ordered
-    ahead -= ahead[0]
-    jumps = int(np.sum(np.abs(np.diff(ahead)) > LEAST_STEP_NS))
-    if not jumps:
+    beside = _Beside.of(order_ns, other_ns)
+    if beside is None:
         return None
-    level = median_filter(ahead, NEIGHBOURS, mode="nearest")
-    rows = np.flatnonzero(np.abs(np.diff(level)) > LEAST_STEP_NS) + 1
-    if not len(rows) or len(rows) > MOST_STEPS:
+    bounds = beside.bounds()
+    if not 0 < len(bounds) - 2 <= MOST_STEPS:
         return None
-    bounds = [0, *(int(row) for row in rows), len(level)]
-    medians = [_median(level[begin:end]) for begin, end in pairwise(bounds)]
+    medians = [_median(beside.level[begin:end]) for begin, end in pairwise(bounds)]
+    period_ns = float(np.median(np.diff(beside.ordered)))
     steps: list[RecorderSteps] = []
     taken_ns = 0
     whole = True
-    period_ns = float(np.median(np.diff(ordered)))
-    for number, (before_ns, after_ns) in enumerate(pairwise(medians)):
-        jump = bounds[number + 1]
-        by_ns = after_ns - before_ns
-        at_once_ns = int(level[jump] - level[jump - 1])
-        # what comes late once and catches up is no step
-        if abs(by_ns) < LEAST_STEP_NS or abs(by_ns - at_once_ns) > 0.25 * abs(by_ns):
+    for number, levels_ns in enumerate(pairwise(medians)):
+        by_ns = levels_ns[1] - levels_ns[0]
+        row = _step_row(beside, bounds[number + 1], *levels_ns)
+        if row is None:
             continue
-        row = _edge(ahead, jump, (before_ns + after_ns) // 2, after_ns > before_ns)
-        gap_ns = float(ordered[row] - ordered[row - 1])
+        gap_ns = float(beside.ordered[row] - beside.ordered[row - 1])
         whole &= gap_ns < max(PERIODS * period_ns, 0.5 * abs(by_ns))
         # as they are once the steps before are taken out
-        before = other[min(bounds[number], row - 1) : row] - taken_ns
-        after = other[row : max(bounds[number + 2], row + 1)] - taken_ns
-        ends = (int(before.min()), int(before.max())), (int(after.min()), int(after.max()))
-        steps.append(RecorderSteps(int(ordered[row]), by_ns, *ends))
+        before = beside.other[min(bounds[number], row - 1) : row] - taken_ns
+        after = beside.other[row : max(bounds[number + 2], row + 1)] - taken_ns
+        steps.append(RecorderSteps(int(beside.ordered[row]), by_ns, _ends(before), _ends(after)))
         taken_ns += by_ns
-    return _Steps(tuple(steps), int(ordered[0]), jumps, whole) if steps else None
+    if not steps:
+        return None
+    return _Steps(tuple(steps), int(beside.ordered[0]), beside.jumps, whole)
+
+
+def _step_row(beside: _Beside, jump: int, before_ns: int, after_ns: int) -> int | None:
+    """The first row behind a step between two levels; None where it is none: what comes late once and catches up."""
+    by_ns = after_ns - before_ns
+    at_once_ns = int(beside.level[jump] - beside.level[jump - 1])
+    if abs(by_ns) < LEAST_STEP_NS or abs(by_ns - at_once_ns) > 0.25 * abs(by_ns):
+        return None
+    return _edge(beside.ahead, jump, (before_ns + after_ns) // 2, after_ns > before_ns)
+
+
+def _ends(times_ns: TimeArray) -> tuple[int, int]:
+    return int(times_ns.min()), int(times_ns.max())
 
 
 def _median(values: TimeArray) -> int:

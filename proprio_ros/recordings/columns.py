@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.messages import labels_of
-from proprio_ros.recordings.reader import Bag
+from proprio_ros.recordings.reader import Bag, Rows
 from proprio_ros.recordings.topics import OUR_DRIVER, Conventions, InputTopic, Topic
 from proprio_ros.records import FloatArray, TimeArray
 
@@ -39,65 +41,111 @@ class JointColumns(NamedTuple):
 def joint_state_columns(
     bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
 ) -> JointColumns:
-    """Columns of a JointState topic; the first of the quantities (fields of the message) must be there in every message.
+    """Columns of a JointState topic.
 
-    Raises `RecordingError`: Names and values do not fit each other, or two joints would have one name.
+    Args:
+        bag: Open.
+        topic: Of the joint states.
+        quantities: Fields of the message; the first of them must be there in every message.
+        conventions: Of the driver that published.
+
+    Returns:
+        A column for each joint that any message names, in SI units.
+
+    Raises:
+        RecordingError: Names and values do not fit each other, or two joints would have one name.
     """
+    where = f"{bag.path}: {topic.name}"
     rows = bag.rows(topic)
     named = [conventions.renamed(part.message.name) for part in rows]
+    _refuse_two_of_a_name(where, rows, named, conventions)
     names = tuple(dict.fromkeys(name for part in named for name in part))
-    theirs: dict[str, str] = {}
-    for part, own in zip(rows, named, strict=True):
-        for name, other in zip(own, part.message.name, strict=True):
-            if theirs.setdefault(name, other) != other:
-                raise RecordingError(
-                    f"{bag.path}: {topic.name}: {theirs[name]} and {other} would both be {name}; state joint_names of --driver "
-                    f"{conventions.driver} otherwise"
-                )
-    # a joint that a message names twice has a column for each time
-    numbered = [_numbered(own) for own in named]
-    keys = list(dict.fromkeys(key for own in numbered for key in own))
-    index = {key: column for column, key in enumerate(keys)}
-    bag_ns = np.concatenate([part.bag_ns for part in rows])
-    values = {quantity: np.full((len(bag_ns), len(keys)), np.nan) for quantity in quantities}
-    orders = set()
-    row = 0
-    for part, own_keys in zip(rows, numbered, strict=True):
-        columns = [index[key] for key in own_keys]
-        orders.add(tuple(columns))
-        for quantity in quantities:
-            length = (data := part.values[quantity]).shape[1]
-            if length != len(columns) and (length or quantity == quantities[0]):
-                raise RecordingError(
-                    f"{bag.path}: {topic.name} has {len(columns)} names but {length} values of {quantity} in message"
-                    f" {row + 1}; every joint needs one"
-                )
-            if length:
-                values[quantity][row : row + len(data), columns] = _marked(data)
-        row += len(part.bag_ns)
+    keys, orders = _keys(named)
+    values = _filled(where, rows, orders, len(keys), quantities)
     notes = []
-    if len({frozenset(order) for order in orders}) < len(orders):
+    distinct = {tuple(order) for order in orders}
+    if len({frozenset(order) for order in distinct}) < len(distinct):
         notes.append(
             f"{topic.name}: the order of the joints changes between messages; they were matched by name."
         )
     if len(keys) > len(names):
-        values = _named_once(f"{bag.path}: {topic.name}", keys, names, values, quantities[0])
+        values = _named_once(where, keys, names, values, quantities[0])
         notes.append(
             f"{topic.name}: messages name joints twice; the numbers that change along the recording were kept."
         )
     for quantity in {"position", "velocity"} & values.keys():
         values[quantity] *= conventions.radians
-    return JointColumns(
-        bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes
-    )
+    bag_ns = np.concatenate([part.bag_ns for part in rows])
+    stamp_ns = np.concatenate([part.stamp_ns for part in rows])
+    return JointColumns(bag_ns, stamp_ns, names, values, notes)
+
+
+def _refuse_two_of_a_name(
+    where: str,
+    rows: Sequence[Rows],
+    named: Sequence[Sequence[str]],
+    conventions: Conventions,
+) -> None:
+    """Raise RecordingError: two of the driver's joints would have one of the robot's names."""
+    theirs: dict[str, str] = {}
+    for part, own in zip(rows, named, strict=True):
+        for name, other in zip(own, part.message.name, strict=True):
+            if theirs.setdefault(name, other) != other:
+                raise RecordingError(
+                    f"{where}: {theirs[name]} and {other} would both be {name}; state joint_names of --driver {conventions.driver} "
+                    "otherwise"
+                )
+
+
+def _filled(
+    where: str,
+    rows: Sequence[Rows],
+    orders: Sequence[Sequence[int]],
+    count: int,
+    quantities: Sequence[str],
+) -> dict[str, FloatArray]:
+    """Numbers of messages by quantity, shape (M, count).
+
+    Args:
+        where: Bag and topic.
+        rows: Messages; those of one entry name the same joints.
+        orders: Column of each joint that the messages of an entry name.
+        count: Of the columns.
+        quantities: Of which the first must be there in every message.
+
+    Raises:
+        RecordingError: A message has more or fewer numbers than names.
+    """
+    messages = sum(len(part.bag_ns) for part in rows)
+    values = {quantity: np.full((messages, count), np.nan) for quantity in quantities}
+    row = 0
+    for part, columns in zip(rows, orders, strict=True):
+        for quantity in quantities:
+            data = part.values[quantity]
+            length = data.shape[1]
+            if length != len(columns) and (length or quantity == quantities[0]):
+                raise RecordingError(
+                    f"{where} has {len(columns)} names but {length} values of {quantity} in message {row + 1}; every joint needs "
+                    "one"
+                )
+            if length:
+                values[quantity][row : row + len(data), columns] = _marked(data)
+        row += len(part.bag_ns)
+    return values
 
 
 _Key = tuple[str, int]
 """A joint, and how often the message named it before."""
 
 
-def _numbered(names: Sequence[str]) -> list[_Key]:
-    return [(name, names[:place].count(name)) for place, name in enumerate(names)]
+def _keys(named: Sequence[Sequence[str]]) -> tuple[list[_Key], list[list[int]]]:
+    """Keys of all columns, and those of each message in its order; a joint that it names twice has a column for each time."""
+    numbered = [
+        [(name, names[:place].count(name)) for place, name in enumerate(names)] for names in named
+    ]
+    keys = list(dict.fromkeys(key for own in numbered for key in own))
+    index = {key: column for column, key in enumerate(keys)}
+    return keys, [[index[key] for key in own] for own in numbered]
 
 
 def _named_once(
@@ -170,46 +218,26 @@ def array_columns(
     """Columns of an array of what drives the joints, as the quantity ``effort``.
 
     A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers
-    ends the excitation. Numbers without labels are in the order of the robot's joints. Raises `RecordingError`: Labels
-    or lengths do not fit.
+    ends the excitation. Numbers without labels are in the order of the robot's joints.
+
+    Args:
+        bag: Open.
+        topic: Of the arrays.
+        means: What its numbers are, and in which order.
+        joint_order: The robot's joints that have a motor.
+        recorded: Joints whose states were recorded.
+        conventions: Of the driver that published.
+
+    Returns:
+        A column for each joint that any message drives, zero where it does not.
+
+    Raises:
+        RecordingError: Labels or lengths do not fit.
     """
     parts = bag.rows(topic)
+    array = _Array(bag.path, topic, means, joint_order, recorded, conventions)
     notes = dict[str, None]()
-    stated = conventions.renamed(means.joints)
-    labelled = list[Sequence[str]]()
-    for part in parts:
-        count = len(part.message.data)
-        if not count:
-            labelled.append(())
-            continue
-        labels = _labels(bag, topic, part.message, {*joint_order, *recorded}, conventions)
-        if labels is None and stated:
-            if count != len(stated):
-                raise RecordingError(
-                    f"{bag.path}: {topic.name} has {count} values but --driver {conventions.driver} names "
-                    f"{len(stated)} joints ({', '.join(stated)}); state its controller's joints in a file of your own"
-                )
-            labels = stated
-        if labels is None:
-            there = tuple(joint for joint in joint_order if joint in recorded)
-            labels = next(
-                (order for order in (tuple(joint_order), there) if count == len(order)), None
-            )
-            if labels is None:
-                advice = (
-                    "label the columns in layout.dim, or choose another input with --command-topic"
-                )
-                if conventions.driver:
-                    advice = f"state the joints of its controller in a --driver file of your own (extends: {conventions.driver})"
-                raise RecordingError(
-                    f"{bag.path}: {topic.name} has {count} values but the robot has {len(joint_order)} joints"
-                    f" ({', '.join(joint_order)}); {advice}"
-                )
-            if len(labels) < len(joint_order) or means not in OUR_DRIVER.inputs:
-                notes[
-                    f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."
-                ] = None
-        labelled.append(labels)
+    labelled = [array.joints_of(part.message, notes) for part in parts]
     names = tuple(dict.fromkeys(name for labels in labelled for name in labels))
     times_ns = np.concatenate([part.bag_ns for part in parts])
     values = np.zeros((len(times_ns), len(names)))
@@ -219,26 +247,67 @@ def array_columns(
             columns = [names.index(label) for label in named]
             values[row : row + len(part.bag_ns), columns] = _marked(part.values["data"])
         row += len(part.bag_ns)
-    return JointColumns(
-        times_ns,
-        np.zeros_like(times_ns),
-        names,
-        {"effort": values},
-        list(notes),
-    )
+    return JointColumns(times_ns, np.zeros_like(times_ns), names, {"effort": values}, list(notes))
 
 
-def _labels(
-    bag: Bag, topic: Topic, message: Any, known: set[str], conventions: Conventions
-) -> tuple[str, ...] | None:
-    """The robot's names of an array's columns; None where nothing names them."""
-    labels = conventions.renamed(labels_of(message))
-    if not any(labels) or (len(labels) != len(message.data) and known.isdisjoint(labels)):
-        # no labels, or some that describe the dimensions ("currents") and not the columns
-        return None
-    if len(labels) != len(message.data) or len(set(labels)) != len(labels) or not all(labels):
+@dataclass(frozen=True)
+class _Array:
+    """Arrays of a topic, and what may name their columns; as of `array_columns`."""
+
+    path: Path
+    topic: Topic
+    means: InputTopic
+    joint_order: Sequence[str]
+    recorded: Sequence[str]
+    conventions: Conventions
+
+    def joints_of(self, message: Any, notes: dict[str, None]) -> Sequence[str]:
+        """The joints that a message drives, by its labels, its driver's profile, or else the robot's order, which is noted."""
+        count = len(message.data)
+        if not count:
+            return ()
+        return self._labels(message) or self._stated(count) or self._in_order(count, notes)
+
+    def _labels(self, message: Any) -> tuple[str, ...]:
+        """The robot's names of the columns; empty where nothing names them."""
+        labels = self.conventions.renamed(labels_of(message))
+        known = {*self.joint_order, *self.recorded}
+        fitting = len(labels) == len(message.data)
+        if not any(labels) or (not fitting and known.isdisjoint(labels)):
+            # no labels, or some that describe the dimensions ("currents") and not the columns
+            return ()
+        if not fitting or len(set(labels)) != len(labels) or not all(labels):
+            raise RecordingError(
+                f"{self.path}: {self.topic.name} has {len(message.data)} values but is labelled {', '.join(labels)};"
+                " layout.dim must name every joint once"
+            )
+        return labels
+
+    def _stated(self, count: int) -> tuple[str, ...]:
+        """The joints of the driver's controller, as its profile says; empty where it does not."""
+        stated = self.conventions.renamed(self.means.joints)
+        if stated and count != len(stated):
+            raise RecordingError(
+                f"{self.path}: {self.topic.name} has {count} values but --driver {self.conventions.driver} names "
+                f"{len(stated)} joints ({', '.join(stated)}); state its controller's joints in a file of your own"
+            )
+        return stated
+
+    def _in_order(self, count: int, notes: dict[str, None]) -> tuple[str, ...]:
+        """The robot's joints, or those of them that were recorded, whichever are as many as there are columns."""
+        there = tuple(joint for joint in self.joint_order if joint in self.recorded)
+        for joints in (tuple(self.joint_order), there):
+            if count != len(joints):
+                continue
+            if len(joints) < len(self.joint_order) or self.means not in OUR_DRIVER.inputs:
+                words = f"{self.topic.name} is unlabelled; it was read as the recorded joints {', '.join(joints)}."
+                notes[words] = None
+            return joints
+        advice = "label the columns in layout.dim, or choose another input with --command-topic"
+        driver = self.conventions.driver
+        if driver:
+            advice = f"state the joints of its controller in a --driver file of your own (extends: {driver})"
         raise RecordingError(
-            f"{bag.path}: {topic.name} has {len(message.data)} values but is labelled {', '.join(labels)};"
-            " layout.dim must name every joint once"
+            f"{self.path}: {self.topic.name} has {count} values but the robot has {len(self.joint_order)} joints"
+            f" ({', '.join(self.joint_order)}); {advice}"
         )
-    return labels

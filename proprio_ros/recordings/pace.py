@@ -268,14 +268,18 @@ def _made_of_differences(position: FloatArray, velocity: FloatArray) -> bool:
     return False
 
 
-def _velocity_scale(
-    times_s: FloatArray, position: FloatArray, velocity: FloatArray
-) -> VelocityScale | None:
-    """Of one joint, by windows; all of shape (T,); None where velocities leave too much open."""
+@dataclass(frozen=True)
+class _Window:
+    """Samples of a window, about their mean."""
+
+    design: FloatArray  # integral of the velocity, and the velocity, shape (K, 2)
+    travelled: FloatArray  # position, shape (K,)
+
+
+def _windows(times_s: FloatArray, position: FloatArray, velocity: FloatArray) -> list[_Window]:
+    """Windows of one joint that have enough samples and no gap; all of shape (T,)."""
     regressors = _integral_and_velocity(times_s, velocity)
     number = np.floor(times_s / WINDOW_S).astype(np.int64)
-    products = []
-    projections = []
     windows = []
     for window in np.unique(number):
         inside = number == window
@@ -284,24 +288,30 @@ def _velocity_scale(
             continue
         design = regressors[inside] - regressors[inside].mean(axis=0)
         travelled = position[inside] - position[inside].mean()
-        products.append(design.T @ design)
-        projections.append(design.T @ travelled)
-        windows.append((design, travelled))
+        windows.append(_Window(design, travelled))
+    return windows
+
+
+def _velocity_scale(
+    times_s: FloatArray, position: FloatArray, velocity: FloatArray
+) -> VelocityScale | None:
+    """Of one joint, by windows; all of shape (T,); None where velocities leave too much open."""
+    windows = _windows(times_s, position, velocity)
     if len(windows) < FEWEST_WINDOWS:
         return None
-    product = np.sum(products, axis=0)
+    product = np.sum([each.design.T @ each.design for each in windows], axis=0)
     if np.linalg.cond(product) > 1e12:
         return None
     inverse = np.linalg.inv(product)
-    slopes = inverse @ np.sum(projections, axis=0)
+    slopes = inverse @ np.sum([each.design.T @ each.travelled for each in windows], axis=0)
     squares = 0.0
     whole = 0.0
     scores = np.zeros((len(windows), 2))
-    for row, (design, travelled) in enumerate(windows):
-        residual = travelled - design @ slopes
-        scores[row] = design.T @ residual
+    for row, window in enumerate(windows):
+        residual = window.travelled - window.design @ slopes
+        scores[row] = window.design.T @ residual
         squares += float(residual @ residual)
-        whole += float(travelled @ travelled)
+        whole += float(window.travelled @ window.travelled)
     if slopes[0] <= 0.0 or squares > UNEXPLAINED**2 * whole:
         return None
     # what windows leave open differs from one to the next, whatever the samples within do

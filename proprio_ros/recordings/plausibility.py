@@ -7,31 +7,21 @@ Nothing here is fitted on: every finding is a sentence with its numbers, and wha
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from proprio_ros.errors import RobotError, some
-from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, ampere
+from proprio_ros.errors import some
 from proprio_ros.recordings.motions import MOVED_RAD
 from proprio_ros.recordings.pace import Pace, pace_by_velocities
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
-from proprio_ros.robot import ReducedModel, Robot, is_description
-from proprio_ros.robot.regressor import body_parameters, carriers, gravity_along, kinematics
 
 MOVED_M = 0.002  # a slide that moves less stands still [m]
 LONGEST_LAG_S = 0.15  # of a velocity behind its position; filters of servos take less [s]
 LAG_S = 0.015
 """What a lag must reach to be said [s]; a velocity computed from the last two positions lags by half a period."""
 SURE_CORRELATION = 0.9
-SMOOTHED_S = 0.1  # efforts are compared with gravity over this time [s]
-PLAUSIBLE = (0.5, 2.0)
-"""Effort over the torque that gravity needs: within it lie an unknown load, gears that lose a part, and a URDF that is 15 % off."""
-LEAST_T = 15.0
-"""Times its formal standard error that gravity's share of an effort must be: residuals are correlated over seconds."""
-LEAST_LOAD = 0.1
-"""Of the largest change of gravity's torque on any joint: a wrist that hardly lifts says nothing of units."""
 FEW_LEVELS = 5
 """An effort that takes fewer values than this between zeros is a sequence of excitations, and no old reading."""
 STALE_SAMPLES = 4  # equal efforts in a row, typically, while the joint moves
@@ -46,17 +36,6 @@ class Finding:
     joints: tuple[str, ...] = ()  # that it is about
     # its numbers by joint, in the unit that the sentence names
     values: Mapping[str, float] = field(default_factory=dict)
-    as_json = asdict
-
-
-@dataclass(frozen=True)
-class EffortUnit:
-    """How the effort would compare with the torque that gravity needs if it were in some unit."""
-
-    unit: str  # as for ``--effort-unit``
-    # effort in N m over that torque by joint; 1 where all is as the URDF says
-    ratio: Mapping[str, float]
-    plausible: bool  # whether their median is within `PLAUSIBLE`
     as_json = asdict
 
 
@@ -163,9 +142,15 @@ def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
 def velocity_lag_s(
     times_s: FloatArray, position: FloatArray, velocity: FloatArray
 ) -> tuple[float, float] | None:
-    """How far a recorded velocity is behind the derivative of its position, and how many times as large it is; all of shape (T,).
+    """How far a recorded velocity is behind the derivative of its position, and how many times as large it is.
 
-    Returns: Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
+    Args:
+        times_s: Increasing [s], shape (T,).
+        position: Of a joint [rad], shape (T,).
+        velocity: As it was recorded, shape (T,).
+
+    Returns:
+        Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
     """
     even, both = evenly(times_s, np.column_stack([position, velocity]))
     period_s = float(even[1] - even[0])
@@ -173,38 +158,45 @@ def velocity_lag_s(
     # both are smoothed alike, so that counts of the encoder do not decide
     width = max(3, round(0.05 / period_s) | 1)
     smooth = np.ones(width) / width
-    derivative = np.convolve(
-        np.gradient(both[:, 0], period_s),
-        smooth,
-        "same",
-    )
+    derivative = np.convolve(np.gradient(both[:, 0], period_s), smooth, "same")
     reported = np.convolve(both[:, 1], smooth, "same")
     if most < 1 or len(even) < 8 * most + 2 * width or not derivative.any() or not reported.any():
         return None
-    inner = slice(2 * most, len(even) - 2 * most)
-    late = reported[inner] - reported[inner].mean()
-    lags = np.arange(-most, most + 1)
-    agreement = np.zeros(len(lags))
-    for row, lag in enumerate(lags):
-        early = derivative[inner.start - lag : inner.stop - lag]
-        early = early - early.mean()
-        scale = np.sqrt((early @ early) * (late @ late))
-        agreement[row] = early @ late / scale if scale > 0.0 else 0.0
+    agreement = _agreement(derivative, reported, most)
     best = int(np.argmax(agreement))
     if agreement[best] < SURE_CORRELATION:
         return None
-    shift = 0.0
-    if 0 < best < len(lags) - 1:
-        below, at, above = agreement[best - 1 : best + 2]
-        bend = below - 2.0 * at + above
-        shift = 0.5 * (below - above) / bend if bend < 0.0 else 0.0
-    early = derivative[inner.start - lags[best] : inner.stop - lags[best]]
-    return float((lags[best] + shift) * period_s), float(
-        (early @ reported[inner]) / (early @ early)
-    )
+    shift = _peak_shift(agreement, best)
+    early = derivative[2 * most - (best - most) : len(even) - 2 * most - (best - most)]
+    late = reported[2 * most : len(even) - 2 * most]
+    return float((best - most + shift) * period_s), float((early @ late) / (early @ early))
 
 
-def _times_s(record: JointRecord) -> FloatArray:
+def _agreement(derivative: FloatArray, reported: FloatArray, most: int) -> FloatArray:
+    """Correlation of two series, shape (T,) each, where the second is so many samples late, from -most to most."""
+    start = 2 * most
+    stop = len(derivative) - 2 * most
+    late = reported[start:stop] - reported[start:stop].mean()
+    agreement = np.zeros(2 * most + 1)
+    for row, lag in enumerate(range(-most, most + 1)):
+        early = derivative[start - lag : stop - lag]
+        early = early - early.mean()
+        scale = np.sqrt((early @ early) * (late @ late))
+        agreement[row] = early @ late / scale if scale > 0.0 else 0.0
+    return agreement
+
+
+def _peak_shift(values: FloatArray, best: int) -> float:
+    """How far the peak of a parabola through the largest value and its neighbours is from it, in samples."""
+    if not 0 < best < len(values) - 1:
+        return 0.0
+    below, at, above = values[best - 1 : best + 2]
+    bend = below - 2.0 * at + above
+    return float(0.5 * (below - above) / bend) if bend < 0.0 else 0.0
+
+
+def times_of(record: JointRecord) -> FloatArray:
+    """Of the joint states since the first [s], shape (T,)."""
     return 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
 
 
@@ -216,7 +208,7 @@ def _velocity(
     """Velocities that lag, or of another unit; of a stretched time axis they have none of their own to be blamed for."""
     if record.velocity is None:
         return
-    times_s = _times_s(record)
+    times_s = times_of(record)
     lags = {}
     ratios = {}
     for name in moved:
@@ -301,7 +293,7 @@ def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     """Efforts that are read more seldom than they are published."""
     if record.reported_effort is None:
         return
-    times_s = _times_s(record)
+    times_s = times_of(record)
     slow = {}
     for name in moved:
         column = record.column(name)
@@ -365,129 +357,3 @@ def _command_as_effort(recording: Recording) -> Iterator[Finding]:
             "command late and not quite"
         )
         yield Finding("effort_is_command", sentence, tuple(same))
-
-
-def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
-    """Torque at each revolute joint that holds the arm at positions [rad]; both of shape (T, n) [N m]."""
-    motion = kinematics(model, position, np.zeros_like(position))
-    torque = np.zeros_like(position)
-    for body, pseudo in enumerate(model.pseudo_inertia):
-        force = np.tensordot(body_parameters(pseudo), gravity_along(model, motion, body), 1)
-        torque[:, carriers(model, body)] -= force.T
-    return torque
-
-
-def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
-    """Effort per N m that gravity needs, of every joint that moves enough against it, in the publisher's unit.
-
-    Friction of either direction, inertia and an offset are fitted beside it, on means over `SMOOTHED_S`.
-    """
-    record = recording.joints
-    slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
-    turning = [name for name in robot.model.independent_joints if name not in slides]
-    # what is behind a joint that was not recorded would be somewhere else
-    if record.reported_effort is None or not turning or not set(turning) <= set(record.names):
-        return {}
-    held = {
-        name: float(record.position[:, record.column(name)].mean())
-        for name in slides
-        if name in record.names
-    }
-    model = robot.model.lock(
-        turning,
-        {**dict.fromkeys(slides, 0.0), **held},
-        robot.gravity,
-    )
-    columns = [record.column(name) for name in model.joint_names]
-    values = np.stack(
-        [record.position[:, columns], record.reported_effort[:, columns]],
-        axis=2,
-    )
-    known = np.isfinite(values).all(axis=(1, 2))
-    if known.sum() < 50:
-        return {}
-    times_s, even = evenly(_times_s(record)[known], values[known])
-    period_s = float(times_s[1] - times_s[0])
-    width = max(1, round(SMOOTHED_S / period_s))
-    count = len(times_s) // width
-    if count < 20:
-        return {}
-    binned = even[: count * width].reshape(count, width, len(columns), 2).mean(axis=1)
-    position = binned[:, :, 0]
-    effort = binned[:, :, 1]
-    step_s = width * period_s
-    velocity = np.gradient(position, step_s, axis=0)
-    acceleration = np.gradient(velocity, step_s, axis=0)
-    torque = gravity_torque(model, position)
-    found = {}
-    moved = moving(record)
-    for column, name in enumerate(model.joint_names):
-        load = torque[:, column]
-        speed = velocity[:, column]
-        seen = effort[:, column]
-        if name not in moved or np.ptp(seen) == 0.0:
-            continue
-        matrix = np.column_stack(
-            [load, np.tanh(speed / 0.02), speed, acceleration[:, column], np.ones(count)]
-        )
-        size = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
-        matrix /= size
-        solution, _, rank, _ = np.linalg.lstsq(matrix, seen, rcond=1e-8)
-        if rank < matrix.shape[1] or np.ptp(load) < LEAST_LOAD * np.ptp(torque, axis=0).max():
-            continue
-        residual = seen - matrix @ solution
-        inverse = np.linalg.inv(matrix.T @ matrix)
-        error = float(np.sqrt(residual @ residual / (count - matrix.shape[1]) * inverse[0, 0]))
-        if abs(solution[0]) > LEAST_T * error:
-            found[name] = float(solution[0] / size[0])
-    return found
-
-
-def effort_units(
-    per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float
-) -> tuple[EffortUnit, ...]:
-    """How plausible each unit is that effort may be in, by `effort_per_torque`, torque constants [N m/A] and current per count."""
-    result = []
-    for unit in EFFORT_UNITS:
-        ratio = dict(per_torque)
-        if unit != "N.m":
-            of_one_A = {name: value for name, value in per_torque.items() if name in constants}
-            ratio = {
-                name: value * (ampere(unit, per_count_A) * constants[name])
-                for name, value in of_one_A.items()
-            }
-        if ratio:
-            middle = float(np.median(list(ratio.values())))
-            result.append(
-                EffortUnit(
-                    unit,
-                    ratio,
-                    PLAUSIBLE[0] <= middle <= PLAUSIBLE[1],
-                )
-            )
-    return tuple(result)
-
-
-def plausible_units(
-    recording: Recording, robot: Robot, without: Collection[str] = ()
-) -> tuple[dict[str, float], tuple[EffortUnit, ...]]:
-    """How the effort compares with what gravity needs, in whatever unit it may be.
-
-    Args:
-        recording: With efforts.
-        robot: Its URDF says what gravity needs, and its file the torque constants.
-        without: Joints whose effort is of no use.
-
-    Returns:
-        Effort over what gravity needs, by joint, and how plausible units are by it.
-    """
-    try:
-        per_torque = effort_per_torque(recording, robot)
-    except RobotError:  # a body without mass, as of a robot whose file leaves that joint out
-        return {}, ()
-    per_torque = {name: value for name, value in per_torque.items() if name not in without}
-    if not per_torque:
-        return {}, ()
-    stated = {} if is_description(str(robot.source)) else robot.drive_trains
-    constants = {name: drive.torque_constant.value for name, drive in stated.items()}
-    return per_torque, effort_units(per_torque, constants, CURRENT_PER_COUNT_A)

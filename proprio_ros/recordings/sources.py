@@ -10,7 +10,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Generic, Protocol, TypeVar
 
 from proprio_ros.calibration_files.motors import Motors
@@ -56,8 +55,8 @@ class Attempt(Generic[_Read]):
         return self.value
 
 
-class Source(Protocol):
-    """What was recorded once; each member is read when it is asked for.
+class RecordingSource(Protocol):
+    """A recording of joint states, once it is open; each member is read when it is asked for.
 
     Every member raises a `RecordingError` where it cannot be read.
     """
@@ -68,14 +67,9 @@ class Source(Protocol):
     def name(self) -> str:
         """What messages and reports call it; empty where its recording says it."""
 
-    def __enter__(self) -> Source: ...
+    def __enter__(self) -> RecordingSource: ...
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
     def contents(self, options: ReadOptions) -> Contents:
         """Topics with their types, and which of them are joint states and input."""
@@ -103,12 +97,7 @@ class _Closed:
     def name(self) -> str:
         return ""
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         return None
 
     def drive_signals(self, options: ReadOptions) -> DriveSignals | None:
@@ -138,12 +127,7 @@ class BagSource(_Closed):
         self._bag = self._files.enter_context(open_bag(self.path))
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         # what went wrong meanwhile is none of the bag's business
         self._files.close()
 

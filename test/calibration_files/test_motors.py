@@ -14,10 +14,10 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.live.session import check_input
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, write_calibration
-from proprio_ros.pipeline.loading import motors_notes
 from proprio_ros.pipeline.request import Request
+from proprio_ros.recordings.for_robot import motors_notes
 from proprio_ros.recordings.messages import RawMessage, message_types
-from proprio_ros.recordings.sources import Attempt, BagSource
+from proprio_ros.recordings.sources import BagSource
 from proprio_ros.recordings.topics import STATUS
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import Robot, load_robot
@@ -75,8 +75,9 @@ def motors_of(path: Path, state_topic: str | None = None) -> Motors:
         return source.motors(state_topic)
 
 
-def recorded(path: Path) -> Attempt[Motors]:
-    return Attempt.to(lambda: motors_of(path))
+def notes_of(path: Path, robot: Robot) -> tuple[str, ...]:
+    with BagSource(path) as source:
+        return motors_notes(source, robot, None)
 
 
 @pytest.fixture
@@ -108,7 +109,7 @@ def calibrated(tmp_path: Path) -> Robot:
 def test_the_same_motors(tmp_path: Path, calibrated: Robot) -> None:
     path = bag(tmp_path / "bag", *states(), told(ARM))
     assert motors_of(path) == ARM
-    assert motors_notes(path, calibrated, recorded(path)) == ()
+    assert notes_of(path, calibrated) == ()
 
 
 @pytest.mark.parametrize(
@@ -127,7 +128,7 @@ def test_another_arm_is_refused(
     other = {**ARM, "joint3": replace(ELBOW, **change)}
     path = bag(tmp_path / "bag", *states(), told(other))
     with pytest.raises(RecordingError, match=words) as caught:
-        motors_notes(path, calibrated, recorded(path))
+        notes_of(path, calibrated)
     assert "arm.yaml" in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(RecordingError, match=words):  # live, before anything moves
         check_input(
@@ -136,7 +137,7 @@ def test_another_arm_is_refused(
             Request(calibrated),
         )
     # nothing is claimed of any arm
-    assert motors_notes(path, load_robot("open_manipulator_x"), recorded(path)) == ()
+    assert notes_of(path, load_robot("open_manipulator_x")) == ()
 
 
 def test_other_firmware_is_the_same_arm(tmp_path: Path, calibrated: Robot) -> None:
@@ -145,20 +146,20 @@ def test_other_firmware_is_the_same_arm(tmp_path: Path, calibrated: Robot) -> No
         *states(),
         told({**ARM, "joint3": replace(ELBOW, firmware=48)}),
     )
-    (note,) = motors_notes(path, calibrated, recorded(path))
+    (note,) = notes_of(path, calibrated)
     assert "other firmware" in note and "joint3 48 (was 46)" in note
     assert other_firmware(ARM, ARM) == ""
 
 
 def test_what_is_not_said_is_not_compared(tmp_path: Path, calibrated: Robot) -> None:
     silent = bag(tmp_path / "silent", *states())
-    assert motors_of(silent) == {} and motors_notes(silent, calibrated, recorded(silent)) == ()
+    assert motors_of(silent) == {} and notes_of(silent, calibrated) == ()
     foreign = bag(
         tmp_path / "foreign",
         *states(),
         said({"joint3": "fine", "joint2": "[" * 900, "x": '{"id": "a"}'}),
     )
-    assert motors_of(foreign) == {} and motors_notes(foreign, calibrated, recorded(foreign)) == ()
+    assert motors_of(foreign) == {} and notes_of(foreign, calibrated) == ()
     assert other_arm(ARM, {"joint4": ELBOW}) == ""
 
 

@@ -15,14 +15,9 @@ from proprio_ros.cli import main
 from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
 from proprio_ros.pipeline.loading import bag_recording, bag_runs
 from proprio_ros.pipeline.request import Options, Request
+from proprio_ros.recordings.effort_units import effort_per_torque, effort_units, gravity_torque
 from proprio_ros.recordings.motions import motion_of
-from proprio_ros.recordings.plausibility import (
-    effort_per_torque,
-    effort_units,
-    findings,
-    gravity_torque,
-    velocity_lag_s,
-)
+from proprio_ros.recordings.plausibility import findings, velocity_lag_s
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot, with_recorded_torque
