@@ -38,10 +38,21 @@ def one_line(text: str, longest: int = LONGEST_SENTENCE) -> str:
 
 
 class ProprioError(Exception):
-    """Base of everything this package raises on purpose; the command line prints it, one printable line, and exits with 2."""
+    """Base of everything this package raises on purpose; the command line prints it, one printable line, and exits with 2.
 
-    def __init__(self, message: object = "") -> None:
-        super().__init__(one_line(str(message)))
+    Attributes:
+        subject: What it is about, as a path or the name of a recording; empty where only the sentence says it.
+        words: The sentence without its subject.
+    """
+
+    def __init__(self, message: object = "", subject: object = "") -> None:
+        self.subject = str(subject)
+        self.words = one_line(str(message))
+        super().__init__(one_line(f"{subject}: {message}") if self.subject else self.words)
+
+    def about(self, subject: object) -> str:
+        """What is said of a subject, without its name; the whole line where it is about another one."""
+        return self.words if self.subject == str(subject) else str(self)
 
 
 class RobotError(ProprioError, ValueError):

@@ -118,9 +118,7 @@ def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
     """Warn of what is unusual about a run by itself."""
     found.notes.extend(f"{run.run.name}: {note}" for note in run.run.notes)
     if run.used >= MIN_USED:
-        found.reasons += [
-            Reason(code, f"{run.run.name}: {said}") for code, said in _unusual(robot, run)
-        ]
+        found.reasons += [Reason(code, said, run.run.name) for code, said in _unusual(robot, run)]
 
 
 def _unusual(robot: Robot, run: PreparedRun) -> Iterator[tuple[str, str]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 CODES = {
     "few_samples": "a run has too few usable samples",
     "stuck": "the joint hardly moved, so friction and not the load decides where it is",
@@ -109,20 +111,38 @@ REMEDIES = {
 
 
 class Reason(str):
-    """A sentence, and why it was said."""
+    """A sentence, and why it was said.
 
-    code: str  # one of `CODES`
+    Attributes:
+        code: One of `CODES`.
+        subject: The run or recording that it begins with; empty where it begins with none.
+        words: The sentence without its subject.
+    """
 
-    def __new__(cls, code: str, sentence: str) -> Reason:
-        reason = super().__new__(cls, sentence)
+    code: str
+    subject: str
+    words: str
+
+    def __new__(cls, code: str, words: str, subject: str = "") -> Reason:
+        reason = super().__new__(cls, f"{subject}: {words}" if subject else words)
         reason.code = code
+        reason.subject = subject
+        reason.words = words
         return reason
 
-    def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
+    def __getnewargs__(self) -> tuple[str, str, str]:  # type: ignore[override]
         """What copies and pickles are made from."""
-        return self.code, str(self)
+        return self.code, self.words, self.subject
 
 
 def of_run(name: str, sentence: str) -> str:
     """The same reason with the run's name in front."""
-    return Reason(getattr(sentence, "code", "other"), f"{name}: {sentence}")
+    return Reason(getattr(sentence, "code", "other"), sentence, name)
+
+
+def about(reasons: Iterable[str], name: str) -> list[str]:
+    """What is said of a run, without its name; and sentences that name none, as they are."""
+    return [
+        reason.words if isinstance(reason, Reason) and reason.subject == name else reason
+        for reason in reasons
+    ]

@@ -83,7 +83,7 @@ def stamps_off(fit: FitResult) -> list[Reason]:
             f"are the stamps of {run.run.source} {off[0]}, or those of the joint states {off[1]}?"
         )
         found.append(
-            Reason("stamps_off", f"{run.run.name}: {run.run.joint} {said}: {question} {cure}")
+            Reason("stamps_off", f"{run.run.joint} {said}: {question} {cure}", run.run.name)
         )
     return found
 

@@ -161,7 +161,7 @@ class Settings:
         if self._left:
             names = sorted(self._left)
             # the nearest first, since the list may be longer than a sentence
-            section = names[0].partition(".")[0]
+            own = names[0].partition(".")[0] + "."
             close = difflib.get_close_matches(
                 names[0][:100],
                 self._known,
@@ -169,7 +169,7 @@ class Settings:
             )
             known = sorted(
                 set(self._known),
-                key=lambda key: (key not in close, not key.startswith(f"{section}."), key),
+                key=lambda key: (key not in close, not key.startswith(own), key),
             )
             raise ConfigurationError(
                 f"--set {one_line(', '.join(names), 60)}: unknown; valid keys: {', '.join(known)}"

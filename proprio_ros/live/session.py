@@ -335,7 +335,7 @@ def check_input(
             recording = source.recording(asked)
             about_motors = motors_notes(source, robot, options.state_topic)
     except RecordingError as error:
-        raise RecordingError(str(error).removeprefix(f"{bag}: ")) from error
+        raise RecordingError(error.about(bag)) from error
     finally:
         shutil.rmtree(bag, ignore_errors=True)
     if not set(recording.joints.names) & set(robot.drive_trains):

@@ -608,7 +608,7 @@ def _argument(name: str, value: Any, form: Form) -> Any:
     except Exception as error:
         # of a value's own methods: a path or a list that is none, or holds itself
         raise ConfigurationError(
-            f"{name}: cannot be read ({type(error).__name__}: {error})"
+            f"cannot be read ({type(error).__name__}: {error})", name
         ) from error
 
 

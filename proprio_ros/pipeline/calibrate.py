@@ -177,7 +177,7 @@ def _read(paths: Sequence[Path], request: Request, progress: Callable[[str], Non
         found = read.motors.get()
         if differences := other_arm(motors, found):
             raise RecordingError(
-                f"{path}: another arm than that of the recordings before it: {differences}"
+                f"another arm than that of the recordings before it: {differences}", path
             )
         motors |= found
         reads.append(read)

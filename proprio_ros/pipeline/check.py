@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, RobotError
 from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Findings, screen_run, unusable
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
-from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.reasons import Reason, about
 from proprio_ros.identification.regression.at_rest import refuse_useless
 from proprio_ros.identification.regression.one_joint_fit import fit_one_joint
 from proprio_ros.identification.regression.one_joint_known import tables_of
@@ -97,7 +97,7 @@ class _Looked:
     recording: Recording | None = None  # None: not even its joint states can be read
     runs: tuple[RunCheck, ...] = ()
     motion: Motion | None = None
-    problem: str = ""  # why neither runs nor a motion could be looked for, or an empty string
+    problem: ProprioError | None = None  # why neither runs nor a motion could be looked for
 
 
 def _bag_check(request: Request, path: Path) -> BagCheck:
@@ -106,7 +106,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     with open_recording(path) as source:
         contents = source.contents(options)
         looked = _Looked(problem=contents.problem)
-        if not contents.problem:
+        if contents.problem is None:
             looked = _looked_into(source, request, contents)
     types = {name: kind for name, kind, _ in contents.topics}
     check = BagCheck(
@@ -117,7 +117,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         fitting=tuple(driver.name for driver in drivers_of(types.items())),
     )
     if looked.recording is None:
-        return replace(check, problem=looked.problem)
+        return replace(check, refusal=looked.problem)
     return _shown(request, looked, looked.recording, types, check)
 
 
@@ -129,7 +129,7 @@ def _looked_into(source: RecordingSource, request: Request, contents: Contents) 
         looked = _Looked(recording)
         return _with_found(looked, runs_or_motion(recording, request), request.robot)
     except (RecordingError, RobotError) as error:
-        looked = replace(looked, problem=str(error))
+        looked = replace(looked, problem=error)
     if looked.recording is not None or not contents.topics:
         return looked
     # only to look at: no run is cut from a current of an unstated unit
@@ -143,7 +143,7 @@ def _looked_into(source: RecordingSource, request: Request, contents: Contents) 
     try:
         return replace(looked, recording=source.recording(states))
     except RecordingError as worse:
-        return _Looked(problem=str(worse))
+        return _Looked(problem=worse)
 
 
 def _with_found(looked: _Looked, found: tuple[Run, ...] | Motion, robot: Robot) -> _Looked:
@@ -192,7 +192,7 @@ def _shown(
         input=driven_by or None,
         input_unit=driven_in or None,
         runs=looked.runs,
-        problem=looked.problem,
+        refusal=looked.problem,
         notes=notes,
         motion=looked.motion,
         moves=moved,
@@ -232,7 +232,7 @@ def _without_unusable(
             and finding.code in UNUSABLE_MOTION
             and set(looked.motion.moved) <= set(finding.joints)
         ):
-            problem = f"of no use as a motion: {finding.sentence}"
+            problem = RecordingError(f"of no use as a motion: {finding.sentence}")
             looked = replace(looked, motion=None, problem=problem)
     return looked
 
@@ -394,7 +394,7 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         screen_run(robot, prepared, found)
     except RecordingError as error:
         problem = str(error)
-    notes = (*run.notes, *(reason.removeprefix(f"{run.name}: ") for reason in found.reasons))
+    notes = (*run.notes, *about(found.reasons, run.name))
     width_kg = None
     with suppress(RobotError):
         width_kg = None if problem or slides or run.free else mass_from_run(robot, run)

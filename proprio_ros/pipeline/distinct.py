@@ -27,7 +27,7 @@ class Distinct:
         places: dict[Path, str | Path] = {}
         for path in paths:
             if problem := path_problem(path):
-                raise ConfigurationError(f"{path}: {problem}")
+                raise ConfigurationError(f"{problem}", path)
             place = real_path(path)
             if place in places:
                 raise ConfigurationError(_twice(places[place], path))

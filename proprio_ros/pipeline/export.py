@@ -55,7 +55,8 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
     path = Path(str(robot.settings.get("urdf", "")))
     if path.suffix != ".urdf" or not path.is_file():
         raise RobotError(
-            f"{robot.name}: its URDF is in no .urdf file of its own ({path.name}); write it to one and name that"
+            f"its URDF is in no .urdf file of its own ({path.name}); write it to one and name that",
+            robot.name,
         )
     builder = ElementTree.TreeBuilder(insert_comments=True)
     root = ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=builder))

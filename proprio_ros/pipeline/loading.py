@@ -155,8 +155,9 @@ def _refuse_unmeasured(recording: Recording, unit: str | None) -> None:
         return
     if record.reported_effort is None or not np.isfinite(record.reported_effort).any():
         raise RecordingError(
-            f"{recording.name}: --effort-unit {unit} says that efforts were measured, and the joint states hold none (no numbers, "
-            f"or NaN only): record them, or leave it out to take what {inputs.source} commanded for what flowed"
+            f"--effort-unit {unit} says that efforts were measured, and the joint states hold none (no numbers, "
+            f"or NaN only): record them, or leave it out to take what {inputs.source} commanded for what flowed",
+            recording.name,
         )
 
 

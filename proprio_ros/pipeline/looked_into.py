@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import plain
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.drivers import Driver
@@ -108,7 +109,7 @@ class BagCheck:
     input: str | None = None
     input_unit: str | None = None  # what its numbers are
     runs: tuple[RunCheck, ...] = ()
-    problem: str = ""  # why no run could be looked for, or an empty string
+    refusal: ProprioError | None = None  # why no run could be looked for
     notes: tuple[str, ...] = ()  # every repair made while reading
     # what was recorded where several joints were driven at once; then there are no runs
     motion: Motion | None = None
@@ -125,6 +126,11 @@ class BagCheck:
     driver: Driver | None = None  # profile by which it was read; None where nobody stated one
     # names of the profiles that its topics identify; none of them is used before it is stated
     fitting: tuple[str, ...] = ()
+
+    @property
+    def problem(self) -> str:
+        """Why no run could be looked for, or an empty string."""
+        return "" if self.refusal is None else str(self.refusal)
 
     @property
     def usable(self) -> int:

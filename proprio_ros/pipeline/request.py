@@ -269,18 +269,14 @@ def _calibrated(
     """The robot of a calibration, which must be the one that is named, if any is."""
     given = f"--calibration {calibration}"
     if Path(calibration).suffix not in (".yaml", ".yml"):
-        raise RobotError(
-            f"{given}: expected the .yaml file that `proprio calibrate --output` wrote"
-        )
+        raise RobotError("expected the .yaml file that `proprio calibrate --output` wrote", given)
     robot = robot_named(calibration, overrides)
     if (
         robot.calibration is None
         and robot.motion_calibration is None
         and robot.joint_calibration is None
     ):
-        raise RobotError(
-            f"{given}: holds no calibration; write it with `proprio calibrate --output`"
-        )
+        raise RobotError("holds no calibration; write it with `proprio calibrate --output`", given)
     if name is not None:
         asked = robot_named(name, with_recorded_torque(name, {}))
         if asked.model.fingerprint() != robot.model.fingerprint():

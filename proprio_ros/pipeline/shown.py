@@ -72,7 +72,7 @@ def _found(check: BagCheck) -> list[tuple[str, str, float, str]]:
             ", ".join(check.joints),
             "",
             check.duration_s,
-            check.problem.removeprefix(f"{check.bag}: ") or "no run",
+            "no run" if check.refusal is None else check.refusal.about(check.bag),
         )
     ]
 

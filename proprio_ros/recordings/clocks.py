@@ -261,8 +261,9 @@ def clock_of(where: str, columns: JointColumns) -> Clock:
     """
     if len(columns.bag_ns) >= FEWEST and columns.bag_ns[0] == columns.bag_ns[-1]:
         raise RecordingError(
-            f"{where}: all {len(columns.bag_ns)} messages were recorded at {1e-9 * columns.bag_ns[0]:g} s: the recorder's clock "
-            "stood still; was /clock published (use_sim_time)?"
+            f"all {len(columns.bag_ns)} messages were recorded at {1e-9 * columns.bag_ns[0]:g} s: the recorder's clock "
+            "stood still; was /clock published (use_sim_time)?",
+            where,
         )
     clock = Clock()
     for fault_of in (_unset, _unstamped, _counted, _step_of_one, _steps_of_both, _steps_of_both):

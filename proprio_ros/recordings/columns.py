@@ -12,6 +12,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.messages import labels_of
+from proprio_ros.recordings.noted import Noted
 from proprio_ros.recordings.reader import Bag, Rows
 from proprio_ros.recordings.topics import OUR_DRIVER, Conventions, InputTopic, Topic
 from proprio_ros.records import FloatArray, TimeArray
@@ -55,33 +56,30 @@ def joint_state_columns(
     Raises:
         RecordingError: Names and values do not fit each other, or two joints would have one name.
     """
-    where = f"{bag.path}: {topic.name}"
+    noted = Noted(bag.path, topic.name)
     rows = bag.rows(topic)
     named = [conventions.renamed(part.message.name) for part in rows]
-    _refuse_two_of_a_name(where, rows, named, conventions)
+    _refuse_two_of_a_name(noted, rows, named, conventions)
     names = tuple(dict.fromkeys(name for part in named for name in part))
     keys, orders = _keys(named)
-    values = _filled(where, rows, orders, len(keys), quantities)
-    notes = []
+    values = _filled(noted, rows, orders, len(keys), quantities)
     distinct = {tuple(order) for order in orders}
     if len({frozenset(order) for order in distinct}) < len(distinct):
-        notes.append(
-            f"{topic.name}: the order of the joints changes between messages; they were matched by name."
-        )
+        noted.note("the order of the joints changes between messages; they were matched by name.")
     if len(keys) > len(names):
-        values = _named_once(where, keys, names, values, quantities[0])
-        notes.append(
-            f"{topic.name}: messages name joints twice; the numbers that change along the recording were kept."
+        values = _named_once(noted, keys, names, values, quantities[0])
+        noted.note(
+            "messages name joints twice; the numbers that change along the recording were kept."
         )
     for quantity in {"position", "velocity"} & values.keys():
         values[quantity] *= conventions.radians
     bag_ns = np.concatenate([part.bag_ns for part in rows])
     stamp_ns = np.concatenate([part.stamp_ns for part in rows])
-    return JointColumns(bag_ns, stamp_ns, names, values, notes)
+    return JointColumns(bag_ns, stamp_ns, names, values, noted.notes)
 
 
 def _refuse_two_of_a_name(
-    where: str,
+    noted: Noted,
     rows: Sequence[Rows],
     named: Sequence[Sequence[str]],
     conventions: Conventions,
@@ -91,14 +89,14 @@ def _refuse_two_of_a_name(
     for part, own in zip(rows, named, strict=True):
         for name, other in zip(own, part.message.name, strict=True):
             if theirs.setdefault(name, other) != other:
-                raise RecordingError(
-                    f"{where}: {theirs[name]} and {other} would both be {name}; state joint_names of --driver {conventions.driver} "
+                raise noted.error(
+                    f": {theirs[name]} and {other} would both be {name}; state joint_names of --driver {conventions.driver} "
                     "otherwise"
                 )
 
 
 def _filled(
-    where: str,
+    noted: Noted,
     rows: Sequence[Rows],
     orders: Sequence[Sequence[int]],
     count: int,
@@ -107,7 +105,7 @@ def _filled(
     """Numbers of messages by quantity, shape (M, count).
 
     Args:
-        where: Bag and topic.
+        noted: Bag and topic.
         rows: Messages; those of one entry name the same joints.
         orders: Column of each joint that the messages of an entry name.
         count: Of the columns.
@@ -124,8 +122,8 @@ def _filled(
             data = part.values[quantity]
             length = data.shape[1]
             if length != len(columns) and (length or quantity == quantities[0]):
-                raise RecordingError(
-                    f"{where} has {len(columns)} names but {length} values of {quantity} in message {row + 1}; every joint needs "
+                raise noted.error(
+                    f" has {len(columns)} names but {length} values of {quantity} in message {row + 1}; every joint needs "
                     "one"
                 )
             if length:
@@ -149,7 +147,7 @@ def _keys(named: Sequence[Sequence[str]]) -> tuple[list[_Key], list[list[int]]]:
 
 
 def _named_once(
-    where: str,
+    noted: Noted,
     keys: Sequence[_Key],
     names: Sequence[str],
     values: dict[str, FloatArray],
@@ -158,7 +156,7 @@ def _named_once(
     """One column a joint, of those that messages name twice.
 
     Args:
-        where: Bag and topic.
+        noted: Bag and topic.
         keys: Of the columns that there are.
         names: Of the joints, whose columns are wanted.
         values: By quantity, shape (M, number of keys).
@@ -181,8 +179,8 @@ def _named_once(
         for other in chosen[1:]:
             both = np.isfinite(first) & np.isfinite(values[decides][:, other])
             if np.any(first[both] != values[decides][both, other]):
-                raise RecordingError(
-                    f"{where} names {name} twice in a message, with different numbers: two publishers were put into one list, and "
+                raise noted.error(
+                    f" names {name} twice in a message, with different numbers: two publishers were put into one list, and "
                     "nobody knows which one is the driver's"
                 )
         taken.append(_fullest(chosen, values))
@@ -278,8 +276,9 @@ class _Array:
             return ()
         if not fitting or len(set(labels)) != len(labels) or not all(labels):
             raise RecordingError(
-                f"{self.path}: {self.topic.name} has {len(message.data)} values but is labelled {', '.join(labels)};"
-                " layout.dim must name every joint once"
+                f"{self.topic.name} has {len(message.data)} values but is labelled {', '.join(labels)};"
+                " layout.dim must name every joint once",
+                self.path,
             )
         return labels
 
@@ -288,8 +287,9 @@ class _Array:
         stated = self.conventions.renamed(self.means.joints)
         if stated and count != len(stated):
             raise RecordingError(
-                f"{self.path}: {self.topic.name} has {count} values but --driver {self.conventions.driver} names "
-                f"{len(stated)} joints ({', '.join(stated)}); state its controller's joints in a file of your own"
+                f"{self.topic.name} has {count} values but --driver {self.conventions.driver} names "
+                f"{len(stated)} joints ({', '.join(stated)}); state its controller's joints in a file of your own",
+                self.path,
             )
         return stated
 
@@ -308,6 +308,7 @@ class _Array:
         if driver:
             advice = f"state the joints of its controller in a --driver file of your own (extends: {driver})"
         raise RecordingError(
-            f"{self.path}: {self.topic.name} has {count} values but the robot has {len(self.joint_order)} joints"
-            f" ({', '.join(self.joint_order)}); {advice}"
+            f"{self.topic.name} has {count} values but the robot has {len(self.joint_order)} joints"
+            f" ({', '.join(self.joint_order)}); {advice}",
+            self.path,
         )

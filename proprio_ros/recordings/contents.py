@@ -39,7 +39,7 @@ class Contents:
     states: str | None = None
     # topic of the input; None where there is none but the measured effort
     inputs: str | None = None
-    problem: str = ""  # why a topic cannot be chosen, in one line, or an empty string
+    problem: RecordingError | None = None  # why a topic cannot be chosen
 
 
 def contents_of(bag: Bag, options: ReadOptions) -> Contents:
@@ -53,7 +53,7 @@ def contents_of(bag: Bag, options: ReadOptions) -> Contents:
         found = replace(found, states=one_line(state.name))
         inputs = topics.input(options.command_topic, state, options.conventions)
     except RecordingError as error:
-        return replace(found, problem=str(error))
+        return replace(found, problem=error)
     if inputs is None or inputs[0] == state:
         return found
     return replace(found, inputs=one_line(inputs[0].name))
@@ -112,14 +112,15 @@ def description_in(bag: Bag) -> str:
     topics = bag.topics.called("robot_description", [STRING])
     if not topics:
         raise RecordingError(
-            f"{bag.path}: no /robot_description (std_msgs/String) in the bag; it holds: {listed(bag.topics.all)}; give a URDF file"
+            f"no /robot_description (std_msgs/String) in the bag; it holds: {listed(bag.topics.all)}; give a URDF file",
+            bag.path,
         )
     texts = set()
     for topic in topics:
         texts |= {str(message.data) for _, message in bag.messages(topic, LONGEST_TEXT)}
     if len(texts) > 1:
         raise RecordingError(
-            f"{bag.path}: {len(texts)} descriptions that differ on {listed(topics)}; give a URDF file"
+            f"{len(texts)} descriptions that differ on {listed(topics)}; give a URDF file", bag.path
         )
     return texts.pop()
 
@@ -143,7 +144,8 @@ def points_in(bag: Bag, topic: str, option: str) -> PointTrack:
     stamps = np.array([stamp_ns(message) for message in messages], dtype=np.int64)
     if not stamps.all():
         raise RecordingError(
-            f"{bag.path}: {topic} holds points without a stamp: they cannot be laid beside the joint states"
+            f"{topic} holds points without a stamp: they cannot be laid beside the joint states",
+            bag.path,
         )
     points = np.array([[m.point.x, m.point.y, m.point.z] for m in messages])
     return PointTrack.of_seen(stamps, points)

@@ -17,6 +17,7 @@ from scipy.ndimage import median_filter
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere
+from proprio_ros.recordings.noted import Noted
 from proprio_ros.recordings.topics import OUR_DRIVER
 from proprio_ros.records import (
     ZERO_CURRENT_A,
@@ -87,8 +88,8 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
     return -slope / (1.0 + slope), abs(float(np.median(late_s))) < OTHER_CLOCK_S
 
 
-def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
-    """Look at header stamps beside the times of their recording; bag and topic are for the sentence.
+def refuse_pace(noted: Noted, columns: JointColumns) -> tuple[str, ...]:
+    """Look at header stamps of a topic beside the times of their recording.
 
     Returns: A note where the stamps are of another clock, which runs at another pace.
 
@@ -101,16 +102,17 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     factor = 1.0 + share
     if not 1.0 / OTHER_UNIT < factor < OTHER_UNIT:
         many = f"{factor:.0f} times faster" if factor > 1.0 else f"{1.0 / factor:.0f} times slower"
-        raise RecordingError(
-            f"{where}: header stamps run {many} than the times of recording: they are not in s and ns"
+        raise noted.error(
+            f": header stamps run {many} than the times of recording: they are not in s and ns"
         )
-    much = f"run {abs(100.0 * share):.1f} % {'faster' if share > 0.0 else 'slower'} than the times of recording"
+    faster = "faster" if share > 0.0 else "slower"
+    much = f"run {abs(100.0 * share):.1f} % {faster} than the times of recording"
     if same:
-        raise RecordingError(
-            f"{where}: header stamps {much}: one of the two does not keep time, and a mass goes with its square; let the driver "
-            "stamp by the clock, not by counting periods"
+        raise noted.error(
+            f": header stamps {much}: one of the two does not keep time, and a mass goes with its square; let the driver stamp by "
+            "the clock, not by counting periods"
         )
-    return (f"{where}: header stamps {much}; they are of another clock, and are taken as they are",)
+    return (f"{noted}: header stamps {much}; they are of another clock, and are taken as they are",)
 
 
 @dataclass(frozen=True)
@@ -346,6 +348,7 @@ def _refuse_elsewhere(where: str, source: str, readings: Readings, per_A: float)
     far = float(np.mean(np.abs(off) > np.maximum(0.25 * np.abs(commanded), spread)))
     if far > ELSEWHERE_SHARE:
         raise RecordingError(
-            f"{where}: the effort of {readings.joint} does not follow {source}: {100.0 * far:.0f} % of its readings are off by "
-            "more than a quarter; is it the command of this recording, on the same clock?"
+            f"the effort of {readings.joint} does not follow {source}: {100.0 * far:.0f} % of its readings are off by "
+            "more than a quarter; is it the command of this recording, on the same clock?",
+            where,
         )

@@ -99,7 +99,7 @@ def open_data_set(folder: str | Path) -> DataSet:
     if problem := path_problem(folder):
         raise RecordingError(f"{one_line(str(folder), 100)}: {problem}")
     if not info.is_file():
-        raise RecordingError(f"{folder}: not a LeRobot data set: there is no meta/info.json in it")
+        raise RecordingError("not a LeRobot data set: there is no meta/info.json in it", folder)
     return _opened(folder, info.stat().st_mtime_ns)
 
 
@@ -110,7 +110,8 @@ def _opened(folder: Path, _changed_ns: int) -> DataSet:
         version = str(info["codebase_version"])
         if not version.startswith(VERSIONS):
             raise RecordingError(
-                f"{folder}: a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot"
+                f"a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot",
+                folder,
             )
         episodes = dict((_episodes_3 if version.startswith("v3.") else _episodes_2)(folder, info))
         features = {str(key): value for key, value in info["features"].items()}
@@ -163,7 +164,8 @@ def _readable(what: object) -> Iterator[None]:
     except Exception as error:
         reason = " ".join(str(error).split())[:150] or type(error).__name__
         raise RecordingError(
-            f"{what}: not readable as a LeRobot data set ({type(error).__name__}: {reason}); download or convert it again"
+            f"not readable as a LeRobot data set ({type(error).__name__}: {reason}); download or convert it again",
+            what,
         ) from error
 
 
@@ -203,11 +205,11 @@ def read_columns(
     name = f"{data.folder}#{index}"
     episode = data.episodes.get(index)
     if episode is None:
-        raise RecordingError(f"{name}: no such episode; the data set has {len(data.episodes)}")
+        raise RecordingError(f"no such episode; the data set has {len(data.episodes)}", name)
     file = data.folder / episode.file
     with _readable(name):
         if not file.is_file():
-            raise RecordingError(f"{name}: {episode.file} is missing: download the data set again")
+            raise RecordingError(f"{episode.file} is missing: download the data set again", name)
         opened, low, high = _groups(file, file.stat().st_mtime_ns)
         there = [column for column in columns if column in opened.schema_arrow.names]
         groups = np.flatnonzero((low <= index) & (high >= index)).tolist()
@@ -220,11 +222,12 @@ def read_columns(
             found, count = _columns_within(groups, there, data, index, span)
             if not all(map(len, found.values())):
                 raise RecordingError(
-                    f"{name}: no frames in this part of the recording; it has {count} in all"
+                    f"no frames in this part of the recording; it has {count} in all", name
                 )
     if count != episode.length:
         raise RecordingError(
-            f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole"
+            f"{episode.length} frames by meta, {count} in {episode.file}: the data set is not whole",
+            name,
         )
     return found
 
@@ -370,7 +373,7 @@ def _frames(
     assert columns is not None
     if columns.position not in read:
         raise RecordingError(
-            f"{called}: no column {columns.position}; there are: {', '.join(data.features)}"
+            f"no column {columns.position}; there are: {', '.join(data.features)}", called
         )
     states = _by_name(data, columns.position, read[columns.position], called)
     position = _ending(states, "", "pos")
@@ -384,7 +387,8 @@ def _frames(
     joints = _in_si(position, columns, options)
     if len(joints) != len(position):
         raise RecordingError(
-            f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
+            f"two joints of {columns.position} would have one name; see joint_names of --driver",
+            called,
         )
     nothing = np.full(len(times_ns), np.nan)
     return _Frames(
@@ -457,7 +461,8 @@ def _by_the_clock(
         counted = is_counted(np.diff(times_ns))
         what = "holds row numbers" if counted else f"goes by {period_s:.3g} s a frame"
         raise RecordingError(
-            f"{called}: timestamp {what}, and meta/info.json has {data.rate_hz:g} frames a second: it is not in seconds"
+            f"timestamp {what}, and meta/info.json has {data.rate_hz:g} frames a second: it is not in seconds",
+            called,
         )
     return times_ns, notes
 
@@ -473,13 +478,15 @@ def _usable(
     left_out = int((~whole).sum())
     if count < records.MIN_SAMPLES:
         raise RecordingError(
-            f"{frames.called}: only {count} frames are usable, at least {records.MIN_SAMPLES} are needed"
+            f"only {count} frames are usable, at least {records.MIN_SAMPLES} are needed",
+            frames.called,
         )
     furthest = np.abs(position[whole]).max()
     if furthest > records.IMPLAUSIBLE_POSITION:
         raise RecordingError(
-            f"{frames.called}: {columns.position} reaches {furthest:.4g}, which is no angle in rad nor a length in m: "
-            "is the unit that of --driver (position_unit)?"
+            f"{columns.position} reaches {furthest:.4g}, which is no angle in rad nor a length in m: "
+            "is the unit that of --driver (position_unit)?",
+            frames.called,
         )
     note = f"{left_out} of {len(whole)} frames have no finite position or no new time; they were left out."
     return whole, (note,) if left_out else ()
@@ -505,7 +512,8 @@ def _by_name(
     table = values.reshape(len(values), -1)
     if len(names) != table.shape[1]:
         raise RecordingError(
-            f"{called}: {column} has {table.shape[1]} entries and meta/info.json names {len(names)} of them"
+            f"{column} has {table.shape[1]} entries and meta/info.json names {len(names)} of them",
+            called,
         )
     return dict(zip(names, table.T, strict=True))
 
@@ -537,7 +545,7 @@ def _times(
         stamps_s = read["timestamp"]
         known = _timed(read, len(stamps_s))
         if not known.any():
-            raise RecordingError(f"{data.folder}: no frame has a finite timestamp")
+            raise RecordingError("no frame has a finite timestamp", data.folder)
         first = stamps_s[known][0] if first_s is None else first_s[0]
         # a frame without a time has that of the one before it, and so none of its own
         last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))

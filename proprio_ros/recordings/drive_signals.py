@@ -52,7 +52,7 @@ def _beside(bag: Bag, state: Topic, name: str, msgtype: str) -> Topic | None:
     called = bag.topics.called(name, [msgtype], state.namespace)
     topics = [topic for topic in called if topic != state]
     if len(topics) > 1:
-        raise RecordingError(f"{bag.path}: which {name}? {listed(topics)}: record one of them")
+        raise RecordingError(f"which {name}? {listed(topics)}: record one of them", bag.path)
     return topics[0] if topics else None
 
 

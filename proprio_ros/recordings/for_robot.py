@@ -58,7 +58,7 @@ class RobotReading:
             ConfigurationError: What is stated of it cannot be.
         """
         if self.driver is not None and self.driver.refused:
-            raise RecordingError(f"{source.path}: {self.driver.refused}")
+            raise RecordingError(f"{self.driver.refused}", source.path)
         refuse_unit(self.robot, self.options.effort.unit)
         recording = source.recording(self.options)
         for step in STEPS:
@@ -117,8 +117,9 @@ def motors_notes(source: RecordingSource, robot: Robot, state_topic: str | None)
     motors = source.motors(state_topic)
     if differences := other_arm(robot.calibration.motors, motors):
         raise RecordingError(
-            f"{source.path}: another arm than that of {robot.source.name}, or its motors were set anew: {differences}: calibrate "
-            "this arm, or name its own calibration"
+            f"another arm than that of {robot.source.name}, or its motors were set anew: {differences}: calibrate "
+            "this arm, or name its own calibration",
+            source.path,
         )
     updated = other_firmware(robot.calibration.motors, motors)
     if not updated:
@@ -153,8 +154,10 @@ def _of_known_torque(
         return recording
     if not inputs.measured and inputs.unit != "N.m":
         raise RecordingError(
-            f"{source.path}: {inputs.source} are currents, and {file.name} states no torque constants: write a file with "
-            "`proprio robot new`, or state each with --set robot.joints.JOINT.motor.nominal_torque_constant_N_m_per_A=VALUE"
+            f"{inputs.source} are currents, and {file.name} states no torque constants: write a file with "
+            "`proprio robot new`, or state each with --set "
+            "robot.joints.JOINT.motor.nominal_torque_constant_N_m_per_A=VALUE",
+            source.path,
         )
     return recording
 

@@ -8,9 +8,10 @@ from proprio_ros.errors import RecordingError, printable
 from proprio_ros.recordings.clocks import Clock
 from proprio_ros.recordings.columns import JointColumns, array_columns, joint_state_columns
 from proprio_ros.recordings.effort import EFFORT_UNITS, ampere, held
+from proprio_ros.recordings.noted import Noted
 from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.reader import Bag
-from proprio_ros.recordings.stamps import Noted, order_of, sent_at, times_of
+from proprio_ros.recordings.stamps import order_of, sent_at, times_of
 from proprio_ros.recordings.topics import JOINT_STATE, InputTopic, Topic
 from proprio_ros.records import FloatArray, InputRecord, JointRecord, TimeArray
 
@@ -47,7 +48,7 @@ def commanded(
     columns, times_ns = _columns(bag, topic, means, states, clock, options, noted)
     if not len(times_ns):
         raise RecordingError(
-            f"{bag.path}: of no message of {topic.name} it is known when it was: {CLOCK_STEPS}"
+            f"of no message of {topic.name} it is known when it was: {CLOCK_STEPS}", bag.path
         )
     current_A = _currents(columns, noted, means, options)
     ahead_ns = states.clock_ns()
@@ -102,8 +103,9 @@ def _currents(
     unknown = np.flatnonzero(np.isnan(constants) & used)
     if unknown.size:
         raise RecordingError(
-            f"{noted.path}: {noted.topic} has effort on {columns.names[unknown[0]]}, whose nominal torque constant is not known; "
-            f"the robot has one for {', '.join(options.effort.nominal) or 'no joint'}: add it to the robot's file"
+            f"{noted.topic} has effort on {columns.names[unknown[0]]}, whose nominal torque constant is not known; "
+            f"the robot has one for {', '.join(options.effort.nominal) or 'no joint'}: add it to the robot's file",
+            noted.path,
         )
     return effort / np.where(np.isnan(constants), 1.0, constants)
 
@@ -126,12 +128,14 @@ def measured(record: JointRecord, noted: Noted, options: ReadOptions) -> InputRe
     if options.effort.unit is None:
         usual = " or ".join(f"/{each.topic}" for each in options.conventions.inputs) or "input"
         raise RecordingError(
-            f"{noted.path}: no {usual} in the bag, and what the effort of {noted.topic} means is not stated; state it with "
-            f"--effort-unit {'|'.join(EFFORT_UNITS)}, or name the input with --command-topic"
+            f"no {usual} in the bag, and what the effort of {noted.topic} means is not stated; state it with "
+            f"--effort-unit {'|'.join(EFFORT_UNITS)}, or name the input with --command-topic",
+            noted.path,
         )
     if inputs is None:
         raise RecordingError(
-            f"{noted.path}: the effort of {noted.topic} cannot be turned into current: the robot has a nominal torque constant for "
-            f"none of {', '.join(record.names)}; choose the robot with --robot"
+            f"the effort of {noted.topic} cannot be turned into current: the robot has a nominal torque constant for "
+            f"none of {', '.join(record.names)}; choose the robot with --robot",
+            noted.path,
         )
     return inputs

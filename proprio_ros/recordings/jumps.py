@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.recordings.stamps import count_of
+from proprio_ros.recordings.noted import count_of
 from proprio_ros.records import MIN_SAMPLES, BoolArray, FloatArray, Recording
 
 IMPLAUSIBLE_SPEED = 10.0
@@ -33,8 +33,9 @@ def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
     jumps = f"in {count_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s"
     if np.mean(~kept) > MOST_JUMPS:
         raise RecordingError(
-            f"{recording.name}: {jumps}: two motions are mixed, as where a clock was set back while it was recorded, or where two "
-            "publish joint states"
+            f"{jumps}: two motions are mixed, as where a clock was set back while it was recorded, or where two "
+            "publish joint states",
+            recording.name,
         )
     note = f"{jumps}; they were left out: is the file damaged?"
     return replace(recording, joints=record.kept(kept), notes=(*recording.notes, note))

@@ -77,8 +77,9 @@ class Motion:
             absent = np.asarray(np.isnan(self.current_A).all(axis=0))
             names = [name for name, each in zip(self.joints, absent, strict=True) if each]
             raise RecordingError(
-                f"{self.name}: the effort of {', '.join(names) or 'some joint'} was never measured together with that of the "
-                "others: does its driver publish it?"
+                f"the effort of {', '.join(names) or 'some joint'} was never measured together with that of the "
+                "others: does its driver publish it?",
+                self.name,
             )
         return self.part(known)
 
@@ -104,7 +105,8 @@ def motion_of(
     missing = [joint for joint in joints if joint not in record.names]
     if missing:
         raise RecordingError(
-            f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}: is it another arm's?"
+            f"the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}: is it another arm's?",
+            name,
         )
     notes = list(recording.notes)
     recording = _without_repeats(recording, joints, notes)
@@ -141,8 +143,9 @@ def motion_of(
     )
     if not (standing or motion.moved):
         raise TooLittleMotion(
-            f"{name}: no joint moved by more than {MOVED_RAD} rad: record the arm while it moves; a hand that stands still is "
-            "weighed roughly, with the --calibration of an arm that was calibrated by motions (docs: payload, at rest)"
+            f"no joint moved by more than {MOVED_RAD} rad: record the arm while it moves; a hand that stands still is "
+            "weighed roughly, with the --calibration of an arm that was calibrated by motions (docs: payload, at rest)",
+            name,
         )
     return motion
 
@@ -184,12 +187,13 @@ def _current(
         return record.current[:, columns], source
     if inputs is None:
         raise RecordingError(
-            f"{name}: the recording holds no current; state the unit of its effort with --effort-unit"
+            "the recording holds no current; state the unit of its effort with --effort-unit", name
         )
     absent = [joint for joint in joints if joint not in inputs.names]
     if absent:
         raise RecordingError(
-            f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
+            f"{inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}",
+            name,
         )
     row = np.clip(
         np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1,
@@ -234,19 +238,20 @@ def _check_times(times_s: FloatArray, name: str) -> None:
     lasted = 0.0 if len(times_s) < 2 else times_s[-1] - times_s[0]
     if lasted < SHORTEST_S:
         raise RecordingError(
-            f"{name}: the motion lasts {lasted:.1f} s; record at least {SHORTEST_S:g} s, better 15"
+            f"the motion lasts {lasted:.1f} s; record at least {SHORTEST_S:g} s, better 15", name
         )
     intervals = np.diff(times_s)
     rate_hz = 1.0 / float(np.median(intervals))
     # a period that is written in whole ms or ns is not one of 20 Hz to the last digit
     if rate_hz < SLOWEST_HZ * (1.0 - RATE_ROUNDING):
         raise RecordingError(
-            f"{name}: joint states come at {rate_hz:.3g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
+            f"joint states come at {rate_hz:.3g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least",
+            name,
         )
     lost_s = float(intervals[intervals > LONGEST_GAP_S].sum())
     if lost_s > 0.5 * times_s[-1]:
         raise RecordingError(
-            f"{name}: {lost_s:.0f} of {lasted:.0f} s lie in gaps between joint states"
+            f"{lost_s:.0f} of {lasted:.0f} s lie in gaps between joint states", name
         )
 
 
@@ -276,14 +281,17 @@ def _unwrapped(
         took_s = float(times_s[row + 1] - times_s[row])
         since_s = float(times_s[row] - times_s[0])
         raise RecordingError(
-            f"{name}: no joint states came for {took_s:.2f} s after {since_s:.1f} s, and {joint}, whose angle wraps around, turned "
-            "meanwhile by nobody knows how much: give the part before that gap or behind it, --span FROM:TO"
+            f"no joint states came for {took_s:.2f} s after {since_s:.1f} s, and {joint}, whose angle wraps around, turned "
+            "meanwhile by nobody knows how much: give the part before that gap or behind it, --span FROM:TO",
+            name,
         )
     far = np.abs(np.diff(position, axis=0)[~gaps]).max(axis=0)
     if far.max() > LARGEST_STEP_RAD:
         raise RecordingError(
-            f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples, which no joint does: angles "
-            f"that wrap around otherwise than by a turn must be unwrapped first, and degrees converted to rad{hint_of(far.max())}"
+            f"{joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples, which no joint does: angles "
+            "that wrap around otherwise than by a turn must be unwrapped first, and degrees converted to rad"
+            f"{hint_of(far.max())}",
+            name,
         )
     return position
 

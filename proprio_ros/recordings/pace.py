@@ -202,9 +202,10 @@ def _refuse_pace(recording: Recording, pace: Pace, joints: Sequence[str]) -> Non
     if abs(pace.scale - 1.0) < ALONE_OFF + ALONE_SURE * pace.std:
         return
     raise RecordingError(
-        f"{recording.name}: positions of {', '.join(joints)} change {pace.scale:.2f} times as fast as the velocities beside them: "
+        f"positions of {', '.join(joints)} change {pace.scale:.2f} times as fast as the velocities beside them: "
         "the time axis is stretched (a loop that runs slower or faster than it stamps), and a mass goes with its square: "
-        "stamp by a clock, and leave velocities out that are of something else"
+        "stamp by a clock, and leave velocities out that are of something else",
+        recording.name,
     )
 
 

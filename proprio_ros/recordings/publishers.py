@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.columns import JointColumns
+from proprio_ros.recordings.noted import Noted
 from proprio_ros.records import BoolArray, FloatArray
 
 FEWEST = 10
@@ -42,18 +42,17 @@ class _Track:
     position: FloatArray  # shape (N,)
 
 
-def of_one_publisher(where: str, columns: JointColumns) -> JointColumns:
+def of_one_publisher(noted: Noted, columns: JointColumns) -> JointColumns:
     """The same without what other publishers than the arm's driver say.
 
     Args:
-        where: Bag and topic, for sentences.
+        noted: Bag and topic.
         columns: Of all messages, in the order of recording.
 
     Raises:
         RecordingError: Two publishers move a joint, and differ.
     """
     values = {name: table.copy() for name, table in columns.values.items()}
-    topic = where.rpartition(": ")[2]
     notes = list(columns.notes)
     position = values["position"]
 
@@ -65,14 +64,14 @@ def of_one_publisher(where: str, columns: JointColumns) -> JointColumns:
             table[found] = np.nan
         messages = int(found.any(axis=1).sum())
         notes.append(
-            f"{topic}: {messages} of {len(found)} messages are of a second publisher: {what}; they were left out"
+            f"{noted.topic}: {messages} of {len(found)} messages are of a second publisher: {what}; they were left out"
         )
 
     leave_out(_without_effort(values), "they carry no effort, where the others do")
     leave_out(_at_one_place(position), "positions jump to one and the same place and back")
     leave_out(_twice(columns, position), "they repeat another one, stamp and all")
     leave_out(_repeated(position), "they are copies of what was published before")
-    _refuse_contradiction(where, columns.names, position)
+    _refuse_contradiction(noted, columns.names, position)
     if len(notes) == len(columns.notes):
         return columns
     kept = np.isfinite(position).any(axis=1) | ~np.isfinite(columns.values["position"]).any(axis=1)
@@ -192,7 +191,7 @@ def _copies(position: FloatArray) -> np.ndarray:
     return repeated[elsewhere]
 
 
-def _refuse_contradiction(where: str, names: Sequence[str], position: FloatArray) -> None:
+def _refuse_contradiction(noted: Noted, names: Sequence[str], position: FloatArray) -> None:
     """Raises: RecordingError: one joint is at two places at once."""
     for name, track in zip(names, _tracks(position), strict=True):
         place = track.position
@@ -206,7 +205,7 @@ def _refuse_contradiction(where: str, names: Sequence[str], position: FloatArray
         jumps = off > JUMP_TIMES * apart + JUMP_RAD
         if jumps.sum() >= FEWEST and jumps.mean() > TWO_SHARE:
             share = f"{100.0 * jumps.mean():.0f} % of the messages"
-            raise RecordingError(
-                f"{where}: {name} is at two places at once, {np.median(off[jumps]):.2g} rad or m apart, in {share}: two publishers "
+            raise noted.error(
+                f": {name} is at two places at once, {np.median(off[jumps]):.2g} rad or m apart, in {share}: two publishers "
                 "share the topic: end the one that is not the arm's driver, or rename its topic"
             )

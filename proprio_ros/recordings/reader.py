@@ -72,7 +72,7 @@ def readable(path: Path) -> Iterator[None]:
             advice = "the file has changed since it was written: copy it again, or record it again"
         else:
             advice = "if the recorder was killed, try `ros2 bag reindex` or `mcap recover` on it"
-        raise RecordingError(f"{path}: not readable as a ROS 2 bag ({reason}); {advice}") from error
+        raise RecordingError(f"not readable as a ROS 2 bag ({reason}); {advice}", path) from error
 
 
 class Bag:
@@ -125,7 +125,7 @@ class Bag:
         if next(bag._read(states), None) is None:
             until = "its end" if span[1] is None else f"{1e-9 * span[1]:g} s"
             raise RecordingError(
-                f"{self.path}: no joint states between {1e-9 * span[0]:g} s and {until}"
+                f"no joint states between {1e-9 * span[0]:g} s and {until}", self.path
             )
         return bag
 
@@ -167,7 +167,7 @@ class Bag:
             found = list(_in_rows(self._raw(topic), topic.msgtype))
         if not found:
             raise RecordingError(
-                f"{self.path}: {topic.name} holds no messages in this part of the recording"
+                f"{topic.name} holds no messages in this part of the recording", self.path
             )
         return found
 
@@ -190,8 +190,9 @@ class Bag:
                 )
                 if encoding != "cdr":
                     raise RecordingError(
-                        f"{self.path}: topic {each.topic} is serialised as {encoding!r}; only 'cdr' can be read: record it with a"
-                        " DDS middleware or convert it with `ros2 bag convert`"
+                        f"topic {each.topic} is serialised as {encoding!r}; only 'cdr' can be read: record it with a"
+                        " DDS middleware or convert it with `ros2 bag convert`",
+                        self.path,
                     )
             yield reader, wanted
 
@@ -217,9 +218,10 @@ class Bag:
             size += len(raw)
             if len(raw) > most or size > MOST_BYTES or count == MOST_MESSAGES:
                 raise RecordingError(
-                    f"{self.path}: {one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
+                    f"{one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
                     f"{MOST_BYTES / 1e6:g} MB together and {most / 1e3:g} kB each; cut the bag with `ros2 bag convert`, or give a "
-                    "part of it, --span FROM:TO"
+                    "part of it, --span FROM:TO",
+                    self.path,
                 )
             count += 1
             yield time_ns, raw
@@ -227,7 +229,7 @@ class Bag:
             return
         if not count:
             raise RecordingError(
-                f"{self.path}: {topic.name} should hold {topic.size} messages but holds none"
+                f"{topic.name} should hold {topic.size} messages but holds none", self.path
             )
         if count < topic.size:
             self.notes.append(
@@ -426,7 +428,7 @@ def _files(path: Path) -> list[Path]:
     if problem:
         raise RecordingError(f"{one_line(str(path), 100)}: {problem}")
     if not path.exists():
-        raise RecordingError(f"{path}: no such bag; give a bag folder, or a .mcap or .db3 file")
+        raise RecordingError("no such bag; give a bag folder, or a .mcap or .db3 file", path)
     if path.is_dir():
         found = _files_in(path)
     else:
@@ -434,10 +436,10 @@ def _files(path: Path) -> list[Path]:
         found = [path]
         if path.suffix == ".bag":
             raise RecordingError(
-                f"{path}: a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag"
+                "a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag", path
             )
         if not path.name.endswith((*STORAGE, *COMPRESSED)):
-            raise RecordingError(f"{path}: not a bag; give a bag folder, or a .mcap or .db3 file")
+            raise RecordingError("not a bag; give a bag folder, or a .mcap or .db3 file", path)
     for file in found:
         for inner in file.iterdir() if file.is_dir() else [file]:
             if inner.name.endswith((*STORAGE, *COMPRESSED)):
@@ -469,7 +471,7 @@ def _files_in(folder: Path) -> list[Path]:
     if (folder / "meta" / "info.json").is_file():
         hint = f"; a LeRobot data set? Name an episode, '{one_line(folder.name, 60)}#0', or ask all with `proprio batch`"
     raise RecordingError(
-        f"{folder}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}"
+        f"not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}", folder
     )
 
 
@@ -485,4 +487,4 @@ def _is_parsed(metadata: Path) -> bool:
 def _refuse_no_file(path: Path) -> None:
     """Raises `RecordingError`: Whoever opened it would wait for what never comes."""
     if path.exists() and not path.is_file():
-        raise RecordingError(f"{path}: a pipe, a socket or a device, and no file; copy it into one")
+        raise RecordingError("a pipe, a socket or a device, and no file; copy it into one", path)

@@ -96,8 +96,9 @@ def cut_runs(
         return _free_responses(recording, dict(held or {}), tuple(joints))
     if inputs is None:
         raise RecordingError(
-            f"{recording.name}: the recording holds no input current; record /applied_effort or /current_command,"
-            " or name the topic with --command-topic (of a joint that swings freely, record /torque_enabled)"
+            "the recording holds no input current; record /applied_effort or /current_command,"
+            " or name the topic with --command-topic (of a joint that swings freely, record /torque_enabled)",
+            recording.name,
         )
     record = recording.joints
     intervals = _intervals(recording.name, record, inputs, tuple(joints))
@@ -198,8 +199,9 @@ def _free_responses(
     columns = [record.column(joint) for joint in joints if joint in record.names]
     if not columns:
         raise RecordingError(
-            f"{recording.name}: torque goes off, but no position of {', '.join(joints)} was recorded; "
-            f"recorded: {', '.join(record.names)}"
+            f"torque goes off, but no position of {', '.join(joints)} was recorded; "
+            f"recorded: {', '.join(record.names)}",
+            recording.name,
         )
     for number, (off_ns, on_ns) in enumerate(recording.torque_off_ns, start=1):
         name = recording.name if len(recording.torque_off_ns) == 1 else f"{recording.name}#{number}"
@@ -306,12 +308,13 @@ def _intervals(
             continue
         if joint not in joints:
             raise RecordingError(
-                f"{name}: joint {joint!r} was driven, but the robot drives {', '.join(joints)}"
+                f"joint {joint!r} was driven, but the robot drives {', '.join(joints)}", name
             )
         if joint not in record.names:
             recorded = ", ".join(record.names)
             raise RecordingError(
-                f"{name}: joint {joint!r} was driven but its position was not recorded; recorded: {recorded}"
+                f"joint {joint!r} was driven but its position was not recorded; recorded: {recorded}",
+                name,
             )
         intervals += _intervals_of_joint(record, inputs, joint, active[:, column])
     if inputs.measured:
@@ -324,8 +327,9 @@ def _intervals(
     for earlier, later in pairwise(intervals):
         if later.onset_ns < earlier.end_ns:
             raise DrivenAtOnce(
-                f"{name}: joints {earlier.joint!r} and {later.joint!r} were driven at once; drive one joint at a time, or give this"
-                " motion, and one with an empty hand as --baseline, to `replay --probe payload`"
+                f"joints {earlier.joint!r} and {later.joint!r} were driven at once; drive one joint at a time, or give this"
+                " motion, and one with an empty hand as --baseline, to `replay --probe payload`",
+                name,
             )
     if not intervals:
         if inputs.measured:
@@ -333,8 +337,9 @@ def _intervals(
         stays = "never leaves its rest level for long" if inputs.measured else "is zero throughout"
         unit = " is it in another unit (--effort-unit)? Else" if inputs.measured else ""
         raise RecordingError(
-            f"{name}: no joint was driven: {inputs.source} {stays} ({len(inputs.times_ns)} rows);{unit}"
-            " record the probe itself, or name another input with --command-topic"
+            f"no joint was driven: {inputs.source} {stays} ({len(inputs.times_ns)} rows);{unit}"
+            " record the probe itself, or name another input with --command-topic",
+            name,
         )
     if inputs.measured and not _is_excitation(record, inputs, intervals[0]):
         raise _under_controller(name, intervals[0].joint)
@@ -343,8 +348,9 @@ def _intervals(
 
 def _under_controller(name: str, joint: str) -> UnderController:
     return UnderController(
-        f"{name}: {joint} moves under a controller: its measured current answers to its motion. A probe drives a joint from rest "
-        "with a constant current; `replay --probe payload` takes such a motion, too"
+        f"{joint} moves under a controller: its measured current answers to its motion. A probe drives a joint from rest "
+        "with a constant current; `replay --probe payload` takes such a motion, too",
+        name,
     )
 
 
@@ -502,8 +508,9 @@ def _run(
     inside = (times_s >= 0.0) & (times_s <= duration_s + INSTANT_S)
     if int(inside.sum()) < MIN_SAMPLES:
         raise RecordingError(
-            f"{name}: only {int(inside.sum())} joint states lie in the {duration_s:.3f} s in which {interval.joint} was"
-            f" driven; at least {MIN_SAMPLES} are needed: probe longer or publish faster"
+            f"only {int(inside.sum())} joint states lie in the {duration_s:.3f} s in which {interval.joint} was"
+            f" driven; at least {MIN_SAMPLES} are needed: probe longer or publish faster",
+            name,
         )
     notes = list(interval.notes)
     repeated = repeated_rows(record, inside, [record.column(interval.joint)])

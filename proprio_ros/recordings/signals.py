@@ -19,10 +19,11 @@ from proprio_ros.recordings.columns import JointColumns, joint_state_columns
 from proprio_ros.recordings.contradictions import refuse_pace
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort, known_or_none
 from proprio_ros.recordings.input_topics import FOREIGN_CLOCK_NS, commanded, measured
+from proprio_ros.recordings.noted import Noted
 from proprio_ros.recordings.publishers import of_one_publisher
 from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.reader import Bag, open_bag
-from proprio_ros.recordings.stamps import Noted, times_of
+from proprio_ros.recordings.stamps import times_of
 from proprio_ros.recordings.state_rows import state_rows
 from proprio_ros.recordings.topics import (
     BOOL,
@@ -116,7 +117,7 @@ def hear(bag: Bag, options: ReadOptions) -> Heard:
     if not options.states_only:
         command = bag.topics.input(options.command_topic, state, conventions)
     columns, clock = _states(bag, state, options)
-    pace = refuse_pace(f"{bag.path}: {state.name}", columns)
+    pace = refuse_pace(Noted(bag.path, state.name), columns)
     notes = [*columns.notes, *clock.notes, *pace]
     inputs = beside = None
     if command is not None and command[0] != state:
@@ -132,11 +133,10 @@ def hear(bag: Bag, options: ReadOptions) -> Heard:
 
 def _states(bag: Bag, state: Topic, options: ReadOptions) -> tuple[JointColumns, Clock]:
     """Joint states of the arm's own driver in the order of a clock that goes on evenly, and what was wrong with the clocks."""
-    where = f"{bag.path}: {state.name}"
     columns = joint_state_columns(bag, state, QUANTITIES, options.conventions)
     # parts whose times come twice look like two publishers, and two publishers may hide a step
     before = clock_of(state.name, columns)
-    columns = of_one_publisher(where, before.mended(columns))
+    columns = of_one_publisher(Noted(bag.path, state.name), before.mended(columns))
     if not options.states_only:
         refuse_prefix(bag.path, columns.names, options.joint_order)
     behind = clock_of(state.name, columns)
@@ -200,7 +200,7 @@ def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) ->
         if 2 * len(alike) > len(joints):
             called = f"its joints are called {prefix}{alike[0]} and so on, where the robot has {alike[0]}"
             cure = f"state joint_prefix: {prefix} in a driver's profile (--driver FILE), or name the robot with --robot"
-            raise RecordingError(f"{path}: {called}: {cure}")
+            raise RecordingError(f"{called}: {cure}", path)
 
 
 def _joint_record(heard: Heard, noted: Noted, options: ReadOptions) -> JointRecord:

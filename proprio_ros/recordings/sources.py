@@ -177,8 +177,9 @@ class EpisodeSource(_Closed):
         """Raises `ConfigurationError`, too: Nobody says what the columns are."""
         if options.columns is None:
             raise ConfigurationError(
-                f"{self.path}: an episode of a data set, whose units nobody states: give --driver lerobot, another profile with "
-                "columns, or your own file"
+                "an episode of a data set, whose units nobody states: give --driver lerobot, another profile with "
+                "columns, or your own file",
+                self.path,
             )
         return read_episode(self._folder, self._index, options)
 

@@ -2,39 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.arrivals import of_bursts
 from proprio_ros.recordings.columns import JointColumns
-from proprio_ros.records import BoolArray, TimeArray
-
-
-def count_of(mask: BoolArray) -> str:
-    """How many of the rows are marked, in words."""
-    return f"{int(mask.sum())} of {mask.size}"
-
-
-@dataclass(frozen=True)
-class Noted:
-    """A topic of a bag, and what was repaired of its messages, a sentence each."""
-
-    path: Path  # of the bag
-    topic: str
-    notes: list[str] = field(default_factory=list)
-
-    def note(self, sentence: str) -> None:
-        """Add a sentence about the topic."""
-        self.notes.append(f"{self.topic}: {sentence}")
-
-    def count(self, mask: BoolArray, what: str) -> None:
-        """Add how many rows were repaired or left out, where there are any."""
-        if mask.any():
-            self.note(f"{count_of(mask)} {what}.")
+from proprio_ros.recordings.noted import Noted
+from proprio_ros.records import TimeArray
 
 
 def times_of(columns: JointColumns, noted: Noted) -> TimeArray:
@@ -65,9 +39,9 @@ def sent_at(times_ns: TimeArray, noted: Noted) -> TimeArray:
     )
     rate = f"{1.0 / arrivals.period_s:.0f} Hz"
     if not arrivals.steady:
-        raise RecordingError(
-            f"{noted.path}: {noted.topic}: {bursts}, at no steady rate (about {rate}): when each was sent nobody knows; let the "
-            "driver stamp each as it is read"
+        raise noted.error(
+            f": {bursts}, at no steady rate (about {rate}): when each was sent nobody knows; let the driver stamp each "
+            "as it is read"
         )
     noted.note(f"{bursts}; they were taken to be sent evenly, at {rate}.")
     return arrivals.times_ns

@@ -15,9 +15,10 @@ import numpy as np
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.clocks import is_counted
 from proprio_ros.recordings.columns import JointColumns
+from proprio_ros.recordings.noted import Noted, count_of
 from proprio_ros.recordings.pace import rate_by_velocities
 from proprio_ros.recordings.sign_bits import hint_of, without_sign_bits
-from proprio_ros.recordings.stamps import Noted, count_of, order_of, sent_at, times_of
+from proprio_ros.recordings.stamps import order_of, sent_at, times_of
 from proprio_ros.records import (
     IMPLAUSIBLE_POSITION,
     LOST_AFTER_PERIODS,
@@ -119,7 +120,8 @@ def without_garbage(rows: StateRows) -> StateRows:
     rows.noted.count(garbage, "messages hold numbers that no joint can have and were left out")
     if not rows.names:
         raise RecordingError(
-            f"{rows.noted.path}: {rows.noted.topic} has no finite position in {rows.heard} messages; check the driver"
+            f"{rows.noted.topic} has no finite position in {rows.heard} messages; check the driver",
+            rows.noted.path,
         )
     position = rows.position.copy()
     position[garbage] = np.nan
@@ -173,8 +175,9 @@ def without_repeats(rows: StateRows) -> StateRows:
     count = int((~repeated).sum())
     if count < MIN_SAMPLES:
         raise RecordingError(
-            f"{rows.noted.path}: only {count} of {rows.heard} messages of {rows.noted.topic} are usable, at least {MIN_SAMPLES} "
-            f"are needed ({' '.join(rows.noted.notes) or 'the recording is too short'})"
+            f"only {count} of {rows.heard} messages of {rows.noted.topic} are usable, at least {MIN_SAMPLES} "
+            f"are needed ({' '.join(rows.noted.notes) or 'the recording is too short'})",
+            rows.noted.path,
         )
     return rows.kept(~repeated)
 
@@ -219,9 +222,10 @@ def in_radians(rows: StateRows) -> StateRows:
         size = np.abs(values)
         if name in rows.expected and size.max() > IMPLAUSIBLE_POSITION:
             raise RecordingError(
-                f"{rows.noted.path}: {name} stands at {values[np.argmax(size)]:.6g}, which is no angle in rad nor a length in m; "
+                f"{name} stands at {values[np.argmax(size)]:.6g}, which is no angle in rad nor a length in m; "
                 "the publisher seems to use degrees, millimetres or encoder counts: convert the positions to rad and m"
-                f"{hint_of(size.min())}"
+                f"{hint_of(size.min())}",
+                rows.noted.path,
             )
     return rows
 

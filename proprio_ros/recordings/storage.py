@@ -81,7 +81,7 @@ def refuse_large(file: Path) -> None:
             size += len(data)
     if size > MOST_UNPACKED:
         raise RecordingError(
-            f"{file}: unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read"
+            f"unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read", file
         )
 
 
@@ -95,7 +95,8 @@ def unpacked(file: Path, folder: Path) -> Path:
         shutil.copyfileobj(Unpacking(packed), stream)
     if not place.stat().st_size:
         raise RecordingError(
-            f"{file}: compressed with zstd, and its end is missing, without which nothing of it can be unpacked"
+            "compressed with zstd, and its end is missing, without which nothing of it can be unpacked",
+            file,
         )
     return place
 

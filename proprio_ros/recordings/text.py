@@ -43,9 +43,7 @@ def read_text_recording(path: str | Path) -> TextRecording:
     """Read a folder with trajectory.csv (columns `time_s,<joint>_relative_rad`) and setting.json; refuses malformed ones."""
     path = Path(path)
     if not is_text_recording(path):
-        raise RecordingError(
-            f"{path}: not a text recording; it needs trajectory.csv and setting.json"
-        )
+        raise RecordingError("not a text recording; it needs trajectory.csv and setting.json", path)
     setting = _setting(path / "setting.json")
     joint = setting["moving_joint"]
     file = path / "trajectory.csv"
@@ -56,24 +54,24 @@ def read_text_recording(path: str | Path) -> TextRecording:
         table = np.array([[float(cell) for cell in row] for row in rows])
     except ValueError as error:
         raise RecordingError(
-            f"{file}: not a table of numbers under the header {expected} ({error})"
+            f"not a table of numbers under the header {expected} ({error})", file
         ) from error
     if header != names:
-        raise RecordingError(f"{file}: the header must be {expected}, got {','.join(header)}")
+        raise RecordingError(f"the header must be {expected}, got {','.join(header)}", file)
     if (
         table.ndim != 2
         or table.shape[1] != 2
         or len(table) < MIN_SAMPLES
         or not np.isfinite(table).all()
     ):
-        raise RecordingError(f"{file}: needs at least {MIN_SAMPLES} rows of two finite numbers")
+        raise RecordingError(f"needs at least {MIN_SAMPLES} rows of two finite numbers", file)
     if not bool(np.all(np.diff(table[:, 0]) > 0)):
-        raise RecordingError(f"{file}: time_s must increase from row to row")
+        raise RecordingError("time_s must increase from row to row", file)
     period_s = float(np.median(np.diff(table[:, 0])))
     if period_s > LONGEST_PERIOD_S:
         numbers = bool(np.all(np.diff(table[:, 0]) == 1.0))
         what = "holds row numbers" if numbers else f"goes by {period_s:.3g} a row: is it in ms?"
-        raise RecordingError(f"{file}: time_s {what}; it must be in seconds, of a clock")
+        raise RecordingError(f"time_s {what}; it must be in seconds, of a clock", file)
     table.setflags(write=False)
     return TextRecording(
         path.resolve().name,
@@ -101,28 +99,28 @@ def _setting(file: Path) -> dict[str, Any]:
     try:
         setting = json_of(text)
     except ValueError as error:
-        raise RecordingError(f"{file}: not readable as JSON ({error})") from error
+        raise RecordingError(f"not readable as JSON ({error})", file) from error
     needed = ("moving_joint", "torque_N_m", "start_pose_rad")
     missing = [key for key in needed if not isinstance(setting, dict) or key not in setting]
     if missing:
         raise RecordingError(
-            f"{file}: {', '.join(missing)} missing; it must be an object with {', '.join(needed)}"
+            f"{', '.join(missing)} missing; it must be an object with {', '.join(needed)}", file
         )
     try:
         Text(what="text").read(setting["moving_joint"])
     except FormError as error:
-        raise RecordingError(f"{file}: moving_joint must be a name: {error}") from error
+        raise RecordingError(f"moving_joint must be a name: {error}", file) from error
     pose = setting["start_pose_rad"]
     joint = setting["moving_joint"]
     numbers = {key: setting[key] for key in _SETTING_NUMBERS if key in setting}
     if not isinstance(pose, dict) or joint not in pose:
         raise RecordingError(
-            f"{file}: start_pose_rad must give a position for each joint, {joint!r} too"
+            f"start_pose_rad must give a position for each joint, {joint!r} too", file
         )
     for section in ("simulation", "fit"):
         part = setting.get(section, {})
         if not isinstance(part, dict):
-            raise RecordingError(f"{file}: {section} must be an object, got {shortly(part)}")
+            raise RecordingError(f"{section} must be an object, got {shortly(part)}", file)
         numbers |= {
             f"{section}.{key}": value
             for key, value in part.items()
@@ -131,11 +129,11 @@ def _setting(file: Path) -> dict[str, Any]:
     numbers |= {f"start_pose_rad.{joint}": value for joint, value in pose.items()}
     for key, value in numbers.items():
         if finite(value) is None:
-            raise RecordingError(f"{file}: {key} must be a number, got {shortly(value)}")
+            raise RecordingError(f"{key} must be a number, got {shortly(value)}", file)
         try:
             _SETTING_NUMBERS.get(key, _POSITION).read(value)
         except FormError as error:
-            raise RecordingError(f"{file}: {key}: {error}") from error
+            raise RecordingError(f"{key}: {error}", file) from error
     return dict(setting)
 
 
@@ -143,7 +141,7 @@ def read_point_file(path: str | Path) -> PointTrack:
     """Where something was seen, by a CSV file with the header ``stamp_ns,x,y,z``: clock of the joint states [ns], and m."""
     header, table = _csv_table(Path(path), "stamp_ns,x,y,z")
     if header != ["stamp_ns", "x", "y", "z"]:
-        raise RecordingError(f"{path}: the header must be stamp_ns,x,y,z, got {','.join(header)}")
+        raise RecordingError(f"the header must be stamp_ns,x,y,z, got {','.join(header)}", path)
     try:
         stamps = np.array(
             [int(row[0]) for row in table],
@@ -152,7 +150,7 @@ def read_point_file(path: str | Path) -> PointTrack:
         points = np.array([[float(cell) for cell in row[1:]] for row in table]).reshape(-1, 3)
     except (ValueError, OverflowError) as error:
         raise RecordingError(
-            f"{path}: needs rows of a whole number of ns and three numbers in m ({error})"
+            f"needs rows of a whole number of ns and three numbers in m ({error})", path
         ) from error
     return PointTrack.of_seen(stamps, points)
 
@@ -167,10 +165,10 @@ def _csv_table(
         header, *rows = [row for row in csv.reader(text.splitlines()) if row]
     except (ValueError, csv.Error) as error:
         raise RecordingError(
-            f"{file}: not a table of numbers under the header {form} ({error})"
+            f"not a table of numbers under the header {form} ({error})", file
         ) from error
     if len(rows) > MOST_ROWS:
         raise RecordingError(
-            f"{file}: has {len(rows)} rows, and {MOST_ROWS} are the most that are read: cut it"
+            f"has {len(rows)} rows, and {MOST_ROWS} are the most that are read: cut it", file
         )
     return [cell.strip() for cell in header], rows

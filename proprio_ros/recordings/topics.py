@@ -139,7 +139,7 @@ class Topics:
         return fitting[0]
 
     def _refuse(self, why: str) -> NoReturn:
-        raise RecordingError(f"{self.path}: {why}")
+        raise RecordingError(f"{why}", self.path)
 
     def states(
         self,

@@ -70,12 +70,14 @@ def _stall_current(
     goal_ns, goals = signals.goal(joint)
     if driven_by.follows_goal and not len(goals):
         raise RecordingError(
-            f"{recording.name}: {joint} is a {driven_by.kind} by {robot.source.name}, and where it was sent was not recorded: "
-            "record its goal as position in /joint_command (sensor_msgs/JointState)"
+            f"{joint} is a {driven_by.kind} by {robot.source.name}, and where it was sent was not recorded: "
+            "record its goal as position in /joint_command (sensor_msgs/JointState)",
+            recording.name,
         )
     if not driven_by.follows_goal and (effort is None or not np.isfinite(effort).any()):
         raise RecordingError(
-            f"{recording.name}: by {robot.source.name} the effort of {joint} is its duty cycle, and none was recorded"
+            f"by {robot.source.name} the effort of {joint} is its duty cycle, and none was recorded",
+            recording.name,
         )
     if len(signals.voltage_V):
         voltage_V = np.interp(
@@ -87,8 +89,9 @@ def _stall_current(
         words = f"{driven_by.takes} ({drive.supply_voltage_V:g} V as stated)"
     else:
         raise RecordingError(
-            f"{recording.name}: a voltage drives {joint}, and none was recorded in /battery_state: state supply_voltage_V of its "
-            f"motor in {robot.source.name}"
+            f"a voltage drives {joint}, and none was recorded in /battery_state: state supply_voltage_V of its "
+            f"motor in {robot.source.name}",
+            recording.name,
         )
     goal = Goal(1e-9 * (goal_ns - zero_ns).astype(np.float64), goals) if len(goals) else None
     duty = driven_by.duty(

@@ -51,7 +51,7 @@ def write_messages(
         if not existed:
             shutil.rmtree(path, ignore_errors=True)
         raise RecordingError(
-            f"{path}: cannot be written ({error}); give a new folder on a disk with room"
+            f"cannot be written ({error}); give a new folder on a disk with room", path
         ) from error
 
 

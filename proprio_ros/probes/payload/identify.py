@@ -243,12 +243,12 @@ def _nominal_and_open(
 
 def _spoilt(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run | None:
     """The run of the weighing that stands in the way of an answer, where there is one."""
-    off = [reason for reason in estimate.reasons if getattr(reason, "code", "") == "stamps_off"]
-    rows = []
-    for row, run in enumerate(usable.runs):
-        name = run.run.name
-        if any(reason.startswith(f"{name}: ") for reason in off):
-            rows.append(row)
+    off = {
+        reason.subject
+        for reason in estimate.reasons
+        if isinstance(reason, Reason) and reason.code == "stamps_off"
+    }
+    rows = [row for row, run in enumerate(usable.runs) if run.run.name in off]
     if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
         rows.append(weighed.outlier)
     # a push that came late for a stall: only with another onset of its own is it followed
