@@ -19,8 +19,8 @@ test/conformance`), and that another tool can be asked, too.
 
 - **Recordings** are named below; `test/support/known/bases.py` has the command of each. Those under `bags/` ship with the
   package; real ones of other people's machines do not, and rows that need them are skipped without.
-- **Bends** are functions of `test/support/bends/`, which turn a bag into another. "In LOADED" means that the empty hand's
-  recording stays.
+- **Bends** are functions of `test/support/bends/`, which turn a bag into another and say what they do. "In LOADED" means that
+  the empty hand's recording stays.
 - **Rows** of one bend for which the same is right stand together, with the first one's trouble; `test/conformance/rows` has
   each with its parameters.
 - **Right** are the verdicts ([Results](results.md#verdicts)). *Unreadable* is a refusal as the recording is read, exit code 2;
@@ -42,16 +42,13 @@ def page(note: str, table: Table) -> str:
     """
     sys.path.insert(0, str(TESTS))
     from conformance.table import all_rows
-    from support.bends.bend import all_bends
     from support.known.bases import BASES
 
     parts = [note, ABOUT, "## Recordings"]
     parts.append(table(("name", "recordings"), _recordings(BASES.values())))
     for section, rows in groupby(all_rows(), key=lambda row: row.section):
-        titles = ("rows", "trouble", "recordings", "bends", "right")
+        titles = ("trouble", "recordings", "bends", "right")
         parts += [f"## {section}", table(titles, _together(rows))]
-    bends = [(f"`{bend.name}`", bend.kind, bend.meaning) for bend in all_bends().values()]
-    parts += ["## Bends", table(("name", "kind", "what it does"), bends)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -65,14 +62,13 @@ def _recordings(bases: Iterable[Any]) -> list[tuple[str, str]]:
     return [(_codes(names), about) for about, names in alike.items()]
 
 
-def _together(rows: Iterable[Any]) -> list[tuple[str, str, str, str, str]]:
+def _together(rows: Iterable[Any]) -> list[tuple[str, str, str, str]]:
     """Rows of the same bends for which the same is right are one row."""
     alike: dict[tuple[str, str], list[Any]] = defaultdict(list)
     for row in rows:
         alike[_bent(row), _right(row)].append(row)
     return [
         (
-            str(len(found)),
             found[0].trouble,
             _codes(row.base for row in found),
             bends,

@@ -108,8 +108,19 @@ def shown(name: str) -> str:
 
 
 def filled(text: str) -> str:
-    """A page with its blocks as they should be."""
-    return BLOCK.sub(lambda block: f"{block[1]}\n{shown(block[2])}\n\n{block[3]}", text)
+    """A page with its blocks as they should be; a command that stands above one table is not repeated above others."""
+    above: set[str] = set()
+
+    def block(found: re.Match[str]) -> str:
+        words = shown(found[2])
+        run, _, table = words.partition("\n\n")
+        if run in above:
+            words = f"The same run.\n\n{table}"
+        elif run.endswith("."):
+            above.add(run)
+        return f"{found[1]}\n{words}\n\n{found[3]}"
+
+    return BLOCK.sub(block, text)
 
 
 # --- the summary --------------------------------------------------------------------------------------------------------

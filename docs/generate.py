@@ -89,8 +89,8 @@ ABOUT = {
     "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it; `inertia` of `~/estimate` "
     "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`; with "
     "`running` stamped as `~/estimate`, and NaN when it is withdrawn",
-    "/identifier/holding": "whether something is in the hand, told when that changes: at a probability of 0.99, and back at 0.01; "
-    "it keeps what was known last, `holding` of `~/estimate` says `unknown` meanwhile, as where the estimate is late",
+    "/identifier/holding": "whether something is in the hand, published when that changes: at a probability of 0.99, and back at "
+    "0.01; it keeps its value meanwhile, and `holding` of `~/estimate` says `unknown`, as where the estimate is late",
     "/identifier/gravity_effort": "with `gravity_effort_rate`, while it is known what the hand holds: efforts that carry arm and "
     "payload in the pose of this stamp, without friction [N m]",
     "/identifier/gravity_effort_std": "their standard deviations, with the same stamp and joints [N m]",
@@ -389,6 +389,7 @@ def ros_interface() -> str:
         "local, depth 1, so who comes late still gets the last message. Services answer `success` and a sentence in `message`; "
         "while a job is under way others are refused with the reason.",
     ]
+    explained = _Once("as above")
     for name, (module, node) in nodes().items():
         parts += [
             f"## {name}",
@@ -400,7 +401,7 @@ def ros_interface() -> str:
                 (
                     f"`{topic}`",
                     f"`{kind}`",
-                    ABOUT.get(topic) or _about_probe(topic),
+                    explained(ABOUT.get(topic) or _about_probe(topic)),
                     "latched" * (quality == "LATCHED"),
                 )
                 for way, topic, kind, quality in found
@@ -458,6 +459,23 @@ def ros_interface() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+class _Once:
+    """Words that were shown before are not shown again, where that is shorter.
+
+    Args:
+        instead: What stands in their place.
+    """
+
+    def __init__(self, instead: str) -> None:
+        self.instead = instead
+        self.shown: set[str] = set()
+
+    def __call__(self, words: str) -> str:
+        known = words in self.shown and len(words) > len(self.instead)
+        self.shown.add(words)
+        return self.instead if known else words
+
+
 def _about_probe(topic: str) -> str:
     _, found, probe = topic.partition("/identifier/calibrate_")
     return f"make the sequence named by `{probe}_sequence`, and identify" if found else ""
@@ -508,6 +526,7 @@ def settings() -> str:
         "wider than any arm on a table needs; what lies outside is refused in one sentence. Defaults are those of "
         "the files in `config/probes`.",
     ]
+    explained = _Once("as above")
     of_probes = {
         "payload": OF_PAYLOAD,
         "container": OF_CONTAINER,
@@ -526,7 +545,7 @@ def settings() -> str:
                         f"`{key}`",
                         "" if value is None else f"`{_yaml(value)}`",
                         form.described(),
-                        form.meaning,
+                        explained(form.meaning),
                     )
                 )
         parts += [f"## Probe {probe}", _table(("key", "default", "value", "meaning"), rows)]
@@ -535,7 +554,7 @@ def settings() -> str:
         "an "
         "edge, `[diameter, length]`, or `[x, y, z]`. `payload.frame` is a link of the robot, `held.JOINT` the position of a joint "
         "that "
-        "was held and not recorded, and `robot.KEY` any key of the robot file.",
+        "was locked and not recorded, and `robot.KEY` any key of the robot file.",
         "## Robot file",
         "An uncertain number is `{value: .., std: ..}`; a plain one is known exactly; `null` is left out, and what is left out has "
         "its default. `proprio robot new` writes a file with every key. The nominal torque constant may be left out where the "
@@ -552,7 +571,7 @@ def settings() -> str:
                 f"`{key}`",
                 _default(field.default, REQUIRED),
                 field.form.described(),
-                field.form.meaning,
+                explained(field.form.meaning),
             )
             for key, field in fields.items()
         ]
@@ -593,7 +612,10 @@ def settings() -> str:
                 )
                 for kind, form in RANGES.items()
             ]
-            + [(f"`{key}`", form.described(), form.meaning) for key, form in NOISE.items()],
+            + [
+                (f"`{key}`", form.described(), explained(form.meaning))
+                for key, form in NOISE.items()
+            ],
         ),
         "## Limits",
         _table(
@@ -652,7 +674,7 @@ def refusals() -> str:
         NOTE,
         "# Refusals",
         "Why an answer was refused, or is wider or less certain than it could be: what each reason means, and what to do. The "
-        "command line and a report give the reason as a sentence about your recording, with the joint, the number and the cure; "
+        "command line and a report give the reason as a sentence about your recording, with the joint, the number and the remedy; "
         "`--json` gives its code in `reason_codes`, as here. A code keeps its meaning; the words of a sentence may change.",
         "What the reason makes of the answer is the [verdict](results.md#verdicts). Beside `accepted` a reason is a warning that "
         "the interval already counts. Exit code 2 is no refusal: something was mistyped, or cannot be read, and one line says what "

@@ -84,10 +84,10 @@ NOISE: dict[str, Number] = {
         "of a locked joint when its excitation begins", "rad/s", 0.0, 10.0, open=True
     ),
     "friction_spread": Number(
-        "friction that differs from one free swing to the next, relative", "", 0.0, 1.0
+        "friction that differs from one free response to the next, relative", "", 0.0, 1.0
     ),
     "swing_error_rad": Number(
-        "simulated less measured free swing, in which samples share an error", "rad", 0.0, 10.0
+        "simulated less measured free response, in which samples share an error", "rad", 0.0, 10.0
     ),
 }
 _RUN: dict[str, Form] = {

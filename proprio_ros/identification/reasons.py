@@ -16,7 +16,7 @@ CODES = {
     "held_joint_moved": "a joint that should be held moved",
     "never_reversed": "a joint moved in one direction only, so its friction was never seen reversed",
     "one_run": "a calibration rests on one run, which nothing confirms",
-    "not_separated": "torque and friction of a joint cannot be told apart, so it stays uncalibrated",
+    "not_separated": "torque and friction of a joint cannot be separated, so it stays uncalibrated",
     "hand_not_empty": "recordings of an empty hand look as if it held something, or lacked a tool",
     "runs_differ": "a run differs from the others; the interval carries half of that",
     "runs_contradict": "a run contradicts the others",

@@ -163,7 +163,7 @@ JOINT: dict[str, Field] = {
         None,
     ),
     "finger_travel": Field(
-        Part("what gauge blocks said of one finger: at_rad and open_m", by=_finger_travel), None
+        Part("what gauge blocks measured of one finger: at_rad and open_m", by=_finger_travel), None
     ),
 }
 LEAST_GRAVITY, MOST_GRAVITY = 1.5, 26.0  # of the moon and of Jupiter, rounded [m/s^2]

@@ -166,10 +166,10 @@ def judged(results: Results, found: Sequence[Answer]) -> None:
             "within 3 g or 3 %": "{near}",
             "rms error, g": "{rms:.1f}",
             "median half interval, g": "{half:.1f}",
-            "rigid or moving right, of those said": "{right} of {said}",
+            "rigid or moving right, of those with a verdict": "{right} of {said}",
             "moving, of those that the bound allows": "{told} of {allowed}",
             "kind": "{kind_right} of {kind_said}",
-            "fill told (h < R)": "{fill_answered} of {fills}",
+            "fill given (h < R)": "{fill_answered} of {fills}",
             "within 10 %": "{fill_near}",
         },
     )

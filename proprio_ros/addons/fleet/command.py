@@ -49,7 +49,7 @@ def add_parser(add: Callable[..., Parser]) -> None:
         help="calibrate the arm with the first seconds of episodes: the hand is known to be empty then, and what it holds later is "
         "asked",
     )
-    pages = "rows whose own pages are written, what looks odd first (default 12; a large number: all that have an answer)"
+    pages = "rows whose own pages are written, unusual ones first (default 12; a large number: all that have an answer)"
     it.add_argument("--reports", type=int, default=12, metavar="N", help=pages)
     engines = "local: processes of this machine (default); ray: a Ray cluster (extra ray)"
     it.add_argument("--engine", default="local", choices=("local", "ray"), help=engines)

@@ -106,7 +106,7 @@ def run_batch(
         empty: Column of the data sets that is not zero where the hand is known to be empty: such episodes calibrate the arm.
         empty_first_s: In every episode the hand is known to be empty for so long [s]: these seconds calibrate the arm, and what is
             asked is what it holds later.
-        reports: Rows whose own pages are written, what looks odd first.
+        reports: Rows whose own pages are written, unusual ones first.
 
     Raises:
         ConfigurationError, RobotError: An option is wrong; found before any episode is read.
@@ -362,7 +362,7 @@ def _reports(
     processes: int,
     tell: Callable[[str], Any],
 ) -> dict[str, str]:
-    """Write the pages of rows, what looks odd first; returns their places beside the page, by what `named` calls the row.
+    """Write the pages of rows, unusual ones first; returns their places beside the page, by what `named` calls the row.
 
     A page that a stopped job left is of the same row and options: it stays.
     """

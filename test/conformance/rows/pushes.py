@@ -45,7 +45,7 @@ ROWS = (
     Row(
         name="push_joint_slips",
         section=_SECTION,
-        trouble="a held joint's reading steps by 10 mrad in mid-run",
+        trouble="a locked joint's reading steps by 10 mrad in mid-run",
         base=_20_G,
         bends=(
             Bent("push_joint_steps", {"joint": "joint2", "step_rad": 0.01, "at": 0.5}, _LOADED),
