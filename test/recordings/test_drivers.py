@@ -220,7 +220,7 @@ def test_every_profile_loads_says_where_it_is_from_and_is_documented(name: str) 
     )
     page = (ROOT / "docs" / "pages" / "another_robot.md").read_text().split("## Name the driver")[1]
     (row,) = re.findall(rf"^\| `{name}` \|.*$", page, re.MULTILINE)
-    said = "refused" if driver.refused else driver.effort_unit or "not said"
+    said = "refused" if driver.refused else driver.effort_unit or "not stated"
     assert f"| {said}" in row, row
     settings = (ROOT / "docs" / "pages" / "settings.md").read_text()
     assert all(f"| `{key}` |" in settings for key in (*FORMS, *INPUT))
