@@ -290,7 +290,7 @@ def _sphere(found: Sequence[Rows]) -> list[str]:
         '<h2 id="sphere">V-B: the sphere in the box</h2>',
         f"<p>A sphere of {truth:g} g is free in a closed box of 30 g. With one run the empty box was weighed; with three runs the "
         "empty box makes the same runs. The paper's way has the paper's law of contact and its last frame. The sphere "
-        "begins where the box is lowest, as is stated to every way; where it may lie anywhere: <a href='#extensions'>below</a>.</p>",
+        "begins where the box is lowest, as every way knows; where it may lie anywhere: <a href='#extensions'>below</a>.</p>",
         linked(
             "sphere",
             ["way", "robot", *IN_GRAMS],
