@@ -151,7 +151,8 @@ class MotionCalibration:
     @property
     def std(self) -> FloatArray:
         """Of every value, shape (P,): the larger of what the fit and what its stretches say."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), (self.deviations**2).sum(axis=0)))
+        by_stretches = (self.deviations**2).sum(axis=0)
+        return np.sqrt(np.maximum(np.diag(self.covariance), by_stretches))
 
     @property
     def friction(self) -> slice:
@@ -171,7 +172,11 @@ class MotionCalibration:
             if kind in FRICTION_TERMS:
                 entry["run_to_run"] = short(self.friction_spread[row - self.friction.start])
             unknowns[name_of((kind, joint))] = entry
-        numbers = zip(self.torque_constants, self.residual, self.correlation, strict=True)
+        columns = (self.joints, self.torque_constants, self.residual, self.correlation)
+        joints = []
+        for joint, constant, rms, windows in zip(*columns, strict=True):
+            numbers = (joint, short(constant, 15), short(rms), short(windows))
+            joints.append(dict(zip(_JOINT, numbers, strict=True)))
         return {
             "version": VERSION,
             "runs": [dict(run) for run in self.runs],
@@ -180,16 +185,7 @@ class MotionCalibration:
                 "std": short(self.torque_scale_std),
             },
             "arm_over_urdf": short(self.arm_over_urdf),
-            "joints": [
-                dict(
-                    zip(
-                        _JOINT,
-                        (joint, short(constant, 15), short(rms), short(windows)),
-                        strict=True,
-                    )
-                )
-                for joint, (constant, rms, windows) in zip(self.joints, numbers, strict=True)
-            ],
+            "joints": joints,
             "between_recordings": {
                 kind: {"std": short(std), "recordings": short(recordings)}
                 for kind, (std, recordings) in self.between.items()
@@ -209,59 +205,87 @@ class MotionCalibration:
                 "again with the same recordings (`proprio calibrate`), which takes seconds"
             )
         runs = runs_of(section, RUN)
-        entries = []
-        for number, entry in enumerate(part_of(section, "joints", list), 1):
-            with under("joints", number):
-                entries.append(exactly(entry, _JOINT))
-        joints = tuple(entry[0] for entry in entries)
-        numbers = np.array([entry[1:] for entry in entries]).reshape(-1, 3)
+        joints, constants, residual, correlated = _read_joints(section)
+        terms = _Terms.of(section, joints)
+        count = len(terms.place)
+        std = terms.std
+        correlation = correlation_of(section, count, -1e-9)[np.ix_(terms.place, terms.place)]
+        deviations = _read_deviations(section, count)
+        stated = part_of(section, "torque_scale", Mapping)
+        with under("torque_scale"):
+            torque_scale, torque_scale_std = exactly(stated, _SCALE)
+        return cls(
+            joints=joints,
+            torque_constants=constants,
+            values=terms.values,
+            covariance=correlation * std[:, None] * std,
+            deviations=deviations[:, terms.place] * std,
+            friction_spread=terms.friction_spread,
+            residual=residual,
+            correlation=correlated,
+            torque_scale=torque_scale,
+            torque_scale_std=torque_scale_std,
+            arm_over_urdf=read_under(section, "arm_over_urdf", Number("", "", -100.0, 100.0)),
+            fingerprint="",
+            runs=runs,
+            between=_read_between(section.get("between_recordings", {})),
+        )
+
+
+def _read_joints(
+    section: Mapping[str, Any],
+) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
+    """Of n joints their names, torque constants [N m/A], residuals [N m] and numbers of correlated windows, (n,) each."""
+    entries = []
+    for number, entry in enumerate(part_of(section, "joints", list), 1):
+        with under("joints", number):
+            entries.append(exactly(entry, _JOINT))
+    names = tuple(entry[0] for entry in entries)
+    numbers = np.array([entry[1:] for entry in entries]).reshape(-1, 3)
+    constants, residual, correlated = numbers.T
+    return names, constants, residual, correlated
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """What a file says of the P terms of an arm, in the order of `term_keys`."""
+
+    place: list[int]  # of each term in the file: its correlations and deviations follow that order
+    values: FloatArray  # (P,)
+    std: FloatArray  # (P,)
+    friction_spread: FloatArray  # from run to run, (3 n,)
+
+    @classmethod
+    def of(cls, section: Mapping[str, Any], joints: tuple[str, ...]) -> _Terms:
+        """Raises: FormError: A term is missing, of no joint of the arm, or no number."""
         keys = term_keys(joints)
-        unknowns = part_of(section, "unknowns", Mapping)
         names = [name_of(key) for key in keys]
+        unknowns = part_of(section, "unknowns", Mapping)
         if not joints or set(unknowns) != set(names):
             wrong = sorted(set(names) ^ {str(name) for name in unknowns}) or ["no joints"]
             raise FormError(
                 f"unknowns: {shortly(wrong[0])} is missing or of no joint of it; calibrate again"
             )
-        # a file may have been written again in another order: its correlations follow that
-        place = [list(unknowns).index(name) for name in names]
         read = []
-        for key, name in zip(keys, names, strict=True):
+        for (kind, _), name in zip(keys, names, strict=True):
             with under("unknowns", name):
-                read.append(_read_term(unknowns[name], key[0]))
-        scale = np.array([term[1] for term in read])
-        correlation = correlation_of(section, len(keys), -1e-9)[np.ix_(place, place)]
-        rows = numbers_of(section, "deviations")
-        if not rows or any(len(row) != len(keys) for row in rows) or not np.all(np.isfinite(rows)):
-            raise FormError(
-                f"deviations must be rows of {len(keys)} finite numbers; calibrate again"
-            )
-        stated = part_of(section, "torque_scale", Mapping)
-        with under("torque_scale"):
-            torque_scale, torque_scale_std = exactly(stated, _SCALE)
-        over_urdf = read_under(section, "arm_over_urdf", Number("", "", -100.0, 100.0))
-        values = np.array([term[0] for term in read])
-        spread = np.array([part for term in read for part in term[2:]])
-        fitted = (
-            values,
-            correlation * scale[:, None] * scale,
-            np.array(rows)[:, place] * scale,
-            spread,
-        )
-        constants, residual, correlated = numbers.T
-        scales = (torque_scale, torque_scale_std, over_urdf)
-        between = _read_between(section.get("between_recordings", {}))
+                read.append(_read_term(unknowns[name], kind))
+        order = list(unknowns)
         return cls(
-            joints,
-            constants,
-            *fitted,
-            residual,
-            correlated,
-            *scales,
-            "",
-            runs,
-            between,
+            [order.index(name) for name in names],
+            np.array([term[0] for term in read]),
+            np.array([term[1] for term in read]),
+            np.array([part for term in read for part in term[2:]]),
         )
+
+
+def _read_deviations(section: Mapping[str, Any], count: int) -> FloatArray:
+    """Rows of so many numbers."""
+    rows = numbers_of(section, "deviations")
+    wrong = any(len(row) != count for row in rows)
+    if not rows or wrong or not np.all(np.isfinite(rows)):
+        raise FormError(f"deviations must be rows of {count} finite numbers; calibrate again")
+    return np.array(rows)
 
 
 def _read_between(given: Any) -> dict[str, tuple[float, float]]:

@@ -90,6 +90,8 @@ NOISE: dict[str, Number] = {
         "simulated less measured free response, in which samples share an error", "rad", 0.0, 10.0
     ),
 }
+# of each where a file does not say it
+_NO_NOISE = (1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0)
 _RUN: dict[str, Form] = {
     "name": Text(longest=9000),
     "joint": Text(),
@@ -236,84 +238,86 @@ class Calibration:
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers for the file; the correlations as text, which reads a hundred times faster than as YAML numbers."""
-        swung = {
-            "friction_spread": short(self.friction_spread),
-            "swing_error_rad": short(self.swing_error),
-        }
-        return {
+        settings: dict[str, Any] = {
             "runs": [dict(run) for run in self.runs],
             "residual_scale": short(self.residual_scale),
             "stamp_jitter_s": short(self.stamp_jitter_s),
             "torque_disturbance_N_m": short(self.torque_disturbance),
             "start_velocity_rad_s": short(self.start_velocity),
-            **({"onset_jitter_s": short(self.onset_jitter_s)} if self.onset_jitter_s > 0.0 else {}),
-            **({"made": self.made.as_settings()} if self.made is not None else {}),
-            **({"motors": {joint: motor.as_settings() for joint, motor in self.motors.items()}} if self.motors else {}),
-            **(swung if self.swing_error > 0.0 else {}),
-            **own_terms_text(self.own_terms),
-            "unknowns": {
-                name_of(key): {"value": short(known.value, 15), "std": short(known.std, 15), "unit": _unit(key)}
-                for key, known in self.quantities.items()
-            },
-            "correlation": triangle_of(self.correlation),
-        }  # fmt: skip
+        }
+        if self.onset_jitter_s > 0.0:
+            settings["onset_jitter_s"] = short(self.onset_jitter_s)
+        if self.made is not None:
+            settings["made"] = self.made.as_settings()
+        if self.motors:
+            settings["motors"] = {
+                joint: motor.as_settings() for joint, motor in self.motors.items()
+            }
+        if self.swing_error > 0.0:
+            settings["friction_spread"] = short(self.friction_spread)
+            settings["swing_error_rad"] = short(self.swing_error)
+        settings |= own_terms_text(self.own_terms)
+        unknowns = {}
+        for key, known in self.quantities.items():
+            unknowns[name_of(key)] = {
+                "value": short(known.value, 15),
+                "std": short(known.std, 15),
+                "unit": _unit(key),
+            }
+        return {**settings, "unknowns": unknowns, "correlation": triangle_of(self.correlation)}
 
     @classmethod
     def from_settings(cls, section: Any) -> Calibration:
         """Read the section of a robot file; raises `FormError`."""
         check_section(section)
-        unknowns = part_of(section, "unknowns", Mapping)
         runs = runs_of(section, _RUN)
         motors = {}
-        made = None
-        for joint, entry in (
-            part_of(section, "motors", Mapping) if "motors" in section else {}
-        ).items():
+        given_motors = part_of(section, "motors", Mapping) if "motors" in section else {}
+        for joint, entry in given_motors.items():
             with under("motors", one_line(str(joint), 80)):
                 motors[str(joint)] = MotorIdentity.from_settings(entry)
-        keys = []
-        values = []
-        stds = []
-        for name, entry in unknowns.items():
+        known: dict[Key, tuple[float, float]] = {}
+        for name, entry in part_of(section, "unknowns", Mapping).items():
             with under("unknowns", one_line(str(name), 80)):
-                if not isinstance(entry, Mapping):
-                    raise FormError(f"expected value, std and unit, got {shortly(entry)}")
-                keys.append(_key(name))
-                form = RANGES[_kind(keys[-1])]
-                values.append(read_under(entry, "value", form))
-                stds.append(
-                    read_under(
-                        entry,
-                        "std",
-                        Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest),
-                    )
-                )
-                if entry.get("unit", _unit(keys[-1])) != _unit(keys[-1]):
-                    raise FormError(
-                        f"unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}"
-                    )
-        scale = np.array(stds)
-        covariance = (
-            correlation_of(section, len(keys), _SMALLEST_EIGENVALUE)
-            * scale[:, None]
-            * scale[None, :]
-        )
-        defaults = zip(
-            NOISE.items(),
-            (1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0),
-            strict=True,
-        )
-        noise = {
-            re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default)
-            for (name, form), default in defaults
-        }
+                key, value, std = _read_unknown(name, entry)
+            known[key] = (value, std)
+        keys = tuple(known)
+        values = np.array([value for value, _ in known.values()])
+        stds = np.array([std for _, std in known.values()])
+        correlation = correlation_of(section, len(keys), _SMALLEST_EIGENVALUE)
+        noise = {}
+        for (name, form), default in zip(NOISE.items(), _NO_NOISE, strict=True):
+            field_name = re.sub("_(N_m|rad_s|rad)$", "", name)
+            noise[field_name] = read_under(section, name, form, default)
+        made = None
         if "made" in section:
             with under("made"):
                 made = Moment.from_settings(section["made"])
-        own_terms = own_terms_of(section, len(runs), TERMS_OF_A_SWING)
         return cls(
-            tuple(keys), np.array(values), covariance, runs=runs, motors=motors, made=made, own_terms=own_terms, **noise
-        )  # fmt: skip
+            keys,
+            values,
+            correlation * stds[:, None] * stds[None, :],
+            runs=runs,
+            motors=motors,
+            made=made,
+            own_terms=own_terms_of(section, len(runs), TERMS_OF_A_SWING),
+            **noise,
+        )
+
+
+def _read_unknown(name: Any, entry: Any) -> tuple[Key, float, float]:
+    """Key, value and standard deviation of an unknown."""
+    if not isinstance(entry, Mapping):
+        raise FormError(f"expected value, std and unit, got {shortly(entry)}")
+    key = _key(name)
+    form = RANGES[_kind(key)]
+    value = read_under(entry, "value", form)
+    spread = Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest)
+    std = read_under(entry, "std", spread)
+    unit = _unit(key)
+    if entry.get("unit", unit) != unit:
+        raise FormError(f"unit must be {unit!r}, got {shortly(entry['unit'])}")
+    return key, value, std
 
 
 def check_complete(
@@ -322,57 +326,62 @@ def check_complete(
     drive_trains: Mapping[str, Any],
     priors: Mapping[str, Quantity],
 ) -> None:
-    """Check a calibration against the robot file's links, drive trains (by joint) and what it says of other unknowns (by kind).
+    """Check a calibration against the robot file.
+
+    Args:
+        calibration: As its section was read.
+        links: Of the robot.
+        drive_trains: By joint.
+        priors: What the file says of other unknowns, by kind.
 
     Raises:
         FormError: An unknown belongs to no joint or link of the robot, a joint lacks one that the robot file leaves open, or a
             value is far from what the robot file says, or a torque constant from the motor's nominal one.
     """
-    there = set(calibration.keys)
     for key in calibration.keys:
         of = KINDS[_kind(key)].of
         scope = "" if isinstance(key, str) else str(key[1])
-        names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(
-            of,
-            (),
-        )
-        if of and scope not in names:
+        there: Sequence[str] = ()
+        if of == "joint":
+            there = tuple(drive_trains)
+        elif of == "link":
+            there = links
+        if of and scope not in there:
             raise FormError(
-                f"{name_of(key)}: the robot has no such {of}; it has {', '.join(names)}"
+                f"{name_of(key)}: the robot has no such {of}; it has {', '.join(there)}"
             )
     # of a joint that was only held, its zero is known and nothing else
-    for joint in dict.fromkeys(
-        str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"
-    ):
-        drive = drive_trains[joint]
-        # a slide has no zero of its own
-        open_terms = [
-            t
-            for t in TERMS
-            if getattr(drive, t).std > 0.0 and (t != "zero" or drive.transmission == 1.0)
-        ]
-        lost = [name_of((t, joint)) for t in open_terms if (t, joint) not in there]
-        if lost:
-            raise FormError(
-                f"unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`"
-            )
-        found = calibration.quantities.get(("torque_constant", joint), drive.torque_constant).value
-        if not 1.0 / _FARTHEST <= found / drive.nominal_torque_constant <= _FARTHEST:
-            raise FormError(
-                f"torque_constant[{joint}]: {found:g} N m/A is over {_FARTHEST:g} times or under a fifth of the motor's "
-                f"nominal {drive.nominal_torque_constant:g}: calibrate again"
-            )
+    known_of = [key[1] for key in calibration.keys if key[0] in TERMS and key[0] != "zero"]
+    for joint in dict.fromkeys(map(str, known_of)):
+        _check_joint(calibration, joint, drive_trains[joint])
     for key, known in calibration.quantities.items():
-        prior = (
-            getattr(drive_trains[str(key[1])], kind)
-            if (kind := _kind(key)) in TERMS
-            else priors.get(kind)
-        )
+        kind = _kind(key)
+        prior = getattr(drive_trains[str(key[1])], kind) if kind in TERMS else priors.get(kind)
         if prior is not None and 0.0 < _MOST_STDS * prior.std < abs(known.value - prior.value):
             raise FormError(
                 f"{name_of(key)}: {known.value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({prior.std:g}) "
                 f"from {f'{prior.value:g}' if prior.value else 'zero'}: calibrate again"
             )
+
+
+def _check_joint(calibration: Calibration, joint: str, drive: Any) -> None:
+    """Refuse what lacks a term of a joint's drive train that the file leaves open, or has another torque constant."""
+    lost = []
+    for term in TERMS:
+        # a slide has no zero of its own
+        is_open = getattr(drive, term).std > 0.0 and (term != "zero" or drive.transmission == 1.0)
+        if is_open and (term, joint) not in calibration.keys:
+            lost.append(name_of((term, joint)))
+    if lost:
+        raise FormError(
+            f"unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`"
+        )
+    found = calibration.quantities.get(("torque_constant", joint), drive.torque_constant).value
+    if not 1.0 / _FARTHEST <= found / drive.nominal_torque_constant <= _FARTHEST:
+        raise FormError(
+            f"torque_constant[{joint}]: {found:g} N m/A is over {_FARTHEST:g} times or under a fifth of the motor's "
+            f"nominal {drive.nominal_torque_constant:g}: calibrate again"
+        )
 
 
 def _kind(key: Key) -> str:

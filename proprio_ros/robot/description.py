@@ -97,56 +97,76 @@ def hand_link(model: RobotModel) -> str:
 
     The last body is the one before the tree branches into fingers, or before a joint that is a finger by its name; never a finger.
     """
-    depth = {model.root: 0}
-    body = {model.root: model.root}
-    moving: dict[str, list[Joint]] = {model.root: []}  # by body, which its first link names
-    for joint in model.joints:
-        depth[joint.child] = depth[joint.parent] + 1
-        body[joint.child] = body[joint.parent] if joint.kind == "fixed" else joint.child
-        if joint.kind != "fixed":
-            moving[body[joint.parent]].append(joint)
-            moving[joint.child] = []
-    beyond: dict[str, int] = {}  # the most joints that move by themselves, one behind the other
-    for name in reversed(moving):
-        beyond[name] = max(
-            (each.independent + beyond[each.child] for each in moving[name]), default=0
-        )
-
-    def tools(of: str) -> list[tuple[int, int, str]]:
-        names = [link for link in body if body[link] == of]
-        ranks = {
-            link: next((n for n, form in enumerate(_TOOLS) if re.search(form, link, re.I)), -1)
-            for link in names
-        }
-        return [
-            (-rank, depth[link], link) for link, rank in ranks.items() if rank >= 0 and link != of
-        ]
-
+    tree = _Bodies(model)
     hand = model.root
-    before = 0
-    while moving[hand]:
-        joint = max(
-            moving[hand],
-            key=lambda each: each.independent + beyond[each.child],
-        )
-        branches = len(moving[hand]) > 1 and before >= beyond[hand]
-        finger = (
-            _FINGER.search(joint.child)
-            or _FINGER.search(joint.name)
-            or re.search("gripper", joint.name, re.I)
-        )
-        last = not beyond[joint.child] and joint.kind == "prismatic" and not tools(joint.child)
-        if branches or finger or last or not joint.independent:
+    passed = 0
+    while tree.moving[hand]:
+        joint = max(tree.moving[hand], key=tree.reach)
+        branches = len(tree.moving[hand]) > 1 and passed >= tree.beyond[hand]
+        if branches or not joint.independent or tree.is_finger(joint):
             break
         hand = joint.child
-        before = before + 1
-    if found := tools(hand):
-        return max(found)[2]
-    return max((link for link in body if body[link] == hand), key=lambda link: depth[link])
+        passed += 1
+    links = tree.tools(hand) or tree.links(hand)
+    return links[0]
+
+
+class _Bodies:
+    """Links that are fixed to each other, each body called by its first link."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self._depth = {model.root: 0}
+        self._body = {model.root: model.root}
+        self.moving: dict[str, list[Joint]] = {
+            model.root: []
+        }  # joints that move, by the body before
+        for joint in model.joints:
+            self._depth[joint.child] = self._depth[joint.parent] + 1
+            fixed = joint.kind == "fixed"
+            self._body[joint.child] = self._body[joint.parent] if fixed else joint.child
+            if not fixed:
+                self.moving[self._body[joint.parent]].append(joint)
+                self.moving[joint.child] = []
+        # the most joints that move by themselves behind a body, one behind the other
+        self.beyond: dict[str, int] = {}
+        for name in reversed(self.moving):
+            self.beyond[name] = max(map(self.reach, self.moving[name]), default=0)
+
+    def reach(self, joint: Joint) -> int:
+        """Joints that move by themselves from this one on, one behind the other."""
+        return joint.independent + self.beyond[joint.child]
+
+    def links(self, body: str) -> list[str]:
+        """Of a body, the last one first; of those as far away, the first."""
+        links = [link for link in self._body if self._body[link] == body]
+        return sorted(links, key=lambda link: -self._depth[link])
+
+    def tools(self, body: str) -> list[str]:
+        """Tool frames of a body, the one nearest to the object first."""
+        found = []
+        for link in self.links(body):
+            rank = next((n for n, form in enumerate(_TOOLS) if re.search(form, link, re.I)), None)
+            if rank is not None and link != body:
+                found.append((-rank, self._depth[link], link))
+        return [link for _, _, link in sorted(found, reverse=True)]
+
+    def is_finger(self, joint: Joint) -> bool:
+        """By its name, or as the last slide with no tool beyond it."""
+        names = (joint.child, joint.name)
+        if any(_FINGER.search(name) for name in names):
+            return True
+        if re.search("gripper", joint.name, re.I):
+            return True
+        is_last = not self.beyond[joint.child] and joint.kind == "prismatic"
+        return is_last and not self.tools(joint.child)
 
 
 def check_masses(model: RobotModel, source: str) -> None:
-    """Raises: RobotError: Some joints move nothing that has mass; all are named."""
+    """Refuse a robot some of whose joints move nothing that has mass.
+
+    Raises:
+        RobotError: That is so; all are named.
+    """
     mass = {link.name: float(link.pseudo_inertia[3, 3]) for link in model.links}
     carried = {joint.child: mass[joint.child] for joint in model.joints if joint.independent}
     body = {link: link for link in carried}

@@ -8,7 +8,7 @@ acceleration a accelerate each of their points x by ``(S a + S S v^2) x``; anoth
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -66,16 +66,8 @@ class Loads:
         held_kg: float = 0.0,
     ) -> Load:
         """Efforts and inertias in a pose of all independent joints [rad or m]. A joint that others follow moves them, too."""
-        places: list[FloatArray] = []
-        # velocity of the points beyond, as a matrix on their coordinates
-        moving: list[FloatArray] = []
+        places, moving = self._placed(pose)
         parents = [parent for _, parent, _ in self._bodies]
-        for (joint, parent, frame), (name, multiplier, offset) in zip(
-            self._bodies, self._driving, strict=True
-        ):
-            frame = places[parent] @ frame if parent >= 0 else frame
-            places.append(frame @ motion(joint.kind, joint.axis, multiplier * pose[name] + offset))
-            moving.append(multiplier * _velocity(joint.kind, frame, joint.axis))
         beyond = [
             place @ pseudo @ place.T for place, pseudo in zip(places, self._pseudo, strict=True)
         ]
@@ -83,36 +75,59 @@ class Loads:
         if self._hand >= 0:
             held = places[self._hand] @ self._held_at
             beyond[self._hand] = beyond[self._hand] + held_kg * np.outer(held, held)
-            row = self._hand
-            while row >= 0:
+            for row in _chain(parents, self._hand):
                 per_kg[self._driving[row][0]] -= float(self._gravity @ (moving[row] @ held)[:3])
-                row = parents[row]
         for row in range(len(places) - 1, 0, -1):
             if parents[row] >= 0:
                 beyond[parents[row]] = beyond[parents[row]] + beyond[row]
-        gravity = dict.fromkeys(self.joints, 0.0)
-        inertia = dict.fromkeys(self.joints, 0.0)
-        reactions: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in self.joints}
-
-        def add(moved: int, other: int, momentum: FloatArray) -> None:
-            name = self._driving[moved][0]
-            feels = self._driving[other][0]
-            if name != feels:
-                by_acceleration, by_speed = reactions[name].get(feels, (0.0, 0.0))
-                by_acceleration += float(np.sum(momentum * moving[moved]))
-                by_speed += float(np.sum(momentum * (moving[moved] @ moving[moved])))
-                reactions[name][feels] = (by_acceleration, by_speed)
-
+        load = Load(
+            dict.fromkeys(self.joints, 0.0),
+            dict.fromkeys(self.joints, 0.0),
+            {name: {} for name in self.joints},
+            per_kg,
+        )
         for row, (name, _, _) in enumerate(self._driving):
             momentum = moving[row] @ beyond[row]
-            gravity[name] -= float(self._gravity @ momentum[:3, 3])
-            inertia[name] += float(np.sum(momentum * moving[row]))
-            before = parents[row]
-            while before >= 0:  # each of the two moves what is beyond both
-                add(before, row, momentum)
-                add(row, before, moving[before] @ beyond[row])
-                before = parents[before]
-        return Load(gravity, inertia, reactions, per_kg)
+            load.gravity[name] -= float(self._gravity @ momentum[:3, 3])
+            load.inertia[name] += float(np.sum(momentum * moving[row]))
+            for before in _chain(
+                parents, parents[row]
+            ):  # each of the two moves what is beyond both
+                self._react(load, before, row, momentum, moving[before])
+                self._react(load, row, before, moving[before] @ beyond[row], moving[row])
+        return load
+
+    def _placed(self, pose: Mapping[str, float]) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Of each body its place, and the velocity of the points beyond as a matrix on their coordinates, (4, 4) each."""
+        places: list[FloatArray] = []
+        moving: list[FloatArray] = []
+        for row, (joint, parent, frame) in enumerate(self._bodies):
+            name, multiplier, offset = self._driving[row]
+            frame = places[parent] @ frame if parent >= 0 else frame
+            position = multiplier * pose[name] + offset
+            places.append(frame @ motion(joint.kind, joint.axis, position))
+            moving.append(multiplier * _velocity(joint.kind, frame, joint.axis))
+        return places, moving
+
+    def _react(
+        self, load: Load, moved: int, other: int, momentum: FloatArray, moving: FloatArray
+    ) -> None:
+        """Add what one joint feels of another that moves: both move the momentum."""
+        name = self._driving[moved][0]
+        feels = self._driving[other][0]
+        if name == feels:
+            return
+        by_acceleration, by_speed = load.reactions[name].get(feels, (0.0, 0.0))
+        by_acceleration += float(np.sum(momentum * moving))
+        by_speed += float(np.sum(momentum * (moving @ moving)))
+        load.reactions[name][feels] = (by_acceleration, by_speed)
+
+
+def _chain(parents: Sequence[int], row: int) -> Iterator[int]:
+    """A body and those before it, up to the base."""
+    while row >= 0:
+        yield row
+        row = parents[row]
 
 
 def _velocity(kind: str, frame: FloatArray, axis: FloatArray) -> FloatArray:

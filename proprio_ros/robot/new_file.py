@@ -17,6 +17,7 @@ from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, NOMINAL, ROBOT, Uncertain
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
+from proprio_ros.robot.urdf import Joint
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 from proprio_ros.whole_files import real_path
 
@@ -47,10 +48,14 @@ def new_robot_file(
     of_bag: Callable[[Path], str] | None = None,
     torque_recorded: bool = False,
 ) -> NewFile:
-    """Write down what a URDF (see `read_model`) says of a robot, and what must be stated beside it.
+    """Write down what a URDF says of a robot, and what must be stated beside it.
 
-    The file names its URDF by the way from ``output``, where it will be. Where efforts are torque, no torque constant is needed,
-    and fingers, which only squeezes drive, are left out.
+    Args:
+        source: Of the URDF, as in `read_model`.
+        output: Where the file will be; it names its URDF by the way from there.
+        of_bag: Takes the URDF out of a bag.
+        torque_recorded: Whether efforts are torque: then no torque constant is needed, and fingers, which only squeezes drive, are
+            left out.
 
     Raises:
         RobotError, RecordingError: The description cannot be read, or links that move have no mass; these are named.
@@ -67,15 +72,9 @@ def new_robot_file(
     for key, entry in ROBOT.items():
         if key in _WRITTEN_BY_CALIBRATE:
             continue
-        words = {"payload_frame": f"{CHECK}, a guess: "}.get(key, "") + _words(entry)
-        lines.append(
-            _line(
-                0,
-                key,
-                values.get(key, _default(entry, model)),
-                words,
-            )
-        )
+        guess = f"{CHECK}, a guess: " if key == "payload_frame" else ""
+        value = values.get(key, _default(entry, model))
+        lines.append(_line(0, key, value, guess + _words(entry)))
         if key == "name":
             words = "its description: a .urdf file, a bag, robot_descriptions:NAME"
             lines.append(_line(0, "urdf", _way(source, output), words))
@@ -126,74 +125,74 @@ def _joint(
 ) -> list[str]:
     """All keys of one joint; what they are for stands at the first joint only."""
     joint = model.joint(name)
-    slides = joint.kind == "prismatic"
-
-    def line(
-        indent: int,
-        key: str,
-        entry: Field,
-        value: Any = ...,
-        mark: str = "",
-    ) -> str:
-        words = mark + _words(entry) if explained or mark else ""
-        return _line(
-            indent,
-            key,
-            _default(entry, model, name) if value is ... else value,
-            words,
-        )
-
-    limits = f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
+    unit = "N" if joint.kind == "prismatic" else "N m"
+    limits = f", at most {joint.effort_limit:g} {unit} by its URDF"
     if math.isinf(joint.effort_limit):
         limits = ", its URDF states no limit of effort"
-    lines = [
+    writer = _JointWriter(model, joint, unit, explained, torque_recorded)
+    return [
         f"  {_yaml(name)}:  # {joint.kind}{limits}",
         "    motor:",
+        *(writer.motor(key, entry) for key, entry in MOTOR.items()),
+        "    drive_train:",
+        *(writer.drive_train(key, entry) for key, entry in DRIVE_TRAIN.items()),
+        *writer.rest(),
     ]
-    for key, entry in MOTOR.items():
-        if key == NOMINAL and torque_recorded:
-            lines.append(
-                line(6, key, entry, 1, "torque is recorded, not current: " if explained else "")
-            )
-        elif key == NOMINAL:
-            words = (
-                f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
-            )
-            lines.append(_line(6, key, None, STATE + words))
-        elif key == "current_limit_A" and torque_recorded and math.isfinite(joint.effort_limit):
-            lines.append(
-                line(
-                    6,
-                    key,
-                    entry,
-                    joint.effort_limit,
-                    f"{'N' if slides else 'N m'}, its URDF's: " if explained else "",
-                )
-            )
-        else:
-            lines.append(line(6, key, entry))
-    lines.append("    drive_train:")
-    for key, entry in DRIVE_TRAIN.items():
-        if torque_recorded and isinstance(entry.default, Wide) and entry.default.of == "nominal":
-            lines.append(line(6, key, entry, RECORDED_TORQUE))
-            continue
-        # what is a part of something not yet stated is left to the reader of the file
-        later = isinstance(entry.default, Wide) and (slides or entry.default.of == "nominal")
-        mark = f"null: {entry.default.described()}; " if later else ""
-        lines.append(
-            line(
-                6,
-                key,
-                entry,
-                None if later else ...,
-                mark if explained else "",
-            )
-        )
-    for key, entry in JOINT.items():
-        if slides or key == "usable_velocity_rad_s":
-            mark = f"{STATE}: " if key == "transmission_m_per_rad" else ""
-            lines.append(line(4, key, entry, mark=mark))
-    return lines
+
+
+@dataclass(frozen=True)
+class _JointWriter:
+    """Lines of one joint in a robot file."""
+
+    model: RobotModel
+    joint: Joint
+    unit: str  # of its effort
+    explained: bool  # whether it is said what keys are for
+    torque_recorded: bool
+
+    @property
+    def slides(self) -> bool:
+        return self.joint.kind == "prismatic"
+
+    def motor(self, key: str, entry: Field) -> str:
+        """A key of the motor, whose nominal torque constant must be stated where no torque is recorded."""
+        limit = self.joint.effort_limit
+        if key == NOMINAL and self.torque_recorded:
+            return self._stated(key, entry, 1, "torque is recorded, not current: ")
+        if key == NOMINAL:
+            about = f"; 1 where torque is recorded, not current; {_words(entry)}"
+            return _line(6, key, None, STATE + (about if self.explained else ""))
+        if key == "current_limit_A" and self.torque_recorded and math.isfinite(limit):
+            return self._stated(key, entry, limit, f"{self.unit}, its URDF's: ")
+        return self._by_default(6, key, entry)
+
+    def drive_train(self, key: str, entry: Field) -> str:
+        """A key of the drive train; what is a part of something not yet stated is left to the reader of the file."""
+        wide = entry.default if isinstance(entry.default, Wide) else None
+        if wide is not None and wide.of == "nominal" and self.torque_recorded:
+            return self._stated(key, entry, RECORDED_TORQUE)
+        if wide is not None and (wide.of == "nominal" or self.slides):
+            return self._stated(key, entry, None, f"null: {wide.described()}; ")
+        return self._by_default(6, key, entry)
+
+    def rest(self) -> list[str]:
+        """What is neither of the motor nor of the drive train; most of it only a slide has."""
+        lines = []
+        for key, entry in JOINT.items():
+            if key == "transmission_m_per_rad" and self.slides:
+                lines.append(self._by_default(4, key, entry, f"{STATE}: "))
+            elif self.slides or key == "usable_velocity_rad_s":
+                lines.append(self._by_default(4, key, entry))
+        return lines
+
+    def _stated(self, key: str, entry: Field, value: Any, mark: str = "") -> str:
+        """A value, and why that one before what the key is for."""
+        return _line(6, key, value, mark + _words(entry) if self.explained else "")
+
+    def _by_default(self, indent: int, key: str, entry: Field, mark: str = "") -> str:
+        """The default; a mark stands there in any case."""
+        words = mark + _words(entry) if self.explained or mark else ""
+        return _line(indent, key, _default(entry, self.model, self.joint.name), words)
 
 
 def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
@@ -212,11 +211,8 @@ def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
         return {"value": default.value, "std": default.std}
     if default is STANDARD_GRAVITY:
         return list(default)
-    return (
-        None
-        if default == "" or default == math.inf or not isinstance(default, (int, float, bool))
-        else default
-    )
+    is_number = isinstance(default, (int, float)) and default != math.inf
+    return default if is_number else None
 
 
 def _words(entry: Field) -> str:
@@ -255,5 +251,10 @@ def _yaml(value: Any) -> str:
         return "[" + ", ".join(map(_yaml, value)) + "]"
     if isinstance(value, str):
         plain = re.fullmatch(r"[^\W\d_][\w/.-]*", value) and value.lower() not in _NO_TEXT
-        return value if plain else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return f"{value:g}" if "e" not in f"{value:g}" else f"{value:.12f}".rstrip("0")
+        if plain:
+            return value
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    if "e" in f"{value:g}":
+        return f"{value:.12f}".rstrip("0")
+    return f"{value:g}"

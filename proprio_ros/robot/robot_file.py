@@ -39,7 +39,7 @@ from proprio_ros.robot.description import (
     is_description,
     read_model,
 )
-from proprio_ros.robot.drive_train import DriveTrain, Motor
+from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
 from proprio_ros.robot.fields import (
     CALIBRATIONS,
     DRIVE_TRAIN,
@@ -56,6 +56,7 @@ from proprio_ros.robot.fields import (
 )
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.tree import RobotModel
+from proprio_ros.robot.urdf import Joint
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 from proprio_ros.whole_files import real_path
 
@@ -334,6 +335,25 @@ def _check_stated(
     missing = [
         key for key, entry in ROBOT.items() if entry.default is REQUIRED and key not in settings
     ]
+    without = _joints_without(settings, model)
+    missing += [f"{key} of {_few(joints)}" for key, joints in without.items()]
+    if not missing:
+        return
+    words = "; ".join(missing)
+    if is_description(str(source)):
+        raise FormError(
+            f"states no {words}: --set robot.joints.JOINT.KEY=VALUE, or `proprio robot new`, or "
+            "--effort-unit N.m where torque was recorded"
+        )
+    nobody = ", or leave out joints that nobody drives" if without else ""
+    torque = ""
+    if any(key.startswith("transmission") for key in without):
+        torque = "; or `proprio robot new --effort-unit N.m`, where torque was recorded"
+    raise FormError(f"missing: {words}; state each{nobody}{torque}")
+
+
+def _joints_without(settings: Mapping[str, Any], model: RobotModel) -> dict[str, list[str]]:
+    """By a key that each joint must have, in words, the joints that do not state it."""
     without: dict[str, list[str]] = defaultdict(list)
     for name, joint in _part(settings, "joints").items():
         if NOMINAL not in _part(joint, "motor") and _CONSTANT not in _part(joint, "drive_train"):
@@ -341,18 +361,7 @@ def _check_stated(
         slides = name in model.independent_joints and model.joint(name).kind == "prismatic"
         if slides and isinstance(joint, Mapping) and "transmission_m_per_rad" not in joint:
             without["transmission_m_per_rad (slide per rad of the motor)"].append(name)
-    missing += [f"{key} of {_few(joints)}" for key, joints in without.items()]
-    if missing and is_description(str(source)):
-        raise FormError(
-            f"states no {'; '.join(missing)}: --set robot.joints.JOINT.KEY=VALUE, or `proprio robot new`, or "
-            "--effort-unit N.m where torque was recorded"
-        )
-    if missing:
-        torque = "; or `proprio robot new --effort-unit N.m`, where torque was recorded"
-        raise FormError(
-            f"missing: {'; '.join(missing)}; state each{', or leave out joints that nobody drives' if without else ''}"
-            f"{torque if any(key.startswith('transmission') for key in without) else ''}"
-        )
+    return without
 
 
 def _few(names: Sequence[str], longest: int = 60) -> str:
@@ -535,62 +544,66 @@ def _drive_train(
     parts = section(settings, fields | JOINT)
     motor = parts["motor"]
     transmission = parts["transmission_m_per_rad"]
-    travel = parts["finger_travel"]
+    _check_travel(joint, transmission, parts["finger_travel"])
+    _check_motor(joint, motor)
     largest = largest_torque(model, name, transmission or 1.0)
-    drive: dict[str, Any] = {
-        without_unit(key): value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
-        for key, value in (parts["drive_train"] or section({}, DRIVE_TRAIN)).items()
-    }
-    if joint.kind != "prismatic" and transmission is not None:
-        raise FormError(
-            f"transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it"
-        )
-    if travel is not None and (
-        transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0
-    ):
-        nominal = "not there" if transmission is None else f"{1e3 * transmission:g} mm per rad"
-        raise FormError(
-            f"finger_travel opens by {1e3 * travel.mean_ratio:.3g} mm per rad of the motor, transmission_m_per_rad is "
-            f"{nominal}: one of them is wrong, or not of one finger"
-        )
-    if motor["supply_voltage_V"] > 0.0 and motor["resistance_ohm"] == 0.0:
-        raise FormError(
-            "motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit"
-        )
-    if (driven_by := motor["driven_by"]) is not None:
-        if joint.kind == "prismatic":
-            raise FormError(
-                "motor: driven_by is for a joint that turns, but this one slides; remove it"
-            )
-        if motor["resistance_ohm"] == 0.0:
-            need = f"motor: driven_by {driven_by.kind} needs resistance_ohm too, to make a current of a voltage"
-            raise FormError(f"{need}; state it")
-    if motor["encoder_resolution_rad"] == 0.0 and motor["encoder_noise_rad"] == 0.0:
-        raise FormError(
-            "motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect"
-        )
+    drive = {}
+    for key, value in (parts["drive_train"] or section({}, DRIVE_TRAIN)).items():
+        known = value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
+        drive[without_unit(key)] = known
     return (
         DriveTrain(
             **drive,
-            **{
-                key: motor[key]
-                for key in (
-                    "supply_voltage_V",
-                    "back_emf_V_s_per_rad",
-                    "resistance_ohm",
-                    "driven_by",
-                )
-            },
+            supply_voltage_V=motor["supply_voltage_V"],
+            back_emf_V_s_per_rad=motor["back_emf_V_s_per_rad"],
+            resistance_ohm=motor["resistance_ohm"],
+            driven_by=motor["driven_by"],
             nominal_torque_constant=motor[NOMINAL],
             usable_velocity=parts["usable_velocity_rad_s"],
             encoder_resolution=motor["encoder_resolution_rad"],
             encoder_noise=motor["encoder_noise_rad"],
             encoder_once_per_turn=motor["encoder_once_per_turn_rad"],
             transmission=1.0 if transmission is None else transmission,
-            finger_travel=travel,
+            finger_travel=parts["finger_travel"],
         ),
         Motor(motor["model"], motor["id"], motor["current_limit_A"]),
     )
+
+
+def _check_travel(joint: Joint, transmission: float | None, travel: FingerTravel | None) -> None:
+    """Refuse a slide's keys at a joint that turns, and a transmission that the fingers' travel does not show."""
+    if joint.kind != "prismatic" and transmission is not None:
+        raise FormError(
+            f"transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it"
+        )
+    if travel is None:
+        return
+    if transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0:
+        nominal = "not there" if transmission is None else f"{1e3 * transmission:g} mm per rad"
+        raise FormError(
+            f"finger_travel opens by {1e3 * travel.mean_ratio:.3g} mm per rad of the motor, transmission_m_per_rad is "
+            f"{nominal}: one of them is wrong, or not of one finger"
+        )
+
+
+def _check_motor(joint: Joint, motor: Mapping[str, Any]) -> None:
+    """Refuse keys of a motor that do not go together."""
+    driven_by = motor["driven_by"]
+    if motor["supply_voltage_V"] > 0.0 and motor["resistance_ohm"] == 0.0:
+        raise FormError(
+            "motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit"
+        )
+    if driven_by is not None and joint.kind == "prismatic":
+        raise FormError(
+            "motor: driven_by is for a joint that turns, but this one slides; remove it"
+        )
+    if driven_by is not None and motor["resistance_ohm"] == 0.0:
+        need = f"motor: driven_by {driven_by.kind} needs resistance_ohm too, to make a current of a voltage"
+        raise FormError(f"{need}; state it")
+    if motor["encoder_resolution_rad"] == 0.0 and motor["encoder_noise_rad"] == 0.0:
+        raise FormError(
+            "motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect"
+        )
 
 
 def load_robot(

@@ -214,15 +214,25 @@ class UrdfReader:
                 f"{where}: <inertial> needs both <mass> and <inertia>; leave it out for a frame without mass"
             )
         mass = self._number(mass_element, "value", where)
-        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        xx, xy, xz, yy, yz, zz = (self._number(inertia_element, key, where) for key in keys)
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        inertia = self._inertia(inertia_element, where)
         if 0.0 <= mass <= _NO_MASS_KG and np.abs(inertia).max() <= _NO_INERTIA_KG_M2:
             return Link(name, frozen(np.zeros((4, 4))))
         if mass <= 0.0:
             self._fail(
                 f"{where}: mass must be positive, got {mass} kg; leave <inertial> out for a frame without mass"
             )
+        self._check_moments(inertia, where)
+        link_from_inertial = self._origin(inertial, where)
+        central = pseudo_inertia(mass, np.zeros(3), inertia)
+        return Link(name, frozen(link_from_inertial @ central @ link_from_inertial.T))
+
+    def _inertia(self, element: ElementTree.Element, where: str) -> FloatArray:
+        """About the centre of mass, (3, 3)."""
+        rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+        return np.array([[self._number(element, key, where) for key in row] for row in rows])
+
+    def _check_moments(self, inertia: FloatArray, where: str) -> None:
+        """Refuse an inertia that no body has."""
         smallest, middle, largest = np.linalg.eigvalsh(inertia)
         moments = f"principal moments {smallest:.4g}, {middle:.4g}, {largest:.4g} kg m^2"
         if smallest <= 0.0:
@@ -235,9 +245,6 @@ class UrdfReader:
                 f"{where}: the inertia breaks the triangle inequality ({moments}; none may exceed the sum of the others): no "
                 "body has it; check units and signs"
             )
-        link_from_inertial = self._origin(inertial, where)
-        central = pseudo_inertia(mass, np.zeros(3), inertia)
-        return Link(name, frozen(link_from_inertial @ central @ link_from_inertial.T))
 
     def _joint(self, element: ElementTree.Element) -> Joint:
         name = self._name(element)
