@@ -93,11 +93,17 @@ class ArmDriver:
         self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
         # what was sent before counts no more: torque came on since, or a push has ended
         self._since_s = -np.inf
-        self._hold_wanted = self._stop_wanted = self._driving = self.slipped = False
+        self._hold_wanted = False
+        self._stop_wanted = False
+        self._driving = False
+        self.slipped = False
         self._torque_wanted: bool | None = None
         self._torque_set = event()
-        self._last_answer_s = self._next_connect_s = self._next_health_s = -np.inf
-        self._goals_at_s = self._sampled_at_s = -np.inf
+        self._last_answer_s = -np.inf
+        self._next_connect_s = -np.inf
+        self._next_health_s = -np.inf
+        self._goals_at_s = -np.inf
+        self._sampled_at_s = -np.inf
         self._health_turn = 0
         self._round_trips = RoundTrips()
         self._alerts: set[str] = set()
@@ -123,36 +129,45 @@ class ArmDriver:
     def command_currents(
         self, current_A: Mapping[str, float], sender: int = 0, late_s: float = 0.0
     ) -> str:
-        """Drive these joints with these currents [A], and hold the others, until the next command or the deadline.
+        """Drive these joints, and hold the others, until the next command or the deadline.
 
         A current of zero for a joint that is not driven leaves it held. No joint at all ends the lease. Another sender is
-        refused while a lease lasts, and so is what was sent before the last one ended: ``late_s`` is how long the command was on
-        its way.
+        refused while a lease lasts, and so is what was sent before the last one ended.
 
-        Returns: Why the whole command was refused, or an empty string.
+        Args:
+            current_A: By joint [A].
+            sender: Who commands.
+            late_s: How long the command was on its way [s].
+
+        Returns:
+            Why the whole command was refused, or an empty string.
         """
         reason = self._why_refused(current_A) or self._why_late(late_s)
         with self._lock:  # only the newest counts, so a flood of commands costs nothing
             now = self._clock()
-            last = self._command
-            lasts = (
-                last is not None
-                and last.leased
-                and now - last.arrived_s <= self.settings.command_timeout_s
-            )
-            if not reason and lasts and last is not None and last.sender != sender:
-                reason = f"{', '.join(last.current_A)}: driven by another publisher; one at a time"
+            lasting = self._lasting_lease(now)
+            if not reason and lasting is not None and lasting.sender != sender:
+                joints = ", ".join(lasting.current_A)
+                reason = f"{joints}: driven by another publisher; one at a time"
             if not reason:
-                pushes = any(
-                    self._joints[name].pushed_by(value) for name, value in current_A.items()
-                )
-                self._command = CurrentCommand(
-                    now, dict(current_A), sender, pushes or (lasts and bool(current_A))
-                )
+                goes_on = lasting is not None and bool(current_A)
+                leased = self._push_any(current_A) or goes_on
+                self._command = CurrentCommand(now, dict(current_A), sender, leased)
                 if not current_A:
                     self._since_s = max(self._since_s, now - late_s)
-        self.statistics.refused_commands += bool(reason)
+        if reason:
+            self.statistics.refused_commands += 1
         return reason
+
+    def _lasting_lease(self, now: float) -> CurrentCommand | None:
+        """The last command, where its sender still has the arm."""
+        last = self._command
+        if last is None or not last.leased:
+            return None
+        return last if now - last.arrived_s <= self.settings.command_timeout_s else None
+
+    def _push_any(self, current_A: Mapping[str, float]) -> bool:
+        return any(self._joints[name].pushed_by(value) for name, value in current_A.items())
 
     def _why_unfit(self, values: Mapping[str, float], what: str) -> str:
         """Why these values cannot be commanded at all, or an empty string."""
@@ -195,12 +210,17 @@ class ArmDriver:
     def command_positions(
         self, position: Mapping[str, float], sender: int = 0, late_s: float = 0.0
     ) -> str:
-        """Move held joints to these positions [rad or m], no faster than allowed.
+        """Move held joints, no faster than allowed.
 
-        Another sender is refused while the first one's commands come in a row; what was sent before torque came on (``late_s``
-        before now) is refused, too.
+        Another sender is refused while the first one's commands come in a row, and so is what was sent before torque came on.
 
-        Returns: Why the whole command was refused, or an empty string.
+        Args:
+            position: By joint [rad or m].
+            sender: Who commands.
+            late_s: How long the command was on its way [s].
+
+        Returns:
+            Why the whole command was refused, or an empty string.
         """
         reason = self._why_unfit(position, "position") or self._why_late(late_s)
         if reason:
@@ -216,13 +236,13 @@ class ArmDriver:
                 high = joint.upper_rad * joint.transmission
                 return f"{name}: {value:g} is outside its range {low:g} to {high:g}"
             targets[name] = min(max(angle, joint.lower_rad), joint.upper_rad)
-        if self._sinks(
-            self._here(), {name: joint.target_rad for name, joint in self._joints.items()} | targets
-        ):
+        before = {name: joint.target_rad for name, joint in self._joints.items()}
+        if self._sinks(self._here(), before | targets):
             least_cm = 100 * self.settings.min_clearance_m
             return f"the arm would be less than {least_cm:g} cm above the base's plane (min_clearance): command a higher pose"
         with self._lock:
-            (mover, moved_s), now = self._mover, self._clock()
+            mover, moved_s = self._mover
+            now = self._clock()
             if sender != mover and now - moved_s <= self.settings.command_timeout_s:
                 return "another publisher is moving the arm; one at a time"
             self._mover = (sender, now)
@@ -230,16 +250,12 @@ class ArmDriver:
                 self._targets.update(targets)
         return ""
 
-    def _sinks(
-        self,
-        before_rad: Mapping[str, float],
-        after_rad: Mapping[str, float],
-    ) -> bool:
+    def _sinks(self, before_rad: Mapping[str, float], after_rad: Mapping[str, float]) -> bool:
         """Whether the arm comes too low on the way from one pose to another; an arm that is too low may rise."""
         after_m = self._height(after_rad)
-        return (
-            after_m < self.settings.min_clearance_m and after_m < self._height(before_rad) - SINK_M
-        )
+        if after_m >= self.settings.min_clearance_m:
+            return False
+        return after_m < self._height(before_rad) - SINK_M
 
     def _here(self) -> dict[str, float]:
         return {name: joint.angle_rad for name, joint in self._joints.items()}
@@ -272,7 +288,8 @@ class ArmDriver:
             self._drop_commands()
 
     def _drop_commands(self) -> None:
-        self._command, self._since_s = None, self._clock()
+        self._command = None
+        self._since_s = self._clock()
         self._targets.clear()
 
     def await_torque(self, seconds: float) -> bool:
@@ -342,7 +359,8 @@ class ArmDriver:
         for problem in self.bus.release():
             self._log("error", problem)
         self._last_answer_s = self._clock()
-        self.state, self.reason = BusState.RELEASED, "torque is off; ~/torque true holds the arm"
+        self.state = BusState.RELEASED
+        self.reason = "torque is off; ~/torque true holds the arm"
 
     def _let_go(self) -> None:
         """Report that nothing is driven or held."""
@@ -364,38 +382,45 @@ class ArmDriver:
                 f"{self.bus.port_name}: the servos answer one by one but not together: check the cable"
             )
         # what a servo already holds stays its goal: its present position sags under load, and once more with every new hold
-        goals = {
-            s.joint: s.model.angle_rad(self.bus.read(s.id, "goal_position"))
-            for s in self.bus.servos
-        }
+        goals = {}
+        for servo in self.bus.servos:
+            counts = self.bus.read(servo.id, "goal_position")
+            goals[servo.joint] = servo.model.angle_rad(counts)
         # a hot servo must not be driven before its turn comes
         self.health = {servo.joint: self.bus.health(servo.id) for servo in self.bus.servos}
         with self._lock:
             self._drop_commands()  # but not a stop that came meanwhile
         self._alerts.clear()
-        self._driving = self._limp = self.slipped = False
+        self._driving = False
+        self._limp = False
+        self.slipped = False
         for name, joint in self._joints.items():
             here = reading.states[name].angle_rad
             goal = goals[name]
             joint.angle_rad = here
-            joint.goal_rad = joint.target_rad = goal if abs(goal - here) < SAG_RAD else here
-            joint.mode, joint.blocked, joint.commanded_A = JointMode.HELD, "", 0.0
-        self._last_answer_s, self._sampled_at_s = self._clock(), reading.sampled_at_s
-        self.state, self.reason = BusState.RUNNING, "held"
+            joint.goal_rad = goal if abs(goal - here) < SAG_RAD else here
+            joint.target_rad = joint.goal_rad
+            joint.mode = JointMode.HELD
+            joint.blocked = ""
+            joint.commanded_A = 0.0
+        self._last_answer_s = self._clock()
+        self._sampled_at_s = reading.sampled_at_s
+        self.state = BusState.RUNNING
+        self.reason = "held"
         self._write_goals()
 
     def _obey_requests(self) -> None:
         with self._lock:
-            stop, self._stop_wanted = self._stop_wanted, False
-            torque, self._torque_wanted = self._torque_wanted, None
+            stop = self._stop_wanted
+            self._stop_wanted = False
+            torque = self._torque_wanted
+            self._torque_wanted = None
         if stop and self.state is BusState.RUNNING:
-            self.state, self.reason = (
-                BusState.STOPPED,
-                "the current is zero; ~/torque true holds the arm again",
-            )
+            self.state = BusState.STOPPED
+            self.reason = "the current is zero; ~/torque true holds the arm again"
             self._let_go()
             self._write_goals()
-            self._log("warning", "stopped: the current is zero; ~/torque true holds the arm again")
+            self._log("warning", f"stopped: {self.reason}")
         if torque is None:
             return
         try:
@@ -421,24 +446,19 @@ class ArmDriver:
         return last, False
 
     def _take(self, reading: Reading) -> None:
-        since_s, self._sampled_at_s = (
-            max(reading.sampled_at_s - self._sampled_at_s, 0.0),
-            reading.sampled_at_s,
-        )
+        since_s = max(reading.sampled_at_s - self._sampled_at_s, 0.0)
+        self._sampled_at_s = reading.sampled_at_s
+        # a position that no speed explains: the encoder, not the arm
+        explained_rad = self.settings.max_jump_rad + self.settings.max_velocity_rad_s * since_s
         problems = []
         for name, state in reading.states.items():
             joint = self._joints[name]
-            # a position that no speed explains: the encoder, not the arm
-            explained = self.settings.max_jump_rad + self.settings.max_velocity_rad_s * since_s
-            before_rad, joint.angle_rad, joint.velocity_rad_s = (
-                joint.angle_rad,
-                state.angle_rad,
-                state.velocity_rad_s,
-            )
-            if abs(joint.angle_rad - before_rad) > explained:
-                problems.append(
-                    f"{name}: its encoder jumped from {before_rad:.3f} to {joint.angle_rad:.3f} rad"
-                )
+            before_rad = joint.angle_rad
+            joint.angle_rad = state.angle_rad
+            joint.velocity_rad_s = state.velocity_rad_s
+            if abs(joint.angle_rad - before_rad) > explained_rad:
+                jump = f"from {before_rad:.3f} to {joint.angle_rad:.3f} rad"
+                problems.append(f"{name}: its encoder jumped {jump}")
                 if joint.mode is not JointMode.FREE:
                     joint.hold()  # the old goal, seen by the new encoder, would swing the arm
                 # and whatever is commanded from now on means another pose than its sender knows
@@ -465,33 +485,29 @@ class ArmDriver:
             return
         with self._lock:
             command = self._command
-            targets, self._targets = self._targets, {}
-            hold, self._hold_wanted = self._hold_wanted, False
+            targets = self._targets
+            self._targets = {}
+            hold = self._hold_wanted
+            self._hold_wanted = False
             if command is not None and now - command.arrived_s > self.settings.command_timeout_s:
-                self._command, self._since_s = None, now
-        fresh = command is not None and now - command.arrived_s <= self.settings.command_timeout_s
-        currents = command.current_A if command is not None and fresh else {}
+                command = None
+                self._command = None
+                self._since_s = now
+        currents = {} if command is None else command.current_A
+        timed_out = command is None and self._driving
         for joint in self._joints.values():
             current_A = currents.get(joint.name)
+            driven = joint.mode is JointMode.DRIVEN
             # a zero from nobody must not drop a joint that is held
-            if current_A is not None and (
-                joint.mode is JointMode.DRIVEN or joint.pushed_by(current_A)
-            ):
+            if current_A is not None and (driven or joint.pushed_by(current_A)):
                 # a push begins in a cycle whose stamp is right, since everything is measured from that instant
-                if timely or joint.mode is JointMode.DRIVEN:
+                if timely or driven:
                     self._drive(joint, current_A)
                 continue
             if hold and joint.mode is not JointMode.HELD:
                 joint.hold()
             if joint.mode is JointMode.DRIVEN:
-                timed_out = not fresh and self._driving
-                if timed_out and self.settings.on_timeout == "zero":
-                    joint.let_go()
-                else:
-                    joint.hold()
-                if timed_out:
-                    pause_ms = 1e3 * self.settings.command_timeout_s
-                    self._log("warning", f"{joint.name}: no current command for {pause_ms:.0f} ms")
+                self._end_push(joint, timed_out)
             if current_A is None:
                 joint.blocked = ""  # the commands have paused
             if joint.name in targets:
@@ -501,6 +517,16 @@ class ArmDriver:
         self._driving = any(joint.mode is JointMode.DRIVEN for joint in self._joints.values())
         if seen:
             self._advance_goals()
+
+    def _end_push(self, joint: DrivenJoint, timed_out: bool) -> None:
+        """No current is commanded for a joint any more."""
+        if timed_out and self.settings.on_timeout == "zero":
+            joint.let_go()
+        else:
+            joint.hold()
+        if timed_out:
+            pause_ms = 1e3 * self.settings.command_timeout_s
+            self._log("warning", f"{joint.name}: no current command for {pause_ms:.0f} ms")
 
     def _drive(self, joint: DrivenJoint, current_A: float) -> None:
         reason = joint.blocked or self._why_not_driven(joint, current_A)
@@ -560,16 +586,16 @@ class ArmDriver:
 
     def _sample(self, reading: Reading) -> ArmSample:
         joints = self._joints.items()
-        return ArmSample(
-            reading.sampled_at_s,
-            {name: joint.angle_rad * joint.transmission for name, joint in joints},
-            {name: joint.velocity_rad_s * joint.transmission for name, joint in joints},
-            {name: reading.states[name].current_A for name, _ in joints},
-            {
-                name: joint.commanded_A if joint.mode is JointMode.DRIVEN else 0.0
-                for name, joint in joints
-            },
-        )
+        position = {}
+        velocity = {}
+        measured_A = {}
+        commanded_A = {}
+        for name, joint in joints:
+            position[name] = joint.angle_rad * joint.transmission
+            velocity[name] = joint.velocity_rad_s * joint.transmission
+            measured_A[name] = reading.states[name].current_A
+            commanded_A[name] = joint.commanded_A if joint.mode is JointMode.DRIVEN else 0.0
+        return ArmSample(reading.sampled_at_s, position, velocity, measured_A, commanded_A)
 
     def _look_after_health(self, now: float) -> None:
         """Temperatures and errors, a servo at a time; not while a joint is driven, when every cycle counts."""
@@ -600,10 +626,12 @@ class ArmDriver:
         self.statistics.reconnects += 1
         self.bus.close()
         self._limp = self.state in (BusState.STOPPED, BusState.RELEASED)
-        self.state, self.reason = BusState.DISCONNECTED, str(error)
+        self.state = BusState.DISCONNECTED
+        self.reason = str(error)
         self._next_connect_s = self._clock() + self.settings.reconnect_s
         for joint in self._joints.values():
-            joint.mode, joint.commanded_A = JointMode.HELD, 0.0
+            joint.mode = JointMode.HELD
+            joint.commanded_A = 0.0
         self._log("error", f"{error}; trying again every {self.settings.reconnect_s:g} s")
 
     def close(self, hold: bool = False) -> None:
@@ -622,4 +650,5 @@ class ArmDriver:
             except BusError as error:
                 self._log("error", f"{error}; the servos' watchdog ends their current")
             self.bus.close()
-        self.state, self.reason = BusState.DISCONNECTED, "closed"
+        self.state = BusState.DISCONNECTED
+        self.reason = "closed"

@@ -77,83 +77,117 @@ def _program(node: str) -> dict[str, str]:
     return {"package": "proprio_ros", "executable": f"proprio_{node}"}
 
 
-def _nodes(context: LaunchContext) -> list[Any]:
-    given = {
-        argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
-    }
-    namespace = given["namespace"].strip("/")
-    virtual = given["virtual"] == "true"
-    if given["params_file"]:
-        given["params_file"] = str(Path(given["params_file"]).expanduser())
-    try:
-        check_arguments(given["robot"], given["params_file"], given["object"] if virtual else "")
-    except ProprioError as error:
-        # this ends the launch with one line and exit code 1; a Shutdown would end it with 0
-        raise RuntimeError(str(error)) from None
-    link = Path(tempfile.gettempdir()) / "_".join(
-        ["proprio_virtual", *namespace.split("/")]
-    ).rstrip("_")
-    port = given["port"] or (str(link) if virtual else "")
-    mass = given["reference_mass"]
-    data = given["data_directory"]
-    wait_s = ""
-    if virtual:
-        mass = mass or "0.1"
-        wait_s = "1.0"
-        data = data or f"~/.ros/proprio_ros/virtual_{given['seed'] or 'default'}"
-    # whoever has no weight has none to put into the hand either
-    reference = mass if virtual and float(mass) > 0.0 else ""
-    overrides: dict[str, dict[str, str]] = {
-        "virtual": {
-            "link": port,
-            "object": given["object"],
-            "seed": given["seed"],
-            "reference": reference,
-        },
-        "driver": {"port": port, "rate": given["rate"]},
+class _Given:
+    """What the arguments state, as texts; empty: nothing."""
+
+    def __init__(self, context: LaunchContext) -> None:
+        self._texts: dict[str, str] = {}
+        for argument in ARGUMENTS:
+            self._texts[argument.name] = LaunchConfiguration(argument.name).perform(context)
+
+    def __getitem__(self, name: str) -> str:
+        return self._texts[name]
+
+    @property
+    def namespace(self) -> str:
+        return self["namespace"].strip("/")
+
+    @property
+    def virtual(self) -> bool:
+        return self["virtual"] == "true"
+
+    @property
+    def held(self) -> str:
+        """By the virtual hand."""
+        return self["object"] if self.virtual else ""
+
+    @property
+    def port(self) -> str:
+        if self["port"] or not self.virtual:
+            return self["port"]
+        name = "_".join(["proprio_virtual", *self.namespace.split("/")])
+        return str(Path(tempfile.gettempdir()) / name.rstrip("_"))
+
+    @property
+    def reference_mass(self) -> str:
+        return self["reference_mass"] or ("0.1" if self.virtual else "")
+
+    @property
+    def data_directory(self) -> str:
+        if self["data_directory"] or not self.virtual:
+            return self["data_directory"]
+        return f"~/.ros/proprio_ros/virtual_{self['seed'] or 'default'}"
+
+    @property
+    def parameter_files(self) -> list[str]:
+        """Of the user."""
+        stated = self["params_file"]
+        return [str(Path(stated).expanduser())] if stated else []
+
+
+def _parameters(given: _Given) -> dict[str, dict[str, str]]:
+    """By node, what the arguments state of its parameters."""
+    namespace = given.namespace
+    parameters = {
+        "driver": {"port": given.port, "rate": given["rate"]},
         "excitation": {},
         "identifier": {
-            "data_directory": data,
-            "reference_mass": mass,
-            "reference_wait": wait_s,
+            "data_directory": given.data_directory,
+            "reference_mass": given.reference_mass,
+            "reference_wait": "1.0" if given.virtual else "",
             "frame_prefix": f"{namespace}/" if namespace else "",
         },
     }
-    if not virtual:
-        del overrides["virtual"]
-    prefix = "setpriv --pdeathsig INT --" if shutil.which("setpriv") else None
+    if not given.virtual:
+        return parameters
+    # whoever has no weight has none to put into the hand either
+    reference = given.reference_mass if float(given.reference_mass) > 0.0 else ""
+    robot = {
+        "link": given.port,
+        "object": given["object"],
+        "seed": given["seed"],
+        "reference": reference,
+    }
+    return {"virtual": robot, **parameters}
+
+
+def _node(name: str, given: _Given, parameters: dict[str, str]) -> Node:
+    files = [str(resource("parameters", name)), *given.parameter_files]
+    stated = {
+        key: ParameterValue(TextSubstitution(text=value), value_type=TYPES.get(key, str))
+        for key, value in {"robot": given["robot"], **parameters}.items()
+        if value
+    }
+    # nothing can be weighed without the driver; started anew it would take hold of an arm that nobody expects to move
+    ends = name in ("driver", "virtual")
+    return Node(
+        **_program(name),
+        name=name,
+        namespace=given.namespace,
+        parameters=[*files, stated] if stated else files,
+        prefix="setpriv --pdeathsig INT --" if shutil.which("setpriv") else None,
+        exec_name=f"proprio_{name}",
+        output="screen",
+        sigterm_timeout=RELEASE_S,
+        sigkill_timeout=KILL_S,
+        on_exit=partial(_ended, name) if ends else None,
+    )
+
+
+def _nodes(context: LaunchContext) -> list[Any]:
+    given = _Given(context)
+    try:
+        check_arguments(given["robot"], "".join(given.parameter_files), given.held)
+    except ProprioError as error:
+        # this ends the launch with one line and exit code 1; a Shutdown would end it with 0
+        raise RuntimeError(str(error)) from None
     actions: list[Any] = []
-    for node, values in overrides.items():
-        files = [
-            str(resource("parameters", node)),
-            *([given["params_file"]] if given["params_file"] else []),
-        ]
-        stated = {
-            name: ParameterValue(TextSubstitution(text=value), value_type=TYPES.get(name, str))
-            for name, value in {"robot": given["robot"], **values}.items()
-            if value
-        }
-        # nothing can be weighed without the driver; started anew it would take hold of an arm that nobody expects to move
-        ends = node in ("driver", "virtual")
-        actions.append(
-            Node(
-                **_program(node),
-                name=node,
-                namespace=namespace,
-                parameters=[*files, *([stated] if stated else [])],
-                prefix=prefix,
-                exec_name=f"proprio_{node}",
-                output="screen",
-                sigterm_timeout=RELEASE_S,
-                sigkill_timeout=KILL_S,
-                on_exit=partial(_ended, node) if ends else None,
-            )
-        )
-    base = f"/{namespace}" if namespace else ""
-    for service in _services_for(given["object"] if virtual else ""):
-        actions.append(
-            LogInfo(msg=f"ros2 service call {base}/identifier/{service} std_srvs/srv/Trigger")
-        )
+    for name, parameters in _parameters(given).items():
+        actions.append(_node(name, given, parameters))
+    base = f"/{given.namespace}" if given.namespace else ""
+    for service in _services_for(given.held):
+        call = f"ros2 service call {base}/identifier/{service} std_srvs/srv/Trigger"
+        actions.append(LogInfo(msg=call))
     return actions
 
 

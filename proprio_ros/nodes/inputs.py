@@ -66,11 +66,15 @@ class Inputs:
         self.kept: deque[RawMessage] | None = None
         self.arrived: Backlog | None = None
         self.live: LiveEstimate | None = None
-        self.driven = self.swings = False
-        self.by_goals, self.newest_state = "", b""
+        self.driven = False
+        self.swings = False
+        self.by_goals = ""
+        self.newest_state = b""
         self._joints: list[bytes] = []
-        self._motors = self._temperatures = b""
-        self._state_at_s = self._effort_at_s = -1e9
+        self._motors = b""
+        self._temperatures = b""
+        self._state_at_s = -1e9
+        self._effort_at_s = -1e9
         self._lag = Lag()  # from a joint state's stamp, of whatever clock, to here
         # from when a message was sent, by the clock of the computer that sent it, by the length of messages
         self._on_the_way: dict[int, Lag] = {}
@@ -79,9 +83,8 @@ class Inputs:
         except ConfigurationError as error:
             raise ConfigurationError(as_parameters(str(error))) from error
         self.conventions = OUR_DRIVER if driver is None else driver.conventions
-        self._unit: str = node.values["effort_unit"] or (
-            "" if driver is None else driver.effort_unit or ""
-        )
+        usual = None if driver is None else driver.effort_unit
+        self._unit: str = node.values["effort_unit"] or usual or ""
         if self.conventions.radians != 1.0:
             raise ConfigurationError(
                 f"driver {self.conventions.driver}: live, positions must come in rad"
@@ -104,41 +107,55 @@ class Inputs:
 
     def open(self, drives: Mapping[str, DriveTrain]) -> None:
         """Subscribe; whoever publishes joint states of others than these may have another clock."""
-        node = self._node
         self._joints = [self.conventions.published(name).encode() for name in drives]
+        self._listen_to_arm()
+        self._listen_to_voltage_driven(drives)
+        self._listen_to_driver()
+        self._listen_to_inputs_of_others()
+        self._command_topic = self.stated_topics()["command_topic"]
+        if self._command_topic:
+            self._node.every(0.5, self._listen_to_command)
+
+    def _listen_to_arm(self) -> None:
+        """What our own driver says of states and commands, or somebody else's in its place."""
+        states = self._node.values["state_topic"] or self.conventions.states
         for role, topic, kind in (
-            ("joint_states", node.values["state_topic"] or self.conventions.states, JointState),
-            ("applied_effort", "applied_effort", JointState), ("applied_current", "applied_current", Float64MultiArray),
+            ("joint_states", states, JointState),
+            ("applied_effort", "applied_effort", JointState),
+            ("applied_current", "applied_current", Float64MultiArray),
             ("current_command", "current_command", Float64MultiArray),
-        ):  # fmt: skip
-            listener = self.listener(node.resolve_topic_name(topic), role, kind)
-            skip = partial(self.may_skip, role)
-            together = partial(self._takes_all, role)
-            node.listen(
+        ):
+            self._node.listen(
                 kind,
                 topic,
-                listener,
+                self.listener(self._node.resolve_topic_name(topic), role, kind),
                 STREAM,
                 raw=True,
                 dated=True,
-                only_newest=skip,
-                together=together,
+                only_newest=partial(self.may_skip, role),
+                together=partial(self._takes_all, role),
             )
-        driven_by = [drive.driven_by for drive in drives.values() if drive.driven_by is not None]
-        if driven_by:
-            full = node.resolve_topic_name(BATTERY_STATE)
-            listener = self.listener(full, "battery_state", BatteryState)
-            node.listen(BatteryState, BATTERY_STATE, listener, STREAM, raw=True)
-        self.by_goals = (
-            node.resolve_topic_name(JOINT_COMMAND)
-            if any(each.follows_goal for each in driven_by)
-            else ""
-        )
-        if self.by_goals:
+
+    def _listen_to_voltage_driven(self, drives: Mapping[str, DriveTrain]) -> None:
+        """The supply and the goals of servos that know no current."""
+        node = self._node
+        laws = [drive.driven_by for drive in drives.values() if drive.driven_by is not None]
+        self.by_goals = ""
+        if not laws:
+            return
+        full = node.resolve_topic_name(BATTERY_STATE)
+        listener = self.listener(full, "battery_state", BatteryState)
+        node.listen(BatteryState, BATTERY_STATE, listener, STREAM, raw=True)
+        if any(law.follows_goal for law in laws):
+            self.by_goals = node.resolve_topic_name(JOINT_COMMAND)
             listener = self.listener(self.by_goals, "joint_command", JointState)
             node.listen(
                 JointState, JOINT_COMMAND, listener, STREAM, raw=True, together=lambda: True
             )
+
+    def _listen_to_driver(self) -> None:
+        """What our driver says once, or when it changes."""
+        node = self._node
         self._motors_topic = node.resolve_topic_name("motors")
         node.create_subscription(DiagnosticStatus, "motors", self.on_motors, LATCHED, raw=True)
         self._temperatures_topic = node.resolve_topic_name(TEMPERATURES)
@@ -148,22 +165,19 @@ class Inputs:
         # latched, but only what changes while a recording is under way belongs to it
         torque = partial(self._on_torque_enabled, node.resolve_topic_name("torque_enabled"))
         node.create_subscription(Bool, "torque_enabled", torque, LATCHED, raw=True)
-        # what another driver is told is only recorded: it may be in another unit and order than the estimate of a run takes
-        for each in (
-            ()
-            if not node.values["driver"] or node.values["command_topic"]
-            else self.conventions.inputs
-        ):
-            if (full := node.resolve_topic_name(each.topic)) not in (
-                s.topic_name for s in node.subscriptions
-            ):
-                of = JointState if each.msgtype == JOINT_STATE else Float64MultiArray
-                node.listen(
-                    of, each.topic, self.listener(full, "applied_current", of), STREAM, raw=True
-                )
-        self._command_topic = self.stated_topics()["command_topic"]
-        if self._command_topic:
-            node.every(0.5, self._listen_to_command)
+
+    def _listen_to_inputs_of_others(self) -> None:
+        """What another driver takes is only recorded: it may be in another unit and order than the estimate of a run takes."""
+        node = self._node
+        if not node.values["driver"] or node.values["command_topic"]:
+            return
+        for each in self.conventions.inputs:
+            full = node.resolve_topic_name(each.topic)
+            if any(subscription.topic_name == full for subscription in node.subscriptions):
+                continue
+            kind = JointState if each.msgtype == JOINT_STATE else Float64MultiArray
+            listener = self.listener(full, "applied_current", kind)
+            node.listen(kind, each.topic, listener, STREAM, raw=True)
 
     def _takes_all(self, role: str) -> bool:
         """Whether all that waits of a topic is taken at one wake-up; not where the time of hearing it counts."""
@@ -182,21 +196,20 @@ class Inputs:
             return
         for role, kind in (("applied_effort", JointState), ("current_command", Float64MultiArray)):
             if _type_of(kind) in dict(node.get_topic_names_and_types()).get(name, []):
-                node.listen(
-                    kind,
-                    str(name),
-                    self.listener(str(name), role, kind),
-                    STREAM,
-                    raw=True,
-                )
+                listener = self.listener(str(name), role, kind)
+                node.listen(kind, str(name), listener, STREAM, raw=True)
 
-    def listener(
-        self,
-        full_name: str,
-        role: str,
-        kind: type,
-    ) -> Callable[..., None]:
-        """What takes the messages of a topic."""
+    def listener(self, full_name: str, role: str, kind: type) -> Callable[..., None]:
+        """What takes the messages of a topic.
+
+        Args:
+            full_name: Of the topic.
+            role: What its messages say, as ``joint_states``.
+            kind: Class of the messages.
+
+        Returns:
+            A callback for serialized messages, and what the middleware knows of them.
+        """
         msgtype = _type_of(kind)
 
         def listen(data: bytes, info: Mapping[str, Any] = NO_INFO) -> None:
@@ -302,7 +315,8 @@ class Inputs:
 
     def on_temperatures(self, data: bytes) -> None:
         """Said once a second."""
-        self._temperatures, session = bytes(data), self.session
+        self._temperatures = bytes(data)
+        session = self.session
         if session is not None:
             now_ns = self._node.get_clock().now().nanoseconds
             session.add(

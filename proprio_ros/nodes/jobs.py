@@ -7,7 +7,7 @@ replay` calls.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from proprio_ros import clock, progress
 from proprio_ros.errors import ProprioError, RecordingError
-from proprio_ros.excitation.plans import as_text, load_sequence
+from proprio_ros.excitation.plans import ExcitationSequence, as_text, load_sequence
 from proprio_ros.experiment_design.choosing import Chooser, Decision
 from proprio_ros.experiment_design.until import chosen_known, chosen_refresh
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
@@ -60,13 +60,15 @@ from proprio_ros.records import Run
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.choices_page import Choice, write_choices
 
-CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
+CHECK_S = 0.3
+LONGEST_CHECK_S = 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
 # all pushes of a refresh take so long at most; what they leave open a whole calibration has to learn
 REFRESH_S = 30.0
 # a run has ended when the excitation node says so; what was measured of it may still be on its way
 HEARD_S = 1.0
-AT_AN_END, AT_AN_END_TRIES = ("limit", "clearance"), 2
+AT_AN_END = ("limit", "clearance")
+AT_AN_END_TRIES = 2
 """Where the arm ends when the object is heavier than was thought: it sags, or the current does not hold it. So often another push
 is chosen then."""
 
@@ -82,6 +84,17 @@ def _choice(decision: Decision) -> Choice:
     )
 
 
+@dataclass(frozen=True)
+class _Task:
+    """An object that is to be identified, and how."""
+
+    probe: Probe[Any]
+    request: Request
+    baseline: Path | None  # recording of the hand without the object
+    sequence: str  # as the excitation node takes it
+    plan: ExcitationSequence  # the same, read
+
+
 class Jobs:
     """All that the services can ask for; ``unsaved`` are recordings that could be written nowhere so far."""
 
@@ -95,8 +108,12 @@ class Jobs:
         weighing: Weighing,
         unsaved: list[Session],
     ) -> None:
-        self._node, self._workspace, self._inputs = node, workspace, inputs
-        self._excitation, self._results, self._weighing = excitation, results, weighing
+        self._node = node
+        self._workspace = workspace
+        self._inputs = inputs
+        self._excitation = excitation
+        self._results = results
+        self._weighing = weighing
         self._unsaved = unsaved
 
     def _value(self, name: str) -> Any:
@@ -121,82 +138,88 @@ class Jobs:
         deadline = max(clock.now() + READY_S, self._node.begun_s + SEEN_S)
         while True:
             missing = "no joint states are coming; start the driver and check its bus"
-            if self._inputs.has_states and not (
-                missing := self._excitation.missing() or self._inputs.missing()
-            ):
+            if self._inputs.has_states:
+                missing = self._excitation.missing() or self._inputs.missing()
+            if not missing:
                 return
             if clock.now() > deadline:
                 raise JobError(f"not ready: {missing}")
             if job.cancelled.wait(0.05):
                 raise JobError("cancelled")
 
-    def _identify_object(
-        self,
-        job: Job,
-        probe: Probe[Any],
-    ) -> tuple[bool, str]:
+    def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
         """Have the runs of a probe made, and identify the object from them."""
-        baseline = None
-        if isinstance(probe, HasBaseline):
-            baseline = self._workspace.find_baseline(probe, self._value(f"{probe.name}_baseline"))
-        stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
-        request = self._workspace.request(probe, stated, baseline)
-        request = replace(
-            request,
-            robot=aged_robot(request.robot, self._inputs.moment()),
-        )
-        self._results.link = request.robot.payload_frame
-        if (
-            baseline is None
-            and isinstance(probe, HasBaseline)
-            and probe.needs_baseline(request.facts)
-        ):
-            raise JobError(
-                f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}"
-            )
-        sequence = job.sequence or self._value(f"{probe.name}_sequence")
-        plan = job.plan(sequence, request.robot)
-        if isinstance(probe, Guards):
-            limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
-            probe.check(request.robot, request.facts, plan, limits)
-        live = plan.until is not None or (
-            isinstance(probe, EstimatesLive) and self._node.values["live_period"] > 0.0
-        )
-        self._inputs.live = LiveEstimate(request) if live else None
-        if isinstance(probe, Prepares):
-            self._results.tell(job.kind, f"preparing the simulation of {probe.prepares}")
-        with progress.listening(partial(self._results.tell_and_log, job.kind)):
-            (probe.prepare if isinstance(probe, Prepares) else probe.compile)(
-                request.robot, request.facts
-            )
-        if job.cancelled.is_set():
-            raise JobError("cancelled")
+        task = self._task(job, probe)
+        request = task.request
+        self._prepare(job, task)
         chooser = None
-        if plan.until is not None:
+        if task.plan.until is not None:
             self._results.tell(job.kind, "simulating what could be pushed")
-            chooser = chooser_of(probe, request.robot, request.facts, plan, baseline_runs(request))
+            runs = baseline_runs(request)
+            chooser = chooser_of(probe, request.robot, request.facts, task.plan, runs)
         if probe.hand:
             self._results.tell(job.kind, probe.hand)
-        bag = self.record(job, job.kind, sequence, request, chooser)
+        bag = self.record(job, job.kind, task.sequence, request, chooser)
         try:
             estimate = self.identify(
                 job, bag, request.options, partial(self._results.publish, request)
             )
         except RecordingError as error:
             raise JobError(f"{job.reason or error}; recording: {bag}") from error
-        if chooser is not None and plan.until is not None:
+        if chooser is not None and task.plan.until is not None:
             sought = chooser.sought
-            target = plan.until.half_interval
+            target = task.plan.until.half_interval
             choices = list(map(_choice, job.decisions))
             self._keep(lambda: write_choices(choices, sought, target, bag.parent / "choices.html"))
-        said = f"; {job.reason}" * bool(job.reason) + self._workspace.used
-        if baseline is not None:
-            said += f"; {self._workspace.about_baseline(baseline)}"
+        by = f"; {job.reason}" if job.reason else ""
+        by += self._workspace.used
+        if task.baseline is not None:
+            by += f"; {self._workspace.about_baseline(task.baseline)}"
         answer = interval_of(estimate)
         if not answer:
-            return False, f"{refusal_of(estimate)}{said}; recording: {bag}"
-        answer += probe.remark(estimate) if isinstance(probe, Shown) else ""
-        return True, f"{probe.subject} {answer}, {estimate.runs} runs{said}; recording: {bag}"
+            return False, f"{refusal_of(estimate)}{by}; recording: {bag}"
+        if isinstance(probe, Shown):
+            answer += probe.remark(estimate)
+        return True, f"{probe.subject} {answer}, {estimate.runs} runs{by}; recording: {bag}"
+
+    def _task(self, job: Job, probe: Probe[Any]) -> _Task:
+        """What is to be pushed and identified.
+
+        Raises:
+            ProprioError: It is refused: a baseline is missing, or the object could break.
+        """
+        baseline = None
+        if isinstance(probe, HasBaseline):
+            baseline = self._workspace.find_baseline(probe, self._value(f"{probe.name}_baseline"))
+        stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
+        request = self._workspace.request(probe, stated, baseline)
+        request = replace(request, robot=aged_robot(request.robot, self._inputs.moment()))
+        self._results.link = request.robot.payload_frame
+        if baseline is None and isinstance(probe, HasBaseline):
+            if probe.needs_baseline(request.facts):
+                missing = f"the {probe.baseline.noun} has not been recorded"
+                raise JobError(f"{missing}: {probe.baseline.missing}")
+        sequence = job.sequence or self._value(f"{probe.name}_sequence")
+        plan = job.plan(sequence, request.robot)
+        if isinstance(probe, Guards):
+            limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
+            probe.check(request.robot, request.facts, plan, limits)
+        return _Task(probe, request, baseline, sequence, plan)
+
+    def _prepare(self, job: Job, task: _Task) -> None:
+        """Compile what the identification needs, before anything moves."""
+        probe = task.probe
+        request = task.request
+        goes_along = isinstance(probe, EstimatesLive) and self._node.values["live_period"] > 0.0
+        live = task.plan.until is not None or goes_along
+        self._inputs.live = LiveEstimate(request) if live else None
+        if isinstance(probe, Prepares):
+            self._results.tell(job.kind, f"preparing the simulation of {probe.prepares}")
+        prepare = probe.prepare if isinstance(probe, Prepares) else probe.compile
+        with progress.listening(partial(self._results.tell_and_log, job.kind)):
+            prepare(request.robot, request.facts)
+        if job.cancelled.is_set():
+            raise JobError("cancelled")
 
     def _record_baseline(
         self,

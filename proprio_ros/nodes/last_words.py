@@ -128,57 +128,94 @@ class LastWords:
             os.write(self._process.stdin.fileno(), f"{line}\n".encode())
 
 
+class _Speaker:
+    """Speaks for a node that is gone: what it said last holds the arm, and controllers are switched back.
+
+    Args:
+        topic: Where the controller listens.
+        switched: The controllers that are switched back, as JSON; empty: none.
+    """
+
+    def __init__(self, topic: str, switched: str) -> None:
+        self.node = rclpy.create_node(f"{NODE}_{os.getpid()}")
+        self._publisher = self.node.create_publisher(Float64MultiArray, topic, COMMANDS)
+        self._controllers: Controllers | None = None
+        if switched:
+            self._controllers = Controllers(**json.loads(switched))
+            self._kind = switch_kind()
+            self._client = self.node.create_client(self._kind, self._controllers.service)
+        self._heard = False
+        self._last: list[float] = []
+        self._engaged = False
+        self._rest = b""
+
+    def endpoints(self, topic: str) -> list[str]:
+        """Its own publishers on the topic."""
+        named = self.node.get_publishers_info_by_topic(topic)
+        mine = [info for info in named if info.node_name == self.node.get_name()]
+        return [bytes(info.endpoint_gid).hex() for info in mine]
+
+    def listen(self) -> None:
+        """Speak for the node whenever it is silent; returns when it has ended."""
+        while True:
+            self._say_whether_heard()
+            ready, _, _ = select.select([sys.stdin], [], [], SILENT_S)
+            if not ready:
+                self._speak()
+                continue
+            read = os.read(sys.stdin.fileno(), 65536)
+            if not read:
+                return
+            *lines, self._rest = (self._rest + read).split(b"\n")
+            if lines:
+                self._take(lines[-1])
+            else:
+                self._speak()
+
+    def _say_whether_heard(self) -> None:
+        if (self._publisher.get_subscription_count() > 0) != self._heard:
+            self._heard = not self._heard
+            with contextlib.suppress(OSError):  # nobody is left to read it
+                os.write(sys.stdout.fileno(), HEARD if self._heard else UNHEARD)
+
+    def _take(self, line: bytes) -> None:
+        words = line.split()
+        self._engaged = words[:1] == [SWITCHED.encode()]
+        numbers = words[1:] if self._engaged else words
+        self._last = [float(word) for word in numbers]
+
+    def _speak(self) -> None:
+        if self._last:
+            self._publisher.publish(Float64MultiArray(data=array("d", self._last)))
+
+    def end(self) -> None:
+        """The node has ended: hold what it held, and hand the arm back."""
+        # again, since what the node itself sent last may come after them
+        for _ in range(AGAIN if self._last else 0):
+            self._speak()
+            self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S / AGAIN))
+            time.sleep(LAST_WORDS_S / AGAIN)  # on their way through sockets
+        if self._engaged and self._controllers is not None:
+            self._switch_back(self._controllers)
+        self.node.destroy_node()
+
+    def _switch_back(self, controllers: Controllers) -> None:
+        if self._client.wait_for_service(SWITCH_S):
+            future = self._client.call_async(controllers.request(self._kind, engage=False))
+            rclpy.spin_until_future_complete(self.node, future, timeout_sec=SWITCH_S)
+
+
 def main(topic: str, switched: str = "") -> int:
     """The other process; returns when the node has ended."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends with the node
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node(f"{NODE}_{os.getpid()}")
-    publisher = node.create_publisher(Float64MultiArray, topic, COMMANDS)
-    client: Any = None
-    if switched:
-        controllers = Controllers(**json.loads(switched))
-        kind = switch_kind()
-        client = node.create_client(kind, controllers.service)
-    named = node.get_publishers_info_by_topic(topic)
-    own = [bytes(info.endpoint_gid).hex() for info in named if info.node_name == node.get_name()]
-    sys.stdout.write(f"ready {' '.join(own)}\n")
+    speaker = _Speaker(topic, switched)
+    sys.stdout.write(f"ready {' '.join(speaker.endpoints(topic))}\n")
     sys.stdout.flush()
     run_in_real_time()
-    last: list[float] = []
-    engaged = False
-    heard = False
-    rest = b""
-    while True:
-        if (publisher.get_subscription_count() > 0) != heard:
-            heard = not heard
-            with contextlib.suppress(OSError):  # nobody is left to read it
-                os.write(sys.stdout.fileno(), HEARD if heard else UNHEARD)
-        ready, _, _ = select.select(
-            [sys.stdin],
-            [],
-            [],
-            SILENT_S,
-        )
-        read = os.read(sys.stdin.fileno(), 65536) if ready else b""
-        if ready and not read:
-            break
-        *lines, rest = (rest + read).split(b"\n")
-        if lines:
-            said = lines[-1].split()
-            engaged = said[:1] == [SWITCHED.encode()]
-            last = [float(word) for word in said[engaged:]]
-        elif last:
-            publisher.publish(Float64MultiArray(data=array("d", last)))
-    # again, since what the node itself sent last may come after them
-    for _ in range(AGAIN if last else 0):
-        publisher.publish(Float64MultiArray(data=array("d", last)))
-        publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S / AGAIN))
-        time.sleep(LAST_WORDS_S / AGAIN)  # on their way through sockets
-    if engaged and client is not None and client.wait_for_service(SWITCH_S):
-        future = client.call_async(controllers.request(kind, engage=False))
-        rclpy.spin_until_future_complete(node, future, timeout_sec=SWITCH_S)
-    node.destroy_node()
+    speaker.listen()
+    speaker.end()
     rclpy.shutdown()
     return 0
 

@@ -27,6 +27,7 @@ from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.running import Running
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import probe_at_work
+from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.robot import Robot
@@ -50,13 +51,12 @@ class Weighing:
         carrying: Carrying,
         silent: Callable[[], bool],
     ) -> None:
-        self._node, self._workspace, self._inputs, self._carrying = (
-            node,
-            workspace,
-            inputs,
-            carrying,
-        )
-        self._results, self._silent = results, silent
+        self._node = node
+        self._workspace = workspace
+        self._inputs = inputs
+        self._results = results
+        self._carrying = carrying
+        self._silent = silent
         self._make_feed: Callable[[], OnlineFeed] | None = None
         self._running: Running | None = None
 
@@ -65,7 +65,9 @@ class Weighing:
 
         Raises `ConfigurationError`, `RobotError`: What is stated does not fit, or the calibration is of another arm.
         """
-        self._inputs.kept = self._make_feed = self._running = None
+        self._inputs.kept = None
+        self._make_feed = None
+        self._running = None
         asked = bool(self._node.values["running"])
         stated = parse_settings(value_of(self._node, "settings"))
         self._robot: Robot = self._workspace.configured(stated)
@@ -93,36 +95,22 @@ class Weighing:
         return self._robot
 
     def weigh(self, job: Job, identify: Identify) -> tuple[bool, str]:
-        """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would."""
-        seconds = self._node.values["weigh_seconds"]
-        if self._inputs.kept is None:
-            raise JobError(f"not weighed: {NO_MOTIONS}")
-        # a published effort of motors that a voltage drives is no current
-        by_voltage = set(self._robot.drive_trains) == set(voltage_driven(self._robot))
-        unit = None if by_voltage else self._inputs.measured_unit()
-        if unit == "":
-            words = "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
-            raise JobError(f"not weighed: {words}")
-        if not self._inputs.has_states:
-            raise JobError(
-                "not weighed: no joint states are coming; start the driver and check its bus"
-            )
-        kept = list(self._inputs.kept)
-        renamed = self._inputs.conventions.renamed
-        of_states = [
-            raw for raw in kept if raw.msgtype == JOINT_STATE and raw.topic != self._inputs.by_goals
-        ]
-        states = (deserialize_message(raw.data, JointState) for raw in of_states)
-        if not any_moved(
-            ((renamed(state.name), state.position) for state in states), self._robot.drive_trains
-        ):
-            raise JobError(
-                f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works"
-            )
-        stated = {
-            **parse_settings(value_of(self._node, "settings")),
-            **parse_settings(job.settings),
-        }
+        """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would.
+
+        Args:
+            job: Under which it is done.
+            identify: From the bag to its estimate.
+
+        Returns:
+            Whether the mass is known, and a sentence.
+
+        Raises:
+            JobError: It cannot be weighed.
+        """
+        unit = self._unit()
+        kept = self._kept_motion()
+        settings = parse_settings(value_of(self._node, "settings"))
+        stated = {**settings, **parse_settings(job.settings)}
         request = self._workspace.request(probe_at_work(), stated, None)
         options = replace(request.options, effort_unit=unit)
         session = Session(self._workspace.data, WEIGH)
@@ -137,10 +125,41 @@ class Weighing:
         except RecordingError as error:
             raise JobError(f"not weighed: {error}; recording: {bag}") from error
         answer = interval_of(estimate)
-        said = f"the last {seconds:g} s{self._workspace.used}; recording: {bag}"
+        seconds = self._node.values["weigh_seconds"]
+        by = f"the last {seconds:g} s{self._workspace.used}; recording: {bag}"
         if answer:
-            return True, f"{request.probe.subject} {answer}, {said}"
-        return False, f"{refusal_of(estimate)}; {said}"
+            return True, f"{request.probe.subject} {answer}, {by}"
+        return False, f"{refusal_of(estimate)}; {by}"
+
+    def _unit(self) -> str | None:
+        """What the effort of the joint states is; None where a published effort of motors that a voltage drives is no current."""
+        if self._inputs.kept is None:
+            raise JobError(f"not weighed: {NO_MOTIONS}")
+        if set(self._robot.drive_trains) == set(voltage_driven(self._robot)):
+            return None
+        unit = self._inputs.measured_unit()
+        if unit == "":
+            words = "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
+            raise JobError(f"not weighed: {words}")
+        return unit
+
+    def _kept_motion(self) -> list[RawMessage]:
+        """The messages of the last seconds, in which a joint moved."""
+        if not self._inputs.has_states:
+            words = "no joint states are coming; start the driver and check its bus"
+            raise JobError(f"not weighed: {words}")
+        kept = list(self._inputs.kept or ())
+        states = []
+        for raw in kept:
+            if raw.msgtype == JOINT_STATE and raw.topic != self._inputs.by_goals:
+                state = deserialize_message(raw.data, JointState)
+                names = self._inputs.conventions.renamed(state.name)
+                states.append((names, state.position))
+        if not any_moved(states, self._robot.drive_trains):
+            seconds = self._node.values["weigh_seconds"]
+            words = f"no joint moved in the last {seconds:g} s; weigh while the arm works"
+            raise JobError(f"not weighed: {words}")
+        return kept
 
     def begin(self) -> str:
         """Begin the running estimate, in a thread of its own; returns what to say of it, empty where there is none."""
