@@ -99,7 +99,7 @@ class DriverNode(ManagedNode):
             n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()
         }
         # /diagnostics is one topic for all arms
-        self._diagnosed = f"{self.get_namespace()}/driver".lstrip("/")
+        self.diagnosed = f"{self.get_namespace()}/driver".lstrip("/")
         self._hardware_id = f"{robot.name} on {values['port']}"
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
         self._effort = self.create_publisher(JointState, "applied_effort", STREAM)
@@ -309,7 +309,7 @@ class DriverNode(ManagedNode):
         if motors != self._told_motors:
             self._told_motors = motors
             values = {joint: motor.as_text() for joint, motor in motors.items()}
-            name = f"{self._diagnosed}: motors"
+            name = f"{self.diagnosed}: motors"
             self._motors.publish(
                 messages.status("ok", name, "whose arm this is", values, self._hardware_id)
             )
@@ -357,7 +357,7 @@ class DriverNode(ManagedNode):
                 "voltage [V]": health.voltage_V,
             }
             told.append((level, name, words, values))
-        named = self._diagnosed
+        named = self.diagnosed
         where = self._hardware_id
         return [
             messages.status(level, f"{named}: {of}", words, about, where)

@@ -135,7 +135,16 @@ PARAMETERS = (
 
 
 class IdentifierNode(ManagedNode):
-    """Services in, results out."""
+    """Services in, results out.
+
+    Attributes:
+        inputs: What comes in.
+        workspace: Calibration, baselines, and where recordings are kept.
+        results: What is published.
+        excitation: The excitation node, as this one sees it.
+        weighing: What is done with the motion of an arm at work.
+        jobs: All that the services can ask for.
+    """
 
     parameters = PARAMETERS
 
@@ -165,22 +174,23 @@ class IdentifierNode(ManagedNode):
             )
         for problem in problems:
             self.say("error", problem)
-        self._inputs = Inputs(self, self._busy)
-        self._workspace = workspace = Workspace(
-            data, self.values["robot"], self._inputs.stated_topics()
-        )
-        self._results = results = Results(self, workspace)
-        carrying = Carrying(self, self._inputs, results)
+        self.inputs = Inputs(self, self._busy)
+        self.workspace = Workspace(data, self.values["robot"], self.inputs.stated_topics())
+        workspace = self.workspace
+        self.results = Results(self, workspace)
+        results = self.results
+        carrying = Carrying(self, self.inputs, results)
 
         def silent() -> bool:
             return self._busy() or bool(self._missing())
 
-        self._weighing = Weighing(self, workspace, self._inputs, results, carrying, silent)
-        self._excitation = Excitation(self, self._on_progress)
-        self._jobs = Jobs(
-            self, workspace, self._inputs, self._excitation, results, self._weighing, self._unsaved
+        self.weighing = Weighing(self, workspace, self.inputs, results, carrying, silent)
+        self.excitation = Excitation(self, self._on_progress)
+        self.jobs = Jobs(
+            self, workspace, self.inputs, self.excitation, results, self.weighing, self._unsaved
         )
-        self._prepared, self._described = False, None
+        self._prepared = False
+        self._described: LiveDescription | None = None
         if is_topic(self.values["robot"]):
             topic = topic_of(self.values["robot"])
             self._described = described = LiveDescription(self.resolve_topic_name(topic), data)
@@ -198,12 +208,12 @@ class IdentifierNode(ManagedNode):
         LongService(self, "~/apply", HandingOn(self, results).apply)
         self._action = WeighAction(self, self._begin_job, self._check_job)
         results.hear = self._action.hear
-        self.every(5.0, self._jobs.save_again)
+        self.every(5.0, self.jobs.save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def _prepare(self) -> None:
         """All that needs the robot."""
-        workspace = self._workspace
+        workspace = self.workspace
         stated = parse_settings(value_of(self, "settings"))
         if warning := workspace.find_calibration(self.values["calibration"]):
             self.say("warning", warning)
@@ -211,12 +221,12 @@ class IdentifierNode(ManagedNode):
             if value_of(self, name) != default:  # not every robot can make every default
                 self._check_sequence(name, value_of(self, name))
         started = clock.now()
-        with progress.listening(partial(self._results.tell_and_log, "starting")):
+        with progress.listening(partial(self.results.tell_and_log, "starting")):
             # kernels are compiled here, and never inside a probe
             prepare_identification(replace(workspace.options(), settings=stated))
         for settings in (stated, parse_settings(value_of(self, "reference_settings"))):
             check_settings(replace(workspace.options(), settings=settings))
-        self._inputs.open(self._weighing.prepare().drive_trains)
+        self.inputs.open(self.weighing.prepare().drive_trains)
         self._prepared = True
         self.say(
             "info",
@@ -227,7 +237,7 @@ class IdentifierNode(ManagedNode):
         """The robot, where its description is a topic; the first that can be used counts."""
         severity, said = described.hear(message.data)
         if described.path is not None and not self._prepared:
-            self._workspace.robot = str(described.path)
+            self.workspace.robot = str(described.path)
             try:
                 self._prepare()
             except ProprioError as error:
@@ -238,20 +248,20 @@ class IdentifierNode(ManagedNode):
                     self._start()
                 return
         if described.problem:
-            self._results.withdraw()
+            self.results.withdraw()
         if said:
             self.say(severity, said)
             job = self._job
             level = "ok" if severity == "info" else "warning"
             doing = job.kind if job is not None else "idle" if self._prepared else "starting"
-            self._results.tell(doing, said, level=level)
+            self.results.tell(doing, said, level=level)
 
     def _missing(self) -> str:
         """Why nothing can be done for want of a robot, or an empty string."""
         return "" if self._described is None else self._described.problem
 
     def activate(self) -> None:
-        self._excitation.closing = False
+        self.excitation.closing = False
         if self._prepared:
             self._start()
 
@@ -259,22 +269,22 @@ class IdentifierNode(ManagedNode):
         """Be there for others."""
         self.hear_in_real_time()
         missing = self._missing()
-        running = self._weighing.begin()
+        running = self.weighing.begin()
         if running:
             self.say("info", running)
         ready = "ready" + f"; {running}" * bool(running)
-        self._results.tell("idle", missing or ready, level="warning" if missing else "ok")
+        self.results.tell("idle", missing or ready, level="warning" if missing else "ok")
 
     def cleanup(self) -> None:
         self._action.destroy()
 
     def deactivate(self) -> None:
-        self._excitation.closing = True
-        self._weighing.end()
+        self.excitation.closing = True
+        self.weighing.end()
         if (job := self._job) is not None:
             job.cancelled.set()
             job.ended.wait(CALL_S)
-        self._jobs.save_again()
+        self.jobs.save_again()
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """Facts that cannot be understood, and sequences that cannot be made, are refused when they are stated, with the reason."""
@@ -284,7 +294,7 @@ class IdentifierNode(ManagedNode):
             for parameter in parameters:
                 if parameter.name in ("settings", "reference_settings"):
                     facts = parse_settings([pair for pair in parameter.value if pair])
-                    check_settings(replace(self._workspace.options(), settings=facts))
+                    check_settings(replace(self.workspace.options(), settings=facts))
                 elif parameter.name in self._sequences:
                     self._check_sequence(parameter.name, str(parameter.value))
         except ProprioError as error:
@@ -293,7 +303,7 @@ class IdentifierNode(ManagedNode):
 
     def _check_sequence(self, parameter: str, name: str) -> None:
         try:
-            load_sequence(name, self._workspace.configured({}))
+            load_sequence(name, self.workspace.configured({}))
         except ProprioError as error:
             raise ConfigurationError(f"{parameter}: {error}") from error
 
@@ -301,7 +311,7 @@ class IdentifierNode(ManagedNode):
         """The excitation node is busy."""
         if (job := self._job) is not None:
             entries = {key: values.get(key, "") for key in ("fraction", "phase")}
-            self._results.tell(job.kind, words, entries)
+            self.results.tell(job.kind, words, entries)
 
     def _refused(self) -> str:
         """Why no job can be begun now, or an empty string."""
@@ -326,9 +336,9 @@ class IdentifierNode(ManagedNode):
         if why := self._refused():
             raise JobError(why)
         facts = {**parse_settings(value_of(self, "settings")), **parse_settings(job.settings)}
-        check_settings(replace(self._workspace.options(), settings=facts))
+        check_settings(replace(self.workspace.options(), settings=facts))
         if job.kind != WEIGH:
-            job.plan(value_of(self, f"{job.kind}_sequence"), self._workspace.configured({}))
+            job.plan(value_of(self, f"{job.kind}_sequence"), self.workspace.configured({}))
 
     def _begin(self, kind: str, answer: Answer) -> None:
         self._begin_job(Job(kind, self._service_of[kind]), answer)
@@ -355,10 +365,10 @@ class IdentifierNode(ManagedNode):
         """A job, in its thread: however it ends, it is answered."""
         clock.come_after_others()
         level = "error"
-        self._results.concluded = False
+        self.results.concluded = False
         try:
-            self._results.withdraw()
-            job.success, job.message = self._jobs.make(job)
+            self.results.withdraw()
+            job.success, job.message = self.jobs.make(job)
             level = "ok" if job.success else "warning"
         except ProprioError as error:
             job.message = str(error)
@@ -367,15 +377,15 @@ class IdentifierNode(ManagedNode):
             job.message = f"a defect in the identification ({type(error).__name__}: {error}); the recording is kept"
             self.get_logger().error(job.message)
         finally:
-            self._inputs.session = None
+            self.inputs.session = None
             with self._job_lock:
                 self._job = None
             self.say("info" if job.success else "warning", job.message)
             if self.active:
-                if not job.success and not self._results.concluded:
-                    self._results.failure(job)
-                job.entries = self._results.entries
-                self._results.tell("idle", job.message, level=level)
+                if not job.success and not self.results.concluded:
+                    self.results.failure(job)
+                job.entries = self.results.entries
+                self.results.tell("idle", job.message, level=level)
             job.ended.set()
             answer(job.success, job.message)
             for tell in job.on_end:

@@ -46,6 +46,7 @@ class Inputs:
     """Subscriptions, as bytes: that is what goes into a bag. While ``busy`` says that a job is under way, every message counts.
 
     Attributes:
+        joints: The robot's joints as its driver calls them, serialized.
         session: Takes all messages of a recording that is under way.
         heard: Takes those that are looked at before one.
         kept: Messages of `WORKING` of the last seconds; None where nobody wants them.
@@ -70,7 +71,7 @@ class Inputs:
         self.swings = False
         self.by_goals = ""
         self.newest_state = b""
-        self._joints: list[bytes] = []
+        self.joints: list[bytes] = []
         self._motors = b""
         self._temperatures = b""
         self._state_at_s = -1e9
@@ -107,7 +108,7 @@ class Inputs:
 
     def open(self, drives: Mapping[str, DriveTrain]) -> None:
         """Subscribe; whoever publishes joint states of others than these may have another clock."""
-        self._joints = [self.conventions.published(name).encode() for name in drives]
+        self.joints = [self.conventions.published(name).encode() for name in drives]
         self._listen_to_arm()
         self._listen_to_voltage_driven(drives)
         self._listen_to_driver()
@@ -218,7 +219,7 @@ class Inputs:
                 self._state_at_s = clock.now()
                 self.newest_state = data
                 # others on the topic may have another clock
-                if any(name in data for name in self._joints):
+                if any(name in data for name in self.joints):
                     stamp_ns = messages.first_stamp_ns(data) or now_ns
                     self._lag.note(now_ns, stamp_ns, clock.now_ns())
             elif role == "applied_effort":
@@ -256,11 +257,11 @@ class Inputs:
         # a simulation's time is heard as late as what happens in it
         simulated = self._node.get_clock().ros_time_is_active
         if role == "joint_states" and not simulated:
-            late_ns = self._late_ns(len(raw.data), raw.time_ns, info)
+            late_ns = self.late_ns(len(raw.data), raw.time_ns, info)
         stamp_ns = messages.first_stamp_ns(raw.data) or raw.time_ns
         return Arrival(role, raw, stamp_ns, clock.now() - 1e-9 * late_ns)
 
-    def _late_ns(
+    def late_ns(
         self,
         size: int,
         now_ns: int,

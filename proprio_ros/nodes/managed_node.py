@@ -180,9 +180,17 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
-    def _configure(self) -> None:
+    def check_values(self) -> None:
+        """Look at the values of all parameters.
+
+        Raises:
+            ConfigurationError: One is none of its choices.
+        """
         for parameter in self.parameters:
             parameter.check(self.values[parameter.name])
+
+    def _configure(self) -> None:
+        self.check_values()
         self.configure()
 
     def _destroy_configured(self) -> None:

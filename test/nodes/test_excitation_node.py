@@ -241,18 +241,18 @@ def identifier(
 def test_a_weighing_after_a_stop_is_refused_at_once(
     identifier: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identifier._excitation.run, "service_is_ready", lambda: True)
-    monkeypatch.setattr(identifier._excitation.set_probe, "service_is_ready", lambda: True)
-    identifier._inputs._state_at_s = math.inf
+    monkeypatch.setattr(identifier.excitation.run, "service_is_ready", lambda: True)
+    monkeypatch.setattr(identifier.excitation.set_probe, "service_is_ready", lambda: True)
+    identifier.inputs._state_at_s = math.inf
     values = {
         "driver": "stopped: the current is zero; /driver/torque true holds the arm again",
         "joint_states": True,
     }
-    identifier._excitation.on_status(messages.status("ok", "excitation", "waiting", values))
+    identifier.excitation.on_status(messages.status("ok", "excitation", "waiting", values))
     with pytest.raises(
         JobError, match=r"the driver is stopped: the current is zero; /driver/torque true holds"
     ):
-        identifier._jobs.await_others(Job("payload", "calibrate_payload"))
+        identifier.jobs.await_others(Job("payload", "calibrate_payload"))
     answers: list[tuple[bool, str]] = []
     identifier._begin("payload", lambda success, message: answers.append((success, message)))
     clock.sleep(10.0)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ import rclpy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
+from std_srvs.srv import Trigger
 from support.domains import free_domain
 from visualization_msgs.msg import Marker
 
@@ -52,6 +54,54 @@ class Published(list[Any]):
         self.append(message)
 
 
+class Service:
+    """In the place of a service; a response goes to whoever stands as its header."""
+
+    def send_response(self, response: Any, answers: list[tuple[bool, str]]) -> None:
+        answers.append((response.success, response.message))
+
+
+class Identifier(identifier.IdentifierNode):
+    """What the node publishes and answers is kept here, and goes nowhere else.
+
+    Attributes:
+        published: By topic as the node names it, without ``~/``.
+        offered: Services by their name.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        self.published: dict[str, Published] = {}
+        self.offered: dict[str, Any] = {}
+        super().__init__(**kwargs)
+
+    def create_publisher(self, kind: Any, topic: str, *given: Any, **more: Any) -> Any:
+        ours = topic.startswith("~/") or topic.endswith("/lease")
+        if not ours or "transition" in topic:  # rclpy's own
+            return super().create_publisher(kind, topic, *given, **more)
+        return self.published.setdefault(topic.removeprefix("~/"), Published())
+
+    def create_service(self, kind: Any, name: str, *given: Any, **more: Any) -> Any:
+        if kind is not Trigger:
+            return super().create_service(kind, name, *given, **more)
+        return self.offered.setdefault(name.removeprefix("~/"), Service())
+
+    def call(self, service: str) -> list[tuple[bool, str]]:
+        """The answers, once there are some."""
+        answers: list[tuple[bool, str]] = []
+        self.offered[service].send_response(Trigger.Response(), answers)
+        return answers
+
+    def hear(self, topic: str, *given: Any) -> None:
+        """A message has come."""
+        (subscription,) = (each for each in self.subscriptions if each.topic_name == topic)
+        subscription.callback(*given)
+
+    @property
+    def status(self) -> Any:
+        """The newest one."""
+        return self.published["status"][-1]
+
+
 class Nodes:
     """Makes nodes with parameters, in a namespace."""
 
@@ -67,12 +117,9 @@ class Nodes:
         return self._made[-1][0]
 
     def identifier(self, namespace: str = "", **parameters: Any) -> Any:
-        node = self.make(identifier.IdentifierNode, namespace, **parameters)
-        node._configure()
-        for name in ("_estimate", "_load", "_markers"):
-            setattr(node._results, name, Published())
-        node._results._numbers = {name: Published() for name in node._results._numbers}
-        node._excitation._lease = Published()
+        node = self.make(Identifier, namespace, **parameters)
+        node.check_values()
+        node.configure()
         return node
 
     def close(self) -> None:
@@ -110,10 +157,14 @@ def answer(
     )
 
 
+def entries(status: Any) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
 def entries_of(node: Any) -> dict[str, str]:
     """Keys and values of the newest estimate."""
-    (status,) = node._results._estimate[-1].status
-    return {pair.key: pair.value for pair in status.values}
+    (status,) = node.published["estimate"][-1].status
+    return entries(status)
 
 
 @pytest.mark.parametrize("granted", [True, False])
@@ -133,42 +184,34 @@ def test_it_says_where_real_time_is_not_granted(
 
 def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
-    node._results.withdraw()
-    assert not any(node._results._numbers.values()) and not node._results._load, (
-        "nothing stands at the beginning"
-    )
-    node._results.publish(live_request(Options()), answer("payload", 0.05))
+    node.results.withdraw()
+    numbers = ("mass", "sphere_mass", "payload")
+    assert not any(node.published[name] for name in numbers), "nothing stands at the beginning"
+    node.results.publish(live_request(Options()), answer("payload", 0.05))
     assert (
-        node._results._numbers["mass"][-1].data == 0.05
-        and node._results._load[-1].inertia.m == 0.05
+        node.published["mass"][-1].data == 0.05 and node.published["payload"][-1].inertia.m == 0.05
     )
-    assert node._results._load[-1].inertia.ixx > 0.0 and entries_of(node)["inertia"] == "assumed"
-    assert not node._results._numbers["sphere_mass"]
-    node._results.withdraw()
-    assert math.isnan(node._results._numbers["mass"][-1].data)
-    load = node._results._load[-1].inertia
+    assert (
+        node.published["payload"][-1].inertia.ixx > 0.0 and entries_of(node)["inertia"] == "assumed"
+    )
+    assert not node.published["sphere_mass"]
+    node.results.withdraw()
+    assert math.isnan(node.published["mass"][-1].data)
+    load = node.published["payload"][-1].inertia
     assert all(math.isnan(value) for value in (load.m, load.com.x, load.ixx, load.iyz))
-    assert [marker.action for marker in node._results._markers[-1].markers] == [Marker.DELETEALL]
-    node._results.publish(
+    assert [marker.action for marker in node.published["markers"][-1].markers] == [Marker.DELETEALL]
+    node.results.publish(
         live_request(Options()),
         answer("payload", None, Verdict.REJECTED),
     )
-    assert len(node._results._numbers["mass"]) == 2, (
-        "what is not accepted puts nothing in its place"
-    )
+    assert len(node.published["mass"]) == 2, "what is not accepted puts nothing in its place"
     # a sphere's mass is told from a payload's by its topic
-    node._results.publish(
+    node.results.publish(
         live_request(Options(probe="container", settings=BOX)), answer("container", 0.012)
     )
-    assert (
-        node._results._numbers["mass"][-1].data
-        == node._results._numbers["sphere_mass"][-1].data
-        == 0.012
-    )
-    node._results.withdraw()
-    assert all(
-        math.isnan(node._results._numbers[name][-1].data) for name in ("mass", "sphere_mass")
-    )
+    assert node.published["mass"][-1].data == node.published["sphere_mass"][-1].data == 0.012
+    node.results.withdraw()
+    assert all(math.isnan(node.published[name][-1].data) for name in ("mass", "sphere_mass"))
 
 
 def test_the_load_has_the_inertia_that_a_motion_identified_or_else_what_is_stated(
@@ -184,34 +227,44 @@ def test_the_load_has_the_inertia_that_a_motion_identified_or_else_what_is_state
         both = replace(
             weighed, values=(*weighed.values, Value("payload_inertia", "kg m^2", found, None))
         )
-        node._results.publish(
+        node.results.publish(
             live_request(Options(settings={"payload.shape": "cube", "payload.size": 0.03})), both
         )
-        assert entries_of(node)["inertia"] == source and node._results._load[
+        assert entries_of(node)["inertia"] == source and node.published["payload"][
             -1
         ].inertia.ixx == pytest.approx(ixx)
-    node._results.publish(
+    node.results.publish(
         live_request(Options()),
         answer("payload", None, Verdict.REJECTED),
     )
     assert "inertia" not in entries_of(node)
 
 
-def test_a_job_that_fails_says_so_where_the_last_answer_stood(nodes: Nodes, tmp_path: Path) -> None:
+def test_a_job_that_fails_says_so_where_the_last_answer_stood(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node.active = True
-    node._results.publish(live_request(Options()), answer("payload", 0.05))
-    node._jobs.make = lambda job: (_ for _ in ()).throw(JobError("no object"))
-    answers: list[Any] = []
-    node._work(Job("payload", "calibrate_payload"), lambda *given: answers.append(given))
+    node.results.publish(live_request(Options()), answer("payload", 0.05))
+    asked: list[Job] = []
+    begun = threading.Event()
+
+    def fail(job: Job) -> tuple[bool, str]:
+        asked.append(job)
+        begun.set()
+        raise JobError("no object")
+
+    monkeypatch.setattr(node.jobs, "make", fail)
+    answers = node.call("calibrate_payload")
+    begun.wait()
+    asked[0].ended.wait()
+    answered = node.call("cancel")
+    assert answered == [(True, "nothing was under way")]
     assert answers == [(False, "no object")]
-    told = entries_of(node)
-    assert (
-        told["payload_mass"] == "not determined"
-        and told["verdict"] == "failed"
-        and told["reason.1"] == "no object"
-    )
-    assert math.isnan(node._results._numbers["mass"][-1].data)
+    entries = entries_of(node)
+    assert entries["payload_mass"] == "not determined"
+    assert entries["verdict"] == "failed" and entries["reason.1"] == "no object"
+    assert math.isnan(node.published["mass"][-1].data)
 
 
 def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(
@@ -221,13 +274,13 @@ def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(
         "no calibration, and of another arm"
     )
     node = nodes.identifier("arm1", data_directory=tmp_path, frame_prefix="arm1/")
-    assert node._workspace.calibration is None and node._workspace.data == tmp_path / "arm1"
-    node._results.publish(live_request(Options()), answer("payload", 0.05))
-    assert node._results._load[-1].header.frame_id == "arm1/end_effector_link"
-    assert node._results._markers[-1].markers[-1].header.frame_id == "arm1/end_effector_link"
+    assert node.workspace.calibration is None and node.workspace.data == tmp_path / "arm1"
+    node.results.publish(live_request(Options()), answer("payload", 0.05))
+    assert node.published["payload"][-1].header.frame_id == "arm1/end_effector_link"
+    assert node.published["markers"][-1].markers[-1].header.frame_id == "arm1/end_effector_link"
     arm = nodes.make(driver.DriverNode, "arm1", port=tmp_path / "port")
     arm.configure()
-    assert arm._diagnosed == "arm1/driver"
+    assert arm.diagnosed == "arm1/driver"
 
 
 def test_a_calibration_of_another_arm_is_not_used(
@@ -235,7 +288,7 @@ def test_a_calibration_of_another_arm_is_not_used(
 ) -> None:
     newest = tmp_path / "open_manipulator_x_calibration.yaml"
     newest.write_text("extends: pendulum\n")  # has no calibration
-    assert nodes.identifier(data_directory=tmp_path)._workspace.calibration is None
+    assert nodes.identifier(data_directory=tmp_path).workspace.calibration is None
     with pytest.raises(RobotError, match=r"the parameter calibration .* holds no calibration"):
         nodes.identifier(data_directory=tmp_path, calibration=newest)
 
@@ -245,16 +298,16 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
 ) -> None:
     node = nodes.identifier("arm1", data_directory=tmp_path)
     elbow = MotorIdentity(1020, 13, 46, 7, 0, 10)
-    node._inputs.on_motors(
+    node.inputs.on_motors(
         serialize_message(messages.status("ok", "motors", "", {"joint3": elbow.as_text()}, ""))
     )
-    assert node._inputs.published_motors() == []  # no driver of ours runs
+    assert node.inputs.published_motors() == []  # no driver of ours runs
     monkeypatch.setattr(node, "count_publishers", lambda topic: int(topic == "/arm1/motors"))
     state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
     states = RawMessage(
         "/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state)
     )
-    write_messages(tmp_path / "bag", [states, *node._inputs.published_motors()])
+    write_messages(tmp_path / "bag", [states, *node.inputs.published_motors()])
     with BagSource(tmp_path / "bag") as source:
         assert source.motors(None) == {"joint3": elbow}
 
@@ -263,17 +316,17 @@ def test_how_warm_the_motors_are_is_part_of_a_recording(
     nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = nodes.identifier("arm1", data_directory=tmp_path)
-    node._inputs.on_motors(serialize_message(messages.status("ok", "motors", "", {}, "")))
-    node._inputs.on_temperatures(
+    node.inputs.on_motors(serialize_message(messages.status("ok", "motors", "", {}, "")))
+    node.inputs.on_temperatures(
         serialize_message(messages.labelled({"joint2": 31.0, "joint3": 35.0}))
     )
-    assert node._inputs.temperatures_C() == {}  # no driver of ours runs
+    assert node.inputs.temperatures_C() == {}  # no driver of ours runs
     monkeypatch.setattr(
         node, "count_publishers", lambda topic: int(topic.startswith("/arm1/motor"))
     )
-    assert node._inputs.temperatures_C() == {"joint2": 31.0, "joint3": 35.0}
-    session = node._inputs.session = Session(tmp_path, "payload")
-    node._inputs.on_temperatures(
+    assert node.inputs.temperatures_C() == {"joint2": 31.0, "joint3": 35.0}
+    session = node.inputs.session = Session(tmp_path, "payload")
+    node.inputs.on_temperatures(
         serialize_message(messages.labelled({"joint2": 33.0, "joint3": 35.0}))
     )
     assert len(session) == 1
@@ -282,14 +335,14 @@ def test_how_warm_the_motors_are_is_part_of_a_recording(
     bag, _ = session.save()
     with BagSource(bag) as source:
         assert source.temperatures(None) == {"joint2": 33.0, "joint3": 35.0}
-    node._inputs.session = None
+    node.inputs.session = None
 
 
 def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none", frame_prefix="arm1/")
-    results = node._results
+    results = node.results
     robot = load_robot("open_manipulator_x")
-    results._planned = shown = Published()
+    shown = node.published["next_push"]
     start = zero_pose(robot) | {"joint2": -1.0, "joint3": 0.5}
     push = Push(
         "joint3",
@@ -378,18 +431,18 @@ def test_what_cannot_be_recorded_is_said_before_anything_moves(
     blocked.write_text("a file where a folder should be")
     node = nodes.identifier(data_directory=blocked, calibration="none")
     asked: list[str] = []
-    node._excitation.make = lambda job, sequence, begun: asked.append(sequence)
+    node.excitation.make = lambda job, sequence, begun: asked.append(sequence)
     job = Job("payload", "calibrate_payload")
     request = Request(load_robot("open_manipulator_x"))
     with pytest.raises(
         JobError, match=r"not begun: .*blocked cannot be written .*the parameter data_directory"
     ):
-        node._jobs.record(job, "payload", "payload_elbow", request)
-    node._workspace.data = tmp_path / "data"
+        node.jobs.record(job, "payload", "payload_elbow", request)
+    node.workspace.data = tmp_path / "data"
     monkeypatch.setattr(jobs, "LONGEST_CHECK_S", 0.0)
     with pytest.raises(JobError, match="not begun: "):
-        node._jobs.record(job, "payload", "payload_elbow", request)
-    assert not asked and not list(node._workspace.data.iterdir())
+        node.jobs.record(job, "payload", "payload_elbow", request)
+    assert not asked and not list(node.workspace.data.iterdir())
 
 
 def test_topics_with_other_names_are_part_of_the_command_that_replays(
@@ -397,12 +450,12 @@ def test_topics_with_other_names_are_part_of_the_command_that_replays(
 ) -> None:
     usual = nodes.identifier(
         "arm1", data_directory=tmp_path, calibration="none"
-    )._workspace.options()
+    ).workspace.options()
     assert usual.state_topic is usual.command_topic is usual.effort_unit is None
     stated = {"state_topic": "/arm/states", "command_topic": "drive", "effort_unit": "mA"}
     options = nodes.identifier(
         "arm1", data_directory=tmp_path, calibration="none", **stated
-    )._workspace.options()
+    ).workspace.options()
     assert (options.state_topic, options.command_topic, options.effort_unit) == (
         "/arm/states",
         "/arm1/drive",
@@ -418,40 +471,40 @@ def test_a_robot_that_is_a_topic_is_ready_when_its_description_comes(
     stated = {"robot": "robot_description", "data_directory": tmp_path}
     node = nodes.identifier("arm1", **stated, effort_unit="N.m")
     node.active = True
-    answers: list[Any] = []
-    node._begin("payload", lambda *given: answers.append(given))
-    assert answers and "not ready: waits for /arm1/robot_description" in answers[0][1]
+    ((begun, why),) = node.call("calibrate_payload")
+    assert not begun and "not ready: waits for /arm1/robot_description" in why
     urdf = String(data=resource("urdf", "open_manipulator_x").read_text())
-    node._on_description(node._described, urdf)
-    assert (
-        node._inputs._joints == [b"joint1", b"joint2", b"joint3", b"joint4"] and not node._missing()
-    )
-    assert node._workspace.options().robot == str(node._described.path)
+    node.hear("/arm1/robot_description", urdf)
+    assert node.inputs.joints == [b"joint1", b"joint2", b"joint3", b"joint4"]
+    assert entries(node.status)["doing"] == "idle" and node.status.message == "ready"
+    described = Path(node.workspace.options().robot)
+    assert described.is_file() and described.is_relative_to(tmp_path / "arm1" / "descriptions")
     file = nodes.identifier(
         "arm3", **(stated | {"robot": resource("urdf", "open_manipulator_x")}), effort_unit="N.m"
     )
-    assert file._inputs._joints == node._inputs._joints
+    assert file.inputs.joints == node.inputs.joints
     # what effort is, nobody said, so torque constants are missing: that and how to state it is one line
     node = nodes.identifier("arm2", **stated)
-    node._on_description(node._described, urdf)
-    assert (
-        "the parameter effort_unit N.m where torque was recorded" in node._missing()
-        and not node._prepared
-    )
+    node.active = True
+    node.hear("/arm2/robot_description", urdf)
+    assert "the parameter effort_unit N.m where torque was recorded" in node.status.message
+    ((begun, why),) = node.call("calibrate_payload")
+    assert not begun and "the parameter effort_unit N.m where torque was recorded" in why
+    assert entries(node.status)["doing"] == "starting"
 
 
 def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     assert (
-        "nobody publishes /applied_effort or listens to /current_command" in node._inputs.missing()
+        "nobody publishes /applied_effort or listens to /current_command" in node.inputs.missing()
     )
     assert not nodes.identifier(
         data_directory=tmp_path, calibration="none", effort_unit="A"
-    )._inputs.missing()
+    ).inputs.missing()
     servos = nodes.identifier(data_directory=tmp_path, calibration="none", robot="so101")
-    assert "nobody publishes where the servos are sent, /joint_command" in servos._inputs.missing()
+    assert "nobody publishes where the servos are sent, /joint_command" in servos.inputs.missing()
     servos.create_publisher(JointState, "/joint_command", 1)
-    assert servos._inputs.missing() == ""
+    assert servos.inputs.missing() == ""
     assert {"/joint_command", "/battery_state"} <= {
         each.topic_name for each in servos.subscriptions
     }
@@ -461,98 +514,106 @@ def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_
     node = nodes.identifier(data_directory=tmp_path, calibration="none", running="true")
     job = Job(WEIGH, "weigh")
     with pytest.raises(JobError, match=r"no calibration of motions.*proprio calibrate BAG"):
-        node._weighing.weigh(job, node._jobs.identify)
-    assert node._inputs.kept is None and node._inputs.may_skip("joint_states"), (
+        node.weighing.weigh(job, node.jobs.identify)
+    assert node.inputs.kept is None and node.inputs.may_skip("joint_states"), (
         "nothing is kept for what cannot be done"
     )
-    node._inputs.kept = deque()
-    assert not node._inputs.may_skip("joint_states") and node._inputs.may_skip("applied_effort")
+    node.inputs.kept = deque()
+    assert not node.inputs.may_skip("joint_states") and node.inputs.may_skip("applied_effort")
     with pytest.raises(JobError, match="give the parameter driver or effort_unit"):
-        node._weighing.weigh(job, node._jobs.identify)
+        node.weighing.weigh(job, node.jobs.identify)
     hear = {
-        role: node._inputs.listener(f"/{role}", role, JointState)
+        role: node.inputs.listener(f"/{role}", role, JointState)
         for role in ("joint_states", "applied_effort")
     }
     hear["applied_effort"](b"")
     # it may go to somebody else's driver
     with pytest.raises(JobError, match="give the parameter driver or effort_unit"):
-        node._weighing.weigh(job, node._jobs.identify)
+        node.weighing.weigh(job, node.jobs.identify)
     node.create_publisher(Float64MultiArray, "applied_current", 1)  # as our own driver has
     with pytest.raises(JobError, match="no joint states are coming"):
-        node._weighing.weigh(job, node._jobs.identify)
+        node.weighing.weigh(job, node.jobs.identify)
     for number in range(20):
         still = messages.joint_state(
             10**7 * number, ["joint1", "wheel"], [0.001 * (number % 2), number], [], [0.0, 0.0]
         )
         hear["joint_states"](serialize_message(still))
     with pytest.raises(JobError, match="no joint moved in the last 15 s"):
-        node._weighing.weigh(job, node._jobs.identify)
+        node.weighing.weigh(job, node.jobs.identify)
     assert not list(tmp_path.iterdir()), "what is refused leaves no recording"
 
 
 def test_only_the_last_seconds_are_kept(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
-    node._inputs.kept = deque(
+    node.inputs.kept = deque(
         [
             RawMessage("/joint_states", "", node.get_clock().now().nanoseconds - age * 10**9, b"")
             for age in (16, 14)
         ]
     )
-    node._inputs.listener("/joint_states", "joint_states", JointState)(
+    node.inputs.listener("/joint_states", "joint_states", JointState)(
         serialize_message(JointState())
     )
-    assert len(node._inputs.kept) == 2, "15 s"
+    assert len(node.inputs.kept) == 2, "15 s"
 
 
 def test_what_an_effort_says_of_a_current() -> None:
     assert [current_A(3.0, unit, 1.5) for unit in ("A", "mA", "N.m")] == [3.0, 0.003, 2.0]
 
 
+class Future:
+    """An answer that is there at once."""
+
+    def __init__(self, answer: Any) -> None:
+        self._answer = answer
+
+    def add_done_callback(self, done: Callable[[Any], None]) -> None:
+        done(self)
+
+    def result(self) -> Any:
+        return self._answer
+
+
 def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_the_excitation(
-    nodes: Nodes, tmp_path: Path
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     job = Job("payload", "calibrate_payload")
-    node._excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
+    excitation = node.excitation
+    excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
     asked: list[str] = []
+    known = SimpleNamespace(results=[SimpleNamespace(successful=True)])
+    monkeypatch.setattr(excitation.set_probe, "call_async", lambda request: Future(known))
 
-    def call(client: Any, request: Any, tries: int = 1) -> Any:
-        if client is node._excitation.set_probe:
-            return SimpleNamespace(results=[SimpleNamespace(successful=True)])
+    def run(request: Any) -> Future:
         asked.append("run")
         if len(asked) == 1:  # its status says so as it refuses, in whatever words
-            node._excitation.on_status(
-                messages.status("ok", "excitation", "", {"joint_states": False})
-            )
-            node._excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
-            return SimpleNamespace(success=False, message="nothing to be seen")
-        return SimpleNamespace(success=True, message="sequence 1: payload, 1 runs")
+            excitation.on_status(messages.status("ok", "excitation", "", {"joint_states": False}))
+            excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
+            return Future(SimpleNamespace(success=False, message="nothing to be seen"))
+        return Future(SimpleNamespace(success=True, message="sequence 1: payload, 1 runs"))
 
-    node._excitation._call = call
-    node._excitation.make(job, "payload", lambda: None)
+    monkeypatch.setattr(excitation.run, "call_async", run)
+    excitation.make(job, "payload", lambda: None)
     assert len(asked) == 2
-    assert [message.data for message in node._excitation._lease] == [True, False], (
-        "asked for, and not any more"
-    )
+    lease = [message.data for message in node.published["excitation/lease"]]
+    assert lease == [True, False], "asked for, and not any more"
 
-    def refuse(client: Any, request: Any, tries: int = 1) -> Any:
-        if client is node._excitation.set_probe:
-            return SimpleNamespace(results=[SimpleNamespace(successful=True)])
+    def refuse(request: Any) -> Future:
         asked.append("run")
-        return SimpleNamespace(
-            success=False, message="no joint states is what this refusal is not about"
-        )
+        words = "no joint states is what this refusal is not about"
+        return Future(SimpleNamespace(success=False, message=words))
 
-    node._excitation._call = refuse
+    monkeypatch.setattr(excitation.run, "call_async", refuse)
     with pytest.raises(JobError, match="refuses"):
-        node._excitation.make(job, "payload", lambda: None)
+        excitation.make(job, "payload", lambda: None)
     assert len(asked) == 3
 
 
 def test_the_estimate_of_a_run_takes_the_current_command_where_no_effort_comes(
     nodes: Nodes, tmp_path: Path
 ) -> None:
-    inputs = nodes.identifier(data_directory=tmp_path, calibration="none")._inputs
+    inputs = nodes.identifier(data_directory=tmp_path, calibration="none").inputs
     taken: list[dict[str, float]] = []
     inputs.live = SimpleNamespace(
         joints=("joint2", "joint3"), add_command=lambda at_ns, current_A: taken.append(current_A)
@@ -570,7 +631,7 @@ def test_a_joint_was_let_go_of_when_that_was_said_and_not_when_it_was_heard(
 ) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     kept: list[int] = []
-    node._inputs.session = SimpleNamespace(
+    node.inputs.session = SimpleNamespace(
         add=lambda topic, msgtype, time_ns, data: kept.append(time_ns)
     )
     now_ns = node.get_clock().now().nanoseconds
@@ -587,19 +648,19 @@ def test_a_joint_was_let_go_of_when_that_was_said_and_not_when_it_was_heard(
 def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:
     given: dict[str, Any] = {"data_directory": tmp_path, "calibration": "none"}
     node = nodes.identifier("cell", **given, driver="robotis")
-    assert node._inputs.measured_unit() == "raw" and node._inputs.missing() == ""
+    assert node.inputs.measured_unit() == "raw" and node.inputs.missing() == ""
     heard = {subscription.topic_name for subscription in node.subscriptions}
     assert {"/cell/joint_states", "/cell/forward_effort_controller/commands"} <= heard
-    options = node._workspace.options()
+    options = node.workspace.options()
     assert options.driver == "robotis" and options.effort_unit is None
     assert options.state_topic is None and options.command_topic is None, (
         "found in the bag as they were found here"
     )
     assert current_A(100.0, "raw", 1.78) == pytest.approx(0.269)
     assert (
-        nodes.identifier(**given, driver="robotis", effort_unit="A")._inputs.measured_unit() == "A"
+        nodes.identifier(**given, driver="robotis", effort_unit="A").inputs.measured_unit() == "A"
     ), "what is stated wins"
-    assert nodes.identifier(**given)._inputs.measured_unit() == ""
+    assert nodes.identifier(**given).inputs.measured_unit() == ""
     with pytest.raises(
         ConfigurationError,
         match="the parameter driver ur_torque: this effort lacks what holds the arm",
@@ -614,8 +675,8 @@ def test_joints_that_a_driver_calls_otherwise_are_known(nodes: Nodes, tmp_path: 
     node = nodes.identifier(
         data_directory=tmp_path, calibration="none", driver=tmp_path / "left.yaml"
     )
-    assert node._inputs._joints[:3] == [b"left_joint1", b"left_joint2", b"left_elbow"]
-    assert node._inputs.conventions.renamed(["left_elbow", "joint1"])[0] == "joint3"
+    assert node.inputs.joints[:3] == [b"left_joint1", b"left_joint2", b"left_elbow"]
+    assert node.inputs.conventions.renamed(["left_elbow", "joint1"])[0] == "joint3"
 
 
 @pytest.mark.parametrize("ahead_s", [0, 3600, -3600])
@@ -623,7 +684,7 @@ def test_a_joint_state_is_as_late_as_it_waited_here(
     nodes: Nodes, tmp_path: Path, ahead_s: int
 ) -> None:
     """The first that is heard as well; by how much the sender's clock is ahead does not matter."""
-    late_ns = nodes.identifier(data_directory=tmp_path, calibration="none")._inputs._late_ns
+    late_ns = nodes.identifier(data_directory=tmp_path, calibration="none").inputs.late_ns
     second = 10**9
     now_ns = 1_700_000_000 * second
 

@@ -178,7 +178,7 @@ def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(
     setting = live_request(options)
     estimate = replay(BAGS / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap", options)
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
-    stage.node._results.publish(setting, estimate)
+    stage.node.results.publish(setting, estimate)
     success, said = stage.apply()
     assert not success and "/io_and_status_controller/set_payload is not there" in said
     stage.serve()  # type: ignore[attr-defined]
@@ -206,7 +206,7 @@ def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(
     assert not success and "refused" in said
     # a refusal in its place stands for nothing
     stage.success = True
-    stage.node._results.withdraw()
+    stage.node.results.withdraw()
     assert not stage.apply()[0] and len(stage.heard) == 2
 
 

@@ -405,7 +405,7 @@ class Side:
             return ""
         if answer.success:
             # what it published; the network may have lost that
-            values = self.process("identifier").node._results.entries
+            values = self.process("identifier").node.results.entries
             mass, std = (float(values[key]) for key in ("payload_mass", "payload_mass.std"))
             if abs(mass - self.mass_kg) > 3.0 * std:
                 self.broken(f"{why}: accepted and wrong: {answer.message}")

@@ -654,7 +654,7 @@ def test_of_a_call_whose_answer_is_lost_it_is_asked_again(
 ) -> None:
     """Who answers drops what it would say to one that it has not heard of, and in the first moments it may not have."""
     client = arm.client
-    named = client.world.processes["identifier"].node._excitation.set_probe
+    named = client.world.processes["identifier"].node.excitation.set_probe
     call, asked = named.call_async, list[Any]()
 
     def lost(request: Any) -> Any:

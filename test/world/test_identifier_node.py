@@ -27,8 +27,8 @@ def test_an_idle_identifier_takes_what_waits_at_once(tmp_path: Path) -> None:
         for row in range(1, 51):
             publisher.publish(messages.joint_state(10**9 * row, ["joint1"], [0.0]))
             client.clock.sleep(0.001)
-            stamps.add(node._inputs.stamp_ns)
-        assert client.wait_for(lambda: node._inputs.stamp_ns == 50 * 10**9, 0.1)
+            stamps.add(node.inputs.stamp_ns)
+        assert client.wait_for(lambda: node.inputs.stamp_ns == 50 * 10**9, 0.1)
         assert len(stamps) < 10
         node._job = Job("payload", "calibrate_payload")
         assert node.pause_s == 0.0
