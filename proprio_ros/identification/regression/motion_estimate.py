@@ -15,28 +15,24 @@ from proprio_ros.identification.calibration_estimate import (
     Weighable,
 )
 from proprio_ros.identification.estimate import UnknownRow
-from proprio_ros.identification.judge import (
-    ACCEPTED,
-    FAR,
-    Refusal,
-    judge,
-    not_identifiable,
-    rejected,
-)
-from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.judge import Refusal, judge, not_identifiable
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.clocks import with_clocks, with_clocks_named
 from proprio_ros.identification.regression.motion_equations import Arm, once_each
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
+    FittedTerms,
     MotionFit,
+    fit_empty,
     fit_payload,
     held_by_file,
     learn_arm,
     share_of,
 )
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
+from proprio_ros.identification.regression.solve import Prior
+from proprio_ros.identification.regression.torque_scale import Reference, scaled_by_references
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
@@ -44,12 +40,8 @@ from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 
 SHOWN_SHARE = 0.1  # The headline is for an object of this share of the arm's mass.
-LIGHT_REFERENCE = 0.45
-"""A reference that is read with a greater relative half interval leaves torque constants as they are stated."""
 OWN_SHARE = 1.0 / 3.0
 """A joint's torque may be off from the others' by this share of what its file leaves open: motors of one maker are off together."""
-
-Reference = tuple[Motion, float]  # A motion with a weighed object in the hand, and its mass [kg].
 
 
 @once_each()
@@ -73,56 +65,81 @@ def calibrate_motions(
     """
     robot = replace(robot, motion_calibration=None)
     progress(f"fitting {len(motions)} motions")
-    as_stamped = motions
-    motions = with_clocks(robot, motions)
-    calibration, fits = learn_arm(robot, motions)
-    refused = judge(calibration_refusals(robot, motions, calibration))
-    share = float(np.nan_to_num(_unexplained(motions, calibration)).max())
-    refusal = with_cause(refused, robot, (), as_stamped, share)
-    if refusal is refused:
-        refusal = with_clocks_named(refusal, motions)
+    followed = with_clocks(robot, motions)
+    calibration, fits = learn_arm(robot, followed)
+    refusal = _refusal(robot, motions, followed, calibration)
     if not refusal.withheld and references:
         progress("weighing the references")
         loaded = [motion for motion, _ in references]
         masses_kg = [mass_kg for _, mass_kg in references]
-        followed = with_clocks(robot, loaded, calibration, loaded=True)
-        references = list(zip(followed, masses_kg, strict=True))
-        calibration, refusal = _scaled(robot, calibration, references, centre)
-    recorded = [*motions, *(motion for motion, _ in references)]
+        loaded = with_clocks(robot, loaded, calibration, loaded=True)
+        references = list(zip(loaded, masses_kg, strict=True))
+        calibration, refusal = scaled_by_references(robot, calibration, references, centre)
+    recorded = [*followed, *(motion for motion, _ in references)]
     progress("weighing each empty motion by the others")
-    weighed = () if refusal.withheld else _weighed_empty(robot, motions)
-    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
+    weighed = () if refusal.withheld else _weighed_empty(robot, followed)
+    arm = Arm.of(robot, calibration.joints, dict(followed[0].held))
     weighable = None
     if not refusal.withheld:
-        weighable = _weighable(robot, motions, calibration, weighed, arm.kg, calibration.referenced)
+        weighable = _weighable(robot, followed, calibration, weighed, arm.kg)
         if Z95 * weighable.std_kg > weighable.mass_kg:
-            refusal = not_identifiable(
-                "says_too_little",
-                "the interval would be too wide to state a mass",
-                f"with these motions {shown('kg', weighable.mass_kg, spec='.0f')} could only be weighed to "
-                f"+-{shown('kg', Z95 * weighable.std_kg, spec='.0f')}: record longer and faster ones, through more attitudes",
-            )
+            refusal = _would_be_too_wide(weighable)
             weighable = None
-    prior = file_prior(robot, arm)
     return CalibrationEstimate(
         robot=robot.name,
         verdict=refusal.verdict,
         reasons=refusal.reasons,
-        runs=len(motions) + len(references),
+        runs=len(recorded),
         calibration=None,
         motion=calibration,
-        unknowns=tuple(
-            UnknownRow(kind, scope=joint, role=Role.FREE.value, prior=p, prior_std=s, value=v, std=e)
-            for (kind, joint), p, s, v, e in zip(
-                calibration.keys, prior.values, np.sqrt(np.diag(prior.covariance)), calibration.values, calibration.std,
-                strict=True,
-            )
-        ),
+        unknowns=_unknown_rows(calibration, file_prior(robot, arm)),
         notes=tuple(note for motion in recorded for note in motion.notes),
         weighable=weighable,
         weighed_empty=weighed,
         joint_fits=fits,
-    )  # fmt: skip
+    )
+
+
+def _refusal(
+    robot: Robot,
+    as_stamped: Sequence[Motion],
+    followed: Sequence[Motion],
+    calibration: MotionCalibration,
+) -> Refusal:
+    """The verdict on an arm that was learnt of motions whose clocks were followed, with its cause."""
+    refused = judge(calibration_refusals(robot, followed, calibration))
+    share = float(np.nan_to_num(_unexplained(followed, calibration)).max())
+    refusal = with_cause(refused, robot, (), as_stamped, share)
+    return with_clocks_named(refusal, followed) if refusal is refused else refusal
+
+
+def _would_be_too_wide(weighable: Weighable) -> Refusal:
+    mass = shown("kg", weighable.mass_kg, spec=".0f")
+    half = shown("kg", Z95 * weighable.std_kg, spec=".0f")
+    return not_identifiable(
+        "says_too_little",
+        "the interval would be too wide to state a mass",
+        f"with these motions {mass} could only be weighed to "
+        f"+-{half}: record longer and faster ones, through more attitudes",
+    )
+
+
+def _unknown_rows(calibration: MotionCalibration, prior: Prior) -> tuple[UnknownRow, ...]:
+    """Each of the arm's terms beside what its robot file says of it."""
+    prior_std = np.sqrt(np.diag(prior.covariance))
+    std = calibration.std
+    return tuple(
+        UnknownRow(
+            kind,
+            scope=joint,
+            role=Role.FREE.value,
+            prior=prior.values[term],
+            prior_std=prior_std[term],
+            value=calibration.values[term],
+            std=std[term],
+        )
+        for term, (kind, joint) in enumerate(calibration.keys)
+    )
 
 
 def calibration_refusals(
@@ -139,20 +156,17 @@ def calibration_refusals(
         for kind, joint in calibration.keys
     ]
     std = np.hypot(np.sqrt(np.diag(prior.covariance)), open_yet)
+    learnt = FittedTerms(calibration.keys, calibration.values, prior.values, std)
     unlike = [
         *refusals.unlike_urdf(calibration.arm_over_urdf),
-        *refusals.far_from_prior(
-            calibration.keys, calibration.values, prior.values, std, "robot file"
-        ),
+        *refusals.far_from_prior(learnt, "robot file"),
     ]
     if not unlike:
         return
     held = held_by_file(robot, motions)
-    terms = slice(0, len(held.arm))  # what differs from motion to motion is open
-    with_it = refusals.far_from_prior(
-        calibration.keys[terms], held.arm, prior.values[terms], std[terms], "robot file"
-    )
-    if not any(with_it):
+    shared = slice(0, len(held.arm))  # what differs from motion to motion is open
+    with_it = FittedTerms(calibration.keys[shared], held.arm, prior.values[shared], std[shared])
+    if not any(refusals.far_from_prior(with_it, "robot file")):
         yield from refusals.held_when_empty(held)
     yield from unlike
 
@@ -169,87 +183,6 @@ def _unexplained(motions: Sequence[Motion], calibration: MotionCalibration) -> F
     return share_of(calibration.residual, driven)
 
 
-def _scaled(
-    robot: Robot,
-    calibration: MotionCalibration,
-    references: Sequence[Reference],
-    centre: Centre | None,
-) -> tuple[MotionCalibration, Refusal]:
-    """The calibration with the torque scale that the references show, or why they do not show it."""
-    open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
-    ratios: list[float] = []
-    stds: list[float] = []
-    said_coarse = ""
-    fits = [
-        (fit_payload(robot, [motion], open_scale, centre=centre), motion, kg)
-        for motion, kg in references
-    ]
-    # the best one first: one that is too coarse beside others says nothing, and does no harm
-    for fit, motion, mass_kg in sorted(
-        fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]
-    ):
-        doubts = list(refusals.other_zero(motion.name, fit))
-        if centre is not None:
-            doubts += refusals.centre_elsewhere(
-                motion.name, centre, fit, fit_payload(robot, [motion], open_scale)
-            )
-        if doubts:
-            return calibration, doubts[0]
-        read = float(fit.values[0])
-        std = float(fit.std[0])
-        coarse = read <= 0.0 or fit.half_width > LIGHT_REFERENCE * mass_kg
-        if coarse and (ratios or said_coarse):
-            continue
-        stated_as, read_as, off = (shown("kg", kg, spec=".0f") for kg in (mass_kg, read, std))
-        said = f"{motion.name}: the reference of {stated_as} is read as {read_as} +- {off}, "
-        if read + Z95 * std < 0.0:
-            nothing = "the reference says nothing about the torque constants"
-            said += "lighter than nothing: are the recordings mixed up?"
-            return calibration, not_identifiable("says_too_little", nothing, said)
-        ratio = read / mass_kg
-        ratio_std = std / mass_kg
-        # the reciprocal of what is uncertain is on average too large by its variance
-        if not coarse:
-            ratio = mass_kg * read / (read**2 + std**2)
-            ratio_std = std * mass_kg / read**2
-        if abs(ratio - 1.0) > FAR * np.hypot(calibration.torque_scale_std, ratio_std):
-            return calibration, rejected(
-                "misfit",
-                "the reference does not weigh what was stated",
-                f"{said}and the torque constants are stated to {100.0 * calibration.torque_scale_std:.0f} %: check the mass and "
-                "the torque constants",
-            )
-        if coarse:
-            check = ", and check payload.com" if centre is not None else ""
-            stay = "too coarse to tell the torque constants, which stay as stated"
-            said_coarse = f"{said}{stay}: take a heavier one, or move longer{check}"
-            continue
-        ratios.append(ratio)
-        stds.append(ratio_std)
-    # one that tells nothing is no reason to stop: an answer is as uncertain as without it
-    if not ratios:
-        return calibration, replace(ACCEPTED, reasons=(Reason("says_too_little", said_coarse),))
-    weights = np.square(1.0 / np.array(stds))
-    scale = float(weights @ ratios / weights.sum())
-    # all of them lean on the same calibration: together they say no more than the best one
-    scatter = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
-    told = min(stds) ** 2 + scatter**2
-    # what a file states of the constants counts, too: as far as these do not contradict it
-    if all(robot.drive_trains[joint].torque_constant.std > 0.0 for joint in calibration.joints):
-        stated = max(calibration.torque_scale_std**2, (scale - 1.0) ** 2 - told)
-        scale = (told + stated * scale) / (told + stated)
-        told = told * stated / (told + stated)
-    runs = tuple(
-        {"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references
-    )
-    return replace(
-        calibration,
-        torque_scale=scale,
-        torque_scale_std=float(np.sqrt(told)) / scale,
-        runs=(*calibration.runs, *runs),
-    ), ACCEPTED
-
-
 def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEstimate, ...]:
     """Each motion weighed by the calibration of the others; a single one in two halves. What they read is the error to expect."""
     parts = list(motions)
@@ -261,20 +194,13 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEs
         ]
     weighed = []
     for number, part in enumerate(parts):
+        others = [*parts[:number], *parts[number + 1 :]]
         try:
-            fit = fit_payload(
-                robot, [part], learn_arm(robot, [*parts[:number], *parts[number + 1 :]])[0]
-            )
+            fit = fit_payload(robot, [part], fit_empty(robot, others))
         except RecordingError:
             continue  # too short to be halved: then the fit's own word has to do
-        weighed.append(
-            EmptyHandEstimate(
-                part.name,
-                float(fit.values[0]),
-                float(fit.std[0]),
-                fit.quantile,
-            )
-        )
+        mass_kg = float(fit.values[0])
+        weighed.append(EmptyHandEstimate(part.name, mass_kg, float(fit.std[0]), fit.quantile))
     return tuple(weighed)
 
 
@@ -287,10 +213,7 @@ def _longest_weighed(
     robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
 ) -> MotionFit:
     """The longest motion weighed, together with the next ones where it is too short by itself."""
-    longest = sorted(
-        motions,
-        key=lambda motion: -float(motion.times_s[-1]),
-    )
+    longest = sorted(motions, key=lambda motion: -float(motion.times_s[-1]))
     for count in range(1, len(longest)):
         try:
             return fit_payload(robot, longest[:count], calibration)
@@ -304,33 +227,34 @@ def _weighable(
     motions: Sequence[Motion],
     calibration: MotionCalibration,
     weighed: Sequence[EmptyHandEstimate],
-    arm: float,
-    referenced: bool,
+    arm_kg: float,
 ) -> Weighable:
     """What an object in a motion like the longest of these would be weighed to."""
     fit = _longest_weighed(robot, motions, calibration)
-    nothing = 0.5 * (fit.quantile / Z95) * float(fit.std[0]) + 0.5 * float(fit.std[0])
+    std_kg = float(fit.std[0])
+    nothing_kg = 0.5 * (fit.quantile / Z95) * std_kg + 0.5 * std_kg
     if len(motions) > 1 and weighed:
-        nothing = max(
-            nothing,
-            float(np.sqrt(np.mean([each.mass_kg**2 for each in weighed]))),
-        )
-    mass = float(f"{SHOWN_SHARE * arm:.1g}")
+        read_kg = float(np.sqrt(np.mean([each.mass_kg**2 for each in weighed])))
+        nothing_kg = max(nothing_kg, read_kg)
+    mass_kg = float(f"{SHOWN_SHARE * arm_kg:.1g}")
     share = calibration.torque_scale_std
-    because = (
-        "that is how well the reference tells the torque constants"
-        if referenced
-        else "torque constants are known no better: a motion with a weighed object, --reference BAG=KG, would tell them"
+    return Weighable(
+        mass_kg,
+        float(np.hypot(nothing_kg, share * mass_kg)),
+        calibration.joints,
+        f"an empty hand to +-{shown('kg', Z95 * nothing_kg, spec='.0f')}, and any mass to +-{100.0 * Z95 * share:.0f} % at best: "
+        f"{_why_no_better(calibration)}",
     )
-    if not referenced and share > 0.0 and abs(calibration.arm_over_urdf - 1.0) > 0.5 * share > 0.02:
-        because = (
+
+
+def _why_no_better(calibration: MotionCalibration) -> str:
+    """Why torque constants are known no better than they are."""
+    if calibration.referenced:
+        return "that is how well the reference tells the torque constants"
+    share = calibration.torque_scale_std
+    if share > 0.0 and abs(calibration.arm_over_urdf - 1.0) > 0.5 * share > 0.02:
+        return (
             f"by its torques the arm weighs {calibration.arm_over_urdf:.2f} times what its URDF says, and torque constants or URDF "
             "are off by that: a motion with a weighed object, --reference BAG=KG, would tell which"
         )
-    return Weighable(
-        mass,
-        float(np.hypot(nothing, share * mass)),
-        calibration.joints,
-        f"an empty hand to +-{shown('kg', Z95 * nothing, spec='.0f')}, and any mass to +-{100.0 * Z95 * share:.0f} % at best: "
-        f"{because}",
-    )
+    return "torque constants are known no better: a motion with a weighed object, --reference BAG=KG, would tell them"

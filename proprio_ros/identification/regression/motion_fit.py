@@ -70,6 +70,16 @@ Centre = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
+class FittedTerms:
+    """An arm's terms beside what was known of them, P of them."""
+
+    keys: tuple[Key, ...]  # kind and joint
+    values: FloatArray  # that came out, shape (P,)
+    prior: FloatArray  # what should have come out, shape (P,)
+    std: FloatArray  # how well that is known, shape (P,)
+
+
+@dataclass(frozen=True)
 class MotionFit:
     """What the hand holds, and what that rests on."""
 
@@ -94,11 +104,7 @@ class MotionFit:
     arm_over_urdf: float
     # standard deviations of the payload's ten parameters under their prior, shape (10,)
     payload_prior: FloatArray
-    keys: tuple[Key, ...]  # of the arm's terms, length P
-    # arm, arm_prior, arm_std: their values, and the prior's with its standard deviations, shape (P,)
-    arm: FloatArray
-    arm_prior: FloatArray
-    arm_std: FloatArray
+    arm: FittedTerms  # the arm's, as the motions with the payload show them
     # how much less the motions with the payload are read than the empty ones, and its std, shape (n,) each: by zero, positions
     # [rad or m], by own_scale, torques, relative to what is read; 0 and infinite where nothing tells
     off: Mapping[str, tuple[FloatArray, FloatArray]]
@@ -366,8 +372,6 @@ def fit_payload(
     budget = ErrorBudget.of(problem, followed, calibration, misfit, stretches)
     scale = calibration.torque_scale
     long_enough = stretches >= 2 * MIN_STRETCHES
-    unknowns, terms = np.nonzero(calibrated_terms(arm.count, len(motions)))
-    of_arm = PARAMETERS + unknowns
     return MotionFit(
         joints=arm.model.joint_names,
         values=scale * solution.values[:PARAMETERS],
@@ -383,16 +387,27 @@ def fit_payload(
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
         payload_prior=solution.payload_prior,
-        keys=tuple(calibration.keys[term] for term in terms),
-        arm=solution.values[of_arm],
-        arm_prior=priors.unknowns.values[of_arm],
-        arm_std=np.sqrt(np.diag(solution.prior.covariance))[of_arm],
+        arm=_fitted_terms(problem, priors, solution, calibration),
         off={kind: _of_its_own(problem, followed.opened, kind) for kind in ("zero", "own_scale")},
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
         shown=_shown(problem, solution, calibration, loaded),
         problem=problem,
         solution=solution,
+    )
+
+
+def _fitted_terms(
+    problem: Problem, priors: Priors, solution: Solution, calibration: MotionCalibration
+) -> FittedTerms:
+    """All that a calibration knows: the arm's terms, and each motion's friction."""
+    unknowns, terms = np.nonzero(calibrated_terms(problem.count, problem.motions))
+    of_arm = PARAMETERS + unknowns
+    return FittedTerms(
+        keys=tuple(calibration.keys[term] for term in terms),
+        values=solution.values[of_arm],
+        prior=priors.unknowns.values[of_arm],
+        std=np.sqrt(np.diag(solution.prior.covariance))[of_arm],
     )
 
 

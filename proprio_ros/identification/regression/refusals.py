@@ -6,12 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from proprio_ros.calibration_files.motions import UNITS, Key
+from proprio_ros.calibration_files.motions import UNITS
 from proprio_ros.errors import some
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
 from proprio_ros.identification.regression.error_budget import CONSTANTS
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
+    FittedTerms,
     HeldByFile,
     MotionFit,
 )
@@ -57,15 +58,19 @@ def passed_over(
 ) -> tuple[str, ...]:
     """A sentence for each joint whose torque is not explained and does not decide.
 
-    ``joints``: their names; ``tells``: how much of what is known of the mass each tells, sum 1; ``share``: of the torque, that is
-    left over by joint; NaN where one did not move.
+    Args:
+        joints: Their names, n.
+        tells: How much of what is known of the mass each tells, shape (n,), sum 1.
+        share: Of the torque, that is left over by joint, shape (n,); NaN where one did not move.
     """
-    return tuple(
-        f"{_percent(share[n])} of the torque of {joint} is not explained; it tells {100.0 * tells[n]:.1f} % of the mass, and "
-        "counts for as little"
-        for n, joint in enumerate(joints)
-        if share[n] > UNEXPLAINED_SHARE and tells[n] < DECIDES
-    )
+    sentences = []
+    for number, joint in enumerate(joints):
+        if share[number] > UNEXPLAINED_SHARE and tells[number] < DECIDES:
+            sentences.append(
+                f"{_percent(share[number])} of the torque of {joint} is not explained; it tells "
+                f"{100.0 * tells[number]:.1f} % of the mass, and counts for as little"
+            )
+    return tuple(sentences)
 
 
 def _percent(share: float) -> str:
@@ -77,8 +82,11 @@ def unexplained_torque(
 ) -> Iterator[Refusal]:
     """Where the worst joint's torque is not what the model makes of it.
 
-    ``joints``: their names; ``share``: of the torque, that is left over by joint; NaN where one did not move; ``by``: what the
-    model consists of; ``name``: of the recording and a colon, before the sentence.
+    Args:
+        joints: Their names, n.
+        share: Of the torque, that is left over by joint, shape (n,); NaN where one did not move.
+        by: What the model consists of.
+        name: Of the recording and a colon, before the sentence.
     """
     worst = int(np.argmax(np.nan_to_num(share)))
     if share[worst] > UNEXPLAINED_SHARE:
@@ -126,10 +134,8 @@ def held_when_empty(held: HeldByFile) -> Iterator[Refusal]:
 
 def noticed(fit: MotionFit) -> FloatArray:
     """By how much of a joint's torque this has to differ from the empty arm's to be noticed, shape (n,)."""
-    least = np.maximum(
-        RATIO_SHARE,
-        APART_SIGMAS * np.hypot(fit.off["own_scale"][1], RATIO_STD),
-    )
+    _, std = fit.off["own_scale"]
+    least = np.maximum(RATIO_SHARE, APART_SIGMAS * np.hypot(std, RATIO_STD))
     return np.where(fit.tells < DECIDES, np.inf, least)
 
 
@@ -137,7 +143,8 @@ def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:
     """Where positions of recording ``name`` are not read as those of the empty arm were."""
     zero, zero_std = fit.off["zero"]
     far = np.abs(zero) / np.maximum(ZERO_RAD, APART_SIGMAS * zero_std)
-    if far[worst := int(np.argmax(far))] > 1.0:
+    worst = int(np.argmax(far))
+    if far[worst] > 1.0:
         yield rejected(
             "other_zero",
             "positions are not those of the empty arm",
@@ -146,31 +153,32 @@ def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:
         )
 
 
-def far_from_prior(
-    keys: Sequence[Key], values: FloatArray, prior: FloatArray, std: FloatArray, known: str
-) -> Iterator[Refusal]:
-    """Where the worst of an arm's terms is not what ``known`` has it to be.
-
-    ``keys``: kind and joint of each term; ``values``: that came out; ``prior``: what should have come out; ``std``: how
-    well that is known; ``known``: who says so.
-    """
-    pulls = np.abs(values - prior) / std
+def far_from_prior(terms: FittedTerms, known: str) -> Iterator[Refusal]:
+    """Where the worst of an arm's terms is not what ``known`` has it to be."""
+    pulls = np.abs(terms.values - terms.prior) / terms.std
     worst = int(np.argmax(pulls))
     if pulls[worst] > FAR:
-        key = keys[worst]
+        key = terms.keys[worst]
+        std = f"{terms.std[worst]:.2g} {UNITS[key[0]]}".removesuffix(" 1")
         yield rejected(
             "far_from_prior",
             f"the arm does not fit its {known}",
-            f"{label_of(key)} ended {pulls[worst]:.0f} standard deviations from what the {known} says ({prior[worst]:.3g} +- "
-            f"{f'{std[worst]:.2g} {UNITS[key[0]]}'.removesuffix(' 1')}): check the URDF, the torque constants and the effort's "
-            "unit",
+            f"{label_of(key)} ended {pulls[worst]:.0f} standard deviations from what the {known} says ({terms.prior[worst]:.3g} +- "
+            f"{std}): check the URDF, the torque constants and the effort's unit",
         )
 
 
 def centre_elsewhere(
     name: str, stated: Centre, fit: MotionFit, free: MotionFit
 ) -> Iterator[Refusal]:
-    """Where ``fit`` has the payload at a stated centre, ``free`` finds another, and the mass is another one for it."""
+    """Where the payload is not at its stated centre, and the mass is another one for it.
+
+    Args:
+        name: Of the recording.
+        stated: The centre, and its standard deviation.
+        fit: With the payload there.
+        free: With the payload wherever it is.
+    """
     mass = float(free.values[0])
     at = np.asarray(stated[0])
     # both err alike as torque constants do
@@ -187,11 +195,12 @@ def centre_elsewhere(
 
 
 def elsewhere(name: str, stated: FloatArray, found: FloatArray) -> Refusal:
-    """The refusal of a stated centre where another one explains the motion."""
-    said, seen = (
-        ", ".join(written(value, spec) for value in at)
-        for at, spec in ((stated, ".3g"), (found, ".3f"))
-    )
+    """The refusal of a stated centre where another one explains the motion.
+
+    ``name``: of the recording; ``stated``: the centre [m], shape (3,); ``found``: the other one.
+    """
+    said = ", ".join(written(value, ".3g") for value in stated)
+    seen = ", ".join(written(value, ".3f") for value in found)
     return rejected(
         "misfit",
         "the payload is not where it is stated to be",
@@ -201,7 +210,10 @@ def elsewhere(name: str, stated: FloatArray, found: FloatArray) -> Refusal:
 
 
 def lighter_than_empty(mass_kg: float, half_kg: float, advice: str) -> Iterator[Refusal]:
-    """Where a mass is below nothing by more than the half width of its interval."""
+    """Where a mass is below nothing by more than the half width of its interval.
+
+    ``mass_kg``: that was found; ``half_kg``: of its interval; ``advice``: what may be wrong.
+    """
     if mass_kg + half_kg < 0.0:
         yield rejected(
             "lighter_than_empty",
@@ -218,11 +230,22 @@ def interval_too_wide(
     advice: str = "",
     share: float = WIDEST_SHARE,
 ) -> Iterator[Refusal]:
-    """Where the half width of a mass's interval is more than a share of it; ``parts`` say what puts how much on it."""
+    """Where the interval of a mass is wide beside it.
+
+    Args:
+        mass_kg: That was found [kg].
+        half_kg: Half width of its interval [kg].
+        parts: What puts how much on it, by name.
+        name: Of the recording and a colon, before the sentence.
+        advice: After the sentence.
+        share: How wide the half may be, in parts of the mass.
+    """
     if half_kg > share * abs(mass_kg):
+        most, _ = max(parts, key=lambda part: part[1])
+        half = shown("kg", min(half_kg, 1e6), spec=".0f")
         yield not_identifiable(
             "says_too_little",
             "the interval is too wide to state a mass",
-            f"{name}this motion determines the mass only to +-{shown('kg', min(half_kg, 1e6), spec='.0f')}; what it errs by most: "
-            f"{max(parts, key=lambda part: part[1])[0]}{advice}",
+            f"{name}this motion determines the mass only to +-{half}; what it errs by most: "
+            f"{most}{advice}",
         )

@@ -499,7 +499,7 @@ def _refusals(
             "the payload held firmly, and did nothing touch the arm?",
         )
     yield from refusals.unlike_urdf(fit.arm_over_urdf)
-    yield from refusals.far_from_prior(fit.keys, fit.arm, fit.arm_prior, fit.arm_std, known)
+    yield from refusals.far_from_prior(fit.arm, known)
     yield from refusals.lighter_than_empty(
         float(fit.values[0]), fit.half_width, "are the recordings mixed up?"
     )

@@ -1,0 +1,175 @@
+"""By how much an arm's torques are off altogether, by weighing objects whose mass is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from proprio_ros.calibration_files.motions import MotionCalibration
+from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.regression import refusals
+from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload
+from proprio_ros.quantity import Z95, shown
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import Robot
+
+LIGHT_REFERENCE = 0.45
+"""A reference that is read with a greater relative half interval leaves torque constants as they are stated: a guess."""
+
+Reference = tuple[Motion, float]  # A motion with a weighed object in the hand, and its mass [kg].
+
+
+def scaled_by_references(
+    robot: Robot,
+    calibration: MotionCalibration,
+    references: Sequence[Reference],
+    centre: Centre | None,
+) -> tuple[MotionCalibration, Refusal]:
+    """The calibration with the torque scale that the references show, or why they do not show it.
+
+    Args:
+        robot: As its file states it.
+        calibration: Of motions with an empty hand.
+        references: At least one.
+        centre: Of the objects, where that is stated.
+    """
+    open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
+    readings = [
+        _Reading(motion, mass_kg, fit_payload(robot, [motion], open_scale, centre=centre))
+        for motion, mass_kg in references
+    ]
+    ratios: list[_Ratio] = []
+    coarse = ""
+    # the best one first: one that is too coarse beside others says nothing, and does no harm
+    for reading in sorted(readings, key=lambda each: each.std_kg / each.mass_kg):
+        misplaced = next(_misplaced(robot, reading, open_scale, centre), None)
+        if misplaced is not None:
+            return calibration, misplaced
+        if reading.is_coarse and (ratios or coarse):
+            continue
+        doubt = next(reading.doubts(calibration.torque_scale_std), None)
+        if doubt is not None:
+            return calibration, doubt
+        if reading.is_coarse:
+            coarse = reading.too_coarse(place_is_stated=centre is not None)
+        else:
+            ratios.append(reading.ratio)
+    # one that says nothing is no reason to stop: an answer is as uncertain as without it
+    if not ratios:
+        return calibration, replace(ACCEPTED, reasons=(Reason("says_too_little", coarse),))
+    scale, variance = _mean_scale(ratios)
+    drives = [robot.drive_trains[joint] for joint in calibration.joints]
+    if all(drive.torque_constant.std > 0.0 for drive in drives):
+        scale, variance = _with_stated(scale, variance, calibration.torque_scale_std)
+    runs = tuple(
+        {"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references
+    )
+    scaled = replace(
+        calibration,
+        torque_scale=scale,
+        torque_scale_std=float(np.sqrt(variance)) / scale,
+        runs=(*calibration.runs, *runs),
+    )
+    return scaled, ACCEPTED
+
+
+@dataclass(frozen=True)
+class _Ratio:
+    """True torque over that of the stated constants."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """A reference, and what it is weighed to with torque constants as they are stated."""
+
+    motion: Motion
+    mass_kg: float  # its own
+    fit: MotionFit
+
+    @property
+    def read_kg(self) -> float:
+        return float(self.fit.values[0])
+
+    @property
+    def std_kg(self) -> float:
+        return float(self.fit.std[0])
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether it says too little about torque constants."""
+        return self.read_kg <= 0.0 or self.fit.half_width > LIGHT_REFERENCE * self.mass_kg
+
+    @property
+    def ratio(self) -> _Ratio:
+        read = self.read_kg
+        std = self.std_kg
+        # the reciprocal of what is uncertain is on average too large by its variance
+        return _Ratio(self.mass_kg * read / (read**2 + std**2), std * self.mass_kg / read**2)
+
+    @property
+    def words(self) -> str:
+        """The beginning of a sentence about it."""
+        stated, read, std = (
+            shown("kg", kg, spec=".0f") for kg in (self.mass_kg, self.read_kg, self.std_kg)
+        )
+        return f"{self.motion.name}: the reference of {stated} is read as {read} +- {std}, "
+
+    def doubts(self, scale_std: float) -> Iterator[Refusal]:
+        """Where its mass is not that of the object, by torque constants that are known so well, relative."""
+        read = self.read_kg
+        std = self.std_kg
+        if read + Z95 * std < 0.0:
+            yield not_identifiable(
+                "says_too_little",
+                "the reference says nothing about the torque constants",
+                f"{self.words}lighter than nothing: are the recordings mixed up?",
+            )
+        ratio = _Ratio(read / self.mass_kg, std / self.mass_kg) if self.is_coarse else self.ratio
+        if abs(ratio.value - 1.0) > FAR * np.hypot(scale_std, ratio.std):
+            yield rejected(
+                "misfit",
+                "the reference does not weigh what was stated",
+                f"{self.words}and the torque constants are stated to {100.0 * scale_std:.0f} %: check the mass and "
+                "the torque constants",
+            )
+
+    def too_coarse(self, place_is_stated: bool) -> str:
+        """The sentence where it is."""
+        check = ", and check payload.com" if place_is_stated else ""
+        stay = "too coarse to tell the torque constants, which stay as stated"
+        return f"{self.words}{stay}: take a heavier one, or move longer{check}"
+
+
+def _misplaced(
+    robot: Robot, reading: _Reading, calibration: MotionCalibration, centre: Centre | None
+) -> Iterator[Refusal]:
+    """Where positions are not those of the empty arm, or the object is not where it is stated to be."""
+    name = reading.motion.name
+    yield from refusals.other_zero(name, reading.fit)
+    if centre is not None:
+        free = fit_payload(robot, [reading.motion], calibration)
+        yield from refusals.centre_elsewhere(name, centre, reading.fit, free)
+
+
+def _mean_scale(ratios: Sequence[_Ratio]) -> tuple[float, float]:
+    """The mean of ratios by their variances, and its variance."""
+    values = [ratio.value for ratio in ratios]
+    stds = [ratio.std for ratio in ratios]
+    weights = np.square(1.0 / np.array(stds))
+    scale = float(weights @ values / weights.sum())
+    # all of them lean on the same calibration: together they say no more than the best one
+    scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+    return scale, min(stds) ** 2 + scatter**2
+
+
+def _with_stated(scale: float, variance: float, stated_std: float) -> tuple[float, float]:
+    """With what a file states of the torque constants, as far as references do not contradict it."""
+    stated = max(stated_std**2, (scale - 1.0) ** 2 - variance)
+    mean = (variance + stated * scale) / (variance + stated)
+    return mean, variance * stated / (variance + stated)
