@@ -50,6 +50,18 @@ _made: ContextVar[dict[bytes, Rows] | None] = ContextVar("made", default=None)
 
 
 @dataclass(frozen=True)
+class Samples:
+    """What an arm of n joints did at T equally spaced instants, and the windows over them."""
+
+    windows: Windows
+    times_s: FloatArray  # shape (T,)
+    period_s: float  # between two of them
+    position: FloatArray  # [rad], shape (T, n)
+    velocity: FloatArray  # [rad/s], shape (T, n)
+    torque: FloatArray  # of the motors [N m], shape (T, n)
+
+
+@dataclass(frozen=True)
 class Arm:
     """An arm whose other joints are locked, and the frame in which a payload counts."""
 
@@ -66,20 +78,23 @@ class Arm:
         joints: Sequence[str],
         locked: dict[str, float],
     ) -> Arm:
-        """The arm with the positions of the other joints [rad or m]. Raises `RobotError`: No joint moves the hand."""
+        """The arm with its other joints locked.
+
+        ``robot``: its geometry; ``joints``: that move; ``locked``: positions of the others [rad or m].
+
+        Raises `RobotError`: No joint moves the hand.
+        """
         model = robot.model.lock(list(joints), locked, robot.gravity)
         body, body_from_payload = model.frames[robot.payload_frame]
         if body < 0:
             raise RobotError(f"{robot.payload_frame} does not move with any joint of {robot.name}")
-        turned = (
-            body_from_payload @ pseudo_inertia(unit) @ body_from_payload.T
-            for unit in np.eye(PARAMETERS)
-        )
+        from_payload = []
+        for unit in np.eye(PARAMETERS):
+            turned = body_from_payload @ pseudo_inertia(unit) @ body_from_payload.T
+            from_payload.append(body_parameters(turned))
         links = sum(np.linalg.norm(place[:3, 3]) for place in model.placement)
         reach_m = float(links + np.linalg.norm(body_from_payload[:3, 3]))
-        return cls(
-            model, body, np.column_stack([body_parameters(pseudo) for pseudo in turned]), reach_m
-        )
+        return cls(model, body, np.column_stack(from_payload), reach_m)
 
     @property
     def count(self) -> int:
@@ -104,90 +119,106 @@ class Arm:
 
     def rows(
         self,
-        windows: Windows,
-        times_s: FloatArray,
-        period_s: float,
-        position: FloatArray,
-        velocity: FloatArray,
-        torque: FloatArray,
+        samples: Samples,
         counts: NDArray[np.bool_] | bool = True,
         by_zeros: bool = False,
     ) -> Rows:
         """The rows of windows in which a joint moves.
 
         Args:
-            windows: W of them.
-            times_s: Of the samples [s], shape (T,).
-            period_s: Between two of them [s].
-            position: Of the joints [rad], shape (T, n).
-            velocity: At the same instants [rad/s].
-            torque: Of the motors [N m].
+            samples: Of its joints, with W windows over them.
             counts: Which rows are wanted, broadcast to shape (W, n).
             by_zeros: Whether the rows know how they follow the joints' zeros, and the pace of the clock.
         """
-        slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
-        window, joint = np.nonzero(counts & ~slow)
-
-        def torques(
-            position: FloatArray, since: int = 0, velocity: FloatArray = velocity
-        ) -> FloatArray:
-            if not len(joint):
-                return np.zeros((0, self.count, PARAMETERS))
-            return torque_regressor(self.model, position, velocity, windows, period_s, since)[
-                window, joint
-            ]
-
-        regressor = torques(position)
-        still = np.zeros_like(velocity)
-        of_gravity = torques(position, velocity=still) if by_zeros else regressor
-        shifted = []
-        for turned, shift in enumerate(ZERO_STEP_RAD * np.eye(self.count)) if by_zeros else ():
-            # a joint turns the bodies behind it, which have larger numbers
-            rise = torques(position + shift, turned)
-            rise[:, turned:] -= regressor[:, turned:]
-            shifted.append(rise / ZERO_STEP_RAD)
+        windows = samples.windows
+        slow = windows.mean((np.abs(samples.velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
+        window, joint = np.nonzero(counts & ~slow)  # (E,)
+        regressor = self._torques(samples, window, joint)
+        direction = windows.mean(np.tanh(samples.velocity / SLOW_RAD_S))[window, joint]
         zero = np.zeros((len(joint), 0, PARAMETERS * (1 + self.count)))
-        if shifted:
-            zero = np.stack(
-                [self._payload_and_bodies(each) for each in shifted],
-                axis=1,
-            )
-        moving = np.tanh(velocity / SLOW_RAD_S)
-        direction = windows.mean(moving)[window, joint]
-        own = np.eye(self.count)[joint]
-        waves = [
-            windows.mean(moving * wave(n * position))
-            for n in (1.0, 2.0)
-            for wave in (np.sin, np.cos)
-        ]
-        columns = (
-            windows.derivative(velocity, period_s),
-            None,
-            None,
-            *waves,
-            windows.mean(velocity),
-        )
-        design = np.hstack(
-            [
-                regressor.reshape(len(joint), self.count * PARAMETERS),
-                *(
-                    0.0 * own if column is None else own * column[window, joint, None]
-                    for column in columns
-                ),
-                own * direction[:, None],
-                own,
-            ]
-        )
+        of_gravity = regressor
+        if by_zeros:
+            zero = self._by_zeros(samples, window, joint, regressor)
+            still = replace(samples, velocity=np.zeros_like(samples.velocity))
+            of_gravity = self._torques(still, window, joint)
         return Rows(
-            start_s=times_s[windows.starts[window]],
+            start_s=samples.times_s[windows.starts[window]],
             joint=joint,
-            design=design,
+            design=self._design(samples, window, joint, regressor),
             payload=regressor[:, self.body] @ self.from_payload,
             direction=direction,
-            torque=windows.mean(torque)[window, joint],
+            torque=windows.mean(samples.torque)[window, joint],
             zero=zero,
             inertial=self._payload_and_bodies(regressor - of_gravity),
-            torque_rate=windows.derivative(torque, period_s)[window, joint],
+            torque_rate=windows.derivative(samples.torque, samples.period_s)[window, joint],
+        )
+
+    def _torques(
+        self,
+        samples: Samples,
+        window: NDArray[np.int64],
+        joint: NDArray[np.int64],
+        since: int = 0,
+    ) -> FloatArray:
+        """Mean torque of E windows and joints per unit of the bodies' parameters, from one body on, shape (E, n, 10)."""
+        if not len(joint):
+            return np.zeros((0, self.count, PARAMETERS))
+        of_all = torque_regressor(
+            self.model,
+            samples.position,
+            samples.velocity,
+            samples.windows,
+            samples.period_s,
+            since,
+        )
+        return of_all[window, joint]
+
+    def _by_zeros(
+        self,
+        samples: Samples,
+        window: NDArray[np.int64],
+        joint: NDArray[np.int64],
+        regressor: FloatArray,
+    ) -> FloatArray:
+        """By how much the columns change per radian of each joint's zero, as difference quotients, shape (E, n, 10 + 10 n)."""
+        slopes = []
+        for turned, shift in enumerate(ZERO_STEP_RAD * np.eye(self.count)):
+            # a joint turns the bodies behind it, which have larger numbers
+            moved = replace(samples, position=samples.position + shift)
+            rise = self._torques(moved, window, joint, turned)
+            rise[:, turned:] -= regressor[:, turned:]
+            slopes.append(self._payload_and_bodies(rise / ZERO_STEP_RAD))
+        return np.stack(slopes, axis=1)
+
+    def _design(
+        self,
+        samples: Samples,
+        window: NDArray[np.int64],
+        joint: NDArray[np.int64],
+        regressor: FloatArray,
+    ) -> FloatArray:
+        """Mean torque per unit of the arm's terms, see `Rows.design`."""
+        windows = samples.windows
+        position = samples.position
+        own = np.eye(self.count)[joint]
+        moving = np.tanh(samples.velocity / SLOW_RAD_S)
+        waves = [np.sin(position), np.cos(position), np.sin(2.0 * position), np.cos(2.0 * position)]
+        of_rotors = windows.derivative(samples.velocity, samples.period_s)
+        of_joints = [
+            *(windows.mean(moving * wave) for wave in waves),
+            windows.mean(samples.velocity),
+            windows.mean(moving),
+        ]
+        unfilled = 0.0 * own  # load friction and shares of the torque go with the solution
+        return np.hstack(
+            [
+                regressor.reshape(len(joint), self.count * PARAMETERS),
+                own * of_rotors[window, joint, None],
+                unfilled,
+                unfilled,
+                *(own * column[window, joint, None] for column in of_joints),
+                own,
+            ]
         )
 
     def _payload_and_bodies(self, regressor: FloatArray) -> FloatArray:
@@ -199,7 +230,8 @@ class Arm:
 @contextlib.contextmanager
 def once_each() -> Iterator[None]:
     """While this lasts, `equations` of a motion are made once: a weighing asks for the same ones four or five times."""
-    token = _made.set({} if (made := _made.get()) is None else made)
+    made = _made.get()
+    token = _made.set({} if made is None else made)
     try:
         yield
     finally:
@@ -212,23 +244,34 @@ def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) 
     period_s = float(times_s[1] - times_s[0])
     velocity = np.gradient(position, period_s, axis=0)
     width = round(WINDOW_S / period_s)
-    windows = Windows.over(
-        len(times_s),
-        width,
-        max(1, round(HOP_SHARE * width)),
-    )
+    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
     names = arm.model.joint_names
     counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, names, times_s, windows)
-    return arm.rows(
-        windows,
-        times_s,
-        period_s,
-        position,
-        velocity,
-        current * constants,
-        counts,
-        by_zeros=by_zeros,
+    samples = Samples(windows, times_s, period_s, position, velocity, current * constants)
+    return arm.rows(samples, counts, by_zeros=by_zeros)
+
+
+def _made_once(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) -> Rows:
+    """The same rows, or those that were made before of the same numbers."""
+    made = _made.get()
+    if made is None:
+        return _of_motion(arm, motion, constants, by_zeros)
+    model = arm.model
+    of_arm = (
+        model.joint_names,
+        model.parents,
+        model.placement,
+        model.axes,
+        model.gravity,
+        arm.body,
+        arm.from_payload,
+        constants,
     )
+    of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
+    key = hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
+    if key not in made:
+        made[key] = _of_motion(arm, motion, constants, by_zeros)
+    return made[key]
 
 
 def own_terms(count: int) -> int:
@@ -271,23 +314,29 @@ class Rows:
     @classmethod
     def together(cls, parts: Sequence[Rows]) -> Rows:
         """Of several motions or windows, one after the other."""
-        return cls(
-            *(
-                np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(cls)
-            )
-        )
+        names = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def only(self, kept: NDArray[np.bool_]) -> Rows:
         """Some of them, by a truth value for each, shape (E,)."""
         return Rows(*(getattr(self, field.name)[kept] for field in fields(self)))
 
+    def with_mass_at(self, centre_m: FloatArray) -> Rows:
+        """With the payload's mass at a point of its frame [m], shape (3,), from which its other parameters say how it differs."""
+        point = point_mass(centre_m)
+        payload = self.payload.copy()
+        zero = self.zero.copy()
+        inertial = self.inertial.copy()
+        payload[:, 0] = self.payload @ point
+        zero[:, :, 0] = self.zero[:, :, :PARAMETERS] @ point
+        inertial[:, 0] = self.inertial[:, :PARAMETERS] @ point
+        return replace(self, payload=payload, zero=zero, inertial=inertial)
+
     @property
     def stretch(self) -> NDArray[np.int64]:
         """Number of the stretch that the window's middle lies in, shape (E,)."""
-        stretches: NDArray[np.int64] = ((self.start_s + 0.5 * WINDOW_S) / STRETCH_S).astype(
-            np.int64
-        )
+        middle_s = self.start_s + 0.5 * WINDOW_S
+        stretches: NDArray[np.int64] = (middle_s / STRETCH_S).astype(np.int64)
         return stretches
 
 
@@ -310,48 +359,24 @@ def equations(
 ) -> Rows:
     """What one motion says.
 
-    ``robot``: its torque constants and geometry; ``motion``: of these joints; ``joints``: whose terms are the columns;
-    ``centre_m``: where the payload's mass sits: its other parameters are then how it differs from a point there, shape
-    (3,); ``by_zeros``: whether they know how they follow the joints' zeros and the clock's pace, which takes most of the time.
+    Args:
+        robot: Its torque constants and geometry.
+        motion: Of these joints.
+        joints: Whose terms are the columns.
+        centre_m: Where the payload's mass sits: its other parameters are then how it differs from a point there, shape (3,).
+        by_zeros: Whether they know how they follow the joints' zeros and the clock's pace, which takes most of the time.
 
     Raises `RecordingError`: It is too short, or too fast for its rate.
     """
     arm = Arm.of(robot, joints, dict(motion.held))
-    names = arm.model.joint_names
-    model = arm.model
-    constants = np.array([robot.drive_trains[name].torque_constant.value for name in names])
-    of_arm = (
-        names,
-        model.parents,
-        model.placement,
-        model.axes,
-        model.gravity,
-        arm.body,
-        arm.from_payload,
-        constants,
-    )
-    of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
-    made = {} if (within := _made.get()) is None else within
-    key = (
-        b""
-        if within is None
-        else hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
-    )
-    rows = made[key] = made.get(key) or _of_motion(arm, motion, constants, by_zeros)
+    drives = [robot.drive_trains[name] for name in arm.model.joint_names]
+    constants = np.array([drive.torque_constant.value for drive in drives])
+    rows = _made_once(arm, motion, constants, by_zeros)
     if not len(rows.joint):
         raise TooLittleMotion(
             f"{motion.name}: no joint moves for long enough without a pause or a gap"
         )
-    if centre_m is None:
-        return rows
-    payload = rows.payload.copy()
-    zero = rows.zero.copy()
-    inertial = rows.inertial.copy()
-    point = point_mass(centre_m)
-    payload[:, 0] = rows.payload @ point
-    zero[:, :, 0] = rows.zero[:, :, :PARAMETERS] @ point
-    inertial[:, 0] = rows.inertial[:, :PARAMETERS] @ point
-    return replace(rows, payload=payload, zero=zero, inertial=inertial)
+    return rows if centre_m is None else rows.with_mass_at(centre_m)
 
 
 def fill_drives(
@@ -414,10 +439,7 @@ class Problem:
             payload = part.payload if number < loaded else np.zeros_like(part.payload)
             matrix.append(np.hstack([payload, part.design[:, :shared], of_motion]))
         rows = Rows.together(parts)
-        motion = np.repeat(
-            np.arange(len(parts)),
-            [len(part.joint) for part in parts],
-        )
+        motion = np.repeat(np.arange(len(parts)), [len(part.joint) for part in parts])
         stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
         zero = rows.zero.copy()
         zero[motion >= loaded, :, :PARAMETERS] = 0.0
@@ -482,14 +504,12 @@ class Problem:
         Inertia goes with acceleration, viscous friction with velocity, and so with its square root.
         """
         count = self.count
-        bodies = slice(0, PARAMETERS * (1 + count))
-        rotors = slice(bodies.stop, bodies.stop + count)
+        rotors = ArmTerms(count, PARAMETERS).rotors
+        bodies = slice(0, rotors.start)  # the payload before them
         torque = self.inertial @ values[bodies] + self.matrix[:, rotors] @ values[rotors]
         for number in range(self.motions):
-            viscous = slice(
-                self.own(number).start,
-                self.own(number).start + count,
-            )
+            first = self.own(number).start
+            viscous = slice(first, first + count)
             torque += 0.5 * self.matrix[:, viscous] @ values[viscous]
         return torque
 
@@ -507,7 +527,13 @@ class Problem:
     ) -> int:
         """How many stretches some of its equations have.
 
-        Raises `TooLittleMotion`: Fewer than ``least``; in motion ``name``, of which ``better_s`` would be better.
+        Args:
+            kept: Which equations, shape (E,).
+            name: Of a motion, for the sentence.
+            better_s: So long a motion would be better [s].
+            least: Stretches that there have to be.
+
+        Raises `TooLittleMotion`: There are fewer.
         """
         stretches = len(np.unique(self.stretch[kept]))
         if stretches < least:

@@ -19,17 +19,24 @@ its last answer. Joint states that say the same again while the arm moves are no
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.regression.arm_terms import ArmTerms
-from proprio_ros.identification.regression.motion_equations import HOP_SHARE, Arm, Rows, fill_drives
+from proprio_ros.identification.regression.motion_equations import (
+    HOP_SHARE,
+    Arm,
+    Rows,
+    Samples,
+    fill_drives,
+)
 from proprio_ros.identification.regression.motion_equations import WINDOW_S as CALIBRATED_S
 from proprio_ros.identification.regression.motion_prior import LEAST_TORQUE_STD, relative_torque_std
 from proprio_ros.identification.regression.weak_form import Windows
@@ -43,12 +50,15 @@ from proprio_ros.robot.regressor import PARAMETERS, carriers, kinematics, moment
 # Windows are so long, and have so many samples at least.
 WINDOW_S = 0.1
 WINDOW_SAMPLES = 10
-SMOOTHED_S, SMOOTHED_SAMPLES = 0.02, 3
-"""Positions are those of a parabola through so much before and after, and so many samples at least."""
+# Positions are those of a parabola through so much before and after, and so many samples at least.
+SMOOTHED_S = 0.02
+SMOOTHED_SAMPLES = 3
 SPARSE_REACH = 2  # The same of windows that have fewer samples than they should.
 LEAST_DENSITY = 0.6
 """A window with fewer samples than this, as a share of what should be in it, has another grid, or says nothing."""
-LATE, LATE_S, LATE_SAMPLES = 0.25, 1e-3, 4
+LATE = 0.25
+LATE_S = 1e-3
+LATE_SAMPLES = 4
 """Joint states come at a steady pace, and some may be lost. One that so many come after, sooner than they should by more than this
 share of a period, and than so long, was stamped later than it was measured: a busy computer did not run its publisher between the
 two. By so many a pace of which the period is known to 6 % never looks late."""
@@ -64,8 +74,8 @@ LEAST_NOISE = 0.05  # A window is at least so noisy, in parts of what the calibr
 TURNING = 0.3  # Where a joint turns round, so much of its Coulomb friction is open.
 MEMORY_S = 12.0
 """Seconds of motion that count: friction in the gears of a session is not that of another, and takes that long to show."""
-STEP_SIGMAS, STAY_SIGMAS = 6.0, 4.0
-"""A step of the mass this far from zero is a change, and stays one while it is this far."""
+STEP_SIGMAS = 6.0  # A step of the mass this far from zero is a change,
+STAY_SIGMAS = 4.0  # and stays one while it is this far.
 LEAST_SHARE = 0.1
 """And so large in parts of what was held: what the load's place and gears do to its weight is no change."""
 LATEST_STEP_S = 1.0  # How long ago, in seconds of motion, a change is looked for.
@@ -80,14 +90,20 @@ MISFIT_S = 1.0
 _Row = tuple[float, tuple[float, ...], tuple[float, ...]]
 """A sample: its instant, positions [rad] and currents [A] of all joints."""
 LONG_PAUSE_S = 2.0  # After so long without a sample windows begin where samples come again.
-FROZEN, FROZEN_S, FROZEN_RAD_S = 4, 0.05, 0.1
-"""Joint states that say the same so often, of an arm that was so fast for so long before, come from a publisher that stalls."""
+# Joint states that say the same so often, of an arm that was so fast for so long before, come from a publisher that stalls.
+FROZEN = 4
+FROZEN_S = 0.05
+FROZEN_RAD_S = 0.1
 TOLD_S = 1.0  # `changed` is told for so long.
 RESTING_S = 0.5  # An arm that has not moved for so long is at rest.
-WIDEST_SHARE, WIDEST_KG = 0.5, 0.01
-"""No half width that is more than this share of the mass, and than this, is an answer."""
+# No half width that is more than this share of the mass, and than this, is an answer.
+WIDEST_SHARE = 0.5
+WIDEST_KG = 0.01
+LEAST_HEAVY_KG = 0.02  # A load counts as at least so heavy where its centre is open.
+LEAST_EIGENVALUE = 1e-9  # Of a calibration's correlations, in parts of the largest: below it there is only rounding.
 # How far from the stated place in the hand the load's centre may be where nothing is said of it.
 CENTRE_STD_M = 0.01
+LEAST_CENTRE_STD_M = 1e-4  # Nobody knows it better.
 
 
 @dataclass(frozen=True)
@@ -198,11 +214,7 @@ class OnlineEstimator:
     ) -> None:
         self.joints = calibration.joints
         others = [name for name in robot.model.independent_joints if name not in self.joints]
-        self._arm = Arm.of(
-            robot,
-            self.joints,
-            zero_pose(robot, others) | (held or {}),
-        )
+        self._arm = Arm.of(robot, self.joints, zero_pose(robot, others) | (held or {}))
         names = self._arm.model.joint_names
         if tuple(names) != tuple(self.joints):
             raise RobotError(
@@ -218,32 +230,32 @@ class OnlineEstimator:
         )
         self.centre_m = tuple(float(axis) for axis in centre_m)
         self._knows = _Knows(
-            self._arm,
-            calibration,
-            np.asarray(centre_m),
-            max(centre_std_m, 1e-4),
+            self._arm, calibration, np.asarray(centre_m), max(centre_std_m, LEAST_CENTRE_STD_M)
         )
         self._forget()
 
     def _forget(self) -> None:
         """As if nothing had come."""
         self._samples: deque[_Row] = deque()
-        self._window_s = self._hop_s = 0.0
+        self._window_s = 0.0
+        self._hop_s = 0.0
         self._grid: _Grid | None = None
         self._sparser: dict[int, _Grid] = {}
         self._recent: deque[_Row] = deque(maxlen=LATE_SAMPLES)
-        self._paced_s = float(
-            "nan"
-        )  # when a sample last came that showed none before it to be late
+        # when a sample last came that showed none before it to be late
+        self._paced_s = float("nan")
         self._next_s = float("nan")
         self._filter: _Filter | None = None
         self._after: _Filter | None = None  # the same since a change that is fresh
         self._fresh_s: float | None = None
-        self._looked_s = self._first_s = self._changed_at_s = self._before_s = self._moved_s = (
-            float("nan")
-        )
+        self._looked_s = float("nan")
+        self._first_s = float("nan")
+        self._changed_at_s = float("nan")
+        self._before_s = float("nan")
+        self._moved_s = float("nan")
         self._told_until_s = -np.inf
-        self._same, self._jitter = 0, np.zeros((self._arm.count, self._arm.count))
+        self._same = 0
+        self._jitter = np.zeros((self._arm.count, self._arm.count))
 
     @property
     def frozen(self) -> bool:
@@ -417,37 +429,29 @@ class OnlineEstimator:
         thin = grid.thin
         times_s = np.array([row[0] for row in rows])
         grid_s = start_s + period_s * np.arange(-reach, width + reach)
-        position = _interpolated(
-            grid_s,
-            times_s,
-            np.array([row[1] for row in rows]),
-        )
-        current = _interpolated(
-            grid_s,
-            times_s,
-            np.array([row[2] for row in rows]),
-        )
-        design = grid.smoothing
-        view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[
-            :width:thin
-        ]
-        smooth = view @ design[0]
-        velocity = view @ design[1] / period_s
-        left_over = position[reach : reach + width : thin] - smooth
-        self._jitter = 0.8 * self._jitter + 0.2 * left_over.T @ left_over / len(smooth) / (
-            1.0 - design[0][reach]
-        )
-        torque = np.lib.stride_tricks.sliding_window_view(current, thin, axis=0)[
-            reach : reach + width : thin
-        ].mean(-1)
-        inside_s: FloatArray = np.asarray(
-            start_s + period_s * np.arange(0, width, thin), dtype=np.float64
-        )
+        position = _interpolated(grid_s, times_s, np.array([row[1] for row in rows]))
+        current = _interpolated(grid_s, times_s, np.array([row[2] for row in rows]))
+        mean, slope = grid.smoothing[:2]
+        inside = slice(reach, reach + width, thin)
+        neighbours = sliding_window_view(position, 2 * reach + 1, axis=0)[:width:thin]
+        smooth = neighbours @ mean  # (samples, n)
+        velocity = neighbours @ slope / period_s
+        left_over = position[inside] - smooth
+        jitter = 0.2 * left_over.T @ left_over / len(smooth) / (1.0 - mean[reach])
+        self._jitter = 0.8 * self._jitter + jitter
+        torque = sliding_window_view(current, thin, axis=0)[inside].mean(-1)
+        inside_s = np.asarray(start_s + period_s * np.arange(0, width, thin), dtype=np.float64)
         constants = self._calibration.torque_constants
         moves = np.ptp(position, axis=0) > self._least_rad
-        made = self._arm.rows(
-            grid.windows, inside_s, thin * period_s, smooth, velocity, torque * constants, moves
+        samples = Samples(
+            windows=grid.windows,
+            times_s=inside_s,
+            period_s=thin * period_s,
+            position=smooth,
+            velocity=velocity,
+            torque=torque * constants,
         )
+        made = self._arm.rows(samples, moves)
         return _Window(made, self._of_acceleration(grid, smooth[len(smooth) // 2]))
 
     def _of_acceleration(self, grid: _Grid, position: FloatArray) -> FloatArray:
@@ -478,11 +482,14 @@ class OnlineEstimator:
         onset_s = main.onset(STAY_SIGMAS if known else STEP_SIGMAS)
         if onset_s is None:
             if known:  # it was none
-                self._changed_at_s, self._told_until_s = self._before_s, -np.inf
-            self._fresh_s = self._after = None
+                self._changed_at_s = self._before_s
+                self._told_until_s = -np.inf
+            self._fresh_s = None
+            self._after = None
             return
         if not known:
-            self._before_s, self._told_until_s = self._changed_at_s, self._looked_s + TOLD_S
+            self._before_s = self._changed_at_s
+            self._told_until_s = self._looked_s + TOLD_S
         if onset_s == self._fresh_s and self._after is not None:
             self._after.step(window)
         else:
@@ -511,15 +518,16 @@ class OnlineEstimator:
         std = float(np.sqrt(max(now.std_kg**2 - float(counted) ** 2, 0.0) + constants**2)) * scale
         mass *= scale
         resting = self._looked_s - self._moved_s >= RESTING_S
+        changed = np.isfinite(self._changed_at_s)
         return OnlineEstimate(
-            self._looked_s,
-            mass,
-            std,
-            (mass - Z95 * std, mass + Z95 * std),
-            min(now.motion_s, MEMORY_S),
-            self._looked_s < self._told_until_s,
-            self._changed_at_s if np.isfinite(self._changed_at_s) else self._first_s,
-            self._moved_s if resting else None,
+            time_s=self._looked_s,
+            mass_kg=mass,
+            std_kg=std,
+            ci95_kg=(mass - Z95 * std, mass + Z95 * std),
+            motion_s=min(now.motion_s, MEMORY_S),
+            changed=self._looked_s < self._told_until_s,
+            since_s=self._changed_at_s if changed else self._first_s,
+            resting_since_s=self._moved_s if resting else None,
         )
 
 
@@ -529,29 +537,26 @@ class _Knows:
     def __init__(
         self, arm: Arm, calibration: MotionCalibration, centre_m: FloatArray, centre_std_m: float
     ) -> None:
-        count = arm.count
+        terms = ArmTerms(arm.count)
         covariance = calibration.covariance.copy()
         friction = calibration.friction
         covariance[friction, friction] += np.diag(calibration.friction_spread**2)
         # a file rounds: what should be zero may be a little below
         spread = np.sqrt(np.diag(covariance))
         size, ways = np.linalg.eigh(covariance / spread[:, None] / spread)
-        kept = size > 1e-9 * size[-1]
-        self.values, self.count, self.widest_kg, self.centre_std_m = (
-            calibration.values,
-            count,
-            arm.kg,
-            centre_std_m,
-        )
+        kept = size > LEAST_EIGENVALUE * size[-1]
+        self.values = calibration.values
+        self.count = arm.count
+        self.widest_kg = arm.kg
+        self.centre_std_m = centre_std_m
         self.root = spread[:, None] * ways[:, kept] * np.sqrt(size[kept])
         # by how much the calibration's terms are off where one torque constant is off by its standard deviation
-        self.by_share = calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
+        self.by_share = calibration.covariance[:, terms.torque_shares] / LEAST_TORQUE_STD
         self.noise = NOISE_FACTOR * np.maximum(calibration.residual, 1e-6)
         # an exponential that decays over tau makes 2 tau / hop neighbours one
-        self.tau_s = np.maximum(
-            0.5 * calibration.correlation * HOP_SHARE * CALIBRATED_S, LEAST_TAU_S
-        )
-        self.coulomb = np.abs(calibration.values[friction][count : 2 * count])
+        tau_s = 0.5 * calibration.correlation * HOP_SHARE * CALIBRATED_S
+        self.tau_s = np.maximum(tau_s, LEAST_TAU_S)
+        self.coulomb = np.abs(calibration.values[terms.coulomb])
         self.point = point_mass(centre_m)
 
 
@@ -567,6 +572,28 @@ class _Window:
         return float(self.rows.start_s[0])
 
 
+@dataclass(frozen=True)
+class _Past:
+    """A window, and the filter before it."""
+
+    window: _Window
+    state: FloatArray
+    covariance: FloatArray
+    time_s: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class _Heard:
+    """Equations of one window, E of them: what the state predicts is compared with what was measured."""
+
+    along: FloatArray  # torque per kilogram of the load [N m/kg], shape (E,)
+    rows: FloatArray  # torque per unit of the state, shape (E, N)
+    # columns: torque beside the calibration's [N m], what shares of the torque constants put on it, and what steps that may have
+    # been put on it per kg; shape (E, 1 + n + onsets)
+    heard: FloatArray
+
+
 class _Filter:
     """A Kalman filter of windows.
 
@@ -578,19 +605,25 @@ class _Filter:
     """
 
     def __init__(self, knows: _Knows, window_s: float) -> None:
-        self._knows, self._window_s = knows, window_s
+        self._knows = knows
+        self._window_s = window_s
         self._arm = slice(0, knows.root.shape[1])
         self._other = slice(self._arm.stop, self._arm.stop + knows.count)
         self._load = slice(self._other.stop, self._other.stop + 4)
-        size, self.motion_s = self._load.stop, 0.0
-        self._covariance, self._time_s, self._misfit = np.eye(size), float("nan"), 1.0
+        size = self._load.stop
+        self.motion_s = 0.0
+        self._covariance = np.eye(size)
+        self._time_s = float("nan")
+        self._misfit = 1.0
         # columns: what was measured, shares of the torque constants, and steps that may have been
         self._state = np.zeros((size, 1 + knows.count))
         self._loud = [deque[tuple[float, float]](maxlen=NOISE_WINDOWS) for _ in range(knows.count)]
-        self._begun_s, self._heavy_kg = -np.inf, 0.0
+        self._begun_s = -np.inf
+        self._heavy_kg = 0.0
         self._onsets: list[float] = []
-        self._information, self._along = np.zeros(0), np.zeros(0)
-        self._past: deque[tuple[_Window, FloatArray, FloatArray, float, float]] = deque()
+        self._information = np.zeros(0)
+        self._along = np.zeros(0)
+        self._past: deque[_Past] = deque()
 
     @property
     def mass_kg(self) -> float:
@@ -611,29 +644,22 @@ class _Filter:
         """Go on by one window."""
         start_s = window.start_s
         hop_s = 0.5 * self._window_s
+        first_step = 1 + self._knows.count
+        before = self._state[:, :first_step]
         self._past.append(
-            (
-                window,
-                self._state[:, : 1 + self._knows.count],
-                self._covariance,
-                self._time_s,
-                self._misfit,
-            )
+            _Past(window, before, self._covariance, self._time_s, self._misfit),
         )
         while len(self._past) * hop_s > LATEST_STEP_S:
             self._past.popleft()
-            self._onsets, self._state = (
-                self._onsets[1:],
-                np.delete(self._state, 1 + self._knows.count, axis=1),
-            )
-            self._information, self._along = self._information[1:], self._along[1:]
+            self._onsets = self._onsets[1:]
+            self._state = np.delete(self._state, first_step, axis=1)
+            self._information = self._information[1:]
+            self._along = self._along[1:]
         self._pass(start_s, hop_s)
         self._onsets.append(start_s + hop_s)
         self._state = np.column_stack([self._state, np.zeros(len(self._state))])
-        self._information, self._along = (
-            np.append(self._information, 0.0),
-            np.append(self._along, 0.0),
-        )
+        self._information = np.append(self._information, 0.0)
+        self._along = np.append(self._along, 0.0)
         self._update(window)
         self.motion_s += hop_s
 
@@ -641,67 +667,79 @@ class _Filter:
         """What is forgotten from window to window."""
         late_s = hop_s if np.isnan(self._time_s) else start_s - self._time_s
         keeps = np.ones(len(self._state))
-        keeps[self._arm], keeps[self._other] = (
-            np.exp(-hop_s / MEMORY_S),
-            np.exp(-late_s / self._knows.tau_s),
-        )
+        keeps[self._arm] = np.exp(-hop_s / MEMORY_S)
+        keeps[self._other] = np.exp(-late_s / self._knows.tau_s)
         self._state = self._state * keeps[:, None]
         fading = keeps.copy()
         fading[self._load] = np.exp(0.5 * hop_s / MEMORY_S)
         covariance = self._covariance * fading[:, None] * fading
         prior = np.arange(self._load.start)
         covariance[prior, prior] += 1.0 - keeps[: self._load.start] ** 2
-        self._covariance, self._time_s = covariance, start_s
+        self._covariance = covariance
+        self._time_s = start_s
 
     def _update(self, made: _Window) -> None:
-        knows = self._knows
+        """What the window says of the state, and how likely each step that may have been makes it."""
         window = made.rows
-        mass_kg = self.mass_kg or self._heavy_kg
-        joint = window.joint
-        along = window.payload @ knows.point
-        design = window.design.copy()
-        count = knows.count
-        fill_drives(
-            design,
-            knows.values,
-            window,
-            ArmTerms(count),
-            mass_kg * along,
-        )
-        heavy = max(abs(mass_kg), 0.02) * knows.centre_std_m
-        rows = np.hstack([
-            design @ knows.root, np.eye(count)[joint] * knows.noise, along[:, None] * knows.widest_kg,
-            window.payload[:, 1:4] * heavy,
-        ])  # fmt: skip
-        shares = np.clip(
-            2.0 * (np.array(self._onsets) - window.start_s[0]) / self._window_s - 1.0, -1.0, 1.0
-        )
-        before = 0.5 + 35.0 / 32.0 * (shares - shares**3 + 0.6 * shares**5 - shares**7 / 7.0)
-        heard = np.hstack([
-            (window.torque - design @ knows.values)[:, None], design @ knows.by_share, along[:, None] * (1.0 - before)
-        ])  # fmt: skip
-        innovation = heard - rows @ self._state
-        spread = self._covariance @ rows.T
-        expected = rows @ spread
-        expected += made.of_acceleration[np.ix_(joint, joint)]
-        expected += np.diag((TURNING * knows.coulomb[joint] * (1.0 - window.direction**2)) ** 2)
-        if abs(window.start_s[0] - self._begun_s) < 0.25 * self._window_s:
-            expected += np.diag((ONSET_SHARE * self._heavy_kg * along) ** 2)
-        inverse = np.linalg.inv(expected + np.diag([self._noise(number) for number in joint]))
+        equations = self._equations(window)
+        innovation = equations.heard - equations.rows @ self._state
+        spread = self._covariance @ equations.rows.T
+        expected = equations.rows @ spread
+        for covariance in self._of_model(made, equations.along):
+            expected += covariance
+        noise = np.diag([self._noise(number) for number in window.joint])
+        inverse = np.linalg.inv(expected + noise)
         inverse = 0.5 * (inverse + inverse.T)
         gain = spread @ inverse
         self._state = self._state + gain @ innovation
         self._covariance = self._covariance - gain @ spread.T
         weighted = inverse @ innovation[:, 0]
-        steps = innovation[:, 1 + count :]
+        steps = innovation[:, 1 + self._knows.count :]
         self._along = self._along + steps.T @ weighted
         self._information = self._information + np.einsum("ij,ik,kj->j", steps, inverse, steps)
         keeps = np.exp(-0.5 * self._window_s / MISFIT_S)
-        self._misfit = keeps * self._misfit + (1.0 - keeps) * float(
-            innovation[:, 0] @ weighted
-        ) / len(joint)
-        for row, number in enumerate(joint):
-            self._loud[number].append((float(innovation[row, 0]) ** 2, float(expected[row, row])))
+        misfit = float(innovation[:, 0] @ weighted)
+        self._misfit = keeps * self._misfit + (1.0 - keeps) * misfit / len(window.joint)
+        for row, number in enumerate(window.joint):
+            squares = float(innovation[row, 0]) ** 2
+            self._loud[number].append((squares, float(expected[row, row])))
+
+    def _equations(self, window: Rows) -> _Heard:
+        """What a window says, by what is held and by how gears and motors lose torque under it."""
+        knows = self._knows
+        mass_kg = self.mass_kg or self._heavy_kg
+        along = window.payload @ knows.point
+        design = window.design.copy()
+        fill_drives(design, knows.values, window, ArmTerms(knows.count), mass_kg * along)
+        heavy = max(abs(mass_kg), LEAST_HEAVY_KG) * knows.centre_std_m
+        rows = np.hstack(
+            [
+                design @ knows.root,
+                np.eye(knows.count)[window.joint] * knows.noise,
+                along[:, None] * knows.widest_kg,
+                window.payload[:, 1:4] * heavy,
+            ]
+        )
+        off = window.torque - design @ knows.values
+        steps = along[:, None] * (1.0 - self._before_onsets(float(window.start_s[0])))
+        heard = np.hstack([off[:, None], design @ knows.by_share, steps])
+        return _Heard(along, rows, heard)
+
+    def _before_onsets(self, start_s: float) -> FloatArray:
+        """How much of a window's weight lies before each step that may have been: the integral of its test function."""
+        since_s = np.array(self._onsets) - start_s
+        x = np.clip(2.0 * since_s / self._window_s - 1.0, -1.0, 1.0)
+        result: FloatArray = 0.5 + 35.0 / 32.0 * (x - x**3 + 0.6 * x**5 - x**7 / 7.0)
+        return result
+
+    def _of_model(self, made: _Window, along: FloatArray) -> Iterator[FloatArray]:
+        """What no state knows: noise of accelerations, friction of joints that turn round, where a load was put on; (E, E) each."""
+        window = made.rows
+        yield made.of_acceleration[np.ix_(window.joint, window.joint)]
+        turning = TURNING * self._knows.coulomb[window.joint] * (1.0 - window.direction**2)
+        yield np.diag(turning**2)
+        if abs(window.start_s[0] - self._begun_s) < 0.25 * self._window_s:
+            yield np.diag((ONSET_SHARE * self._heavy_kg * along) ** 2)
 
     def _noise(self, joint: int) -> float:
         """Variance of a window's mean torque that is its own [N^2 m^2], by the innovations of late."""
@@ -722,62 +760,57 @@ class _Filter:
             return None
         information = np.maximum(self._information, 1e-12)
         change_kg = self._along / information
-        score = np.where(
-            ready,
-            np.abs(change_kg) * np.sqrt(information),
-            0.0,
-        )
+        score = np.where(ready, np.abs(change_kg) * np.sqrt(information), 0.0)
         best = int(np.argmax(score))
         least_kg = LEAST_SHARE * abs(self.mass_kg)
-        return (
-            self._onsets[best] if score[best] > sigmas and abs(change_kg[best]) > least_kg else None
-        )
+        is_step = score[best] > sigmas and abs(change_kg[best]) > least_kg
+        return self._onsets[best] if is_step else None
 
     def after(self, onset_s: float) -> _Filter:
         """The same, with a load of which nothing is known since then."""
-        new = _Filter(self._knows, self._window_s)
         load = self._load
-        behind = [past for past in self._past if past[0].start_s + self._window_s > onset_s + 1e-6]
-        _, state, covariance, new._time_s, new._misfit = behind[0]
+        behind = [
+            past for past in self._past if past.window.start_s + self._window_s > onset_s + 1e-6
+        ]
+        last = behind[0]
         number = self._onsets.index(onset_s)
         change_kg = float(self._along[number] / max(self._information[number], 1e-12))
-        new._begun_s, new._heavy_kg = (
-            onset_s,
-            float(state[load.start, 0]) * self._knows.widest_kg + change_kg,
-        )
-        new._state, new._covariance = state.copy(), covariance.copy()
+        held_kg = float(last.state[load.start, 0]) * self._knows.widest_kg
+        new = _Filter(self._knows, self._window_s)
+        new._time_s = last.time_s
+        new._misfit = last.misfit
+        new._begun_s = onset_s
+        new._heavy_kg = held_kg + change_kg
+        new._state = last.state.copy()
         new._state[load] = 0.0
-        new._covariance[load], new._covariance[:, load] = 0.0, 0.0
+        new._covariance = last.covariance.copy()
+        new._covariance[load] = 0.0
+        new._covariance[:, load] = 0.0
         new._covariance[load, load] = np.eye(4)
         new._loud = [deque(heard, maxlen=NOISE_WINDOWS) for heard in self._loud]
-        for window, *_ in behind:
-            if window.start_s >= onset_s - 1e-6:
-                new.step(window)
+        for past in behind:
+            if past.window.start_s >= onset_s - 1e-6:
+                new.step(past.window)
         return new
 
 
 def inertia_matrix(model: ReducedModel, position: FloatArray, terms: FloatArray) -> FloatArray:
-    """Of an arm of n joints at a pose [rad]; terms: parameters of its bodies and its rotors, shape (11 n,). Shape (n, n)."""
+    """Of an arm of n joints at a pose.
+
+    ``model``: its geometry; ``position``: [rad], shape (n,); ``terms``: parameters of its bodies and its rotors, shape (11 n,).
+
+    Returns: Shape (n, n) [kg m^2].
+    """
     count = len(position)
     bodies = terms[: PARAMETERS * count].reshape(count, PARAMETERS)
     # momentum of each body where one joint after the other turns at 1 rad/s
-    motion = kinematics(
-        model,
-        np.tile(position, (count, 1)),
-        np.eye(count),
-    )
+    motion = kinematics(model, np.tile(position, (count, 1)), np.eye(count))
     result = np.diag(terms[PARAMETERS * count :])
     for body, own in enumerate(bodies):
         joints = carriers(model, body)
         of_body = motion.seen_by(body, motion.twist[:, body, None])
-        result[joints] += np.tensordot(
-            own,
-            momentum_along(
-                *motion.seen_by(body, motion.axis[:, joints]),
-                *of_body,
-            ),
-            1,
-        )
+        along = momentum_along(*motion.seen_by(body, motion.axis[:, joints]), *of_body)
+        result[joints] += np.tensordot(own, along, 1)
     return result
 
 
