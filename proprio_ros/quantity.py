@@ -6,26 +6,15 @@ import math
 from dataclasses import dataclass
 
 from proprio_ros.errors import RobotError
+from proprio_ros.units import Unit, shown_as
 
 Z95 = 1.959963984540054  # Half width of a 95 % interval in standard deviations (normal).
-_SHOWN = {
-    "kg": (1e3, "g", ".2f"),
-    "Pa": (1e-3, "kPa", ".2f"),
-    "N/m": (1.0, "N/m", ".0f"),
-    "1": (1.0, "", ".3f"),
-    "rad": (1e3, "mrad", ".3f"),
-    "m": (1e3, "mm", ".1f"),
-    "s": (1e3, "ms", ".2f"),
-    "N m": (1e3, "mN m", ".2f"),
-    "rad/s": (1e3, "mrad/s", ".1f"),
-    "A": (1e3, "mA", ".0f"),
-}
-"""Per SI unit the factor to the unit in which a reader wants a number, that unit, and the digits."""
 
 
 def shown_unit(unit: str) -> tuple[float, str]:
     """Factor and name of the unit in which a value is shown."""
-    return _SHOWN.get(unit, (1.0, unit, ""))[:2]
+    shown = shown_as(unit)
+    return shown.per_si, shown.name
 
 
 def written(value: float, spec: str) -> str:
@@ -36,8 +25,9 @@ def written(value: float, spec: str) -> str:
 
 def shown(unit: str, *values: float, spec: str = "", between: str = " .. ") -> str:
     """Values in an SI unit as a reader wants them, such as ``50.00 g`` or ``48.10 .. 51.90 g``; ``spec`` is the format of each."""
-    factor, name, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
-    return f"{between.join(written(factor * value, spec or usual) for value in values)} {name}".rstrip()
+    reader = shown_as(unit)
+    numbers = [written(reader.per_si * value, spec or reader.digits) for value in values]
+    return f"{between.join(numbers)} {reader.name}".rstrip()
 
 
 def spec_for(unit: str, std: float | None, kept: bool = False) -> str:
@@ -45,12 +35,13 @@ def spec_for(unit: str, std: float | None, kept: bool = False) -> str:
 
     ``std`` is in the value's SI unit; without one the unit's own digits are taken. ``kept``: the value is shown in that unit.
     """
-    factor, _, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
-    factor, usual = (1.0, ".6g") if kept else (factor, usual)
-    half = 0.0 if std is None else Z95 * std * factor
+    reader = Unit(unit, unit, digits=".6g") if kept else shown_as(unit)
+    half = 0.0 if std is None else Z95 * std * reader.per_si
     if not 0.0 < half < math.inf:
-        return usual
-    return f".{min(max(1 - math.floor(math.log10(half)), 0), 12 if kept else 4)}f"
+        return reader.digits
+    most = 12 if kept else 4
+    digits = min(max(1 - math.floor(math.log10(half)), 0), most)
+    return f".{digits}f"
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ BASE = {
     "errors",
     "records",
     "quantity",
+    "units",
     "kinds",
     "progress",
     "schema",

@@ -43,7 +43,13 @@ class Drift:
     torque_constant_per_K: float = 0.001
 
     def of(self, name: str, hours: float, warmer_K: float) -> float:
-        """That of ``friction`` or ``torque_constant`` [1]."""
+        """Standard deviation of a term by now, relative [1].
+
+        Args:
+            name: ``friction`` or ``torque_constant``.
+            hours: Since the calibration [h].
+            warmer_K: Than then [K].
+        """
         by_time = getattr(self, f"{name}_per_sqrt_h") * math.sqrt(hours)
         return float(
             np.hypot(by_time, getattr(self, f"{name}_per_K") * max(abs(warmer_K) - READ_TO_K, 0.0))
@@ -80,7 +86,13 @@ def warmer_K(one: Moment, other: Moment) -> dict[str, float]:
 
 
 def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibration:
-    """The same as a prior of another moment, when it is used; unchanged where either moment is not known."""
+    """The same as a prior of another moment, when it is used; unchanged where either moment is not known.
+
+    Args:
+        calibration: As it was made.
+        drift: How fast it ages.
+        now: When it is used.
+    """
     then = calibration.made
     if then is None or now is None or (hours := hours_between(then, now)) is None:
         return calibration
@@ -111,7 +123,13 @@ def _growth(
 
 
 def said(calibration: Calibration, drift: Drift, now: Moment | None) -> str:
-    """What ageing does, in a sentence; empty where it is not worth one."""
+    """What ageing does, in a sentence; empty where it is not worth one.
+
+    Args:
+        calibration: As it was made.
+        drift: How fast it ages.
+        now: When it is used.
+    """
     then = calibration.made
     if then is None or now is None or (hours := hours_between(then, now)) is None:
         return ""

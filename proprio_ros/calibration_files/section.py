@@ -37,7 +37,16 @@ def correlation_of(
     count: int,
     smallest: float,
 ) -> FloatArray:
-    """The matrix under ``correlation``, shape (count, count); refuses other sizes, and eigenvalues under the smallest."""
+    """The matrix under ``correlation``, shape (count, count).
+
+    Args:
+        section: Of a calibration.
+        count: Of its unknowns.
+        smallest: Eigenvalue that is let through.
+
+    Raises:
+        FormError: It is of another size, no correlation, or has a smaller eigenvalue.
+    """
     rows = numbers_of(section, "correlation")
     if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
         raise FormError(
@@ -73,7 +82,16 @@ def exactly(
     forms: Mapping[str, Form],
     beside: tuple[str, ...] = (),
 ) -> list[Any]:
-    """The values of a mapping in the order of its keys, which must be exactly these; raises `FormError`."""
+    """The values of a mapping in the order of its keys.
+
+    Args:
+        entry: As it was read.
+        forms: Of its keys.
+        beside: Keys that are read elsewhere.
+
+    Raises:
+        FormError: It has other keys, or a value is of another form.
+    """
     if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
         raise FormError(f"expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
     return [read_under(entry, key, form) for key, form in forms.items()]
@@ -85,7 +103,17 @@ def read_under(
     form: Form,
     default: Any = None,
 ) -> Any:
-    """The value of a key as its form takes it; raises `FormError` under the key."""
+    """The value of a key as its form takes it.
+
+    Args:
+        given: Keys and values.
+        key: That is read.
+        form: Of the value.
+        default: Where the key is not there.
+
+    Raises:
+        FormError: It is of another form; the message begins with the key.
+    """
     with under(key):
         return form.read(given.get(key, default))
 
@@ -144,7 +172,16 @@ def part_of(
     key: str,
     kind: type,
 ) -> Any:
-    """A part of a section that must be there; raises `FormError` where it is not, or is something else."""
+    """A part of a section.
+
+    Args:
+        section: Of a calibration.
+        key: That must be there.
+        kind: Of its value.
+
+    Raises:
+        FormError: It is not there, or is something else.
+    """
     if not isinstance(section.get(key), kind):
         raise FormError(
             f"{key} is missing or no {kind.__name__}; write it with `proprio calibrate`"

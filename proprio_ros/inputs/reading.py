@@ -68,7 +68,13 @@ def text_of(
 ) -> str:
     """The text of a regular file of at most so many bytes, without a byte order mark.
 
-    Raises `ProprioError`: Of the kind given: it cannot be read, is no text, or is too long.
+    Args:
+        path: Of a regular file.
+        error: What is raised.
+        longest: Most bytes.
+
+    Raises:
+        ProprioError: Of the kind given: it cannot be read, is no text, or is too long.
     """
     if problem := path_problem(path):
         raise error(f"{path}: {problem}")
@@ -192,9 +198,17 @@ def yaml_file(
     kind: type[ProprioError],
     called: str = "",
 ) -> Any:
-    """What a YAML file says (plain types only); messages call it by its path, or otherwise.
+    """What a YAML file says (plain types only).
 
     Raises `ProprioError`: Of that kind: it is not readable, or no YAML that `yaml_of` takes.
+
+    Args:
+        path: Of the file.
+        kind: Of error that is raised.
+        called: What messages call it; default its path.
+
+    Raises:
+        ProprioError: Of that kind: it is not readable, or no YAML that `yaml_of` takes.
     """
     text = text_of(path, kind)
     try:

@@ -102,7 +102,13 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
     A new file gets the mode that the user's umask leaves, a replaced one keeps its own. A link is followed, and what is no file
     (``/dev/stdout``, a pipe) is written into: nothing but a file is ever replaced. The option is what named the file.
 
-    Raises `ConfigurationError`: The file cannot be written.
+    Args:
+        path: Of the file.
+        text: All of it.
+        option: Of the command line, for messages.
+
+    Raises:
+        ConfigurationError: The file cannot be written.
     """
     encoded = text.encode("utf-8", errors="backslashreplace")
     try:
@@ -130,7 +136,13 @@ def check_new_yaml(path: Path, force: bool) -> None:
 
 
 def check_new(path: Path, suffixes: Sequence[str], force: bool) -> None:
-    """Refuse an output that has no such suffix, cannot be written, or is there and may not be replaced, before the work is done."""
+    """Refuse an output that has no such suffix, cannot be written, or is there and may not be replaced, before the work is done.
+
+    Args:
+        path: Of the output.
+        suffixes: That it may have.
+        force: Whether an older file is replaced.
+    """
     if path.suffix not in suffixes:
         raise ConfigurationError(f"--output {path}: name a {suffixes[0]} file")
     if not real_path(path).parent.is_dir() or not os.access(real_path(path).parent, os.W_OK):
@@ -144,7 +156,13 @@ def check_new(path: Path, suffixes: Sequence[str], force: bool) -> None:
 def check_page(path: Path, option: str, force: bool = False) -> None:
     """Refuse to replace what is no page of this package: a robot file, a calibration, whatever is somebody's.
 
-    Raises `ConfigurationError`: Such a file is there, and ``force`` does not say that it may go.
+    Args:
+        path: Of the page.
+        option: Of the command line, for messages.
+        force: Whether anything is replaced.
+
+    Raises:
+        ConfigurationError: Such a file is there, and ``force`` does not say that it may go.
     """
     try:
         if force or not path.is_file() or path.stat().st_size == 0:

@@ -122,7 +122,13 @@ class Settings:
         default: Any,
         form: Form | None = None,
     ) -> Any:
-        """The user's value, or the default; as the form reads it, where there is one (see `read`)."""
+        """The user's value, or the default; as the form reads it, where there is one (see `read`).
+
+        Args:
+            key: Dotted.
+            default: Where the user says nothing.
+            form: As which the value is read, where there is one.
+        """
         self._known.append(key)
         if key in self._left:
             self.taken.add(key)
@@ -141,11 +147,17 @@ class Settings:
         prefix: str,
         defaults: Mapping[str, Any],
     ) -> _Options:
-        """The options of a solver, a data class, from the keys under a prefix such as ``solver.``; `SEARCH` has their forms.
-
-        What the user leaves out is as in the defaults (of the probe's file), else as in the class.
+        """The options of a solver from the keys under a prefix.
 
         Raises `ConfigurationError`: A value of the wrong form.
+
+        Args:
+            kind: The data class.
+            prefix: Such as ``solver.``; `SEARCH` has the forms of its keys.
+            defaults: Of the probe's file, before those of the class.
+
+        Raises:
+            ConfigurationError: A value of the wrong form.
         """
         values: dict[str, Any] = {}
         for entry in fields(kind):  # type: ignore[arg-type]
@@ -191,7 +203,13 @@ def probe_file(
 
 
 def read(key: str, value: Any, form: Form) -> Any:
-    """A value as its form reads it; raises a `ConfigurationError` where it is none of that form."""
+    """A value as its form reads it; raises a `ConfigurationError` where it is none of that form.
+
+    Args:
+        key: For messages.
+        value: As the user or a file states it.
+        form: That it must have.
+    """
     try:
         return form.read(value)
     except FormError as error:

@@ -26,6 +26,7 @@ from proprio_ros.recordings.arrivals import of_bursts
 from proprio_ros.recordings.clocks import in_order, is_counted
 from proprio_ros.recordings.read_options import Columns, ReadOptions
 from proprio_ros.recordings.sign_bits import without_sign_bits
+from proprio_ros.units import POSITIONS
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
@@ -407,7 +408,7 @@ def _in_si(
 ) -> dict[str, records.FloatArray]:
     """Positions in rad or m, under the robot's names."""
     names = options.conventions.names
-    scale = np.pi / 180.0 if columns.position_unit == "deg" else 1.0
+    scale = POSITIONS[columns.position_unit].in_si
     found = {}
     for name, values in by_name.items():
         bare = name.removeprefix(options.conventions.prefix)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import functools
-import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -31,10 +30,10 @@ from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.recordings.read_options import POSITION_UNITS, Columns
 from proprio_ros.recordings.topics import FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
+from proprio_ros.units import POSITIONS
 
 DEEPEST = 8  # files that extend each other
 _TYPES = {"sensor_msgs/JointState": JOINT_STATE, "std_msgs/Float64MultiArray": FLOAT_ARRAYS[0]}
-_RADIANS = {"rad": 1.0, "degree": math.pi / 180.0}
 _SENTENCE = 500
 _NAME = Text(what="a name")
 
@@ -145,7 +144,7 @@ FORMS: dict[str, Form] = {
     ),
     "position_unit": Choice(
         "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live",
-        tuple(_RADIANS),
+        ("rad", "degree"),
     ),
     "inputs": Part(
         "what drives the joints: the first that a bag has, else measured effort; default none",
@@ -214,7 +213,7 @@ def load_driver(name_or_path: str | Path) -> Driver:
         inputs=settings.get("inputs", ()),
         prefix=settings.get("joint_prefix", ""),
         names=settings.get("joint_names", {}),
-        radians=_RADIANS[settings.get("position_unit", "rad")],
+        radians=POSITIONS[settings.get("position_unit", "rad")].in_si,
     )
     of_driver = ("title", "effort_unit", "refused", "notes", "recognised_by", "columns")
     stated = {key: settings[key] for key in of_driver if key in settings}

@@ -9,17 +9,17 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.records import MEASURED_EFFORT, FloatArray, InputRecord, JointRecord, TimeArray
+from proprio_ros.units import COUNT, EFFORTS
 
-EFFORT_UNITS = ("N.m", "A", "mA", "raw")
-"""What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""
-
-CURRENT_PER_COUNT_A = 0.00269
-"""Unit of Present Current of the XM430-W350: 2.69 mA (ROBOTIS e-manual, control table, register 126) [A]."""
+EFFORT_UNITS = tuple(EFFORTS)
+CURRENT_PER_COUNT_A = COUNT.in_si
 
 
 def ampere(unit: str, per_count_A: float = CURRENT_PER_COUNT_A) -> float:
-    """Ampere of one of a unit of current."""
-    return {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
+    """Ampere of one of a unit of current, one of `EFFORTS`; a count has the size that its driver says."""
+    current = EFFORTS[unit]
+    assert current.si == "A", unit
+    return per_count_A if current is COUNT else current.in_si
 
 
 def held(values: FloatArray) -> FloatArray:

@@ -40,7 +40,15 @@ def write_calibration_report(
     sources: Sequence[str] = (),
     force: bool = False,
 ) -> None:
-    """Write the page for one calibration; all is as for `write_page`."""
+    """Write the page for one calibration.
+
+    Args:
+        estimate: The calibration.
+        path: Of the page.
+        command: The command line that gives the same again.
+        sources: Names of what it came from.
+        force: Whether a file that is no page is replaced.
+    """
     parts = _headline(estimate)
     if figures.joints_of(estimate.unknowns):
         parts += plotted(

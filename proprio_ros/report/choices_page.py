@@ -33,9 +33,16 @@ def write_choices(
     target: float,
     path: Path,
 ) -> None:
-    """Write the page of choices, the last of which says why it ended; an older one of that name is replaced in one step.
+    """Write the page of the pushes that were chosen.
 
-    The target is the half interval that was asked for. Raises `ConfigurationError`: The file cannot be written.
+    Args:
+        choices: In their order; the last one says why it ended.
+        sought: What was to be known.
+        target: Half interval that was asked for.
+        path: Of the page; an older one of that name is replaced.
+
+    Raises:
+        ConfigurationError: The file cannot be written.
     """
     parts = ["<h1>Pushes, one by one</h1>"]
     last = choices[-1]

@@ -47,7 +47,13 @@ def document(
     parts: Sequence[str],
     own: Own | None = None,
 ) -> str:
-    """One page that needs nothing from elsewhere."""
+    """One page that needs nothing from elsewhere.
+
+    Args:
+        title: Of the page.
+        parts: HTML, in their order.
+        own: Rules of the style sheet that only this page has.
+    """
     own = own or Own()
     scripts = [SCRIPT, own.script] if own.script else [SCRIPT]
     head = (
@@ -69,9 +75,18 @@ def write_document(
     force: bool = False,
     own: Own | None = None,
 ) -> None:
-    """Write a page; an older page of that name is replaced in one step, another file only with ``force``.
+    """Write a page.
 
-    Raises `ConfigurationError`: Another file is there, or it cannot be written; the option is what named it.
+    Args:
+        path: Of the page; an older page of that name is replaced in one step.
+        title: Of the page.
+        parts: HTML, in their order.
+        option: Of the command line, for messages.
+        force: Whether another file of that name is replaced, too.
+        own: As in `document`.
+
+    Raises:
+        ConfigurationError: Another file is there, or it cannot be written; the option is what named it.
     """
     check_page(path, option, force)
     write_in_one_step(path, document(title, parts, own), option)
@@ -82,7 +97,13 @@ def provenance(
     sources: Sequence[str],
     timing_s: Mapping[str, float],
 ) -> list[str]:
-    """How to get this result again."""
+    """How to get this result again.
+
+    Args:
+        command: The command line.
+        sources: Names of what the result came from.
+        timing_s: Seconds by what took them.
+    """
     parts = ["<h2>To get this again</h2>"]
     if command:
         parts.append(f"<pre>{escape(command)}</pre>")
@@ -111,7 +132,13 @@ def listed(title: str, sentences: Sequence[str]) -> list[str]:
 
 
 def titled(title: str, verdict: str, words: str) -> list[str]:
-    """The headline with the verdict in its colour."""
+    """The headline with the verdict in its colour.
+
+    Args:
+        title: The words.
+        verdict: Its code, which is its class, too.
+        words: The verdict in words.
+    """
     return [
         f"<h1>{escape(title)}</h1>",
         f'<span class="verdict {escape(verdict)}">{escape(words)}</span>',
@@ -119,12 +146,24 @@ def titled(title: str, verdict: str, words: str) -> list[str]:
 
 
 def plotted(title: str, svg: str, caption: str) -> list[str]:
-    """A section of one large figure."""
+    """A section of one large figure.
+
+    Args:
+        title: Of the section.
+        svg: The figure.
+        caption: What to look for.
+    """
     return [f"<h2>{escape(title)}</h2>", framed(svg, caption, "large")]
 
 
 def framed(svg: str, caption: str = "", size: str = "") -> str:
-    """A figure, with a sentence on what to look for; ``size``: ``large`` (scrolls where there is no room), or ``small-one``."""
+    """A figure, with a sentence below it.
+
+    Args:
+        svg: The figure.
+        caption: What to look for.
+        size: ``large`` (scrolls where there is no room), or ``small-one``.
+    """
     words = f"<figcaption class=small>{escape(caption)}</figcaption>" if caption else ""
     return f"<figure{f' class={size}' if size else ''}>{svg}{words}</figure>"
 
@@ -152,15 +191,27 @@ def table(
     ids: Sequence[str] = (),
     labels: int = 0,
 ) -> str:
-    """Rows of text; the columns in ``numbers`` are set to the right, and the rows' ``ids`` are for links.
+    """Rows of text.
 
-    So many first columns say what a row is of. Where there are any, a row becomes a block of lines on a narrow screen,
-    each with its column's name; a table without scrolls there.
+    Args:
+        header: One word a column.
+        rows: Of text.
+        numbers: Columns that are set to the right.
+        ids: Of the rows, for links.
+        labels: How many first columns say what a row is of. Where there are any, a row becomes a block of lines on a narrow screen,
+            each with its column's name; a table without scrolls there.
     """
     right = set(numbers)
     marks = [f' id="{escape(one)}"' for one in ids] or [""] * len(rows)
 
     def cell(column: int, words: str, tag: str) -> str:
+        """One cell of the table.
+
+        Args:
+            column: Its number.
+            words: What stands there.
+            tag: ``td`` or ``th``.
+        """
         kind = "label" if column < labels else "number" if column in right else ""
         if column < labels and column in right:
             kind = '"label number"'

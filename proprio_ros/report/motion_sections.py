@@ -46,7 +46,13 @@ def arm_and_payload(views: Sequence[HeldView]) -> list[str]:
 
 
 def held_figure(view: HeldView, alone: bool = False, closer: bool = False) -> str:
-    """Arm and payload in one plane; ``alone``: of the arm only what moves; ``closer``: only what is near the payload."""
+    """Arm and payload in one plane.
+
+    Args:
+        view: Arm and payload, as they were.
+        alone: Whether only what moves of the arm is drawn.
+        closer: Whether only what is near the hand is.
+    """
     outlines = [
         view.hand[None],
         *(each for each in (view.within, view.body) if each is not None),
@@ -121,7 +127,13 @@ def torques(
     weighed: bool,
     learnt: bool = False,
 ) -> list[str]:
-    """Measured and explained torque of each joint; ``weighed``: there is a payload's, too; ``learnt``: it calibrates the arm."""
+    """Measured and explained torque of each joint.
+
+    Args:
+        fits: Of each joint.
+        weighed: Whether a payload has a part of it.
+        learnt: Whether the arm was learnt from these.
+    """
     if not fits:
         return []
     by = "the arm, its friction and the payload"

@@ -22,7 +22,14 @@ def small_table(
     rows: Sequence[Sequence[str]],
     after: Iterable[str] = (),
 ) -> str:
-    """A title, a table without the notebook's own style, and sentences."""
+    """A table without the notebook's own style.
+
+    Args:
+        title: Above it.
+        header: One word a column.
+        rows: Of text.
+        after: Sentences below it.
+    """
     cell = "padding:.15em .8em .15em 0;text-align:left;vertical-align:top"
     heads = "".join(f'<th style="{cell}">{escape(words)}</th>' for words in header)
 
@@ -57,7 +64,13 @@ def bars_figure(
     unit: str,
     bars: Sequence[tuple[str, float, bool]],
 ) -> Any:
-    """Named bars from above; those that are not good are grey. A matplotlib ``Figure``."""
+    """Named bars; a matplotlib ``Figure``.
+
+    Args:
+        title: Of the axis.
+        unit: Of the numbers.
+        bars: From above; those that are not good are grey.
+    """
     if not bars:
         return words_figure(title, ["there is nothing to show"])
     shown = list(bars[:MOST_ROWS])
@@ -92,7 +105,14 @@ def series_figure(
     unit: str,
     lines: Sequence[tuple[str, Any, Any]],
 ) -> Any:
-    """Named values with half of their intervals, one of each line at every place. A matplotlib ``Figure``."""
+    """Named values with their intervals; a matplotlib ``Figure``.
+
+    Args:
+        title: Of the axis.
+        places: Names along it.
+        unit: Of the numbers.
+        lines: Values with half of their intervals, one at every place.
+    """
     with drawn(7.4, 3.6) as (figure, axis):
         for number, (name, values, half) in enumerate(lines):
             # beside each other, not on each other

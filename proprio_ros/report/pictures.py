@@ -20,7 +20,13 @@ HIGHEST_CHI2 = 15.0  # of a profile that is shown: the 95 % interval ends at 3.8
 
 
 def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) -> str:
-    """Position, current, and where there is a fit its residual, below each other over time."""
+    """Position, current, and where there is a fit its residual, below each other over time.
+
+    Args:
+        fit: Of the run, where there is one.
+        recorded: The run, where it is known.
+        number: Of the run on the page.
+    """
     unit = "rad" if recorded is None or fit is not None else recorded.unit
     if fit is None:
         assert recorded is not None
@@ -140,7 +146,13 @@ class ArmPicture:
         style: str,
         joint: np.ndarray | None = None,
     ) -> None:
-        """Lines from joint to joint, shape (L, 2, 2), and a ring about one joint."""
+        """Lines from joint to joint, and a ring about one joint.
+
+        Args:
+            links: Both ends of each, (L, 2, 2).
+            style: Class of the style sheet.
+            joint: About which a ring is drawn.
+        """
         lines = dict.fromkeys(
             f"M{a}L{b}"
             for a, b in ((self.place(link[0]), self.place(link[1])) for link in links)

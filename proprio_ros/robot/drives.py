@@ -117,6 +117,15 @@ class DutyCycle(Drive):
         goal: Goal | None,
         delay_s: float,
     ) -> FloatArray:
+        """As it was published, -1 to 1, (T,).
+
+        Args:
+            times_s: Of the samples [s], (T,).
+            position: Not used [rad], (T,).
+            effort: Counts of the duty cycle, (T,).
+            goal: Not used.
+            delay_s: Not used [s].
+        """
         assert effort is not None  # whoever reads the recording says that it is missing
         return np.clip(self.per_count * effort, -1.0, 1.0)
 
@@ -152,6 +161,15 @@ class PositionServo(Drive):
         goal: Goal | None,
         delay_s: float,
     ) -> FloatArray:
+        """As the firmware makes it of the distance to its goal, -1 to 1, (T,).
+
+        Args:
+            times_s: Of the samples [s], (T,).
+            position: Of the joint [rad], (T,).
+            effort: Not used.
+            goal: Where the joint was sent.
+            delay_s: From a goal to its torque [s].
+        """
         assert goal is not None
         distance = goal.at(times_s - delay_s, self.goal_speed_rad_s) - position
         distance = np.sign(distance) * np.maximum(np.abs(distance) - self.dead_band_rad, 0.0)

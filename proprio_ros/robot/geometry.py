@@ -72,7 +72,10 @@ def motion(kind: str, axis: ArrayLike, position: float | FloatArray) -> FloatArr
 def pseudo_inertia(mass: float, com: ArrayLike, inertia_about_com: ArrayLike) -> FloatArray:
     """Pseudo-inertia about a frame's origin, shape (4, 4).
 
-    Of a mass [kg] at a centre [m], shape (3,), with its rotational inertia about that, in the frame's axes [kg m^2], shape (3, 3).
+    Args:
+        mass: Of the body [kg].
+        com: Its centre [m], (3,).
+        inertia_about_com: [kg m^2], (3, 3).
     """
     com = np.asarray(com, dtype=np.float64)
     inertia = np.asarray(inertia_about_com, dtype=np.float64)

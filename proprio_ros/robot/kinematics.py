@@ -49,11 +49,17 @@ def side_view(
 
     In the first of the poses, which name all independent joints [rad or m], the hand is to the right.
 
+    Args:
+        robot: As its file or its calibration states it.
+        joint: That is driven.
+        poses: Positions of all joints [rad or m].
+
+    Raises:
+        RobotError: A position is missing.
+
     Returns:
         Both ends of the links in every pose, to the right of the base and above it [m], shape (P, L, 2, 2), and where the joint is,
         shape (P, 2).
-
-    Raises `RobotError`: A position is missing.
     """
     model = robot.model
     plane = side_plane(robot, joint, poses[0])
@@ -70,7 +76,13 @@ def side_plane(
 ) -> np.ndarray:
     """Unit vectors to the right and up of `side_view` in the frame of the root link, shape (2, 3).
 
-    Raises `RobotError`: A position is missing.
+    Args:
+        robot: As its file or its calibration states it.
+        joint: That is driven.
+        pose: Positions of all joints [rad or m].
+
+    Raises:
+        RobotError: A position is missing.
     """
     at = functools.partial(robot.model.frame_transform, positions=pose)
     up = -robot.gravity / np.linalg.norm(robot.gravity)
@@ -95,7 +107,13 @@ def links_in(
     plane: np.ndarray,
     poses: Sequence[Mapping[str, float]],
 ) -> np.ndarray:
-    """Both ends of the links in every pose, along the unit vectors of a plane [m], shape (P, L, 2, 2); as `side_view`."""
+    """Both ends of the links in every pose, along the unit vectors of a plane [m], shape (P, L, 2, 2); as `side_view`.
+
+    Args:
+        robot: As its file or its calibration states it.
+        plane: Unit vectors to the right and up, (2, 3).
+        poses: Positions of all joints [rad or m].
+    """
     model = robot.model
     frames = [
         {link.name: model.frame_transform(link.name, pose) for link in model.links}
@@ -116,9 +134,17 @@ def hand_path(
     travel: float,
     points: int = 20,
 ) -> np.ndarray:
-    """Where the hand is while one joint moves by a signed travel [rad or m]: [m], in the frame of the root link, shape (points, 3).
+    """Where the hand is while one joint moves, in the frame of the root link [m], shape (points, 3).
 
-    Raises `RobotError`: A position is missing.
+    Args:
+        robot: As its file or its calibration states it.
+        joint: That moves.
+        start: Positions of all joints before [rad or m].
+        travel: How far it moves, signed [rad or m].
+        points: How many places on the way.
+
+    Raises:
+        RobotError: A position is missing.
     """
     places = np.linspace(start[joint], start[joint] + travel, points).tolist()
     at = [

@@ -123,7 +123,13 @@ def carriers(model: ReducedModel, body: int) -> list[int]:
 
 
 def gravity_along(model: ReducedModel, motion: Kinematics, body: int) -> FloatArray:
-    """Gravity's force on a body along each joint that carries it, per unit of its parameters, shape (10, joints, T)."""
+    """Gravity's force on a body along each joint that carries it, per unit of its parameters, shape (10, joints, T).
+
+    Args:
+        model: The robot with some joints locked.
+        motion: Of its bodies.
+        body: Whose weight it is.
+    """
     force, _ = motion.seen_by(
         body,
         np.append(model.gravity, np.zeros(3))[:, None, None],

@@ -49,6 +49,11 @@ def largest_torque(model: RobotModel, name: str, transmission: float = 1.0) -> f
 
     The URDF's limit of effort, and at least what holds everything behind the joint stretched out; the transmission is that of
     `DriveTrain`.
+
+    Args:
+        model: The description.
+        name: Of the joint.
+        transmission: How far the joint moves per rad of the motor [1 or m].
     """
     joint = model.joint(name)
     slides = joint.kind == "prismatic"

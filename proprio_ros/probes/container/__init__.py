@@ -75,6 +75,13 @@ class Container(
     def facts(
         self, settings: Settings, solver: str = "lm", profile: str = "default"
     ) -> ContainerJob:
+        """What is stated of container and sphere, and how the sphere is sought.
+
+        Args:
+            settings: The user's.
+            solver: One of `solvers`.
+            profile: One of `profiles`.
+        """
         from proprio_ros.probes.container.facts import FORMS, container_facts
         from proprio_ros.probes.container.search import ContainerOptions
 
@@ -116,6 +123,14 @@ class Container(
         sequence: ExcitationSequence,
         baseline: Sequence[Run] = (),
     ) -> Chooser:
+        """What chooses the pushes of a container until its sphere's mass is sure.
+
+        Args:
+            robot: As its file or its calibration states it.
+            facts: Of container and sphere.
+            sequence: With an `until`.
+            baseline: Runs with the empty container.
+        """
         from proprio_ros.probes.container.choosing import SphereUntilSure
         from proprio_ros.probes.container.identify import find_sphere, half_of
 
@@ -125,6 +140,13 @@ class Container(
         return SphereUntilSure(robot, facts.container, facts.solving, sequence, baseline, whole)
 
     def identify(self, robot: Robot, recorded: base.Recorded, facts: ContainerJob) -> Estimate:
+        """Find the sphere's mass.
+
+        Args:
+            robot: As its file or its calibration states it.
+            recorded: Runs, and those of the empty container.
+            facts: Of container and sphere.
+        """
         from proprio_ros.probes.container.facts import track_of
         from proprio_ros.probes.container.identify import find_sphere
 
@@ -145,7 +167,13 @@ class Container(
         facts: ContainerJob,
         estimate: Estimate,
     ) -> base.Shapes | None:
-        """The container, with a sphere in its middle."""
+        """The container, with a sphere in its middle.
+
+        Args:
+            robot: Not used.
+            facts: Of container and sphere.
+            estimate: Not used, wherever the sphere was.
+        """
         import numpy as np
 
         container = facts.container

@@ -86,6 +86,13 @@ class Container(objects.HandObject):
         return objects.Payload(self.mass_kg, self.centre_m, inertia_kg_m2=self.inertia)
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> None:
+        """Put the container and its sphere into a model.
+
+        Args:
+            mujoco: The module.
+            spec: To which it is added.
+            hand: That holds it.
+        """
         import numpy as np
 
         box = hand.add_body(name=CONTAINER, pos=self.centre_m)

@@ -71,6 +71,13 @@ class Payload(
         solver: str = "lm",
         profile: str = "default",
     ) -> PayloadJob:
+        """What is stated of the payload, and how it is weighed.
+
+        Args:
+            settings: The user's.
+            solver: One of `solvers`.
+            profile: One of `profiles`.
+        """
         from proprio_ros.probes.payload.facts import payload_facts
         from proprio_ros.probes.payload.identify import WeighingOptions
         from proprio_ros.probes.payload.paper import PaperOptions
@@ -91,6 +98,13 @@ class Payload(
         return payload_facts(settings, probe_file(self.name, ("payload",))["payload"])
 
     def identify(self, robot: Robot, recorded: base.Recorded, facts: PayloadJob) -> Estimate:
+        """Weigh what runs hold, or as the paper does where that was asked for.
+
+        Args:
+            robot: As its file or its calibration states it.
+            recorded: With runs.
+            facts: Of the payload.
+        """
         from proprio_ros.probes.payload.identify import weigh
         from proprio_ros.probes.payload.paper import as_published, identify_as_paper
 
@@ -109,6 +123,13 @@ class Payload(
     def identify_motions(
         self, robot: Robot, recorded: base.Recorded, facts: PayloadJob
     ) -> Estimate:
+        """Weigh what motions hold, by what is known of the arm: its joint, a baseline, a calibration.
+
+        Args:
+            robot: As its file or its calibration states it.
+            recorded: With motions.
+            facts: Of the payload.
+        """
         from proprio_ros.probes.payload.known_joint import identify_known_joint
         from proprio_ros.probes.payload.moving import identify_in_motion
         from proprio_ros.probes.payload.one_joint import identify_one_joint
@@ -141,6 +162,13 @@ class Payload(
         runs: Sequence[Run],
         facts: PayloadJob,
     ) -> Estimate:
+        """Weigh what the runs so far hold, from fewer guesses.
+
+        Args:
+            robot: As its file or its calibration states it.
+            runs: So far.
+            facts: Of the payload.
+        """
         from proprio_ros.probes.payload.identify import weigh
 
         return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
@@ -152,6 +180,14 @@ class Payload(
         sequence: ExcitationSequence,
         baseline: Sequence[Run] = (),
     ) -> Chooser:
+        """What chooses the pushes of a weighing until it is sure.
+
+        Args:
+            robot: As its file or its calibration states it.
+            facts: Of the payload.
+            sequence: With an `until`.
+            baseline: Not used: the payload alone is sought.
+        """
         from proprio_ros.experiment_design.until import UntilSure
         from proprio_ros.quantity import Z95
 
@@ -167,6 +203,13 @@ class Payload(
         facts: PayloadJob,
         held: dict[str, float],
     ) -> StandingEstimator:
+        """What estimates the payload while the arm moves.
+
+        Args:
+            robot: With a calibration of motions.
+            facts: Where the payload's centre is.
+            held: Positions of joints that are not recorded [rad or m].
+        """
         from proprio_ros.identification.regression.at_rest import StandingEstimator
         from proprio_ros.identification.regression.online import CENTRE_STD_M
 
@@ -212,6 +255,13 @@ class Payload(
         facts: PayloadJob,
         estimate: Estimate,
     ) -> base.Shapes | None:
+        """The ball of water that weighs as much; None without a mass.
+
+        Args:
+            robot: Whose hand holds it.
+            facts: Of the payload.
+            estimate: Its mass and, where it was found, its centre.
+        """
         import numpy as np
 
         mass = estimate.values[0].value

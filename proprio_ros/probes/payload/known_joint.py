@@ -40,8 +40,11 @@ def identify_known_joint(
 ) -> Estimate:
     """Identify the payload that all ``motions`` share.
 
-    ``robot``: of one joint that turns; ``motions``: at least one; ``calibration``: of this very joint; ``facts``: where
-    the payload sits.
+    Args:
+        robot: Of one joint that turns.
+        motions: At least one.
+        calibration: Of this very joint.
+        facts: Where the payload sits.
 
     Raises:
         RecordingError: A motion is of no use.

@@ -87,7 +87,21 @@ def motion_answer(
     notes: tuple[str, ...] = (),
     shown: tuple[JointFit, ...] = (),
 ) -> Estimate:
-    """The answer of any regression; ``beside`` has notes, too, and there may be others."""
+    """The answer of any regression.
+
+    Args:
+        robot: That moved.
+        motions: With the payload.
+        refusal: And its verdict.
+        values: That are stated.
+        assumptions: Which they rest on.
+        fit: How well torques are explained; None where nothing was fitted.
+        budget: Standard deviation that each source puts on the mass [kg].
+        detail: What only motions have.
+        beside: Motions of the empty hand, whose notes count, too.
+        notes: Beside those of the motions.
+        shown: Torques of each joint, for the page.
+    """
     return Estimate(
         probe="payload",
         robot=robot.name,
@@ -172,7 +186,13 @@ class _Weighing:
     centre: Centre | None  # of the payload, where it was stated
 
     def fitted(self, robot: Robot, motions: Sequence[Motion], *, stated: bool = True) -> MotionFit:
-        """A fit of motions, with the payload's centre where it was ``stated``, or looking for it."""
+        """A fit of motions by what the arm is known by.
+
+        Args:
+            robot: As its file or its calibration states it.
+            motions: With the payload.
+            stated: Whether its centre is where it was stated; else it is looked for.
+        """
         return fit_payload(
             robot,
             motions,

@@ -42,7 +42,15 @@ def identify_standing(
     centre_is_stated: bool,
     learnt: MotionCalibration,
 ) -> Estimate:
-    """Identify the payload of recordings that move too little for `identify_in_motion`, with what was ``learnt`` of the arm.
+    """Identify the payload of recordings that move too little for `identify_in_motion`.
+
+    Args:
+        robot: As its file or its calibration states it.
+        motions: With the payload.
+        baseline: With an empty hand.
+        facts: Where the payload's centre is.
+        centre_is_stated: Whether the user said so.
+        learnt: What motions showed of the arm.
 
     Raises:
         TooLittleMotion: They do not stand, either.

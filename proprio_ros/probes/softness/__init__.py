@@ -83,6 +83,13 @@ class Softness(
     def facts(
         self, settings: Settings, solver: str = "lm", profile: str = "default"
     ) -> SoftnessJob:
+        """What is stated of the block, and how its moduli are sought.
+
+        Args:
+            settings: The user's.
+            solver: One of `solvers`.
+            profile: One of `profiles`.
+        """
         from proprio_ros.probes.softness.facts import block_facts
         from proprio_ros.probes.softness.identify import SqueezeOptions
 
@@ -155,6 +162,14 @@ class Softness(
         sequence: ExcitationSequence,
         baseline: Sequence[Run] = (),
     ) -> Chooser:
+        """What chooses the squeezes of a block until its modulus is sure.
+
+        Args:
+            robot: As its file or its calibration states it.
+            facts: Of the block.
+            sequence: With an `until`.
+            baseline: Closings of the empty gripper, which count where it is asked whether all is sure.
+        """
         from proprio_ros.probes.softness.choosing import SqueezesUntilSure
         from proprio_ros.quantity import Z95
 
@@ -169,6 +184,13 @@ class Softness(
         return SqueezesUntilSure(robot, facts.block, facts.solving, sequence, whole)
 
     def identify(self, robot: Robot, recorded: base.Recorded, facts: SoftnessJob) -> Estimate:
+        """Find the block's elastic moduli.
+
+        Args:
+            robot: As its file or its calibration states it.
+            recorded: Closings on the block, and of the empty gripper.
+            facts: Of the block.
+        """
         from proprio_ros.probes.softness.identify import find_softness
 
         return find_softness(robot, recorded.runs, facts.block, facts.solving, recorded.baseline)
@@ -192,6 +214,13 @@ class Softness(
         facts: SoftnessJob,
         estimate: Estimate,
     ) -> base.Shapes | None:
+        """The block between the fingers.
+
+        Args:
+            robot: Whose fingers hold it.
+            facts: Of the block.
+            estimate: Whose first run says which joint slides the finger.
+        """
         rotation = block_rotation(robot, estimate.run_fits[0].joint)
         return base.Shapes(
             [0.0, 0.0, 0.0],
@@ -207,7 +236,14 @@ class Softness(
 
 
 def largest_squeeze(robot: Robot, joint: str, travel_m: float, facts: BlockFacts) -> float:
-    """How far a block is squeezed, relative to its length, when a finger that touches it goes on by so much, as published."""
+    """How far a block is squeezed, relative to its length, when a finger that touches it goes on by so much, as published.
+
+    Args:
+        robot: As its file or its calibration states it.
+        joint: Of the finger.
+        travel_m: How far it goes on when it touches the block [m].
+        facts: Of the block.
+    """
     drive = robot.drive_trains[joint]
     measured = drive.finger_travel
     steepest = (
