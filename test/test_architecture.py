@@ -20,7 +20,6 @@ BASE = {
     "errors",
     "records",
     "quantity",
-    "units",
     "kinds",
     "progress",
     "schema",

@@ -27,10 +27,10 @@ from proprio_ros.inputs.forms import (
 )
 from proprio_ros.inputs.reading import path_problem, yaml_file
 from proprio_ros.inputs.resources import resource, resource_names
+from proprio_ros.quantity import POSITIONS
 from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.recordings.read_options import POSITION_UNITS, Columns
 from proprio_ros.recordings.topics import FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
-from proprio_ros.units import POSITIONS
 
 DEEPEST = 8  # files that extend each other
 _TYPES = {"sensor_msgs/JointState": JOINT_STATE, "std_msgs/Float64MultiArray": FLOAT_ARRAYS[0]}

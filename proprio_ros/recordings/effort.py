@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.quantity import COUNT, EFFORTS
 from proprio_ros.records import MEASURED_EFFORT, FloatArray, InputRecord, JointRecord, TimeArray
-from proprio_ros.units import COUNT, EFFORTS
 
 EFFORT_UNITS = tuple(EFFORTS)
 CURRENT_PER_COUNT_A = COUNT.in_si

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,6 +63,16 @@ TILT_MARGIN = LEVEL
 """rad, beyond that slope: an arm that stands so far off still has the sphere at rest in the same end, and in time."""
 # the sphere leaves its end where it would come to rest this share of its least room away
 ROLLED_SHARE = 0.5
+
+
+class _Simulated(NamedTuple):
+    """What C pushes would show, as `ContainerProblem.predict` gives it."""
+
+    q: np.ndarray  # of the joint [rad], (C, T)
+    v: np.ndarray  # of the joint [rad/s], (C, T)
+    dq: np.ndarray  # by F unknowns, (C, T, F)
+    x: np.ndarray  # of the sphere in the container [m], (C, T, 3)
+    dx: np.ndarray  # by the same, (C, T, 3, F)
 
 
 @dataclass(frozen=True)
@@ -298,42 +309,50 @@ class SphereUntilSure(CatalogueChooser):
     def _forecast(self, pushes: Sequence[candidates.Push], sphere_kg: float) -> _SphereForecast:
         """What pushes would show with a sphere of such a mass [kg], all in one launch."""
         problem = self._problem([self.catalogue.standing(push) for push in pushes])
-        runs = problem.runs
-        known = self._values | {"sphere_mass": sphere_kg}
-        values = np.array([known.get(unknown.key, unknown.value) for unknown in problem.unknowns])
         columns, variance = self._shared.columns_of(problem)
-        q, v, dq, x, dx = problem.predict(values, columns)
-        # of joints that none of them drives
-        lacks = [place for place, key in enumerate(self._shared.keys) if key not in problem.index]
-        dq[..., lacks] = 0.0
-        dx[..., lacks] = 0.0
-        off = q - np.array([run.rest.value for run in runs])[:, None]
+        seen = self._simulated(problem, columns, sphere_kg)
+        runs = problem.runs
+        off = seen.q - np.array([run.rest.value for run in runs])[:, None]
         fastest = np.array([run.drive.usable_velocity for run in runs])
         alive = until_broken(
-            np.isfinite(q)
-            & np.isfinite(x).all(axis=2)
-            & (np.abs(v) < fastest[:, None])
+            np.isfinite(seen.q)
+            & np.isfinite(seen.x).all(axis=2)
+            & (np.abs(seen.v) < fastest[:, None])
             & (np.abs(off) < MAX_TRAVEL)
         )
         reading_std = np.array([run.sigma[0] for run in runs])
-        rows = whitened(dq, v, alive, reading_std, self.robot.stamp_jitter_s)
+        rows = whitened(seen.dq, seen.v, alive, reading_std, self.robot.stamp_jitter_s)
         # what the container sees of the sphere across the joint's axis, (C, 3, 3)
         across = np.array([run.across for run in problem.simulator.special.sphere_runs])
-        seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
+        places = np.where(alive[..., None, None], across[:, None] @ seen.dx, 0.0)
         stds, spreads = self._shared.stds_along(
-            rows, variance, self._covariance, "sphere_mass", seen
+            rows, variance, self._covariance, "sphere_mass", places
         )
         counted = alive.sum(axis=1)
-        known_until_lost = [known_until(spread, self._search.facts) for spread in spreads]
-        moved = np.einsum("rij,rtj->rti", across, x - x[:, :1])
+        until_lost = [known_until(spread, self._search.facts) for spread in spreads]
+        moved = np.einsum("rij,rtj->rti", across, seen.x - seen.x[:, :1])
         return _SphereForecast(
             self.catalogue.still(pushes[0]).times_s,
             off,
             counted,
             stds,
             np.linalg.norm(moved, axis=2),
-            np.minimum(known_until_lost, counted),
+            np.minimum(until_lost, counted),
         )
+
+    def _simulated(
+        self, problem: ContainerProblem, columns: np.ndarray, sphere_kg: float
+    ) -> _Simulated:
+        """Joint and sphere at the values found so far, by the unknowns that matter to each run."""
+        known = self._values | {"sphere_mass": sphere_kg}
+        unknowns = problem.unknowns
+        values = np.array([known.get(unknown.key, unknown.value) for unknown in unknowns])
+        seen = _Simulated(*problem.predict(values, columns))
+        # of joints that none of the runs drives
+        lacks = [place for place, key in enumerate(self._shared.keys) if key not in problem.index]
+        seen.dq[..., lacks] = 0.0
+        seen.dx[..., lacks] = 0.0
+        return seen
 
     def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
         """Runs that have not been made as a problem."""

@@ -149,21 +149,12 @@ class SqueezesUntilSure(Chooser):
             self.robot, tuple(runs), (True,) * len(runs), self._facts, self._options
         )
         problem = search.problem(Role.FREE)
-        values = _carried_over(fit, problem)
         with np.errstate(over="ignore", invalid="ignore"):
-            q, v, dq = problem.simulate(values[None], problem.free)
-        position = q[0]  # (C, T)
-        velocity = v[0]
+            q, v, dq = problem.simulate(_carried_over(fit, problem)[None], problem.free)
+        velocity = v[0]  # (C, T)
         slopes = dq[0]  # by the free unknowns, (C, T, free)
-        away = position - runs[0].rest.value
-        transmission = runs[0].drive.transmission
-        close_enough = np.abs(away) * abs(transmission) < self._farthest_m
-        holds = (
-            np.isfinite(position) & np.isfinite(slopes).all(axis=2) & (np.abs(velocity) < FASTEST)
-        )
-        # it ends at the sample where it is seen to have gone so far
-        holds[:, 1:] &= close_enough[:, :-1]
-        alive = until_broken(holds)
+        away = q[0] - runs[0].rest.value
+        alive = self._alive(away, velocity, slopes)
         columns, variance = self._shared.columns_of(problem)
         at = np.searchsorted(problem.free, columns)
         by_unknown = np.stack([slopes[run][:, own] for run, own in enumerate(at)])
@@ -172,10 +163,18 @@ class SqueezesUntilSure(Chooser):
         stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
         return Forecast(
             runs[0].times_s,
-            away * transmission,
+            away * runs[0].drive.transmission,
             alive.sum(axis=1),
             stds,
         )
+
+    def _alive(self, away: np.ndarray, velocity: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """The samples up to which a squeeze stays inside the limits; it ends at the one where it is seen to have gone too far."""
+        transmission = self._usable[0].drive.transmission
+        close_enough = np.abs(away) * abs(transmission) < self._farthest_m
+        holds = np.isfinite(away) & np.isfinite(slopes).all(axis=2) & (np.abs(velocity) < FASTEST)
+        holds[:, 1:] &= close_enough[:, :-1]
+        return until_broken(holds)
 
     def _promised(
         self,
