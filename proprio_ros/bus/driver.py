@@ -79,13 +79,15 @@ class ArmDriver:
         log: Callable[[str, str], None] = lambda severity, message: None,
         clock: Callable[[], float] = now,
     ) -> None:
-        self.robot, self.bus = robot, bus
+        self.robot = robot
+        self.bus = bus
         self.settings = settings or DriverSettings()
         self.statistics = DriverStatistics()
         self.state = BusState.DISCONNECTED
         self.reason = "not connected yet"
         self.health: dict[str, ServoHealth] = {}
-        self._log, self._clock = log, clock
+        self._log = log
+        self._clock = clock
         self._joints = {servo.joint: DrivenJoint.of(robot, servo) for servo in bus.servos}
         self._lock = lock()
         self._command: CurrentCommand | None = None

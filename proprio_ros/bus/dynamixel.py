@@ -141,20 +141,25 @@ class DynamixelBus:
         if baud_rate not in control_table.BAUD_RATES.values():
             known = ", ".join(map(str, control_table.BAUD_RATES.values()))
             raise BusError(f"baud rate {baud_rate} is not known to the servos; choose from {known}")
-        self.port_name, self.baud_rate = port, baud_rate
+        self.port_name = port
+        self.baud_rate = baud_rate
         self.servos = tuple(servos)
         self.warnings: list[str] = []
         self.motors: Motors = {}
         self._by_id = {servo.id: servo for servo in self.servos}
-        self._reply_timeout_s, self._connect = reply_timeout_s, connect
-        self._want_fast, self.fast = fast_sync_read, False
+        self._reply_timeout_s = reply_timeout_s
+        self._connect = connect
+        self._want_fast = fast_sync_read
+        self.fast = False
         self._port: Port | None = None
         self._packets = dynamixel_sdk.PacketHandler(2.0)
         # ROS 2 Jazzy ships 4.0.5, which has no fast option
         self._sdk_is_fast = "fast_option" in inspect.signature(self._packets.syncReadTx).parameters
         table = self.servos[0].model.registers
-        self._state_start, self._state_length = table["present_current"].address, 10
-        self._goal_start, self._goal_length = table["goal_current"].address, 18
+        self._state_start = table["present_current"].address
+        self._state_length = 10
+        self._goal_start = table["goal_current"].address
+        self._goal_length = 18
 
     @property
     def is_open(self) -> bool:
@@ -180,7 +185,8 @@ class DynamixelBus:
 
     def close(self) -> None:
         """Close the port; whatever it answers, it is closed afterwards."""
-        port, self._port = self._port, None
+        port = self._port
+        self._port = None
         if port is not None and port.ser is not None:
             with contextlib.suppress(*PORT_FAULTS):  # it may be gone, which is what was asked for
                 port.ser.close()
@@ -227,7 +233,16 @@ class DynamixelBus:
         return entry.decode(bytes(self._tried(servo_id, f"read {register}", exchange)))
 
     def write(self, servo_id: int, register: str, value: int) -> None:
-        """Write a register and wait for the servo's word on it."""
+        """Write a register and wait for the servo's answer.
+
+        Args:
+            servo_id: Of the servo.
+            register: Name of the register.
+            value: What is written, in the register's unit.
+
+        Raises:
+            BusError: The servo does not answer, or refuses.
+        """
         entry = self._by_id[servo_id].model.registers[register]
         arguments = servo_id, entry.address, entry.size, list(entry.encode(value))
         what = f"write {register} = {value}"

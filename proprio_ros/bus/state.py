@@ -14,7 +14,9 @@ from proprio_ros.robot import Robot
 FAR_COUNTS = 1_000_000
 """Goal position, from the present one, at which current-based position mode pushes with its whole current."""
 LARGEST_GAP = 100  # so many messages of one publisher may be lost between two that come
-LATE, LATE_NS, OUTDATED = 8, 1_000_000_000, -1
+LATE = 8
+LATE_NS = 1_000_000_000
+OUTDATED = -1
 """A message may come so many places late, and so long; who sent one that came before, or after newer ones of its publisher."""
 # by so much less than is known of its publisher's clock a message may seem to be on its way
 SLACK_NS = 50_000_000
@@ -113,7 +115,8 @@ class DrivenJoint:
 
     def hold(self) -> None:
         """Stay where it was last seen, within its limits."""
-        self.mode, self.commanded_A = JointMode.HELD, 0.0
+        self.mode = JointMode.HELD
+        self.commanded_A = 0.0
         self.goal_rad = self.target_rad = min(
             max(self.angle_rad, self.lower_rad),
             self.upper_rad,
@@ -121,7 +124,8 @@ class DrivenJoint:
 
     def let_go(self) -> None:
         """No current, until it is held or driven again."""
-        self.mode, self.commanded_A = JointMode.FREE, 0.0
+        self.mode = JointMode.FREE
+        self.commanded_A = 0.0
 
     def goal(self, stopped: bool) -> Goal:
         """What its servo is to be told; ``stopped``: no current, whatever it is doing."""
@@ -198,10 +202,16 @@ class Senders:
         set_ns: int = 0,
         waited_ns: int = 0,
     ) -> float:
-        """How late a message came that was sent so long ago [ns] by its publisher's clock, whose error is the least of that.
+        """How late a message came; the error of its publisher's clock is the least lag that was seen.
 
-        ``set_ns``: by how much our clock was set just now; what was sent before seems late by that, and teaches nothing.
-        ``waited_ns``: for so long it may have been here before anybody took it.
+        Args:
+            sender: Who sent it.
+            lag_ns: From when it was sent, by its publisher's clock, to now, by ours [ns].
+            set_ns: By how much our clock was set just now; what was sent before seems late by that, and teaches nothing [ns].
+            waited_ns: For so long it may have been here before anybody took it [ns].
+
+        Returns:
+            How late it came [s].
         """
         lags_ns = {lag_ns, lag_ns - set_ns}
         longest_ns = LATE_NS + waited_ns

@@ -20,7 +20,8 @@ WINDOW_S = 0.03  # a position that is read to 1.5 mrad is an acceleration to 2 r
 LAG_STEP_S = 0.004
 LAGS_S = np.arange(0.0, 0.122, LAG_STEP_S)
 LONGEST_S = 0.08  # is assumed until the joints have shown the delay
-KEPT, LONG_AGO_S = 512, -1e9  # commands and positions; before the first one
+KEPT = 512
+LONG_AGO_S = -1e9  # commands and positions; before the first one
 GAP_S = 0.075  # across a longer one positions say nothing of accelerations
 # what changes more slowly than this is no effect of an effort: it rubs, or hangs there
 SLOW_S = 0.3

@@ -30,7 +30,9 @@ FARTHEST_RAD = 0.15
 CORRECTING_SHARE = 0.85
 """Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and throws the joint
 back. With 0.6 a shoulder with 150 g in the hand ran on for 0.9 rad after a push, with this for 0.28."""
-LOST_RAD, BRAKED_RAD, BRAKED_S = 0.5, 1.2, 1.0
+LOST_RAD = 0.5
+BRAKED_RAD = 1.2
+BRAKED_S = 1.0
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy. One that was pushed
 until a second ago may have run on where whoever takes commands has stalled, and is caught rather than let go; a hold that is softer
 than stated needs longer to bring it back."""
@@ -38,14 +40,16 @@ USUAL_ROTOR = 1.0 / 3.0
 """Of the spread that holds where no file states a rotor. Held for one three times as heavy as it was, a wrist swung up."""
 # nothing is summed up of a joint that stands so near to its goal: friction would have it hunt
 SLACK_RAD = 0.004
-DEAD_RAD, DEAD_RAD_S = 0.0015, 0.12
+DEAD_RAD = 0.0015
+DEAD_RAD_S = 0.12
 """Off by so little is not off: an encoder's noise would shake a joint that stands, and what shakes creeps in spite of friction."""
 SETTLING_S = 0.6
 """Loads are summed up for so long after the goals have come to rest, and then no more: a joint must be still before a push."""
 # what a spring gives in the mean over this time, where a joint stands, belongs to what holds it
 LEANING_S = 0.05
 ASTRAY_RAD = 0.03  # unless a joint is so far off: something else hangs at it
-DELAYS_PER_RAD, FILTER_AND_SAMPLE_S = 0.4, 0.01
+DELAYS_PER_RAD = 0.4
+FILTER_AND_SAMPLE_S = 0.01
 """Frequency x delay at most, with what filter and sample add: with 73 ms, 5 rad/s hold a kilogram at 0.6 m."""
 # time constant of what is summed up, beside 1 / frequency, and altogether
 LOAD_S = 0.05
@@ -53,7 +57,8 @@ LONGEST_LOAD_S = 1.0
 HAND_S = 0.3  # the same of what hangs at all joints as something in the hand would
 # of what may be commanded, no more is summed up: a command that came late looks like a load
 UNKNOWN_SHARE = 0.2
-HARDEST_RAD_S2, HARDEST_PER_S = 20.0, 16.0
+HARDEST_RAD_S2 = 20.0
+HARDEST_PER_S = 16.0
 """Spring and damper ask for no more than the larger of this acceleration and of this times the speed that is to be taken away:
 who takes commands may stall for 0.2 s in mid-braking, and keep the last one."""
 NUDGE_SHARE = 0.3  # of what may be commanded

@@ -45,7 +45,8 @@ def live_answer(estimate: Estimate) -> tuple[int, str, dict[str, Any]] | None:
     known = live_interval(estimate)
     if known is None:
         return None
-    (name, unit), (value, std) = probe_named(estimate.probe).answer, known
+    name, unit = probe_named(estimate.probe).answer
+    value, std = known
     samples = sum(len(run.times_s) for run in estimate.run_fits)
     half = Z95 * std
     entries = {

@@ -40,7 +40,15 @@ class Controller:
 
 
 def load_at(robot: Robot, carried: Carried, link: str) -> Carried:
-    """A load that is stated in the robot's payload frame, in the frame of another link.
+    """A load in the frame of another link.
+
+    Args:
+        robot: The arm.
+        carried: The load, in the robot's payload frame.
+        link: The other link.
+
+    Returns:
+        The same load in that link's frame.
 
     Raises:
         RobotError: There is no such link.

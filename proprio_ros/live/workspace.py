@@ -45,7 +45,13 @@ class Workspace:
         settings: Mapping[str, Any],
         baseline: Path | None,
     ) -> Request:
-        """What a job is about: robot, and what is stated about the object, read once; raises as `request_of` does."""
+        """What a job is about, read once; raises as `request_of` does.
+
+        Args:
+            probe: What is identified.
+            settings: What is stated about the object.
+            baseline: Recording of the hand without it; None: none.
+        """
         empty = () if baseline is None else (baseline,)
         stated = settings_for(probe, settings)
         return live_request(

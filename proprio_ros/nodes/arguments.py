@@ -18,9 +18,15 @@ def check_arguments(
     params_file: str = "",
     held: str = "",
 ) -> None:
-    """Refuse in one line what the nodes would refuse one after the other, or would start without; empty: not stated.
+    """Refuse in one line what the nodes would refuse one after the other, or would start without.
 
-    Raises `ProprioError`: Robot, parameter file, or what the virtual hand is to hold is not there, or not understood.
+    Args:
+        robot: Name or file of the robot; empty: not stated.
+        params_file: The user's parameter file; empty: none.
+        held: What the virtual hand is to hold; empty: no virtual robot.
+
+    Raises:
+        ProprioError: One of these is not there, or not understood.
     """
     if params_file:
         _check_parameters(Path(params_file))

@@ -24,11 +24,14 @@ class Carrying:
     """Publishes while it is known what the hand holds; a pose that is asked for is answered once."""
 
     def __init__(self, node: ManagedNode, inputs: Inputs, results: Results) -> None:
-        self._node, self._inputs, self._results = node, inputs, results
+        self._node = node
+        self._inputs = inputs
+        self._results = results
         self._robot: Robot | None = None
         self._carrier: Carrier | None = None
         self._pose: dict[str, float] = {}
-        self._seen, self._count = b"", 0
+        self._seen = b""
+        self._count = 0
         self._standing = False
         self._effort = node.create_publisher(JointState, "~/gravity_effort", COMMANDS)
         self._std = node.create_publisher(JointState, "~/gravity_effort_std", COMMANDS)
@@ -39,7 +42,8 @@ class Carrying:
 
     def use(self, robot: Robot) -> None:
         """Whose joints they are."""
-        self._robot, self._carrier = robot, None
+        self._robot = robot
+        self._carrier = None
 
     def _stands(self) -> bool:
         """Whether all joints have been heard, and the newest joint state just now; takes it up."""
@@ -54,7 +58,8 @@ class Carrying:
                 self._robot = None
                 return False
         if data is not self._seen:
-            self._seen, message = data, deserialize_message(data, JointState)
+            self._seen = data
+            message = deserialize_message(data, JointState)
             heard = zip(
                 self._inputs.conventions.renamed(message.name), message.position, strict=False
             )

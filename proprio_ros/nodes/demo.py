@@ -168,8 +168,10 @@ class _Client:
         graph: Graph,
         tell: Callable[[str], None],
     ) -> None:
-        self._graph, self._tell = graph, tell
-        self._last_words, self._words = "", 0
+        self._graph = graph
+        self._tell = tell
+        self._last_words = ""
+        self._words = 0
         self._final: dict[str, dict[str, str]] = {}
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("proprio_demo")
@@ -256,7 +258,16 @@ class _Client:
         example: Example,
         weighs: bool,
     ) -> tuple[bool, str]:
-        """Robot, baseline and object, one after the other; the last service's answer."""
+        """Calibrate the robot, record a baseline where the probe wants one, and identify the object.
+
+        Args:
+            probe: What is identified.
+            example: The object.
+            weighs: Whether the robot is calibrated with a weight, too.
+
+        Returns:
+            Success and sentence of the last service.
+        """
         weight = f", then with a weight of {1e3 * REFERENCE_KG:.0f} g" if weighs else ""
         self._tell(
             f"the robot {'weighs' if weighs else 'learns'} itself: with nothing in its hand{weight}"

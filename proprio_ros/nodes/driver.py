@@ -112,7 +112,8 @@ class DriverNode(ManagedNode):
         self._motors = self.create_publisher(DiagnosticStatus, "motors", LATCHED)
         self._temperatures = self.create_publisher(Float64MultiArray, TEMPERATURES, LATCHED)
         self._senders = {"current_command": Senders(), "position_command": Senders()}
-        self._system, self._set = StampClock(), (0.0, 0)
+        self._system = StampClock()
+        self._set = (0.0, 0)
         self.create_subscription(Float64MultiArray, "current_command", self._on_current, FROM_MANY)
         self.create_subscription(
             Float64MultiArray, "position_command", self._on_position, FROM_MANY
@@ -250,15 +251,11 @@ class DriverNode(ManagedNode):
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._driver is not None and self._thread is not None:  # active or not: the arm is held
             self._driver.stop()
-            response.success, response.message = (
-                True,
-                self._named("current zero; ~/torque true holds the arm again"),
-            )
+            response.success = True
+            response.message = self._named("current zero; ~/torque true holds the arm again")
         else:
-            response.success, response.message = (
-                True,
-                "the driver does not hold the bus, and drives nothing",
-            )
+            response.success = True
+            response.message = "the driver does not hold the bus, and drives nothing"
         return response
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -267,7 +264,8 @@ class DriverNode(ManagedNode):
             reason = (
                 driver.reason if driver is not None and self.active else "the driver is not active"
             )
-            response.success, response.message = False, f"not possible: {reason}"
+            response.success = False
+            response.message = f"not possible: {reason}"
             return response
         driver.set_torque(request.data)
         wanted = BusState.RUNNING if request.data else BusState.RELEASED

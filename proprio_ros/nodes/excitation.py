@@ -35,7 +35,8 @@ from proprio_ros.nodes.services import LongService
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.recordings.description import robot_named
 
-_G, _H = Guards(), HoldGains()
+_G = Guards()
+_H = HoldGains()
 # at rest, too: who missed the last word of a sequence waits for the next
 STATUS_PERIOD_S = 0.1
 REST_PERIOD_S = 1.0
@@ -247,10 +248,8 @@ class ExcitationNode(ManagedNode):
 
     def _on_driver(self, message: DiagnosticStatus) -> None:
         """An arm that was let go of falls: what it does then is no fault of the probe, and nobody should look for one there."""
-        self._driver_state, self._driver_words = (
-            messages.values_of(message).get("state", ""),
-            message.message,
-        )
+        self._driver_state = messages.values_of(message).get("state", "")
+        self._driver_words = message.message
         self._driver_at_s = clock.now()
         if self._machine.busy and self._limp:
             self._abort(f"the driver was {self._limp}", aloud=True)
@@ -371,7 +370,8 @@ class ExcitationNode(ManagedNode):
         return True, f"sequence {self._count}: {sequence.name}, {self._machine.runs} runs"
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = True, "nothing was under way"
+        response.success = True
+        response.message = "nothing was under way"
         if self._machine.busy:
             self._abort("by ~/abort")
             response.message = "aborted; the arm is held"
@@ -387,7 +387,8 @@ class ExcitationNode(ManagedNode):
             if self._switched is not None and self._switched.engaged
             else self._output
         )
-        response.success, response.message = True, held.release()
+        response.success = True
+        response.message = held.release()
         return response
 
     def _tell_when_due(self) -> None:
@@ -421,7 +422,8 @@ class ExcitationNode(ManagedNode):
     def _tell(self) -> None:
         machine = self._machine
         sequence = self._machine.sequence
-        self._published, self._published_at_s = self._state(), clock.now()
+        self._published = self._state()
+        self._published_at_s = clock.now()
         values = {
             "sequence": self._count,
             "phase": machine.phase.value,

@@ -17,7 +17,8 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.qos import COMMANDS, LATCHED
 
-READY_S, SEEN_S = 4.0, 12.0
+READY_S = 4.0
+SEEN_S = 12.0
 """Patience with whoever is not there, and from the node's own start on: who uses DDS announces itself every 3 s, and on a busy
 computer the first words are lost."""
 SILENT_S = 3.0
@@ -76,15 +77,16 @@ class Excitation:
             return f"no joint states reach {self.name}; are the topics named alike?"
         return ""
 
-    def make(
-        self,
-        job: Job,
-        sequence: str,
-        begun: Callable[[], None] = lambda: None,
-    ) -> None:
-        """Ask for a sequence and wait until it has ended well; ``begun`` is called when it is under way.
+    def make(self, job: Job, sequence: str, begun: Callable[[], None] = lambda: None) -> None:
+        """Ask for a sequence and wait until it has ended well.
 
-        Raises `JobError`: It was refused, aborted, cancelled, or the node fell silent.
+        Args:
+            job: Under which it is done; cancelling it ends the sequence.
+            sequence: As the excitation node takes it.
+            begun: Is called when the sequence is under way.
+
+        Raises:
+            JobError: It was refused, aborted, cancelled, or the node fell silent.
         """
         named = RosParameter("probe", RosParameter.Type.STRING, sequence).to_parameter_msg()
         results = self._call(
@@ -107,7 +109,8 @@ class Excitation:
         if not answer.success:
             raise JobError(f"the excitation node refuses: {answer.message}")
         number = answer.message.split(":")[0].removeprefix("sequence ")
-        self._asking, heard_s = True, clock.now()
+        self._asking = True
+        heard_s = clock.now()
         self._renew_lease()
         begun()
         try:

@@ -29,14 +29,16 @@ class Patience:
         silence_s: float,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._silence_s, self._now = silence_s, now
+        self._silence_s = silence_s
+        self._now = now
         self._heard: object = None
         self._since_s = now()
 
     def is_over(self, heard: object) -> bool:
         """Whether nothing new was heard for too long; what was heard differs once there is something new."""
         if heard != self._heard:
-            self._heard, self._since_s = heard, self._now()
+            self._heard = heard
+            self._since_s = self._now()
         return self._now() - self._since_s > self._silence_s
 
 
@@ -71,7 +73,16 @@ class Graph:
     def start(
         self, node: str, parameters: Mapping[str, Any], namespace: str = ""
     ) -> subprocess.Popen[bytes]:
-        """Start a node, such as `driver`, in a process and a session of its own, so that Ctrl-C reaches only us."""
+        """Start a node in a process and a session of its own, so that Ctrl-C reaches only us.
+
+        Args:
+            node: Its name, such as ``driver``.
+            parameters: What is stated of its parameters.
+            namespace: Of the node; empty: none.
+
+        Returns:
+            The process.
+        """
         words = [sys.executable, "-m", f"proprio_ros.nodes.{node}", "--ros-args"]
         for name, value in parameters.items():
             # words in a list need quotes to be one each

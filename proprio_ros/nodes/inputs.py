@@ -61,7 +61,8 @@ class Inputs:
     """
 
     def __init__(self, node: ManagedNode, busy: Callable[[], bool]) -> None:
-        self._node, self._busy = node, busy
+        self._node = node
+        self._busy = busy
         self.session: Session | None = None
         self.heard: list[RawMessage] | None = None
         self.kept: deque[RawMessage] | None = None

@@ -230,7 +230,8 @@ class Jobs:
         baseline = probe.baseline
         used = self._workspace.used
         request = self._workspace.request(probe, parse_settings(self._value("settings")), None)
-        self._inputs.live, self._results.link = None, request.robot.payload_frame
+        self._inputs.live = None
+        self._results.link = request.robot.payload_frame
         self._results.tell(job.kind, baseline.hand)
         sequence = self._value(f"{probe.name}_sequence")
         plan = load_sequence(sequence, request.robot)
@@ -261,7 +262,8 @@ class Jobs:
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         """The robot, with an empty hand and perhaps a weighed object."""
-        self._inputs.live, tell = None, partial(self._results.tell, job.kind)
+        self._inputs.live = None
+        tell = partial(self._results.tell, job.kind)
         options = replace(
             self._workspace.options(),
             robot=self._workspace.robot,
@@ -306,7 +308,8 @@ class Jobs:
             raise JobError(
                 "there is no calibration to bring up to date: call ~/calibrate_robot first"
             )
-        self._inputs.live, options = None, self._workspace.options()
+        self._inputs.live = None
+        options = self._workspace.options()
         fresh = robot_of(options)
         learnt = fresh.calibration
         if learnt is None or not learnt.driven:
@@ -405,7 +408,17 @@ class Jobs:
         options: Options,
         publish: Callable[[Estimate], None],
     ) -> Estimate:
-        """The estimate from a bag: published, then written beside it with a report."""
+        """Identify from a bag; the estimate is published, then written beside it with a report.
+
+        Args:
+            job: Under which it is done.
+            bag: The recording.
+            options: As of `proprio replay`.
+            publish: Is called with the estimate.
+
+        Returns:
+            The estimate.
+        """
         self._results.tell(job.kind, "identifying")
         estimate = replay([bag], options)
         publish(estimate)
@@ -459,7 +472,21 @@ class Jobs:
         request: Request,
         chooser: Chooser | None = None,
     ) -> Path:
-        """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
+        """Have a sequence made, listen to it, and keep what came; the bag is written however it ends.
+
+        Args:
+            job: Under which it is done.
+            kind: Part of the recording's name.
+            sequence: As the excitation node takes it.
+            request: With which the recording will be identified.
+            chooser: Chooses further pushes; None: there are none.
+
+        Returns:
+            The bag.
+
+        Raises:
+            JobError: The sequence did not end well, or the bag cannot be written.
+        """
         inputs = self._inputs
         inputs.catch_up()
         session = Session(self._workspace.data, kind)

@@ -119,7 +119,15 @@ class ManagedNode(LifecycleNode):
     def create_service(
         self, kind: Any, name: str, callback: Any, *, qos_profile: QoSProfile = CALLS, **more: Any
     ) -> Any:
-        """As rclpy's, for more callers at once."""
+        """As rclpy's, for more callers at once.
+
+        Args:
+            kind: Class of the service.
+            name: Of the service.
+            callback: Is called with request and response, and returns the response.
+            qos_profile: Quality of service.
+            more: What else rclpy takes.
+        """
 
         def serve(request: Any, response: Any) -> Any:
             self.called_s = clock.now()

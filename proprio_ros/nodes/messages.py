@@ -58,12 +58,20 @@ def joint_state(
     velocity: Floats = (),
     effort: Floats = (),
 ) -> JointState:
-    """Quantities that are not known stay empty."""
+    """A joint state; quantities that are not known stay empty.
+
+    Args:
+        stamp_ns: Its stamp [ns].
+        names: Joints, shape (J,).
+        position: Of these, shape (J,) [rad or m].
+        velocity: Of these, shape (J,) [rad/s or m/s].
+        effort: Of these, shape (J,) [N m or N].
+    """
     message = JointState(name=list(names))
     message.header.stamp = time_message(stamp_ns)
-    message.position, message.velocity, message.effort = (
-        list(map(float, q)) for q in (position, velocity, effort)
-    )
+    message.position = list(map(float, position))
+    message.velocity = list(map(float, velocity))
+    message.effort = list(map(float, effort))
     return message
 
 
@@ -124,7 +132,15 @@ def status(
     values: Mapping[str, Any],
     hardware_id: str = "",
 ) -> DiagnosticStatus:
-    """A diagnostic status; level is ``ok``, ``warning`` or ``error``."""
+    """A diagnostic status.
+
+    Args:
+        level: ``ok``, ``warning`` or ``error``.
+        name: What it is about.
+        message: A sentence.
+        values: Keys and values.
+        hardware_id: Of the hardware; empty: none.
+    """
     return DiagnosticStatus(
         level=LEVELS[level],
         name=name,
@@ -147,7 +163,13 @@ def values_of(message: DiagnosticStatus) -> dict[str, str]:
 
 
 def inertia(stamp_ns: int, frame: str, carried: Carried) -> InertiaStamped:
-    """A load in its frame."""
+    """A load in its frame.
+
+    Args:
+        stamp_ns: Of the newest sample that it rests on [ns].
+        frame: In which it is stated.
+        carried: The load.
+    """
     message = InertiaStamped()
     message.header.stamp = time_message(stamp_ns)
     message.header.frame_id = frame
@@ -182,7 +204,8 @@ def _marker(
         type=kind,
         action=Marker.ADD,
     )
-    marker.header.stamp, marker.header.frame_id = time_message(header[1]), header[2]
+    marker.header.stamp = time_message(header[1])
+    marker.header.frame_id = header[2]
     position = marker.pose.position
     turn = marker.pose.orientation
     scale = marker.scale
@@ -203,7 +226,17 @@ def markers(
     unit: str,
     accepted: bool = True,
 ) -> MarkerArray:
-    """Bodies at one place with the value in words above, in amber where its interval is too wide; what was shown before goes."""
+    """Bodies at one place with the value in words above; what was shown before goes.
+
+    Args:
+        stamp_ns: Of the message [ns].
+        frame: In which the bodies are.
+        shapes: The bodies.
+        value: What is shown, in ``unit``.
+        std: Its standard deviation, in ``unit``.
+        unit: Of both.
+        accepted: Whether its interval is narrow enough; else it is amber.
+    """
     header = ("proprio", stamp_ns, frame)
     colour = BLUE if accepted else AMBER
     spec = spec_for(unit, std)
@@ -243,9 +276,14 @@ def planned(
     words: str,
     path_m: np.ndarray | None,
 ) -> MarkerArray:
-    """What is known so far, in words above the hand, and the way of the hand in the push that comes next; what was shown goes.
+    """What is known so far, and the way of the hand in the push that comes next; what was shown before goes.
 
-    All in the root link's frame: the hand's place, shape (3,), and its path, shape (N, 3); None: no push comes.
+    Args:
+        stamp_ns: Of the message [ns].
+        frame: Of the root link.
+        place_m: Of the hand in that frame, shape (3,) [m].
+        words: What is shown above the hand.
+        path_m: Of the hand in that frame, shape (N, 3) [m]; None: no push comes.
     """
     header = ("next push", stamp_ns, frame)
     colour = (*AMBER, 1.0)

@@ -48,12 +48,17 @@ def _numbers(value: Any, count: int) -> list[float]:
     return [_number(each) for each in value]
 
 
-def fill(
-    message: Any,
-    probe: Probe[Any],
-    entries: Mapping[str, Any],
-) -> Any:
-    """Numbers, verdict and reasons of a probe's answer, as in ``~/estimate``, in a message of an estimate or a `Weigh` result."""
+def fill(message: Any, probe: Probe[Any], entries: Mapping[str, Any]) -> Any:
+    """Put numbers, verdict and reasons of an answer into a message.
+
+    Args:
+        message: Of an estimate, or a `Weigh` result.
+        probe: Whose answer it is.
+        entries: As in ``~/estimate``.
+
+    Returns:
+        The message.
+    """
     name, unit = probe.answer
     setattr(message, _FIELDS[unit], _number(entries.get(name)))
     message.std = _number(entries.get(f"{name}.std"))
@@ -70,7 +75,8 @@ class StampedEstimates:
     """``~/mass_estimate``, ``~/elasticity_estimate`` and ``~/holding_estimate``: what ``~/estimate`` says, as numbers."""
 
     def __init__(self, node: ManagedNode) -> None:
-        self._node, self._publishers = node, {}
+        self._node = node
+        self._publishers = {}
         if MassEstimate is None:
             words = f"proprio_msgs is not installed: no ~/{ACTION}, no estimates as messages with numbers"
             node.get_logger().debug(words)
@@ -146,7 +152,9 @@ class WeighAction:
         begin: Callable[[Job, Answer], None],
         check: Callable[[Job], None],
     ) -> None:
-        self._node, self._begin, self._check = node, begin, check
+        self._node = node
+        self._begin = begin
+        self._check = check
         self._goal: Any = None
         self._job: Job | None = None
         self._server = None
@@ -209,11 +217,14 @@ class WeighAction:
     def _on_accepted(self, goal: Any) -> None:
         probe, job = self._asked(goal.request)
         self._feedback = Weigh.Feedback(mass=math.nan)
-        self._probe, self._job, self._goal = probe, job, goal
+        self._probe = probe
+        self._job = job
+        self._goal = goal
 
         def answer(success: bool, message: str) -> None:
             self._goal = self._job = None
-            job.success, job.message = success, message
+            job.success = success
+            job.message = message
             self._end(goal, probe, job)
 
         return self._begin(job, answer)

@@ -134,7 +134,8 @@ class DriverOutput(Output):
     """Labelled currents and positions to this package's driver."""
 
     def __init__(self, currents: Any, positions: Any) -> None:
-        self._currents, self._positions = currents, positions
+        self._currents = currents
+        self._positions = positions
         self._driving = False
 
     def check(self, sequence: ExcitationSequence) -> None:

@@ -36,7 +36,8 @@ class HandingOn:
     """
 
     def __init__(self, node: ManagedNode, results: Results) -> None:
-        self._node, self._results = node, results
+        self._node = node
+        self._results = results
         self._name = name = node.values["hand_on"]
         if name == "none":
             return

@@ -62,8 +62,10 @@ class Results:
     """
 
     def __init__(self, node: ManagedNode, workspace: Workspace) -> None:
-        self._node, self._workspace = node, workspace
-        self.concluded, self.link = False, ""
+        self._node = node
+        self._workspace = workspace
+        self.concluded = False
+        self.link = ""
         self.entries: Mapping[str, Any] = {}
         self.hear: Callable[[str, Mapping[str, Any]], None] = lambda message, entries: None
         self._stamped = StampedEstimates(node)
@@ -72,7 +74,8 @@ class Results:
         self._held = node.create_publisher(Bool, "~/holding", LATCHED)
         self.load: StandingLoad | None = None
         self.held: Load | None = None
-        self.held_ns, self.late = 0, ""
+        self.held_ns = 0
+        self.late = ""
         # what was published of the hand, and what withdraws it
         self._standing: dict[str, Callable[[], None]] = {}
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
@@ -99,7 +102,14 @@ class Results:
         entries: Mapping[str, Any] | None = None,
         level: str = "ok",
     ) -> None:
-        """The status."""
+        """Publish the status.
+
+        Args:
+            doing: What is under way, or ``idle``.
+            message: A sentence.
+            entries: Further keys and values.
+            level: ``ok``, ``warning`` or ``error``.
+        """
         values = {"doing": doing, "calibration": self._calibration, **(entries or {})}
         self._status.publish(messages.status(level, "identifier", message, values))
         self.hear(message, values)
@@ -109,13 +119,14 @@ class Results:
         self._node.say("info", message)
         self.tell(doing, message)
 
-    def choice(
-        self,
-        robot: Robot,
-        decision: Decision,
-        pose: Mapping[str, float],
-    ) -> None:
-        """What is known after a push of a robot that stands at a pose [rad or m], and the way of the hand in the next."""
+    def choice(self, robot: Robot, decision: Decision, pose: Mapping[str, float]) -> None:
+        """Show what is known after a push, and the way of the hand in the next.
+
+        Args:
+            robot: The arm.
+            decision: What is known, and the next push.
+            pose: Where the arm stands [rad or m].
+        """
         push = decision.push
         here = {**zero_pose(robot), **pose}
         path = None
@@ -181,7 +192,13 @@ class Results:
         name: str,
         carried: Carried | None = None,
     ) -> None:
-        """An estimate without what it says of the hand; with a load that will be published, where its inertia comes from."""
+        """Publish a final estimate without what it says of the hand.
+
+        Args:
+            estimate: What was identified.
+            name: As which it is published.
+            carried: The load that will be published for it; None: none.
+        """
         entries = {**as_diagnostics(estimate), "final": True, "calibration": self._calibration}
         value = estimate.values[0]
         told = estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
@@ -207,7 +224,8 @@ class Results:
             f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)
         }
         words = "; ".join(estimate.reasons) or estimate.verdict.value
-        self.concluded, self.entries = True, entries
+        self.concluded = True
+        self.entries = entries
         self.publish_estimate(
             "ok" if estimate.verdict is Verdict.ACCEPTED else "warning", name, words, entries
         )
@@ -239,7 +257,8 @@ class Results:
             self._publish_load(now_ns, frame, carried)
             self.load = StandingLoad(robot, carried, interval_of(estimate))
             self.held = Load(carried.mass_kg, value.std, carried.com_m)
-            self.held_ns, self.late = now_ns, ""
+            self.held_ns = now_ns
+            self.late = ""
         shapes = probe.shapes(robot, facts, estimate) if isinstance(probe, Shown) else None
         if shapes is not None:
             self._markers.publish(

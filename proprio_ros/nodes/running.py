@@ -18,7 +18,8 @@ from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.results import Results
 
 RUNNING_PERIOD_S = 0.1
-UNFED_S, STALLED_S = 2.0, 0.5
+UNFED_S = 2.0
+STALLED_S = 0.5
 """Joint states that say nothing for so long, in the beginning and later, are worth a word: no mass stands meanwhile."""
 WATCH_S = 0.2
 """So often the thread that hears looks how old the newest estimate is: it does not wait for the one that computes."""
@@ -48,8 +49,11 @@ class Running:
         silent: Callable[[], bool],
         link: str,
     ) -> None:
-        self._node, self._inputs, self._results = node, inputs, results
-        self._silent, self._link = silent, link
+        self._node = node
+        self._inputs = inputs
+        self._results = results
+        self._silent = silent
+        self._link = link
         # of what is known, and said: two threads look after that
         self._lock = clock.lock()
         self._news: News | None = None

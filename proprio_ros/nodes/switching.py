@@ -75,7 +75,8 @@ class Switching:
     """
 
     def __init__(self, node: Any, controllers: Controllers) -> None:
-        self._node, self.controllers = node, controllers
+        self._node = node
+        self.controllers = controllers
         self._kind = switch_kind()
         self._client = node.create_client(self._kind, controllers.service)
         self.engaged = self.pending = False
@@ -142,7 +143,10 @@ class SwitchedRuns:
     def __init__(
         self, node: ExcitationNode, switching: Switching, speaker: LastWords, output: Output
     ) -> None:
-        self._node, self._switching, self._speaker, self._output = node, switching, speaker, output
+        self._node = node
+        self._switching = switching
+        self._speaker = speaker
+        self._output = output
         self._waiting: list[Answer] = []  # for the end of a switch
         others = switching.controllers.others
         self._others = ", ".join(others) if others else "nobody (deactivate_controllers is empty)"
@@ -196,7 +200,8 @@ class SwitchedRuns:
         self._output.hand_over()
 
     def _go_on(self) -> None:
-        waiting, self._waiting = self._waiting, []
+        waiting = self._waiting
+        self._waiting = []
         for answer in waiting:
             self.run(answer)
 

@@ -100,7 +100,8 @@ class VirtualNode(ManagedNode):
                 self.values["seed"],
                 links=self.values["links"],
             )
-        self._model, self._truth = robot, truth
+        self._model = robot
+        self._truth = truth
         self.add_on_set_parameters_callback(self._on_parameters)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._motors = self.create_publisher(JointState, "~/motors", 10)

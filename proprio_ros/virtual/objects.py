@@ -46,7 +46,13 @@ class HandObject(ABC):
         return
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> Any:
-        """Add it to the model ``spec`` of an arm that is not compiled yet; ``hand`` is its body of the payload frame."""
+        """Add it to the model of an arm that is not compiled yet.
+
+        Args:
+            mujoco: MuJoCo's module.
+            spec: The model.
+            hand: The model's body of the payload frame.
+        """
         return
 
     def begin(self, arm: VirtualArm) -> None:
@@ -97,7 +103,7 @@ class Payload(HandObject):
         return self
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> Any:
-        """As of every object; returns its body."""
+        """Add it to the model ``spec``, by the module ``mujoco``, in the body ``hand``; returns its own body."""
         body = hand.add_body(name="held/payload")
         set_inertia(body, self.mass_kg, self.com_m, self.inertia)
         return body
@@ -172,12 +178,17 @@ def check_mass(what: str, mass_kg: float) -> None:
         )
 
 
-def check_lengths(
-    what: str,
-    lengths_m: tuple[float, ...],
-    least_m: float,
-) -> None:
-    """Raises: ConfigurationError: One of them is none in metres, or less than the least."""
+def check_lengths(what: str, lengths_m: tuple[float, ...], least_m: float) -> None:
+    """Look at lengths that a user stated.
+
+    Args:
+        what: They are, in words.
+        lengths_m: The lengths [m].
+        least_m: The smallest that is allowed [m].
+
+    Raises:
+        ConfigurationError: One of them is none in metres, or less than the least.
+    """
     if not all(least_m <= length <= LONGEST_M for length in lengths_m):
         shown = ", ".join(f"{length:g}" for length in lengths_m)
         raise ConfigurationError(
@@ -186,9 +197,17 @@ def check_lengths(
 
 
 def set_inertia(body: Any, mass_kg: float, com_m: Any, inertia: SixOfInertia) -> None:
-    """Give a body of MuJoCo its inertia about its centre of mass."""
+    """Give a body of MuJoCo its inertia.
+
+    Args:
+        body: The body.
+        mass_kg: Its mass [kg].
+        com_m: Its centre of mass in its frame, shape (3,) [m].
+        inertia: About the centre of mass: xx, yy, zz, xy, xz, yz [kg m^2].
+    """
     body.explicitinertial = True
-    body.mass, body.ipos = mass_kg, com_m
+    body.mass = mass_kg
+    body.ipos = com_m
     # a flat body is the edge of what is physical, and rounding must not push it over; a point has no inertia at all
     least = 1e-9 * sum(inertia[:3]) + 1e-12
     body.fullinertia = (*(axis + least for axis in inertia[:3]), *inertia[3:])

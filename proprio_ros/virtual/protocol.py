@@ -88,14 +88,26 @@ def unstuff(body: bytes) -> bytes:
 
 
 def encode_instruction(servo_id: int, code: int, params: bytes = b"") -> bytes:
-    """Packet that a computer sends."""
+    """Packet that a computer sends.
+
+    Args:
+        servo_id: Whom it is for.
+        code: The instruction.
+        params: What comes behind it.
+    """
     body = stuff(bytes([code]) + params)
     data = _HEADER + bytes([servo_id]) + (len(body) + 2).to_bytes(2, "little") + body
     return data + crc16(data).to_bytes(2, "little")
 
 
 def encode_status(servo_id: int, error: int, params: bytes = b"") -> bytes:
-    """Packet that a servo answers with; ``error`` includes the alert bit."""
+    """Packet that a servo answers with.
+
+    Args:
+        servo_id: Who answers.
+        error: The error byte, with the alert bit.
+        params: What comes behind it.
+    """
     return encode_instruction(servo_id, Code.STATUS, bytes([error]) + params)
 
 

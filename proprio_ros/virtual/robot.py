@@ -137,11 +137,10 @@ class VirtualRobot:
                     f"{', '.join(f'{k}=JOINT' for k in joints)}, unplug; joints: {', '.join(self.servos)}"
                 )
         with self.port.lock:
-            self.faults.drop, self.faults.corrupt = faults["drop"], faults["corrupt"]
-            self.faults.corrupt_requests, self.faults.delay_s = (
-                faults["corrupt_requests"],
-                faults["delay"],
-            )
+            self.faults.drop = faults["drop"]
+            self.faults.corrupt = faults["corrupt"]
+            self.faults.corrupt_requests = faults["corrupt_requests"]
+            self.faults.delay_s = faults["delay"]
             self.faults.hang = {self.servos[name].id for name in joints["hang"]}
             for row, (name, servo) in enumerate(self.servos.items()):
                 if name in joints["overheat"]:

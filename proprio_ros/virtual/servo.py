@@ -36,7 +36,9 @@ _VELOCITY_I_DIVISOR = 65536.0
 
 # as plain numbers: looked at by each servo in each period
 _MODE = control_table.OperatingMode
-_CURRENT, _VELOCITY, _PWM = int(_MODE.CURRENT), int(_MODE.VELOCITY), int(_MODE.PWM)
+_CURRENT = int(_MODE.CURRENT)
+_VELOCITY = int(_MODE.VELOCITY)
+_PWM = int(_MODE.PWM)
 _CURRENT_BASED_POSITION = int(_MODE.CURRENT_BASED_POSITION)
 
 Goals = Mapping[str, int]
@@ -69,7 +71,8 @@ class VirtualServo:
         control_period_s: float = CONTROL_PERIOD_S,
     ) -> None:
         self.model = model
-        self._period_s, self._warming = control_period_s, control_period_s / _THERMAL_TIME_S
+        self._period_s = control_period_s
+        self._warming = control_period_s / _THERMAL_TIME_S
         self.supply_voltage_V = supply_voltage_V
         self.temperature_C = AMBIENT_C
         self.latency_s = latency_s
@@ -86,11 +89,15 @@ class VirtualServo:
         self._end = max(self._bytes) + 1
         self._values = {name: register.initial for name, register in self._registers.items()}
         self._values.update(model_number=model.number, firmware_version=firmware, id=servo_id)
-        self._booted_s, self._silent_until_s, self._heard_s = 0.0, -math.inf, 0.0
+        self._booted_s = 0.0
+        self._silent_until_s = -math.inf
+        self._heard_s = 0.0
         self._velocities: deque[float] = deque(maxlen=_VELOCITY_AVERAGE)
         # supply at which `_tune` was called last; not a number: a register has changed since
         self._tuned_V = math.nan
-        self._controlled_s, self._felt_C, self._powered = 0.0, AMBIENT_C, False
+        self._controlled_s = 0.0
+        self._felt_C = AMBIENT_C
+        self._powered = False
         self._unread = False  # whether there are measurements that no register holds yet
         self._goals: Goals | None
         self._pending: deque[tuple[float, Goals]]
@@ -151,7 +158,16 @@ class VirtualServo:
         return Error.NONE, bytes(found[:length])
 
     def write(self, address: int, data: bytes, now_s: float) -> Error:
-        """Set whole registers; with an error nothing is set (assumed)."""
+        """Set whole registers; with an error nothing is set (assumed).
+
+        Args:
+            address: Of the first register.
+            data: Bytes of the registers.
+            now_s: The time [s].
+
+        Returns:
+            The error that the servo answers with.
+        """
         values, error = self._parsed(address, data)
         if error:
             return error
@@ -166,7 +182,8 @@ class VirtualServo:
         for name, register in self._registers.items():
             if not register.eeprom:
                 self._values[name] = register.initial
-        self._unread, self._tuned_V = False, math.nan
+        self._unread = False
+        self._tuned_V = math.nan
         self._booted_s = now_s
         self._silent_until_s = now_s + REBOOT_S
         self._overloaded_s = 0.0
@@ -281,9 +298,15 @@ class VirtualServo:
             self._stop()
 
     def control(self, now_s: float, angle_rad: float, velocity_rad_s: float) -> float:
-        """One period of the controller: measure, look for trouble, choose the current that flows until the next call [A].
+        """One period of the controller: measure, look for trouble, choose the current that flows until the next call.
 
-        It comes a period after the last one, with the shaft's angle and velocity, and is a whole number of counts.
+        Args:
+            now_s: The time, a period after the last call [s].
+            angle_rad: Of the shaft [rad].
+            velocity_rad_s: Of the shaft [rad/s].
+
+        Returns:
+            The current, a whole number of counts [A].
         """
         if self._tuned_V != self.supply_voltage_V:
             self._tune()
@@ -294,7 +317,8 @@ class VirtualServo:
         values["present_position"] = self._zero_counts + round(
             sign * angle_rad / self.model.position_unit_rad
         )
-        self._controlled_s, self._felt_C = now_s, self.temperature_C
+        self._controlled_s = now_s
+        self._felt_C = self.temperature_C
         if (
             self._ailing
             or self._felt_C > self._hot_C
@@ -318,7 +342,8 @@ class VirtualServo:
         counts = 0
         if self._powered and values["bus_watchdog"] != control_table.BUS_WATCHDOG_TRIPPED:
             counts = self._bounded(self._wanted(velocity_rad_s), velocity_rad_s)
-        values["present_current"], self._unread = counts, True
+        values["present_current"] = counts
+        self._unread = True
         current_A = counts * self.model.current_unit_A
         # heat of the winding into one thermal mass; assumed values
         final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * (
@@ -356,10 +381,8 @@ class VirtualServo:
         velocities = self._velocities
         model = self.model
         speed = round(sum(velocities) / len(velocities) / model.velocity_unit_rad_s)
-        values["present_velocity"], values["moving"] = (
-            speed,
-            1 if abs(speed) > values["moving_threshold"] else 0,
-        )
+        values["present_velocity"] = speed
+        values["moving"] = 1 if abs(speed) > values["moving_threshold"] else 0
         # the small addition keeps a sum of milliseconds from being rounded down
         values["realtime_tick"] = (
             int((self._controlled_s - self._booted_s) * 1e3 + 1e-6) % _TICK_WRAP
