@@ -65,7 +65,13 @@ def servos_of(robot: Robot) -> tuple[BusServo, ...]:
             raise RobotError(
                 f"{robot.name}: joints.{joint}.motor needs model and id to be driven; state them in {robot.source.name}"
             )
-        servos.append(BusServo(joint, motor.id, control_table.servo_model(motor.model)))
+        servos.append(
+            BusServo(
+                joint,
+                motor.id,
+                control_table.servo_model(motor.model),
+            )
+        )
     ids = [servo.id for servo in servos]
     if len(set(ids)) != len(ids):
         raise RobotError(
@@ -213,7 +219,13 @@ class DynamixelBus:
 
     def ping(self, servo_id: int) -> int:
         """Model number of a servo."""
-        return int(self._tried(servo_id, "ping", lambda port: self._packets.ping(port, servo_id)))
+        return int(
+            self._tried(
+                servo_id,
+                "ping",
+                lambda port: self._packets.ping(port, servo_id),
+            )
+        )
 
     def read(self, servo_id: int, register: str) -> int:
         """Value of a register, sign included."""
@@ -450,7 +462,11 @@ class DynamixelBus:
         blocks: dict[int, tuple[int, bytes]] = {}
         for servo in self.servos:
             try:
-                data, result, error = self._packets.readRx(port, servo.id, self._state_length)
+                data, result, error = self._packets.readRx(
+                    port,
+                    servo.id,
+                    self._state_length,
+                )
             except IndexError:
                 continue
             if result == dynamixel_sdk.COMM_SUCCESS and len(data) == self._state_length:
@@ -463,7 +479,11 @@ class DynamixelBus:
         part = self._state_length + 4  # error, id, data, CRC
         whole = part * len(self.servos)
         try:
-            data, result, _ = self._packets.fastSyncReadRx(port, dynamixel_sdk.BROADCAST_ID, whole)
+            data, result, _ = self._packets.fastSyncReadRx(
+                port,
+                dynamixel_sdk.BROADCAST_ID,
+                whole,
+            )
         except IndexError:
             return {}
         if result != dynamixel_sdk.COMM_SUCCESS or len(data) < whole - 2:

@@ -90,7 +90,11 @@ class JointStates:
             self._velocity[name] = speed
         if now_s - min(self._seen_s.values()) > self._stale_after_s:
             return None
-        return JointSample(now_s, dict(self._position), dict(self._velocity))
+        return JointSample(
+            now_s,
+            dict(self._position),
+            dict(self._velocity),
+        )
 
     def _mean_velocity(self, name: str, now_s: float, position: float) -> float:
         """Of a joint that is at a position now, over `SPAN_S` or a little more."""

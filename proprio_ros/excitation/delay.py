@@ -163,8 +163,14 @@ class Delay:
         inertial = inertia @ _second_difference(np.stack(columns, axis=1))  # (J,)
         lagged_s = places_s[:, None] - LAGS_S  # (3, L)
         twice = self._integrals(lagged_s.ravel())[:, 1]
-        efforts = _second_difference(twice.reshape(3, len(LAGS_S), -1))  # (L, J)
-        self._compare(step_s, efforts, inertial, np.diag(inertia))
+        at_places = twice.reshape(3, len(LAGS_S), -1)  # (3, L, J)
+        efforts = _second_difference(at_places)  # (L, J)
+        self._compare(
+            step_s,
+            efforts,
+            inertial,
+            np.diag(inertia),
+        )
         return inertial, efforts[round(self.assumed_s / LAG_STEP_S)]
 
     def coming(self) -> tuple[FloatArray, FloatArray]:

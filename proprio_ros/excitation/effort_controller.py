@@ -39,7 +39,11 @@ class EffortController(Controller):
     def __init__(
         self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None
     ) -> None:
-        super().__init__(robot, joints, (gains or HoldGains()).jump_rad)
+        super().__init__(
+            robot,
+            joints,
+            (gains or HoldGains()).jump_rad,
+        )
         if unit not in UNITS:
             raise ConfigurationError(f"effort_unit={unit!r}: choose one of {', '.join(UNITS)}")
         self.pushed_A: dict[str, float] = {}

@@ -111,10 +111,27 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
             up = math.copysign(1.0, lever_m(robot, name, pose)) * (1.0 if lifts else -1.0)
             if _takes_goals(robot):
                 step = up * plans.margin(robot, name, STEP_RAD)
-                runs.append(plans.ExcitationRun(name, 0.0, DURATION_S, start, goal_step=step))
+                runs.append(
+                    plans.ExcitationRun(
+                        name,
+                        0.0,
+                        DURATION_S,
+                        start,
+                        goal_step=step,
+                    )
+                )
             else:
                 load = loads.at(pose, held_kg)
-                runs.append(_push(robot, name, start, up, lifts, load))
+                runs.append(
+                    _push(
+                        robot,
+                        name,
+                        start,
+                        up,
+                        lifts,
+                        load,
+                    )
+                )
     return plans.ExcitationSequence(
         name=f"first_{hand}",
         hand=hand,

@@ -147,7 +147,11 @@ class FreeResponse:
     def way(self, start: float) -> np.ndarray:
         """Places from a start to where it would swing to without friction, as far beyond the rest [rad]."""
         end = 2.0 * self.rest - start
-        return np.linspace(start, end, 2 + math.ceil(abs(end - start) / STEP_RAD))
+        return np.linspace(
+            start,
+            end,
+            2 + math.ceil(abs(end - start) / STEP_RAD),
+        )
 
 
 def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeResponse:
@@ -165,7 +169,11 @@ def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeRespo
         raise ExcitationError(
             f"{joint} slides: only a joint that turns swings freely; give it a current"
         )
-    body = robot.model.lock([joint], pose, robot.gravity)
+    body = robot.model.lock(
+        [joint],
+        pose,
+        robot.gravity,
+    )
     axis = body.axes[0]
     pseudo = robot.arm_scale.value * body.pseudo_inertia[0]
     gravity = body.placement[0][:3, :3].T @ body.gravity

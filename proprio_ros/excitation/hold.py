@@ -113,7 +113,12 @@ class _Dynamics:
 
     def __init__(self, robot: Robot, joints: Sequence[str]) -> None:
         self.joints = tuple(joints)
-        self.load = Load({}, {}, {}, {})
+        self.load = Load(
+            {},
+            {},
+            {},
+            {},
+        )
         self.mass: FloatArray = np.eye(len(self.joints))
         self.inverse: FloatArray = self.mass
         self._loads = Loads(robot)
@@ -278,7 +283,11 @@ class Hold:
         """What efforts leave unexplained, of joints that move or are off their goals; one that stands may lean on its friction."""
         self._update_loads()
         positions = [self._position[name] for name in self.joints]
-        seen = self.delay.observe(time_s, positions, self._dynamics.mass)
+        seen = self.delay.observe(
+            time_s,
+            positions,
+            self._dynamics.mass,
+        )
         if seen is None:
             return
         inertial, effort = (values.tolist() for values in seen)

@@ -79,7 +79,13 @@ class Phase(Enum):
     ABORTED = "aborted"
 
 
-_STEPS = {Phase.APPROACH: 0, Phase.SETTLE: 1, Phase.PROBE: 2, Phase.CATCH: 3, Phase.BRAKE: 3}
+_STEPS = {
+    Phase.APPROACH: 0,
+    Phase.SETTLE: 1,
+    Phase.PROBE: 2,
+    Phase.CATCH: 3,
+    Phase.BRAKE: 3,
+}
 """Of each run, in the order of `_Outline.expected_s`."""
 DRIVEN = (Phase.PROBE, Phase.CATCH)
 """In which no servo holds the run's joint: a current, a goal's step or nothing drives it."""
@@ -243,12 +249,31 @@ class ExcitationMachine:
             before = after
             words = f"{sequence.name}: {words}"
             if run.goal_step:
-                check_step(run, after, sequence, self.ways, self.guards, words)
+                check_step(
+                    run,
+                    after,
+                    sequence,
+                    self.ways,
+                    self.guards,
+                    words,
+                )
             if run.free:
                 words = f"{words} cannot swing freely"
-                check_free_response(run, after, sequence, self.ways, self.guards, words)
+                check_free_response(
+                    run,
+                    after,
+                    sequence,
+                    self.ways,
+                    self.guards,
+                    words,
+                )
         if sequence.home:
-            home = self.ways.find(before, {**before, **sequence.home}, sequence, "home")
+            home = self.ways.find(
+                before,
+                {**before, **sequence.home},
+                sequence,
+                "home",
+            )
             expected_s.append((home.duration_s,))
         return _Outline(ways[0], tuple(expected_s))
 
@@ -671,7 +696,12 @@ class ExcitationMachine:
             self._enter(Phase.DONE)
             return None
         try:
-            self._way = self.ways.find(self._goals, target, self.sequence, where)
+            self._way = self.ways.find(
+                self._goals,
+                target,
+                self.sequence,
+                where,
+            )
         except ExcitationError as error:
             return Problem("clearance", str(error))
         self._enter(phase)

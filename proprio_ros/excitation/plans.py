@@ -437,7 +437,12 @@ def _whole(section: Any, path: Path) -> Any:
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:
     if isinstance(section, Mapping) and "until" in section:
         section = {"runs": [], **section}  # there need be no runs of one's own
-    values = _values(section, ExcitationSequence, where, own=("runs", "from_here", "until"))
+    values = _values(
+        section,
+        ExcitationSequence,
+        where,
+        own=("runs", "from_here", "until"),
+    )
     if "from_here" in values:
         names = values["from_here"]
         if not isinstance(names, list) or not all(isinstance(each, str) for each in names):

@@ -156,7 +156,13 @@ class Carrier:
             inertial=nothing,
             torque_rate=nothing,
         )
-        fill_drives(design, self._values, rows, ArmTerms(count), carried)
+        fill_drives(
+            design,
+            self._values,
+            rows,
+            ArmTerms(count),
+            carried,
+        )
         return design
 
     def _left(self, pose: Mapping[str, float], load: Load) -> FloatArray:
@@ -165,7 +171,11 @@ class Carrier:
         needed = np.abs(efforts) + self._friction + Z95 * stds
         with np.errstate(invalid="ignore"):
             left = 1.0 - needed / self.limits
-        return np.where(np.isfinite(self.limits), left, 1.0)
+        return np.where(
+            np.isfinite(self.limits),
+            left,
+            1.0,
+        )
 
     def capability(self, poses: Sequence[Mapping[str, float]], load: Load) -> Capability:
         """Whether the arm can carry a load at all of some poses [rad]; the worst of them decides."""
@@ -185,7 +195,11 @@ class Carrier:
             else:
                 unable_kg = middle_kg
         joint = self.joints[int(worst.argmin())]
-        return Capability(joint, margin=float(worst.min()), most_kg=able_kg)
+        return Capability(
+            joint,
+            margin=float(worst.min()),
+            most_kg=able_kg,
+        )
 
 
 def _turning_joints(robot: Robot) -> list[str]:

@@ -118,7 +118,11 @@ class OnlineFeed:
         self.moved: set[str] = set()
 
     def _make(self, held: dict[str, float]) -> StandingEstimator:
-        return self.probe.running(self._robot, self._facts, held)
+        return self.probe.running(
+            self._robot,
+            self._facts,
+            held,
+        )
 
     def load(self, mass_kg: float) -> Carried:
         """The rigid load of that mass, its place and shape as far as they are stated."""
@@ -195,7 +199,13 @@ class OnlineFeed:
         """Why the effort of a joint state says nothing, or an empty string."""
         if not unit:
             return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
-        efforts = dict(zip_longest(names, effort[: len(names)], fillvalue=math.nan))
+        efforts = dict(
+            zip_longest(
+                names,
+                effort[: len(names)],
+                fillvalue=math.nan,
+            )
+        )
         without = [
             name
             for name, value in efforts.items()

@@ -92,14 +92,32 @@ class Session:
             data: The message, serialized.
         """
         with self._lock:
-            self._messages.append(RawMessage(topic, msgtype, time_ns, data))
+            self._messages.append(
+                RawMessage(
+                    topic,
+                    msgtype,
+                    time_ns,
+                    data,
+                )
+            )
             if self._journal is not None:
-                self._write(self._journal, topic.encode(), msgtype.encode(), time_ns, data)
+                self._write(
+                    self._journal,
+                    topic.encode(),
+                    msgtype.encode(),
+                    time_ns,
+                    data,
+                )
 
     def _write(
         self, journal: BinaryIO, topic: bytes, msgtype: bytes, time_ns: int, data: bytes
     ) -> None:
-        head = _RECORD.pack(time_ns, len(topic), len(msgtype), len(data))
+        head = _RECORD.pack(
+            time_ns,
+            len(topic),
+            len(msgtype),
+            len(data),
+        )
         record = head + topic + msgtype + data
         try:
             complete = journal.write(record) == len(record)
@@ -180,7 +198,14 @@ def read_journal(path: Path) -> list[RawMessage]:
             break
         called = data[at : at + topic].decode()
         of_type = data[at + topic : names].decode()
-        messages.append(RawMessage(called, of_type, time_ns, data[names:end]))
+        messages.append(
+            RawMessage(
+                called,
+                of_type,
+                time_ns,
+                data[names:end],
+            )
+        )
         at = end
     return messages
 
@@ -292,7 +317,12 @@ def baseline_options(request: Request) -> Options:
         key: value for key, value in options.settings.items() if not key.startswith(left_out)
     }
     settings |= probe.baseline_settings(request.facts)
-    return replace(options, probe=probe.baseline.probe, settings=settings, baseline=())
+    return replace(
+        options,
+        probe=probe.baseline.probe,
+        settings=settings,
+        baseline=(),
+    )
 
 
 def check_input(
@@ -373,7 +403,13 @@ def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
 
 def replay_command(bag: Path, options: Options) -> str:
     """The command line that gives the same numbers again."""
-    words = ["proprio", "replay", str(bag), "--probe", options.probe]
+    words = [
+        "proprio",
+        "replay",
+        str(bag),
+        "--probe",
+        options.probe,
+    ]
     for name in ("robot", "calibration", "driver", "state_topic", "command_topic", "effort_unit"):
         if getattr(options, name):
             words += [f"--{name.replace('_', '-')}", str(getattr(options, name))]
@@ -476,7 +512,11 @@ class LiveEstimate:
             times_ns = np.array([time_ns for time_ns, _ in inputs])
             source = InputRecord(times_ns, drives, current, topic)
             held = standing(self._request, record.names)
-            return cut_runs(Recording("live", record, source), held=held, joints=drives)
+            return cut_runs(
+                Recording("live", record, source),
+                held=held,
+                joints=drives,
+            )
         except ProprioError:
             # not enough yet; what is wrong for good is reported by the identification of the bag
             return ()
@@ -497,7 +537,11 @@ class LiveEstimate:
                 rows[stamp_ns] = [latest[name] for name in names]
                 newest_ns = stamp_ns
         positions = np.array(list(rows.values())).reshape(-1, len(names))  # (T, J)
-        return JointRecord(np.array(list(rows)), names, positions)
+        return JointRecord(
+            np.array(list(rows)),
+            names,
+            positions,
+        )
 
     def estimate(self) -> Estimate | None:
         """The estimate of all runs so far; None before there is one, or when nothing new came."""
@@ -512,6 +556,10 @@ class LiveEstimate:
         try:
             if not runs or not isinstance(request.probe, EstimatesLive):
                 return None
-            return request.probe.identify_so_far(request.robot, runs, request.facts)
+            return request.probe.identify_so_far(
+                request.robot,
+                runs,
+                request.facts,
+            )
         except ProprioError:
             return None

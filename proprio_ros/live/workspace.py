@@ -37,7 +37,11 @@ class Workspace:
     def options(self) -> Options:
         """With which a recording is replayed, but for what is in the hand."""
         robot = None if self.calibration else self.robot
-        return Options(robot=robot, calibration=self.calibration, **self.topics)
+        return Options(
+            robot=robot,
+            calibration=self.calibration,
+            **self.topics,
+        )
 
     def request(
         self,
@@ -55,7 +59,12 @@ class Workspace:
         empty = () if baseline is None else (baseline,)
         stated = settings_for(probe, settings)
         return live_request(
-            replace(self.options(), probe=probe.name, settings=stated, baseline=empty)
+            replace(
+                self.options(),
+                probe=probe.name,
+                settings=stated,
+                baseline=empty,
+            )
         )
 
     def configured(self, settings: Mapping[str, Any]) -> Robot:

@@ -79,7 +79,13 @@ class Carrying:
                 now_ns, names, [self._pose[name] for name in names], effort=efforts.tolist()
             )
         )
-        self._std.publish(messages.joint_state(now_ns, names, effort=stds.tolist()))
+        self._std.publish(
+            messages.joint_state(
+                now_ns,
+                names,
+                effort=stds.tolist(),
+            )
+        )
         self._count += 1
         if self._count % EVERY == 1:
             self._say(load, [self._pose], "here")

@@ -136,7 +136,11 @@ def _start(
     )
     graph.start("driver", {"robot": name, "port": link})
     graph.start("excitation", {"robot": name})
-    own: dict[str, Any] = {"robot": name, "data_directory": folder, "calibration": "none"}
+    own: dict[str, Any] = {
+        "robot": name,
+        "data_directory": folder,
+        "calibration": "none",
+    }
     if example.stated:
         own["settings"] = list(example.stated)
     if not full:

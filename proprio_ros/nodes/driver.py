@@ -196,7 +196,15 @@ class DriverNode(ManagedNode):
             self._told_limp = limp
             self._torque.publish(Bool(data=not limp))
         self._effort.publish(messages.joint_state(stamp, names, effort=applied))
-        self._states.publish(messages.joint_state(stamp, names, position, velocity, measured))
+        self._states.publish(
+            messages.joint_state(
+                stamp,
+                names,
+                position,
+                velocity,
+                measured,
+            )
+        )
         self._current.publish(messages.labelled(sample.commanded_A))
 
     # each logs for itself, since a place in the code is throttled, not a sentence

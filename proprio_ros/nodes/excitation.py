@@ -209,7 +209,12 @@ class ExcitationNode(ManagedNode):
 
     def _on_joint_state(self, message: JointState) -> None:
         now = self.now_s()
-        sample = self._joint_states.add(now, message.name, message.position, message.velocity)
+        sample = self._joint_states.add(
+            now,
+            message.name,
+            message.position,
+            message.velocity,
+        )
         if sample is not None:
             self._sample = sample
             self._tick(now)
@@ -441,7 +446,14 @@ class ExcitationNode(ManagedNode):
             "aborted_by": machine.aborted_by,
         }
         level = "error" if machine.phase is Phase.ABORTED else "ok"
-        self._status.publish(messages.status(level, "excitation", machine.message, values))
+        self._status.publish(
+            messages.status(
+                level,
+                "excitation",
+                machine.message,
+                values,
+            )
+        )
 
 
 def main() -> int:

@@ -61,7 +61,11 @@ class Graph:
         self.logs = logs
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         # whatever lies in the present folder must not be imported (Python 3.11 and later)
-        self._environment = {**os.environ, "PYTHONSAFEPATH": "1", **(environment or {})}
+        self._environment = {
+            **os.environ,
+            "PYTHONSAFEPATH": "1",
+            **(environment or {}),
+        }
         logs.mkdir(parents=True, exist_ok=True)
 
     def __enter__(self) -> Graph:

@@ -175,7 +175,11 @@ class IdentifierNode(ManagedNode):
         for problem in problems:
             self.say("error", problem)
         self.inputs = Inputs(self, self._busy)
-        self.workspace = Workspace(data, self.values["robot"], self.inputs.stated_topics())
+        self.workspace = Workspace(
+            data,
+            self.values["robot"],
+            self.inputs.stated_topics(),
+        )
         workspace = self.workspace
         self.results = Results(self, workspace)
         results = self.results
@@ -184,7 +188,14 @@ class IdentifierNode(ManagedNode):
         def silent() -> bool:
             return self._busy() or bool(self._missing())
 
-        self.weighing = Weighing(self, workspace, self.inputs, results, carrying, silent)
+        self.weighing = Weighing(
+            self,
+            workspace,
+            self.inputs,
+            results,
+            carrying,
+            silent,
+        )
         self.excitation = Excitation(self, self._on_progress)
         self.jobs = Jobs(
             self, workspace, self.inputs, self.excitation, results, self.weighing, self._unsaved
@@ -273,7 +284,11 @@ class IdentifierNode(ManagedNode):
         if running:
             self.say("info", running)
         ready = "ready" + f"; {running}" * bool(running)
-        self.results.tell("idle", missing or ready, level="warning" if missing else "ok")
+        self.results.tell(
+            "idle",
+            missing or ready,
+            level="warning" if missing else "ok",
+        )
 
     def cleanup(self) -> None:
         self._action.destroy()

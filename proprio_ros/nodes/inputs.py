@@ -296,7 +296,11 @@ class Inputs:
     ) -> None:
         if role == "joint_states":
             names = self.conventions.renamed(message.name)
-            live.add_state(messages.time_ns(message.header.stamp), names, message.position)
+            live.add_state(
+                messages.time_ns(message.header.stamp),
+                names,
+                message.position,
+            )
         elif role == "applied_effort":
             live.add_input(
                 messages.time_ns(message.header.stamp),
@@ -348,7 +352,12 @@ class Inputs:
             now_ns = self._node.get_clock().now().nanoseconds
             sent_ns = info.get("source_timestamp", 0)
             same_clock = 0 <= now_ns - sent_ns < 1e9 * LATEST_S
-            session.add(topic, _type_of(Bool), sent_ns if same_clock else now_ns, bytes(data))
+            session.add(
+                topic,
+                _type_of(Bool),
+                sent_ns if same_clock else now_ns,
+                bytes(data),
+            )
             self.swings |= not deserialize_message(data, Bool).data
 
     def published_motors(self) -> list[RawMessage]:

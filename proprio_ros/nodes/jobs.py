@@ -156,10 +156,22 @@ class Jobs:
         if task.plan.until is not None:
             self._results.tell(job.kind, "simulating what could be pushed")
             runs = baseline_runs(request)
-            chooser = chooser_of(probe, request.robot, request.facts, task.plan, runs)
+            chooser = chooser_of(
+                probe,
+                request.robot,
+                request.facts,
+                task.plan,
+                runs,
+            )
         if probe.hand:
             self._results.tell(job.kind, probe.hand)
-        bag = self.record(job, job.kind, task.sequence, request, chooser)
+        bag = self.record(
+            job,
+            job.kind,
+            task.sequence,
+            request,
+            chooser,
+        )
         try:
             estimate = self.identify(
                 job, bag, request.options, partial(self._results.publish, request)
@@ -229,7 +241,11 @@ class Jobs:
         """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
         baseline = probe.baseline
         used = self._workspace.used
-        request = self._workspace.request(probe, parse_settings(self._value("settings")), None)
+        request = self._workspace.request(
+            probe,
+            parse_settings(self._value("settings")),
+            None,
+        )
         self._inputs.live = None
         self._results.link = request.robot.payload_frame
         self._results.tell(job.kind, baseline.hand)
@@ -341,8 +357,20 @@ class Jobs:
         )
         self._results.tell_and_log(job.kind, said)
         # after them the arm stays where it is
-        chosen = as_text(replace(plan, runs=tuple(runs), until=None, home={}))
-        bag = self.record(job, job.kind, chosen, Request(fresh, options))
+        chosen = as_text(
+            replace(
+                plan,
+                runs=tuple(runs),
+                until=None,
+                home={},
+            )
+        )
+        bag = self.record(
+            job,
+            job.kind,
+            chosen,
+            Request(fresh, options),
+        )
         tell("identifying what has changed")
         output = bag.parent / "calibration.yaml"
         try:
@@ -395,7 +423,13 @@ class Jobs:
         if so_far.calibration is None or so_far.verdict is Verdict.REJECTED:
             return ""  # the whole calibration will say why
         known = request.robot.with_calibration(so_far.calibration)
-        runs = chosen_known(known, mass_kg, plan.until.half_interval, plan.until.at_most_s, plan)
+        runs = chosen_known(
+            known,
+            mass_kg,
+            plan.until.half_interval,
+            plan.until.at_most_s,
+            plan,
+        )
         self._node.say(
             "info", f"{len(runs)} further pushes with {mass_kg:g} kg in the hand were chosen"
         )
@@ -533,7 +567,11 @@ class Jobs:
         estimate = partial(clock.thread, self._estimate_live, "live estimate", (job,))
         try:
             if chooser is None:
-                self._excitation.make(job, sequence, lambda: estimate().start())
+                self._excitation.make(
+                    job,
+                    sequence,
+                    lambda: estimate().start(),
+                )
             else:
                 self._choose(job, sequence, chooser)
         finally:
@@ -555,7 +593,11 @@ class Jobs:
         self._await_position(live)
         while True:
             with threadpool_limits(1, user_api="blas"):
-                decision = chooser.next(runs, live.position(), clock.now() - began)
+                decision = chooser.next(
+                    runs,
+                    live.position(),
+                    clock.now() - began,
+                )
             entries = {f"choice.{key}": value for key, value in decision.as_entries().items()}
             self._results.tell(job.kind, decision.reason, entries)
             self._node.say(
@@ -614,7 +656,11 @@ class Jobs:
             while notes is None:
                 clock.sleep(CHECK_S)
                 try:
-                    notes = check_input(folder, [*heard, *self._inputs.published_motors()], request)
+                    notes = check_input(
+                        folder,
+                        [*heard, *self._inputs.published_motors()],
+                        request,
+                    )
                 except RecordingError:
                     if clock.now() > deadline:
                         raise

@@ -78,7 +78,12 @@ class LastWords:
         self._publisher = said.decode().split()[1:]
         self._told_s = -1e9
         self._heard = False
-        select.select([self._process.stdout], [], [], FOUND_S)
+        select.select(
+            [self._process.stdout],
+            [],
+            [],
+            FOUND_S,
+        )
 
     @property
     def alive(self) -> bool:
@@ -159,7 +164,12 @@ class _Speaker:
         """Speak for the node whenever it is silent; returns when it has ended."""
         while True:
             self._say_whether_heard()
-            ready, _, _ = select.select([sys.stdin], [], [], SILENT_S)
+            ready, _, _ = select.select(
+                [sys.stdin],
+                [],
+                [],
+                SILENT_S,
+            )
             if not ready:
                 self._speak()
                 continue

@@ -105,7 +105,11 @@ class ManagedNode(LifecycleNode):
         Returns:
             The timer, which can be cancelled.
         """
-        return self.create_timer(period_s, do, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return self.create_timer(
+            period_s,
+            do,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
 
     def _look_for_namesake(self) -> None:
         """Services of two nodes of one name are answered by either; said once."""
@@ -133,7 +137,13 @@ class ManagedNode(LifecycleNode):
             self.called_s = clock.now()
             return callback(request, response)
 
-        return super().create_service(kind, name, serve, qos_profile=qos_profile, **more)
+        return super().create_service(
+            kind,
+            name,
+            serve,
+            qos_profile=qos_profile,
+            **more,
+        )
 
     def listen(
         self,

@@ -22,7 +22,11 @@ LEVELS = {
     "warning": DiagnosticStatus.WARN,
     "error": DiagnosticStatus.ERROR,
 }
-KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
+KINDS = {
+    "box": Marker.CUBE,
+    "cylinder": Marker.CYLINDER,
+    "sphere": Marker.SPHERE,
+}
 BLUE = (0.1, 0.5, 0.9)
 AMBER = (1.0, 0.65, 0.0)
 UNKNOWN_LOAD = Carried(
@@ -261,7 +265,13 @@ def markers(
         (*colour, 1.0),
         (x, y, z + 0.06),
     )
-    words.text = shown(unit, value, Z95 * std, spec=spec, between=" +- ")
+    words.text = shown(
+        unit,
+        value,
+        Z95 * std,
+        spec=spec,
+        between=" +- ",
+    )
     if not accepted:
         words.text = shown(
             unit, max(value - Z95 * std, 0.0), value + Z95 * std, spec=spec, between=" to "
@@ -299,7 +309,13 @@ def planned(
     above.text = words
     array = [*no_markers().markers, above]
     if path_m is not None:
-        way = _marker(header, 1, Marker.LINE_STRIP, (0.004, 0.0, 0.0), colour)
+        way = _marker(
+            header,
+            1,
+            Marker.LINE_STRIP,
+            (0.004, 0.0, 0.0),
+            colour,
+        )
         way.points = [Point(x=x, y=y, z=z) for x, y, z in path_m.tolist()]
         # a ball where the push ends
         array += [

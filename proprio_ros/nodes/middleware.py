@@ -69,4 +69,8 @@ def warn_about_mixed_installations() -> None:
     prefixes = [path for path in sourced if path.startswith("/opt/ros")]
     if prefixes and here.startswith(sys.prefix) and not here.startswith("/opt/ros"):
         words = "rclpy comes from %s although %s is sourced: use one of the two, not both (README)"
-        logging.getLogger("proprio_ros").warning(words, sys.prefix, prefixes[0])
+        logging.getLogger("proprio_ros").warning(
+            words,
+            sys.prefix,
+            prefixes[0],
+        )

@@ -207,7 +207,11 @@ class WeighAction:
             sequence=request.sequence,
         )
         if request.half_interval != 0.0:
-            job.until = Until(request.half_interval, "kg", request.at_most_s or Until.at_most_s)
+            job.until = Until(
+                request.half_interval,
+                "kg",
+                request.at_most_s or Until.at_most_s,
+            )
         if target == WEIGH and (job.sequence or job.until):
             raise ConfigurationError(
                 f"target {WEIGH!r} makes no sequence: leave it empty, and half_interval at 0"

@@ -347,4 +347,10 @@ class ControllerOutput(Output):
     def _publish_applied(self, taken_ns: int, record: Mapping[str, float]) -> None:
         when_ns = taken_ns + round(1e9 * self.controller.late_s)
         values = {self.controller.recorded_as: list(record.values())}
-        self._applied.publish(messages.joint_state(when_ns, list(record), **values))
+        self._applied.publish(
+            messages.joint_state(
+                when_ns,
+                list(record),
+                **values,
+            )
+        )

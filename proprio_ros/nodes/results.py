@@ -110,7 +110,11 @@ class Results:
             entries: Further keys and values.
             level: ``ok``, ``warning`` or ``error``.
         """
-        values = {"doing": doing, "calibration": self._calibration, **(entries or {})}
+        values = {
+            "doing": doing,
+            "calibration": self._calibration,
+            **(entries or {}),
+        }
         self._status.publish(messages.status(level, "identifier", message, values))
         self.hear(message, values)
 
@@ -140,7 +144,13 @@ class Results:
         )
         frame = self._node.values["frame_prefix"] + robot.model.root
         self._planned.publish(
-            messages.planned(self._now_ns(), frame, place, words_of(decision), path)
+            messages.planned(
+                self._now_ns(),
+                frame,
+                place,
+                words_of(decision),
+                path,
+            )
         )
         self._standing["choice"] = partial(self._planned.publish, messages.no_markers())
 
@@ -215,7 +225,11 @@ class Results:
         """That of the robot; its file ``output`` counts where it was accepted."""
         used = output if estimate.verdict is Verdict.ACCEPTED else self._calibration
         entries = calibration_as_diagnostics(estimate)
-        self._conclude(estimate, "robot", {**entries, "final": True, "calibration": used})
+        self._conclude(
+            estimate,
+            "robot",
+            {**entries, "final": True, "calibration": used},
+        )
 
     def _conclude(
         self, estimate: Estimate | CalibrationEstimate, name: str, entries: dict[str, Any]
@@ -295,8 +309,17 @@ class Results:
             self._forget_holding(news.stamp_ns)
             about = self._holding.entries(0)
         else:
-            about = self._hear(estimate.mass_kg, estimate.std_kg, news.stamp_ns, behind_s)
-        entries = {**online_entries(feed, estimate, behind_s), **_about_load(load), **about}
+            about = self._hear(
+                estimate.mass_kg,
+                estimate.std_kg,
+                news.stamp_ns,
+                behind_s,
+            )
+        entries = {
+            **online_entries(feed, estimate, behind_s),
+            **_about_load(load),
+            **about,
+        }
         self.publish_estimate(level, probe.name, words, entries, news.stamp_ns)
         if load is None:
             self._withdraw_load()
@@ -333,7 +356,11 @@ class Results:
         # since when is by the node's clock, whatever clock the samples have
         now_ns = self._now_ns() - round(1e9 * behind_s)
         self._holding.hear(now_ns, mass_kg, std_kg)
-        self._stamped.holding(self.link, self._holding, now_ns if stamp_ns is None else stamp_ns)
+        self._stamped.holding(
+            self.link,
+            self._holding,
+            now_ns if stamp_ns is None else stamp_ns,
+        )
         if self._holding.state not in (None, self._told):
             self._told = self._holding.state
             self._held.publish(Bool(data=self._told))
@@ -358,7 +385,13 @@ class Results:
 
     def _publish_load(self, now_ns: int, frame: str, carried: Carried) -> None:
         def withdraw() -> None:
-            self._load.publish(messages.inertia(self._now_ns(), frame, messages.UNKNOWN_LOAD))
+            self._load.publish(
+                messages.inertia(
+                    self._now_ns(),
+                    frame,
+                    messages.UNKNOWN_LOAD,
+                )
+            )
 
         self._load.publish(messages.inertia(now_ns, frame, carried))
         self._standing["load"] = withdraw

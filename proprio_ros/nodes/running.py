@@ -153,7 +153,12 @@ class Running:
             self._late = ""
             self._published_s = clock.now()
             self._changed = self._news.estimate.changed
-            self._results.running(self._feed, self._news, behind_s, self._link)
+            self._results.running(
+                self._feed,
+                self._news,
+                behind_s,
+                self._link,
+            )
 
     def _withdraw(self, why: str) -> None:
         if self._news is not None:
@@ -179,4 +184,8 @@ class Running:
                 self._withdraw(why)
                 self._results.withdraw()
         ready = f"ready; {self._feed.about}"
-        self._results.tell("idle", why or ready, level="warning" if why else "ok")
+        self._results.tell(
+            "idle",
+            why or ready,
+            level="warning" if why else "ok",
+        )

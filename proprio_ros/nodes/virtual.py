@@ -130,7 +130,12 @@ class VirtualNode(ManagedNode):
         else:
             joints = self.values["controller_joints"]
             if self.values["interface"] == "position_controller":
-                self._robot = PositionDriver(self._model, self._truth, joints=joints, seed=seed)
+                self._robot = PositionDriver(
+                    self._model,
+                    self._truth,
+                    joints=joints,
+                    seed=seed,
+                )
             else:
                 unit = self.values["effort_unit"]
                 self._robot = EffortDriver(
@@ -178,7 +183,12 @@ class VirtualNode(ManagedNode):
             now = self.get_clock().now().nanoseconds
             true = [position[name] for name in current]
             self._motors.publish(
-                messages.joint_state(now, list(current), true, effort=list(current.values()))
+                messages.joint_state(
+                    now,
+                    list(current),
+                    true,
+                    effort=list(current.values()),
+                )
             )
 
     def _broadcast(self, driver: EffortDriver) -> None:

@@ -121,7 +121,12 @@ class Weighing:
         if warning:
             self._node.say("warning", warning)
         try:
-            estimate = identify(job, bag, options, partial(self._results.publish, request))
+            estimate = identify(
+                job,
+                bag,
+                options,
+                partial(self._results.publish, request),
+            )
         except RecordingError as error:
             raise JobError(f"not weighed: {error}; recording: {bag}") from error
         answer = interval_of(estimate)

@@ -151,7 +151,11 @@ class VirtualArm:
                 self._friction[self._dofs] = friction * (1.0 + excess)
                 self.mujoco.mj_step(self.model, self.data)
         else:
-            self.mujoco.mj_step(self.model, self.data, self._substeps)
+            self.mujoco.mj_step(
+                self.model,
+                self.data,
+                self._substeps,
+            )
         if not math.isfinite(self._qvel.dot(self._qvel)):
             raise SimulationError(
                 f"the virtual arm diverged at {self.time_s:.3f} s: check that currents are in A, and build the arm anew"

@@ -107,7 +107,13 @@ class VirtualBus:
         for packet in self._parser.feed(data):
             self.advance(now_s)
             listeners = [servo for servo in self.servos if self._hears(servo, now_s)]
-            parts = list(self._handle(packet, {servo.id: servo for servo in listeners}, now_s))
+            parts = list(
+                self._handle(
+                    packet,
+                    {servo.id: servo for servo in listeners},
+                    now_s,
+                )
+            )
             elapsed_s += self._bits_s(
                 packet.size,
                 parts[0].speakers[0] if parts else None,

@@ -60,7 +60,13 @@ class EffortDriver:
                 f"controller_joints: {robot.name} does not drive {', '.join(unknown)}"
             )
         start = parked(robot) if position is None else position
-        self.arm = VirtualArm(robot, truth, position=start, seed=seed, control_period_s=PERIOD_S)
+        self.arm = VirtualArm(
+            robot,
+            truth,
+            position=start,
+            seed=seed,
+            control_period_s=PERIOD_S,
+        )
         self.lock = clock.lock()
         drives = [robot.drive_trains[name] for name in self.arm.joints]
         self._limits = np.array([robot.motors[name].current_limit_A for name in self.arm.joints])
@@ -118,8 +124,16 @@ class EffortDriver:
         """Of the motors [A], within their limits, and what the supply can drive at this speed."""
         wanted_A = wanted / self._effort_per_A
         slowed_A = self._per_speed_A * self.arm.velocity_rad_s()
-        current = np.clip(wanted_A, -self._limits, self._limits)
-        return np.clip(current, -self._supply_A - slowed_A, self._supply_A - slowed_A)
+        current = np.clip(
+            wanted_A,
+            -self._limits,
+            self._limits,
+        )
+        return np.clip(
+            current,
+            -self._supply_A - slowed_A,
+            self._supply_A - slowed_A,
+        )
 
     def states(self) -> tuple[list[float], list[float], list[float]]:
         """Positions [rad or m], velocities (none is stated) and efforts in the drive's unit, in the order of `broadcast`."""
@@ -182,7 +196,12 @@ class PositionDriver(EffortDriver):
             raise ConfigurationError(
                 f"{robot.name}: {', '.join(other)} are no position servos (driven_by); choose interface:=effort_controller"
             )
-        super().__init__(robot, truth, unit="rad", **options)
+        super().__init__(
+            robot,
+            truth,
+            unit="rad",
+            **options,
+        )
         self._gain, self._limit, self._dead, self._step = (
             np.array([getattr(law, term) for law in laws.values()])
             for term in ("gain_per_rad", "limit", "dead_band_rad", "goal_speed_rad_s")
@@ -207,7 +226,11 @@ class PositionDriver(EffortDriver):
         counts = np.rint(self.arm.encoder_rad() / self._count_rad)
         distance = self._moved - counts * self._count_rad * self._transmission
         distance = np.sign(distance) * np.maximum(np.abs(distance) - self._dead, 0.0)
-        duty = np.clip(self._gain * distance, -self._limit, self._limit)
+        duty = np.clip(
+            self._gain * distance,
+            -self._limit,
+            self._limit,
+        )
         return (
             self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()
         ) / self._resistance_ohm

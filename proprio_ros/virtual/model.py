@@ -94,7 +94,11 @@ class ArmModel:
             self.mujoco.mju_mat2Quat(body.quat, turn.ravel())
             bodies[joint.child] = body
             departure = self._truth.links.get(joint.child, LinkTruth())
-            self._add_inertia(body, links[joint.child].pseudo_inertia, departure)
+            self._add_inertia(
+                body,
+                links[joint.child].pseudo_inertia,
+                departure,
+            )
             if joint.kind != "fixed":
                 self._add_joint(spec, body, joint)
         return bodies[robot.payload_frame]
@@ -115,13 +119,21 @@ class ArmModel:
         mujoco = self.mujoco
         slides = joint.kind == "prismatic"
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
-        made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
+        made = body.add_joint(
+            name=joint.name,
+            type=kind,
+            axis=joint.axis,
+        )
         made.solref_friction = STICKING_SOLREF
         made.solimp_friction = STICKING_SOLIMP
         if joint.mimic is not None:
             source, multiplier, offset = joint.mimic
             kind = mujoco.mjtEq.mjEQ_JOINT
-            tie = spec.add_equality(type=kind, name1=joint.name, name2=source)
+            tie = spec.add_equality(
+                type=kind,
+                name1=joint.name,
+                name2=source,
+            )
             tie.objtype = mujoco.mjtObj.mjOBJ_JOINT
             tie.data[:5] = (offset, multiplier, 0.0, 0.0, 0.0)
             tie.solref = STICKING_SOLREF

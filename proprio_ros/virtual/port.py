@@ -89,7 +89,11 @@ class PtyPort:
         self._running = True
         self._failure: BaseException | None = None
         self._open()
-        self._thread = threading.Thread(target=self._run, name="virtual bus", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run,
+            name="virtual bus",
+            daemon=True,
+        )
         self._thread.start()
 
     @property

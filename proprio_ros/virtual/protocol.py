@@ -108,7 +108,11 @@ def encode_status(servo_id: int, error: int, params: bytes = b"") -> bytes:
         error: The error byte, with the alert bit.
         params: What comes behind it.
     """
-    return encode_instruction(servo_id, Code.STATUS, bytes([error]) + params)
+    return encode_instruction(
+        servo_id,
+        Code.STATUS,
+        bytes([error]) + params,
+    )
 
 
 def encode_fast_status(

@@ -76,7 +76,11 @@ class VirtualRobot:
         self._current = [0.0] * len(self._all)
         self._time_s: float | None = None
         self._supported = True
-        self.bus = VirtualBus(self._all, self.advance, faults=self.faults)
+        self.bus = VirtualBus(
+            self._all,
+            self.advance,
+            faults=self.faults,
+        )
         self.port = PtyPort(self.bus, link)
 
     def advance(self, now_s: float) -> None:
@@ -123,7 +127,11 @@ class VirtualRobot:
         Raises `ConfigurationError`: A word is not known; it lists those that are.
         """
         faults = dict.fromkeys(("drop", "corrupt", "corrupt_requests", "delay"), 0.0)
-        joints: dict[str, list[str]] = {"hang": [], "overheat": [], "jump": []}
+        joints: dict[str, list[str]] = {
+            "hang": [],
+            "overheat": [],
+            "jump": [],
+        }
         words = [part.strip() for part in text.split(",") if part.strip()]
         for word in words:
             key, _, value = word.partition("=")

@@ -88,7 +88,11 @@ class VirtualServo:
         }
         self._end = max(self._bytes) + 1
         self._values = {name: register.initial for name, register in self._registers.items()}
-        self._values.update(model_number=model.number, firmware_version=firmware, id=servo_id)
+        self._values.update(
+            model_number=model.number,
+            firmware_version=firmware,
+            id=servo_id,
+        )
         self._booted_s = 0.0
         self._silent_until_s = -math.inf
         self._heard_s = 0.0

@@ -69,7 +69,11 @@ class Truth:
             joints[name] = JointTruth(
                 **terms, zero_rad=drive.zero.value, encoder_noise_rad=drive.encoder_noise
             )
-        return cls(joints, max(robot.delay.value, 0.0), robot.arm_scale.value)
+        return cls(
+            joints,
+            max(robot.delay.value, 0.0),
+            robot.arm_scale.value,
+        )
 
     @classmethod
     def draw(
@@ -104,7 +108,12 @@ class Truth:
         if not links:
             return cls(joints, latency_s, robot.arm_scale.value)
         scale = float(draw.bodies.normal(robot.arm_scale.value, robot.arm_scale.std))
-        return cls(joints, latency_s, max(scale, 0.5), draw.links())
+        return cls(
+            joints,
+            latency_s,
+            max(scale, 0.5),
+            draw.links(),
+        )
 
     def as_json(self) -> str:
         """As the text of a JSON file."""
