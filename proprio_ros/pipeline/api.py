@@ -438,9 +438,25 @@ def calibrate(
 ) -> CalibrationResult:
     """Learn the robot from runs with nothing in the hand, and optionally with a weighed reference.
 
-    ``references`` are bags with the reference in the hand, and its mass [kg]; ``payload`` describes it. An accepted calibration
-    becomes the file ``output`` (.yaml), in the place of an older one only with ``force``. ``progress`` hears in sentences what is
-    going on. All else is as for `weigh`, errors included.
+    Args:
+        bags: Recordings with nothing in the hand.
+        references: Bags with the reference in the hand, and its mass [kg]; ``payload`` describes it.
+        output: File (.yaml) that an accepted calibration becomes.
+        force: Whether it may take the place of an older one.
+        robot: As for `weigh`, like all that is not listed here.
+        settings: By dotted key.
+        driver: Profile of the driver that published.
+        state_topic: Of the joint states.
+        command_topic: Of the input.
+        effort_unit: What effort means.
+        progress: Called with sentences on what is going on.
+        **facts: About the reference, by section.
+
+    Returns:
+        What is known about the robot now.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
     given = read_arguments(locals())
     folder = tempfile.TemporaryDirectory(prefix="proprio-") if output is None else None
@@ -467,9 +483,23 @@ def plan(
 ) -> Plans:
     """Which run to make for an object of about this mass: start poses and currents, the smallest interval first.
 
-    A run must suit all ``masses`` [kg] that the hand may hold; there are at most ``count`` plans. The search ends after so many
-    ``seconds``, or when nothing is left to try; the longer, the better its plans. Interrupted, it returns the best so far.
-    ``progress`` hears in sentences what is going on. All else is as for `weigh`, errors included.
+    Interrupted, the search returns the best so far.
+
+    Args:
+        masses: That the hand may hold [kg]; a run must suit all of them.
+        calibration: What `calibrate` returned, or its file.
+        robot: Name, or robot file.
+        count: Of plans, at most.
+        seconds: After which the search ends, or when nothing is left to try; the longer, the better its plans.
+        settings: By dotted key.
+        progress: Called with sentences on what is going on.
+        **facts: About the object, by section.
+
+    Returns:
+        The plans, best first.
+
+    Raises:
+        ConfigurationError, RobotError: With one line that says what is wrong and what to do.
     """
     given = read_arguments(locals())
     asked = given["masses"]
@@ -497,7 +527,20 @@ def check(
 ) -> Checks:
     """What is in each bag, which input would be used, and which runs: before any fit.
 
-    All is as for `weigh`, errors included; what is stated about an object is not looked at.
+    Args:
+        bags: As for `weigh`, like all arguments.
+        robot: Name, or robot file.
+        driver: Profile of the driver that published.
+        state_topic: Of the joint states.
+        command_topic: Of the input.
+        effort_unit: What effort means.
+        settings: By dotted key; what is stated about an object is not looked at.
+
+    Returns:
+        An entry per bag.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
     given = read_arguments(locals())
     return Checks(*check_bags(given["bags"], options_of(given)))

@@ -215,7 +215,18 @@ def refresh_from_bags(
 ) -> CalibrationEstimate:
     """Bring the calibration of the options up to date by a few runs with nothing in the hand, and write it as another file.
 
-    All else is as for `calibrate_from_bags`, errors included.
+    Args:
+        paths: Bags with nothing in the hand.
+        options: With the old calibration, and topics.
+        output: The new file; it is only written when the calibration is accepted.
+        progress: Called with what is going on.
+        force: Whether an older file of that name may be replaced.
+
+    Returns:
+        What is known about the robot now.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
     paths = paths_of(paths)
     old = options.calibration
@@ -399,9 +410,20 @@ def plan_excitations(
     progress: Callable[[str], None] = lambda _: None,
     seconds: float = SECONDS,
 ) -> tuple[Robot, list[ExcitationPlan]]:
-    """The robot, and the weighings that would determine most about objects of these masses, as a search so long finds them.
+    """The weighings that would determine most about an object.
 
-    Raises `ConfigurationError`, `RobotError`: With one line that says what is wrong and what to do.
+    Args:
+        masses_kg: That the hand may hold [kg].
+        options: Robot, calibration and settings.
+        count: Of plans, at most.
+        progress: Called with what is going on.
+        seconds: After which the search ends.
+
+    Returns:
+        The robot, and the plans, best first.
+
+    Raises:
+        ConfigurationError, RobotError: With one line that says what is wrong and what to do.
     """
     request = read_request(options or Options(), _reference)
     for name in request.locked:
@@ -453,8 +475,16 @@ def write_calibration(
 ) -> None:
     """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
 
-    Dotted settings that were in force come back with the file, and its comment says what can be weighed with it. It takes the place
-    of a calibration that it is ``like``: all else stands as it does there. Raises `ConfigurationError`: The file cannot be written.
+    Args:
+        path: Of the file.
+        robot: That was calibrated.
+        calibration: What was learnt.
+        overrides: Dotted settings that were in force; they come back with the file.
+        said: What can be weighed with it, for the comment at its head.
+        like: A calibration whose place it takes: all else stands as it does there.
+
+    Raises:
+        ConfigurationError: The file cannot be written.
     """
     learnt = calibration.as_settings()
     section = CommentedMap({key: _laid_out(key, value) for key, value in learnt.items()})

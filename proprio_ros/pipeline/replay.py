@@ -144,9 +144,19 @@ def _refuse_unsuited(
 def identify(
     request: Request, robot: Robot, read: Recorded, paths: Sequence[str | Path]
 ) -> Estimate:
-    """Identify what the probe names from robot and recordings as `read_for` gave them; ``paths`` say where they come from.
+    """Identify what the probe names.
 
-    Raises `RecordingError`: A recording is of no use.
+    Args:
+        request: What is asked.
+        robot: As `read_for` gave it.
+        read: Recordings, as `read_for` gave them.
+        paths: Where they come from.
+
+    Returns:
+        The answer, with its origin.
+
+    Raises:
+        RecordingError: A recording is of no use.
     """
     probe = request.probe
     of = (
@@ -246,6 +256,17 @@ def write_report(
     sources: Sequence[str] = (),
     force: bool = False,
 ) -> None:
-    """Write the page for one result, with what its probe has to show; see `write_page`."""
+    """Write the page for one result, with what its probe has to show.
+
+    Args:
+        estimate: The result.
+        path: Of the page.
+        command: With which the result was made.
+        sources: Recordings it was made from.
+        force: Whether a file that is no page may be replaced.
+
+    Raises:
+        ConfigurationError: The page cannot be written.
+    """
     own = probe_named(estimate.probe).sections(estimate)
     write_page(estimate, path, own, command=command, sources=sources, force=force)

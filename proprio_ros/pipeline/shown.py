@@ -17,7 +17,16 @@ def plans_table(
     plans: Iterable[ExcitationPlan],
     masses_kg: Sequence[float],
 ) -> str:
-    """With half of the 95 % interval that each promises, by mass."""
+    """Plans with half of the 95 % interval that each promises, by mass.
+
+    Args:
+        title: Of the table.
+        plans: Best first.
+        masses_kg: Of what the hand may hold [kg].
+
+    Returns:
+        HTML.
+    """
     header = (
         "joint",
         "current, time",

@@ -66,7 +66,20 @@ def parts_of(
     state_topic: str | None = None,
     conventions: Conventions = OUR_DRIVER,
 ) -> list[Span]:
-    """Parts of a bag with about as many joint states each, of which none has more than ``most``; they leave no gap."""
+    """Parts of a bag with about as many joint states each, which leave no gap.
+
+    Args:
+        path: Of the bag.
+        most: Joint states of a part.
+        state_topic: Of the joint states, where the user names it.
+        conventions: Of the driver that published.
+
+    Returns:
+        From when to when each part is, by the recorder's time since its first message [ns].
+
+    Raises:
+        RecordingError: The bag cannot be read.
+    """
     with open_bag(path) as bag:
         return bag.parts(bag.topics.states(state_topic, None, conventions), most)
 

@@ -197,11 +197,19 @@ def read_columns(
     columns: Sequence[str],
     span: records.Span | None = None,
 ) -> dict[str, records.FloatArray]:
-    """Columns of one episode by name: numbers, shape (T,) or (T, K); one that the data set lacks is left out.
+    """Columns of one episode.
 
-    To read a part, `CLOCK` must be among the columns.
+    Args:
+        data: The data set.
+        index: Of the episode.
+        columns: Names; to read a part, `CLOCK` must be among them.
+        span: The part that is read, since the first frame [ns]; None: all.
 
-    Raises `RecordingError`: There is no such episode, or its file cannot be read.
+    Returns:
+        Numbers by column, shape (T,) or (T, K); a column that the data set lacks is left out.
+
+    Raises:
+        RecordingError: There is no such episode, or its file cannot be read.
     """
     name = f"{data.folder}#{index}"
     episode = data.episodes.get(index)
@@ -281,7 +289,19 @@ def parts_of_episode(
     index: int,
     most: int,
 ) -> list[records.Span]:
-    """Parts of an episode with about as many frames each, of which none has more than ``most``; they leave no gap."""
+    """Parts of an episode with about as many frames each, which leave no gap.
+
+    Args:
+        folder: Of the data set.
+        index: Of the episode.
+        most: Frames of a part.
+
+    Returns:
+        From when to when each part is, since the first frame [ns].
+
+    Raises:
+        RecordingError: The data set cannot be read.
+    """
     data = open_data_set(folder)
     count = -(-data.episodes[index].length // most) if index in data.episodes else 1
     if count < 2:
@@ -580,7 +600,19 @@ def _timed(read: Mapping[str, records.FloatArray], count: int) -> records.BoolAr
 
 
 def marked(data: DataSet, index: int, column: str) -> bool:
-    """Whether every frame of an episode has something other than zero in a column; refuses one that is not there."""
+    """Whether every frame of an episode has something other than zero in a column.
+
+    Args:
+        data: The data set.
+        index: Of the episode.
+        column: Its name.
+
+    Returns:
+        Whether it has; an episode without frames has not.
+
+    Raises:
+        RecordingError: There is no such column.
+    """
     read = read_columns(data, index, [column])
     if column not in read:
         raise RecordingError(

@@ -74,7 +74,18 @@ class Effort:
         velocity: FloatArray | None,
         recorded: FloatArray,
     ) -> JointRecord:
-        """Joint states with the effort and the measured current that the recorded effort stands for, shape (T, J) each."""
+        """Joint states with the effort and the measured current that the recorded effort stands for.
+
+        Args:
+            times_ns: Of the joint states [ns], shape (T,).
+            names: Of the joints, length J.
+            position: [rad or m], shape (T, J).
+            velocity: [rad/s or m/s], shape (T, J); None where none was recorded.
+            recorded: Efforts in their own unit, not finite where there is none, shape (T, J).
+
+        Returns:
+            The joint states.
+        """
         reported = known_or_none(recorded)
         effort = current = None
         if reported is not None and self.unit == "N.m":

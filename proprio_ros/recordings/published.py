@@ -47,7 +47,16 @@ def published_run(
     text: TextRecording,
     held: Mapping[str, float],
 ) -> Run:
-    """The run, in the pose that its setting states; ``held`` overrules that."""
+    """The run, in the pose that its setting states.
+
+    Args:
+        robot: As of `published_robot`.
+        text: The recording.
+        held: Positions of other joints that overrule the setting [rad or m].
+
+    Returns:
+        The run, as long as the paper's probe.
+    """
     pose = {name: float(value) for name, value in text.setting["start_pose_rad"].items()}
     start = pose.pop(text.joint)
     gripper = {

@@ -113,7 +113,16 @@ class Topics:
         msgtypes: Sequence[str],
         namespace: str = "",
     ) -> list[Topic]:
-        """Filled ones of this name: that in the namespace, else that at the root, else those of any namespace."""
+        """Topics of a name that hold messages: that in the namespace, else that at the root, else those of any namespace.
+
+        Args:
+            name: Without a namespace.
+            msgtypes: Types that can be read.
+            namespace: Where it is looked for first.
+
+        Returns:
+            The topics.
+        """
         filled = self.filled(*msgtypes)
         for full_name in (f"{namespace}/{name}", f"/{name}"):
             exact = [topic for topic in filled if topic.name == full_name]
@@ -127,7 +136,19 @@ class Topics:
         msgtypes: Sequence[str],
         option: str,
     ) -> Topic:
-        """The topic that the user named with an option; refuses one that is not there, of another type, or empty."""
+        """The topic that the user named.
+
+        Args:
+            name: With a namespace, or without one.
+            msgtypes: Types that can be read.
+            option: With which it was named.
+
+        Returns:
+            The topic.
+
+        Raises:
+            RecordingError: It is not there, of another type, or empty.
+        """
         found = [topic for topic in self.all if topic.name in (name, f"/{name}")]
         fitting = [topic for topic in found if topic.msgtype in msgtypes]
         if not fitting:
@@ -149,7 +170,16 @@ class Topics:
     ) -> Topic:
         """The joint states: as the user calls them, else those that the driver's conventions name, else the only ones.
 
-        Refuses a bag that has none, or several that may be meant; what the user calls the input is not taken for them.
+        Args:
+            name: What the user calls them; None: nothing.
+            command_name: What the user calls the input, which is not taken for them.
+            conventions: Of the driver that published.
+
+        Returns:
+            The topic.
+
+        Raises:
+            RecordingError: The bag has none, or several that may be meant.
         """
         if name is not None:
             return self.chosen(name, [JOINT_STATE], "--state-topic")

@@ -21,9 +21,12 @@ def write_messages(
     messages: Sequence[RawMessage],
     storage: str = "mcap",
 ) -> None:
-    """Write messages to a new bag ('mcap' or 'sqlite3') as they came, byte by byte, in the order of time.
+    """Write messages to a new bag as they came, byte by byte, in the order of time.
 
-    The folder must not exist; nothing is left of it when writing fails.
+    Args:
+        path: Folder that does not exist; nothing is left of it when writing fails.
+        messages: In any order.
+        storage: 'mcap' or 'sqlite3'.
 
     Raises:
         RecordingError: The folder exists or cannot be written, as on a full disk.
