@@ -166,7 +166,11 @@ class _Recorded:
     motors: dict[str, MotorIdentity]  # of the one arm that they are of, as far as they say it
 
 
-def _read(paths: Sequence[Path], request: Request, progress: Callable[[str], None]) -> _Recorded:
+def _read(
+    paths: Sequence[Path],
+    request: Request,
+    progress: Callable[[str], None],
+) -> _Recorded:
     """Read recordings of one arm. Raises `RecordingError`: One cannot be read, or they are of several."""
     distinct = Distinct(paths)
     motors: dict[str, MotorIdentity] = {}
@@ -194,7 +198,12 @@ def _found(
     for read, recording, load in zip(recorded.reads, recorded.recordings, loads, strict=True):
         found = found_in(with_stall_currents(recording, request.robot), request)
         if isinstance(found, Motion):
-            motions.append((recorded.distinct.checked(read.path, found), load.mass))
+            motions.append(
+                (
+                    recorded.distinct.checked(read.path, found),
+                    load.mass,
+                )
+            )
         else:
             runs += [LoadedRun(run, load) for run in recorded.distinct.checked(read.path, found)]
     if motions and runs:
@@ -244,7 +253,11 @@ def refresh_from_bags(
         raise ConfigurationError(
             f"{old} was made from motions; only a calibration of runs can be brought up to date"
         )
-    recorded = _read([Path(path) for path in paths], request, lambda _: None)
+    recorded = _read(
+        [Path(path) for path in paths],
+        request,
+        lambda _: None,
+    )
     runs: list[Run] = []
     for each, recording in zip(recorded.reads, recorded.recordings, strict=True):
         runs += recorded.distinct.checked(each.path, runs_in(recording, request))
@@ -257,7 +270,11 @@ def refresh_from_bags(
         progress=progress,
     )
     if (learnt := estimate.calibration) is not None:
-        learnt = replace(learnt, motors={**fresh.motors, **recorded.motors}, made=now)
+        learnt = replace(
+            learnt,
+            motors={**fresh.motors, **recorded.motors},
+            made=now,
+        )
         estimate = replace(estimate, calibration=learnt)
     origin = {
         "bags": [str(path) for path in paths],

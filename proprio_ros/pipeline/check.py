@@ -146,7 +146,11 @@ def _looked_into(source: RecordingSource, request: Request, contents: Contents) 
         return _Looked(problem=worse)
 
 
-def _with_found(looked: _Looked, found: tuple[Run, ...] | Motion, robot: Robot) -> _Looked:
+def _with_found(
+    looked: _Looked,
+    found: tuple[Run, ...] | Motion,
+    robot: Robot,
+) -> _Looked:
     """The same with the runs or the motion that were found; raises what `replay` raises of them."""
     if isinstance(found, Motion):
         _refuse_motion(robot, found)
@@ -205,10 +209,17 @@ def _shown(
     return replace(check, record=_advice(robot, recording, check))
 
 
-def _findings(request: Request, recording: Recording, slides: Sequence[str]) -> tuple[Finding, ...]:
+def _findings(
+    request: Request,
+    recording: Recording,
+    slides: Sequence[str],
+) -> tuple[Finding, ...]:
     """What the recording shows of itself, and what the robot leaves open."""
     robot = request.robot
-    seen = (*findings(recording, slides), *_of_robot(robot, recording, request.unit))
+    seen = (
+        *findings(recording, slides),
+        *_of_robot(robot, recording, request.unit),
+    )
     # what the law of a position servo makes of goal and position needs no effort
     drives = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
     without = {name for name, drive in drives.items() if drive is not None and drive.follows_goal}
@@ -225,7 +236,10 @@ def _without_unusable(
     """The same without a motion of whose measured effort no torque can be made; runs of such an effort have a problem."""
     if inputs is not None and not inputs.measured and not inputs.computed:
         return looked
-    looked = replace(looked, runs=tuple(_with_effort(run, seen) for run in looked.runs))
+    looked = replace(
+        looked,
+        runs=tuple(_with_effort(run, seen) for run in looked.runs),
+    )
     for finding in seen:
         if (
             looked.motion is not None
@@ -301,7 +315,11 @@ def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
     return run
 
 
-def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> MotionCheck | None:
+def _motion_check(
+    robot: Robot,
+    recording: Recording,
+    motion: Motion | None,
+) -> MotionCheck | None:
     """What a motion determines; also of one whose currents are not known, since none is looked at."""
     turning = turning_joints(robot)
     if motion is None:
@@ -317,7 +335,10 @@ def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> 
         if len(motion.moved) < 2:
             return None
     # a joint that was not recorded stands somewhere, which matters little
-    held = {**dict.fromkeys(robot.model.independent_joints, 0.0), **motion.held}
+    held = {
+        **dict.fromkeys(robot.model.independent_joints, 0.0),
+        **motion.held,
+    }
     try:
         width_kg, per_kg = solvable(mass_from_motion)(robot, replace(motion, held=held))
     except (RecordingError, RobotError):
@@ -398,7 +419,13 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
     width_kg = None
     with suppress(RobotError):
         width_kg = None if problem or slides or run.free else mass_from_run(robot, run)
-    driven = (run.duration_s, travel, "m" if slides else "rad", largest, len(run.times_s))
+    driven = (
+        run.duration_s,
+        travel,
+        "m" if slides else "rad",
+        largest,
+        len(run.times_s),
+    )
     return RunCheck(
         run.name,
         run.joint,

@@ -45,11 +45,20 @@ class Distinct:
             )
         else:
             for run in found:
-                self._check(path, run.joint, run.times_s, run.position, run.input_current_A)
+                self._check(
+                    path,
+                    run.joint,
+                    run.times_s,
+                    run.position,
+                    run.input_current_A,
+                )
         return found
 
     def _check(self, path: str | Path, joint: str, *arrays: np.ndarray) -> None:
-        key: tuple[object, ...] = (joint, *(array.tobytes() for array in arrays))
+        key: tuple[object, ...] = (
+            joint,
+            *(array.tobytes() for array in arrays),
+        )
         if self._paths.setdefault(key, path) != path:
             raise ConfigurationError(_twice(self._paths[key], path))
 

@@ -19,7 +19,7 @@ from proprio_ros.calibration_files.motions import ARM_TERMS
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.regression.rigid_body import pseudo_inertia
 from proprio_ros.records import FloatArray
-from proprio_ros.robot import Robot, RobotModel
+from proprio_ros.robot import ReducedModel, Robot, RobotModel
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.regressor import PARAMETERS
 
@@ -88,7 +88,10 @@ def _friction(robot: Robot) -> dict[str, _Friction]:
     return friction
 
 
-def _state_friction(root: ElementTree.Element, friction: Mapping[str, _Friction]) -> list[str]:
+def _state_friction(
+    root: ElementTree.Element,
+    friction: Mapping[str, _Friction],
+) -> list[str]:
     """Write friction into the joints of a URDF; returns their names."""
     stated = []
     for element in root.findall("joint"):
@@ -110,13 +113,15 @@ def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
     """Pseudo-inertias of links that weigh otherwise than in the URDF, and those whose inertia had to give way."""
     calibration = robot.motion_calibration
     scale = robot.arm_scale.value
-    masses = {link.name: link.pseudo_inertia for link in robot.model.links}
+    stated = {link.name: link.pseudo_inertia for link in robot.model.links}
     if calibration is None:
-        scaled = {name: scale * pseudo for name, pseudo in masses.items() if pseudo[3, 3]}
+        scaled = {name: scale * pseudo for name, pseudo in stated.items() if pseudo[3, 3]}
         return (scaled if scale != 1.0 else {}), []
     others = [name for name in robot.model.independent_joints if name not in calibration.joints]
-    held = zero_pose(robot, others)
-    held |= {name: at for name, at in robot.held.items() if name in others}
+    held = {
+        **zero_pose(robot, others),
+        **{name: at for name, at in robot.held.items() if name in others},
+    }
     model = robot.model.lock(list(calibration.joints), held, robot.gravity)
     found = {}
     bent = []
@@ -127,18 +132,39 @@ def _bodies(robot: Robot) -> tuple[dict[str, FloatArray], list[str]]:
             raise RobotError(
                 f"what moves with {joint} weighs {learnt[0]:.3g} kg by this calibration; calibrate with more motion"
             )
-        change = pseudo_inertia(learnt) - model.pseudo_inertia[body]
-        links = [name for name, (of, _) in model.frames.items() if of == body]
-        link = max(links, key=lambda name: masses[name][3, 3])
-        back = np.linalg.inv(model.frames[link][1])
-        pseudo = masses[link] + back @ change @ back.T
-        if pseudo[3, 3] <= 0.0:
-            raise RobotError(
-                f"{link} would weigh {pseudo[3, 3]:.3g} kg by this calibration; calibrate with more motion"
-            )
+        link, pseudo = _heaviest_link(model, body, pseudo_inertia(learnt), stated)
         found[link], gave_way = _possible(pseudo)
         bent += [link] * gave_way
     return found, bent
+
+
+def _heaviest_link(
+    model: ReducedModel,
+    body: int,
+    learnt: FloatArray,
+    stated: Mapping[str, FloatArray],
+) -> tuple[str, FloatArray]:
+    """The heaviest link of a body, and its pseudo-inertia once it has all by which the body differs from the URDF.
+
+    Args:
+        model: Bodies by the URDF.
+        body: Its number.
+        learnt: Pseudo-inertia of the body, in its own frame, shape (4, 4).
+        stated: Pseudo-inertias of links by the URDF, each in its own frame.
+
+    Raises:
+        RobotError: It would weigh nothing.
+    """
+    links = [name for name, (of, _) in model.frames.items() if of == body]
+    link = max(links, key=lambda name: stated[name][3, 3])
+    link_T_body = np.linalg.inv(model.frames[link][1])
+    change = learnt - model.pseudo_inertia[body]
+    pseudo = stated[link] + link_T_body @ change @ link_T_body.T
+    if pseudo[3, 3] <= 0.0:
+        raise RobotError(
+            f"{link} would weigh {pseudo[3, 3]:.3g} kg by this calibration; calibrate with more motion"
+        )
+    return link, pseudo
 
 
 def _possible(pseudo: FloatArray) -> tuple[FloatArray, bool]:

@@ -161,7 +161,10 @@ def _refuse_unmeasured(recording: Recording, unit: str | None) -> None:
         )
 
 
-def standing(request: Request, recorded: Collection[str]) -> dict[str, float]:
+def standing(
+    request: Request,
+    recorded: Collection[str],
+) -> dict[str, float]:
     """Where joints stand [rad or m]: as is stated now, else as the robot's file says of those that were not recorded."""
     kept = {name: at for name, at in request.robot.held.items() if name not in recorded}
     return kept | dict(request.locked)
@@ -201,7 +204,16 @@ def _noted(
 ) -> tuple[Run, ...]:
     """Each run with what was noted of the whole recording."""
     notes = recording.notes + unit_not_used(recording.inputs, request.options.effort_unit)
-    return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
+    return tuple(
+        replace(
+            run,
+            notes=(
+                *notes,
+                *run.notes,
+            ),
+        )
+        for run in runs
+    )
 
 
 def unit_not_used(

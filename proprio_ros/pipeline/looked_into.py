@@ -257,7 +257,10 @@ def _grams(mass_kg: float) -> str:
     return shown("kg", float(f"{mass_kg:.2g}"), spec="g")
 
 
-def as_json(robot: str, checks: Sequence[BagCheck]) -> dict[str, Any]:
+def as_json(
+    robot: str,
+    checks: Sequence[BagCheck],
+) -> dict[str, Any]:
     """What ``proprio check --json`` prints."""
     return {
         **header("check"),

@@ -103,7 +103,10 @@ def read_for(
             sources.extend([each.path] * len(each.found))
     _refuse_unsuited(request, runs, motions)
     if (learnt := request.robot.calibration) is not None and learnt.made is not None and runs:
-        request = replace(request, robot=aged_robot(request.robot, moment_of(runs, loaded)))
+        request = replace(
+            request,
+            robot=aged_robot(request.robot, moment_of(runs, loaded)),
+        )
     whole = replace(request, options=replace(options, span=None))
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []
@@ -197,7 +200,10 @@ def _held_views(
     load = probe.carried(request.facts, estimate) if isinstance(probe, Carries) else None
     if load is None:
         return held_views(robot, motion, None)
-    place = next((value for value in estimate.values if value.name == "payload_com"), None)
+    place = next(
+        (value for value in estimate.values if value.name == "payload_com"),
+        None,
+    )
     ends = place.ci95 if place is not None and None not in place.ci95 else None
     within = None if ends is None else [0.5 * (high - low) for low, high in ends]
     about = (load.mass_kg, load.com_m, np.asarray(load.inertia_kg_m2))
@@ -212,7 +218,10 @@ def aged_robot(robot: Robot, now: Moment) -> Robot:
     return robot if calibration is robot.calibration else robot.with_calibration(calibration)
 
 
-def moment_of(runs: Sequence[Run], recordings: Iterable[Loaded | Read]) -> Moment:
+def moment_of(
+    runs: Sequence[Run],
+    recordings: Iterable[Loaded | Read],
+) -> Moment:
     """When runs were recorded, and how warm the motors were in the recordings that say it.
 
     Raises `RecordingError`: It cannot be read how warm they were.
@@ -222,7 +231,10 @@ def moment_of(runs: Sequence[Run], recordings: Iterable[Loaded | Read]) -> Momen
         for joint, degrees in recording.temperatures.get().items():
             heard.setdefault(joint, []).append(degrees)
     warmth = {joint: float(np.mean(values)) for joint, values in heard.items()}
-    return Moment(1e-9 * float(np.mean([run.onset_ns for run in runs])), warmth)
+    return Moment(
+        1e-9 * float(np.mean([run.onset_ns for run in runs])),
+        warmth,
+    )
 
 
 def _guessed_frame(

@@ -53,9 +53,16 @@ def of_bursts(times_ns: TimeArray) -> Arrivals | None:
     taken = times_ns.astype(np.int64).copy()
     rates: list[FloatArray] = []
     moved = 0
-    bounds = [0, *(np.flatnonzero(pauses) + 1), len(times_ns)]
+    bounds = [
+        0,
+        *(np.flatnonzero(pauses) + 1),
+        len(times_ns),
+    ]
     for begin, end in pairwise(bounds):
-        part = _of_part(times_ns[begin:end], short[begin : end - 1])
+        part = _of_part(
+            times_ns[begin:end],
+            short[begin : end - 1],
+        )
         if part is not None:
             taken[begin:end] = part[0]
             rates.append(part[1])
@@ -90,16 +97,21 @@ def _of_part(
     """Of samples without a pause: when they were taken; the mean interval of each burst [s]; and how many came in bursts."""
     if len(times_ns) < FEWEST:
         return None
-    lasts = np.append(np.flatnonzero(~short), len(times_ns) - 1)
+    lasts = np.append(
+        np.flatnonzero(~short),
+        len(times_ns) - 1,
+    )
     counts = np.diff(lasts, prepend=-1)
     since = times_ns - times_ns[0]
     ends_s = 1e-9 * since[lasts].astype(np.float64)
-    of_burst = np.append(_in_bursts(short), False)[np.maximum(lasts - 1, 0)] & (counts > 0)
+    in_bursts = np.append(_in_bursts(short), False)
+    of_burst = in_bursts[np.maximum(lasts - 1, 0)] & (counts > 0)
     of_burst[0] = False  # when the first burst began nobody knows
     if of_burst.sum() < 3:
         return None
-    each_s = np.diff(ends_s, prepend=0.0)[of_burst] / counts[of_burst]
-    period_s = float(np.sum(each_s * counts[of_burst]) / np.sum(counts[of_burst]))
+    sizes = counts[of_burst]
+    each_s = np.diff(ends_s, prepend=0.0)[of_burst] / sizes
+    period_s = float(np.sum(each_s * sizes) / np.sum(sizes))
     if of_burst[1:].all():
         line = _on_a_line(lasts, ends_s, period_s, len(times_ns))
         if line is not None:
@@ -115,11 +127,13 @@ def _of_part(
         each = (ends_s[number] - begin_s) / counts[number]
         if number == len(lasts) - 1:  # that one ends with the recording, before its time
             each = min(each, period_s)
-        taken[rows] = np.rint(1e9 * (begin_s + each * (rows - rows[0] + 1))).astype(np.int64)
+        at_s = begin_s + each * (rows - rows[0] + 1)
+        taken[rows] = np.rint(1e9 * at_s).astype(np.int64)
         moved += len(rows)
     first = np.arange(lasts[0] + 1)
     if counts[0] > 1:
-        taken[first] = np.rint(1e9 * (ends_s[0] - period_s * (lasts[0] - first))).astype(np.int64)
+        at_s = ends_s[0] - period_s * (lasts[0] - first)
+        taken[first] = np.rint(1e9 * at_s).astype(np.int64)
     return times_ns[0] + taken, each_s, moved
 
 
@@ -127,10 +141,19 @@ def _on_a_line(
     lasts: TimeArray, ends_s: FloatArray, period_s: float, count: int
 ) -> TimeArray | None:
     """Times [ns] of samples that were taken at one rate, shape (T,), by the last of each burst; None where it changes."""
-    slope, offset = np.polyfit(lasts[:-1], ends_s[:-1], 1) if len(lasts) > 4 else (period_s, 0.0)
+    if len(lasts) <= 4:
+        return None
+    slope, offset = np.polyfit(
+        lasts[:-1],
+        ends_s[:-1],
+        1,
+    )
     late_s = ends_s[:-1] - offset - slope * lasts[:-1]
-    if len(lasts) <= 4 or np.ptp(late_s) > 3.0 * period_s:
+    if np.ptp(late_s) > 3.0 * period_s:
         return None
     # none arrives before it is taken
     taken_s = offset + float(late_s.min()) + slope * np.arange(count)
-    return np.asarray(np.rint(1e9 * taken_s), dtype=np.int64)
+    return np.asarray(
+        np.rint(1e9 * taken_s),
+        dtype=np.int64,
+    )

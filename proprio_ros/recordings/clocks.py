@@ -92,7 +92,11 @@ class StampsCount:
 
     def mended(self, times: Times) -> Times:
         """The same without stamps: when they were recorded is all that is known."""
-        return Times(times.bag_ns, np.zeros_like(times.stamp_ns), times.known)
+        return Times(
+            times.bag_ns,
+            np.zeros_like(times.stamp_ns),
+            times.known,
+        )
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,11 @@ class RecorderSteps:
         if twice is not None:
             inside = (times.bag_ns >= twice[0]) & (times.bag_ns <= twice[1])
             known = known & (stamped | ~inside)
-        bag_ns = np.where(after, times.bag_ns - self.by_ns, times.bag_ns)
+        bag_ns = np.where(
+            after,
+            times.bag_ns - self.by_ns,
+            times.bag_ns,
+        )
         return Times(bag_ns, times.stamp_ns, known)
 
     def _after(self, bag_ns: TimeArray) -> BoolArray:
@@ -154,7 +162,12 @@ class Overlap:
         """The same without those, and a short time in their place."""
         inside = (times.bag_ns >= self.begin_ns) & (times.bag_ns <= self.end_ns)
         by_ns = self.end_ns - self.begin_ns - CUT_NS
-        return _moved(times, times.bag_ns > self.end_ns, by_ns, times.known & ~inside)
+        return _moved(
+            times,
+            times.bag_ns > self.end_ns,
+            by_ns,
+            times.known & ~inside,
+        )
 
     @property
     def cut_ns(self) -> tuple[int, int]:
@@ -191,7 +204,12 @@ class Leap:
         return begin_ns, begin_ns + CUT_NS
 
 
-def _moved(times: Times, rows: BoolArray, by_ns: int, known: BoolArray) -> Times:
+def _moved(
+    times: Times,
+    rows: BoolArray,
+    by_ns: int,
+    known: BoolArray,
+) -> Times:
     """Times of which some rows, shape (M,), are earlier by so much."""
     stamped = rows & (times.stamp_ns != 0)
     bag_ns = np.where(rows, times.bag_ns - by_ns, times.bag_ns)
@@ -237,12 +255,19 @@ class Clock:
 
     def times(self, bag_ns: TimeArray, stamp_ns: TimeArray) -> Times:
         """Times of messages by this clock, shape (M,) each [ns]."""
-        times = Times(bag_ns, stamp_ns, np.ones(len(bag_ns), dtype=bool))
+        times = Times(
+            bag_ns,
+            stamp_ns,
+            np.ones(len(bag_ns), dtype=bool),
+        )
         for fault in self.faults:
             times = fault.mended(times)
         return times
 
-    def cuts_ns(self, unstamped: bool) -> tuple[tuple[int, int], ...]:
+    def cuts_ns(
+        self,
+        unstamped: bool,
+    ) -> tuple[tuple[int, int], ...]:
         """Stretches of which nothing is known, as recorded [ns]; ``unstamped``: of messages without a stamp."""
         kinds = (Overlap, Leap, RecorderSteps) if unstamped else (Overlap, Leap)
         cuts = [fault.cut_ns for fault in self.faults if isinstance(fault, kinds)]
@@ -277,9 +302,15 @@ def clock_of(where: str, columns: JointColumns) -> Clock:
     return clock
 
 
-def messages_at(messages: Sequence[tuple[int, Any]], clock: Clock) -> list[tuple[int, Any]]:
+def messages_at(
+    messages: Sequence[tuple[int, Any]],
+    clock: Clock,
+) -> list[tuple[int, Any]]:
     """Messages without a stamp at when they were recorded, as far as that is known [ns]."""
-    recorded_ns = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
+    recorded_ns = np.array(
+        [time_ns for time_ns, _ in messages],
+        dtype=np.int64,
+    )
     times = clock.times(recorded_ns, np.zeros_like(recorded_ns))
     return [
         (int(time_ns), message)
@@ -337,7 +368,13 @@ def _unset(columns: JointColumns) -> Found:
     far = np.flatnonzero(steps > YEAR_NS)
     if len(far) and times[far[-1]] < YEAR_NS and far[-1] + 1 < len(times) // 2:
         until = int(far[-1]) + 1
-    alike = int(np.searchsorted(times, times[0], side="right"))
+    alike = int(
+        np.searchsorted(
+            times,
+            times[0],
+            side="right",
+        )
+    )
     if times[0] < EPOCH_NS and 3 <= alike < len(times):
         until = max(until, alike)
     if not until:
@@ -446,7 +483,11 @@ class _Beside:
     def bounds(self) -> list[int]:
         """Rows between which the level stays: the first, those behind each step, and the number of messages."""
         rows = np.flatnonzero(np.abs(np.diff(self.level)) > LEAST_STEP_NS) + 1
-        return [0, *(int(row) for row in rows), len(self.level)]
+        return [
+            0,
+            *(int(row) for row in rows),
+            len(self.level),
+        ]
 
 
 def _steps(order_ns: TimeArray, other_ns: TimeArray) -> _Steps | None:
@@ -472,20 +513,42 @@ def _steps(order_ns: TimeArray, other_ns: TimeArray) -> _Steps | None:
         # as they are once the steps before are taken out
         before = beside.other[min(bounds[number], row - 1) : row] - taken_ns
         after = beside.other[row : max(bounds[number + 2], row + 1)] - taken_ns
-        steps.append(RecorderSteps(int(beside.ordered[row]), by_ns, _ends(before), _ends(after)))
+        steps.append(
+            RecorderSteps(
+                int(beside.ordered[row]),
+                by_ns,
+                _ends(before),
+                _ends(after),
+            )
+        )
         taken_ns += by_ns
     if not steps:
         return None
-    return _Steps(tuple(steps), int(beside.ordered[0]), beside.jumps, whole)
+    return _Steps(
+        tuple(steps),
+        int(beside.ordered[0]),
+        beside.jumps,
+        whole,
+    )
 
 
-def _step_row(beside: _Beside, jump: int, before_ns: int, after_ns: int) -> int | None:
+def _step_row(
+    beside: _Beside,
+    jump: int,
+    before_ns: int,
+    after_ns: int,
+) -> int | None:
     """The first row behind a step between two levels; None where it is none: what comes late once and catches up."""
     by_ns = after_ns - before_ns
     at_once_ns = int(beside.level[jump] - beside.level[jump - 1])
     if abs(by_ns) < LEAST_STEP_NS or abs(by_ns - at_once_ns) > 0.25 * abs(by_ns):
         return None
-    return _edge(beside.ahead, jump, (before_ns + after_ns) // 2, after_ns > before_ns)
+    return _edge(
+        beside.ahead,
+        jump,
+        (before_ns + after_ns) // 2,
+        after_ns > before_ns,
+    )
 
 
 def _ends(times_ns: TimeArray) -> tuple[int, int]:
@@ -496,7 +559,12 @@ def _median(values: TimeArray) -> int:
     return int(np.sort(values)[len(values) // 2])
 
 
-def _edge(ahead: TimeArray, row: int, middle: int, rises: bool) -> int:
+def _edge(
+    ahead: TimeArray,
+    row: int,
+    middle: int,
+    rises: bool,
+) -> int:
     """The first row behind a step, near the one that the smoothed level shows."""
     near = range(
         max(row - NEIGHBOURS, 1),
@@ -546,7 +614,12 @@ def _overlaps(times: TimeArray, position: FloatArray) -> Found:
     took = (times[near:] - times[:-near]).astype(np.float64)
     # what few messages take outside of an overlap, however long that is
     usual = float(np.percentile(took, 95))
-    crowded = np.concatenate([took < CROWDED * usual, np.zeros(near, dtype=bool)])
+    crowded = np.concatenate(
+        [
+            took < CROWDED * usual,
+            np.zeros(near, dtype=bool),
+        ]
+    )
     edges = np.flatnonzero(np.diff(np.concatenate([[False], crowded, [False]]).astype(int)))
     found: list[tuple[Fault, str]] = []
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
@@ -568,18 +641,33 @@ def _overlaps(times: TimeArray, position: FloatArray) -> Found:
     return found[::-1] if len(found) <= MOST_CUTS else ()
 
 
-def _two_parts(position: FloatArray, first: int, last: int, near: int) -> bool:
+def _two_parts(
+    position: FloatArray,
+    first: int,
+    last: int,
+    near: int,
+) -> bool:
     """Whether rows first..last are of two parts, of which one ends there where the other one begins here."""
     inside = position[first : last + 1]
     over_one = np.abs(np.diff(inside, axis=0)).max(axis=1)
     # of two parts that come by turns, or nearly, one of the next three goes on from here
-    after = [
-        np.abs(inside[ahead:][: len(inside) - 3] - inside[:-3]).max(axis=1) for ahead in (1, 2, 3)
-    ]
+    count = len(inside) - 3
+    after = []
+    for ahead in (1, 2, 3):
+        on = inside[ahead : ahead + count] - inside[:-3]
+        after.append(np.abs(on).max(axis=1))
     goes_on = np.min(after, axis=0)
     steps = np.abs(np.diff(position, axis=0)).max(axis=1)
-    fast = float(np.percentile(np.concatenate([steps[:first], steps[last:], [0.0]]), 95))
-    if float(over_one.mean()) < max(THERE_AND_BACK * float(goes_on.mean()), 1.5 * fast):
+    outside = np.concatenate(
+        [
+            steps[:first],
+            steps[last:],
+            [0.0],
+        ]
+    )
+    fast = float(np.percentile(outside, 95))
+    there_and_back = THERE_AND_BACK * float(goes_on.mean())
+    if float(over_one.mean()) < max(there_and_back, 1.5 * fast):
         return False
     starts = position[max(first - near, 0) : first + near]
     ends = position[last - near : last + near]
@@ -595,7 +683,10 @@ def _leaps(times: TimeArray, stamps: TimeArray, position: FloatArray) -> Found:
         95,
         axis=0,
     )
-    long_ns = max(float(SURE_LEAP_NS), 20.0 * float(np.median(steps)))
+    long_ns = max(
+        float(SURE_LEAP_NS),
+        20.0 * float(np.median(steps)),
+    )
     found: list[tuple[Fault, str]] = []
     # a recorder that was held up, or a simulation that paused, is one clock alone
     for row in np.flatnonzero((steps > long_ns) & (np.diff(stamps) > 0.8 * steps)):
@@ -628,10 +719,13 @@ def _leaps(times: TimeArray, stamps: TimeArray, position: FloatArray) -> Found:
 
 def _goes_on(before: FloatArray, after: FloatArray, fast: FloatArray) -> bool:
     """Whether joints move where one part ends and another begins, shape (T, J), and are at the same place there."""
-    beside = np.abs(
-        np.vstack([np.diff(before[-NEAR - 1 :], axis=0), np.diff(after[: NEAR + 1], axis=0)])
-    )
+    steps = [
+        np.diff(before[-NEAR - 1 :], axis=0),
+        np.diff(after[: NEAR + 1], axis=0),
+    ]
+    beside = np.abs(np.vstack(steps))
     if not len(beside):
         return False
     moving = np.median(beside, axis=0) > 0.1 * fast
-    return bool(moving.any() and np.all(np.abs(after[0] - before[-1]) <= 3.0 * fast + COUNT_RAD))
+    close = np.abs(after[0] - before[-1]) <= 3.0 * fast + COUNT_RAD
+    return bool(moving.any() and np.all(close))

@@ -192,7 +192,10 @@ def _changes(values: FloatArray) -> bool:
     return bool(len(known)) and float(np.ptp(known)) > 0.0
 
 
-def _fullest(columns: Sequence[int], values: dict[str, FloatArray]) -> int:
+def _fullest(
+    columns: Sequence[int],
+    values: dict[str, FloatArray],
+) -> int:
     """The column that has most numbers; the first of several."""
 
     def numbers(column: int) -> int:
@@ -245,7 +248,13 @@ def array_columns(
             columns = [names.index(label) for label in named]
             values[row : row + len(part.bag_ns), columns] = _marked(part.values["data"])
         row += len(part.bag_ns)
-    return JointColumns(times_ns, np.zeros_like(times_ns), names, {"effort": values}, list(notes))
+    return JointColumns(
+        times_ns,
+        np.zeros_like(times_ns),
+        names,
+        {"effort": values},
+        list(notes),
+    )
 
 
 @dataclass(frozen=True)
@@ -259,7 +268,11 @@ class _Array:
     recorded: Sequence[str]
     conventions: Conventions
 
-    def joints_of(self, message: Any, notes: dict[str, None]) -> Sequence[str]:
+    def joints_of(
+        self,
+        message: Any,
+        notes: dict[str, None],
+    ) -> Sequence[str]:
         """The joints that a message drives, by its labels, its driver's profile, or else the robot's order, which is noted."""
         count = len(message.data)
         if not count:
@@ -293,7 +306,11 @@ class _Array:
             )
         return stated
 
-    def _in_order(self, count: int, notes: dict[str, None]) -> tuple[str, ...]:
+    def _in_order(
+        self,
+        count: int,
+        notes: dict[str, None],
+    ) -> tuple[str, ...]:
         """The robot's joints, or those of them that were recorded, whichever are as many as there are columns."""
         there = tuple(joint for joint in self.joint_order if joint in self.recorded)
         for joints in (tuple(self.joint_order), there):

@@ -81,7 +81,10 @@ def parts_of(
         RecordingError: The bag cannot be read.
     """
     with open_bag(path) as bag:
-        return bag.parts(bag.topics.states(state_topic, None, conventions), most)
+        return bag.parts(
+            bag.topics.states(state_topic, None, conventions),
+            most,
+        )
 
 
 def motors_in(bag: Bag, state_topic: str | None) -> Motors:
@@ -95,7 +98,10 @@ def motors_in(bag: Bag, state_topic: str | None) -> Motors:
     return {joint: motor for joint, motor in motors.items() if motor is not None}
 
 
-def temperatures_in(bag: Bag, state_topic: str | None) -> dict[str, float]:
+def temperatures_in(
+    bag: Bag,
+    state_topic: str | None,
+) -> dict[str, float]:
     """How warm the motors were on average, as the driver of the joint states said on ``motor_temperatures``, by joint [deg C]."""
     heard: dict[str, list[float]] = {}
     for topic in _beside_states(bag, state_topic, TEMPERATURES, FLOAT_ARRAYS[0]):
@@ -154,17 +160,24 @@ def points_in(bag: Bag, topic: str, option: str) -> PointTrack:
     """
     chosen = bag.topics.chosen(topic, [POINT], option)
     messages = [message for _, message in bag.messages(chosen)]
-    stamps = np.array([stamp_ns(message) for message in messages], dtype=np.int64)
+    stamps = np.array(
+        [stamp_ns(message) for message in messages],
+        dtype=np.int64,
+    )
     if not stamps.all():
         raise RecordingError(
             f"{topic} holds points without a stamp: they cannot be laid beside the joint states",
             bag.path,
         )
-    points = np.array([[m.point.x, m.point.y, m.point.z] for m in messages])
+    points = np.array([[at.x, at.y, at.z] for at in (message.point for message in messages)])
     return PointTrack.of_seen(stamps, points)
 
 
-def read_points(path: str | Path, topic: str, option: str) -> PointTrack:
+def read_points(
+    path: str | Path,
+    topic: str,
+    option: str,
+) -> PointTrack:
     """The same of a bag that is not open yet.
 
     Args:

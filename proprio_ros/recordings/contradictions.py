@@ -68,8 +68,10 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
     Returns: The share (negative: slower), and whether both may be one clock; None where they keep the same pace or nothing is sure.
     """
     stamped = columns.stamp_ns != 0
-    stamp_s = 1e-9 * (columns.stamp_ns[stamped] - columns.stamp_ns[stamped][:1]).astype(np.float64)
-    late_s = 1e-9 * (columns.bag_ns - columns.stamp_ns)[stamped].astype(np.float64)
+    stamp_ns = columns.stamp_ns[stamped]
+    late_ns = columns.bag_ns[stamped] - stamp_ns
+    stamp_s = 1e-9 * (stamp_ns - stamp_ns[:1]).astype(np.float64)
+    late_s = 1e-9 * late_ns.astype(np.float64)
     if len(stamp_s) < FEWEST_STAMPS or np.ptp(stamp_s) == 0.0:
         return None
     # the median of slopes between samples half a recording apart: what comes late in between does not bend it
@@ -78,12 +80,12 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
     late_s = late_s[order]
     half = len(stamp_s) // 2
     apart_s = stamp_s[half:] - stamp_s[:-half]
-    slope = float(np.median((late_s[half:] - late_s[:-half]) / np.maximum(apart_s, 1e-9)))
-    line = slope * stamp_s
-    scatter_s = 1.4826 * float(np.median(np.abs(late_s - line - np.median(late_s - line))))
-    if abs(slope) < RATE_OFF or abs(slope) * float(np.ptp(stamp_s)) < CLEARLY * max(
-        scatter_s, 1e-4
-    ):
+    later_s = late_s[half:] - late_s[:-half]
+    slope = float(np.median(later_s / np.maximum(apart_s, 1e-9)))
+    off_s = late_s - slope * stamp_s
+    scatter_s = 1.4826 * float(np.median(np.abs(off_s - np.median(off_s))))
+    drift_s = abs(slope) * float(np.ptp(stamp_s))
+    if abs(slope) < RATE_OFF or drift_s < CLEARLY * max(scatter_s, 1e-4):
         return None
     return -slope / (1.0 + slope), abs(float(np.median(late_s))) < OTHER_CLOCK_S
 
@@ -241,7 +243,12 @@ class Readings:
         if len(changed_ns):
             since_s[last >= 0] = 1e-9 * (record.times_ns - changed_ns[last.clip(0)])[last >= 0]
         times_s = 1e-9 * (record.times_ns - record.times_ns[0])
-        speed = np.abs(np.gradient(record.position[:, column], times_s))
+        speed = np.abs(
+            np.gradient(
+                record.position[:, column],
+                times_s,
+            )
+        )
         return cls(
             name,
             times_s,
@@ -295,7 +302,11 @@ class PerAmpere:
     value: float  # in that unit; negative where effort counts in the other direction
 
 
-def _effort_per_ampere(name: str, gain: Gain, effort: Effort) -> PerAmpere | None:
+def _effort_per_ampere(
+    name: str,
+    gain: Gain,
+    effort: Effort,
+) -> PerAmpere | None:
     """In the unit that is stated or else fits best; None where none does."""
     per_A = {unit: 1.0 / ampere(unit, effort.per_count_A) for unit in EFFORT_UNITS if unit != "N.m"}
     if effort.nominal.get(name, 0.0) > 0.0:
@@ -311,7 +322,10 @@ def _effort_per_ampere(name: str, gain: Gain, effort: Effort) -> PerAmpere | Non
     unit = min(per_A, key=away)
     if effort.unit is None and away(unit) > np.log(SAME_UNIT[unit]):
         return None
-    return PerAmpere(unit, float(np.copysign(per_A[unit], gain.value)))
+    return PerAmpere(
+        unit,
+        float(np.copysign(per_A[unit], gain.value)),
+    )
 
 
 def _refuse_gain(
@@ -335,7 +349,12 @@ def _refuse_gain(
     )
 
 
-def _refuse_elsewhere(where: str, source: str, readings: Readings, per_A: float) -> None:
+def _refuse_elsewhere(
+    where: str,
+    source: str,
+    readings: Readings,
+    per_A: float,
+) -> None:
     """Raises RecordingError: what is measured beside a command that stands still is mostly something else."""
     driven = np.abs(readings.given_A) > ZERO_CURRENT_A
     used = driven & readings.settled & readings.slow & np.isfinite(readings.reading)
@@ -345,7 +364,8 @@ def _refuse_elsewhere(where: str, source: str, readings: Readings, per_A: float)
     off = readings.reading[used] / per_A - commanded
     scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))
     spread = LEAST_CURRENT_A + 4.0 * min(scatter, LEAST_CURRENT_A)
-    far = float(np.mean(np.abs(off) > np.maximum(0.25 * np.abs(commanded), spread)))
+    allowed = np.maximum(0.25 * np.abs(commanded), spread)
+    far = float(np.mean(np.abs(off) > allowed))
     if far > ELSEWHERE_SHARE:
         raise RecordingError(
             f"the effort of {readings.joint} does not follow {source}: {100.0 * far:.0f} % of its readings are off by "

@@ -63,7 +63,10 @@ class DataSet:
         """Of the entries of a column that is a vector; empty where it is not there or names none."""
         names = self.features.get(column, {}).get("names") or ()
         if isinstance(names, Mapping):  # {"motors": [...]}, as older tools write
-            names = next((value for value in names.values() if isinstance(value, list)), ())
+            names = next(
+                (value for value in names.values() if isinstance(value, list)),
+                (),
+            )
         return tuple(str(name) for name in names)
 
 
@@ -114,7 +117,12 @@ def _opened(folder: Path, _changed_ns: int) -> DataSet:
                 f"a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot",
                 folder,
             )
-        episodes = dict((_episodes_3 if version.startswith("v3.") else _episodes_2)(folder, info))
+        episodes = dict(
+            (_episodes_3 if version.startswith("v3.") else _episodes_2)(
+                folder,
+                info,
+            )
+        )
         features = {str(key): value for key, value in info["features"].items()}
         return DataSet(
             folder, version, float(info["fps"]), features, dict(sorted(episodes.items()))
@@ -245,7 +253,12 @@ def _of_episode(
     table: Any, index: int, columns: Sequence[str]
 ) -> tuple[dict[str, records.FloatArray], int]:
     """Columns of the rows that belong to an episode, and how many these are."""
-    table = table.filter(arrow().compute.equal(table["episode_index"], index))
+    table = table.filter(
+        arrow().compute.equal(
+            table["episode_index"],
+            index,
+        )
+    )
     return {column: _numbers(table[column], len(table)) for column in columns}, len(
         table,
     )
@@ -275,7 +288,8 @@ def _columns_within(
             continue
         first = first or _first(read)
         times_ns = _times(data, read, first.get("timestamp"), count)
-        within = (times_ns >= span[0]) & (times_ns < (np.inf if span[1] is None else span[1]))
+        end_ns = np.inf if span[1] is None else span[1]
+        within = (times_ns >= span[0]) & (times_ns < end_ns)
         for column in columns:
             parts[column].append(read[column][within])
         count += rows
@@ -306,9 +320,18 @@ def parts_of_episode(
     count = -(-data.episodes[index].length // most) if index in data.episodes else 1
     if count < 2:
         return [(0, None)]
-    times_ns = _times(data, read_columns(data, index, CLOCK, (0, None)))
+    times_ns = _times(
+        data,
+        read_columns(data, index, CLOCK, (0, None)),
+    )
     begins = sorted({int(time_ns) for time_ns in times_ns[:: -(-len(times_ns) // count)]})
-    return list(zip(begins, [*begins[1:], int(times_ns.max()) + 1], strict=True))
+    return list(
+        zip(
+            begins,
+            [*begins[1:], int(times_ns.max()) + 1],
+            strict=True,
+        )
+    )
 
 
 def _numbers(column: Any, count: int) -> records.FloatArray:
@@ -344,7 +367,11 @@ class _Frames:
     goals: Mapping[str, records.FloatArray]  # where joints were sent [rad or m], (T,) each
 
 
-def read_episode(folder: str | Path, index: int, options: ReadOptions) -> records.Recording:
+def read_episode(
+    folder: str | Path,
+    index: int,
+    options: ReadOptions,
+) -> records.Recording:
     """One episode as a recording; times count from its first frame, or that of the part that is read.
 
     Args:
@@ -400,10 +427,20 @@ def _frames(
     position = _ending(states, "", "pos")
     measured = _ending(states, "torque", "effort", "current")
     if columns.effort in read:
-        measured = _effort(data, columns.effort, read[columns.effort], tuple(position), called)
+        measured = _effort(
+            data,
+            columns.effort,
+            read[columns.effort],
+            tuple(position),
+            called,
+        )
     goals: dict[str, records.FloatArray] = {}
     if columns.goal in read:
-        goals = _ending(_by_name(data, columns.goal, read[columns.goal], called), "", "pos")
+        goals = _ending(
+            _by_name(data, columns.goal, read[columns.goal], called),
+            "",
+            "pos",
+        )
     times_ns = _times(data, read)
     joints = _in_si(position, columns, options)
     if len(joints) != len(position):
@@ -454,7 +491,13 @@ def _goal_signals(
     goals = np.column_stack(list(frames.goals.values()))  # (T, G)
     without_sign_bits(times_s, goals, names, names, [])
     nothing = np.empty(0, np.int64)
-    return records.DriveSignals(times_ns, names, goals[whole], nothing, np.empty(0))
+    return records.DriveSignals(
+        times_ns,
+        names,
+        goals[whole],
+        nothing,
+        np.empty(0),
+    )
 
 
 def _by_the_clock(
@@ -569,9 +612,22 @@ def _times(
             raise RecordingError("no frame has a finite timestamp", data.folder)
         first = stamps_s[known][0] if first_s is None else first_s[0]
         # a frame without a time has that of the one before it, and so none of its own
-        last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
-        since_s = np.where(last >= 0, stamps_s[last] - first, -1e-9)
-        return np.asarray(np.rint(1e9 * since_s), dtype=np.int64)
+        last = np.maximum.accumulate(
+            np.where(
+                known,
+                np.arange(len(known)),
+                -1,
+            )
+        )
+        since_s = np.where(
+            last >= 0,
+            stamps_s[last] - first,
+            -1e-9,
+        )
+        return np.asarray(
+            np.rint(1e9 * since_s),
+            dtype=np.int64,
+        )
     count = len(next(iter(read.values())))
     frames = read.get(
         "frame_index",
@@ -592,7 +648,10 @@ def _first(read: Mapping[str, records.FloatArray]) -> dict[str, records.FloatArr
     return {column: read[column][at : at + 1].copy() for column in CLOCK if column in read}
 
 
-def _timed(read: Mapping[str, records.FloatArray], count: int) -> records.BoolArray:
+def _timed(
+    read: Mapping[str, records.FloatArray],
+    count: int,
+) -> records.BoolArray:
     """Which of so many frames have a time; all where their numbers are the clock, shape (T,)."""
     if "timestamp" not in read:
         return np.ones(count, dtype=bool)

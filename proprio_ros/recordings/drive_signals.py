@@ -21,7 +21,13 @@ from proprio_ros.recordings.topics import (
 from proprio_ros.records import DriveSignals, FloatArray, TimeArray
 
 NO_TIMES: TimeArray = np.empty(0, dtype=np.int64)
-NOTHING = DriveSignals(NO_TIMES, (), np.empty((0, 0)), NO_TIMES, np.empty(0))
+NOTHING = DriveSignals(
+    NO_TIMES,
+    (),
+    np.empty((0, 0)),
+    NO_TIMES,
+    np.empty(0),
+)
 
 
 def drive_signals_in(bag: Bag, options: ReadOptions) -> DriveSignals:
@@ -47,7 +53,12 @@ def drive_signals_in(bag: Bag, options: ReadOptions) -> DriveSignals:
     return DriveSignals(goal_ns, names, goals, voltage_ns, voltage_V)
 
 
-def _beside(bag: Bag, state: Topic, name: str, msgtype: str) -> Topic | None:
+def _beside(
+    bag: Bag,
+    state: Topic,
+    name: str,
+    msgtype: str,
+) -> Topic | None:
     """A topic beside the joint states; None where there is none."""
     called = bag.topics.called(name, [msgtype], state.namespace)
     topics = [topic for topic in called if topic != state]
@@ -60,15 +71,31 @@ def _goals(
     bag: Bag, topic: Topic, clock: Clock, ahead_ns: int, options: ReadOptions
 ) -> tuple[TimeArray, tuple[str, ...], FloatArray]:
     """Where joints were sent: times [ns], shape (G,), names, and positions [rad or m], shape (G, J)."""
-    columns = clock.mended(joint_state_columns(bag, topic, ["position"], options.conventions))
-    goal_ns = np.where(columns.stamp_ns == 0, columns.bag_ns + ahead_ns, columns.stamp_ns)
+    columns = clock.mended(
+        joint_state_columns(
+            bag,
+            topic,
+            ["position"],
+            options.conventions,
+        )
+    )
+    goal_ns = np.where(
+        columns.stamp_ns == 0,
+        columns.bag_ns + ahead_ns,
+        columns.stamp_ns,
+    )
     order = np.argsort(goal_ns, kind="stable")
     position = columns.values["position"]
     goals = np.where(np.isfinite(position), position, np.nan)
     return goal_ns[order], columns.names, goals[order]
 
 
-def _voltages(bag: Bag, topic: Topic, clock: Clock, ahead_ns: int) -> tuple[TimeArray, FloatArray]:
+def _voltages(
+    bag: Bag,
+    topic: Topic,
+    clock: Clock,
+    ahead_ns: int,
+) -> tuple[TimeArray, FloatArray]:
     """The supply: times [ns] and voltages [V], shape (V,) each."""
     volts = [
         (stamp_ns(message) or time_ns + ahead_ns, float(message.voltage))
@@ -76,5 +103,8 @@ def _voltages(bag: Bag, topic: Topic, clock: Clock, ahead_ns: int) -> tuple[Time
         if 0.0 < message.voltage < np.inf
     ]
     volts.sort(key=lambda sample: sample[0])
-    voltage_ns = np.array([time_ns for time_ns, _ in volts], dtype=np.int64)
+    voltage_ns = np.array(
+        [time_ns for time_ns, _ in volts],
+        dtype=np.int64,
+    )
     return voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64)

@@ -190,7 +190,10 @@ class Driver:
     extends: tuple[str, ...] = ()  # names of the profiles that it extends
     columns: Columns | None = None  # what the columns of a data set are; None where it does not say
 
-    def fits(self, topics: Iterable[tuple[str, str]]) -> bool:
+    def fits(
+        self,
+        topics: Iterable[tuple[str, str]],
+    ) -> bool:
         """Whether any of these topics, by name and type, identifies it."""
         return any(
             kind == known or name.endswith(f"/{known}")

@@ -40,7 +40,11 @@ def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
     motion = kinematics(model, position, np.zeros_like(position))
     torque = np.zeros_like(position)
     for body, pseudo in enumerate(model.pseudo_inertia):
-        force = np.tensordot(body_parameters(pseudo), gravity_along(model, motion, body), 1)
+        force = np.tensordot(
+            body_parameters(pseudo),
+            gravity_along(model, motion, body),
+            1,
+        )
         torque[:, carriers(model, body)] -= force.T
     return torque
 
@@ -81,8 +85,19 @@ def _means(recording: Recording, robot: Robot) -> _Means | None:
     count = len(times_s) // width
     if count < FEWEST_MEANS:
         return None
-    binned = even[: count * width].reshape(count, width, len(columns), 2).mean(axis=1)
-    return _Means(model, binned[:, :, 0], binned[:, :, 1], width * period_s)
+    bins = even[: count * width].reshape(
+        count,
+        width,
+        len(columns),
+        2,
+    )
+    binned = bins.mean(axis=1)  # (B, n, 2)
+    return _Means(
+        model,
+        binned[:, :, 0],
+        binned[:, :, 1],
+        width * period_s,
+    )
 
 
 def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
@@ -106,7 +121,13 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
             continue
         speed = velocity[:, column]
         matrix = np.column_stack(
-            [load, np.tanh(speed / 0.02), speed, acceleration[:, column], np.ones(len(load))]
+            [
+                load,
+                np.tanh(speed / 0.02),
+                speed,
+                acceleration[:, column],
+                np.ones(len(load)),
+            ]
         )
         share = _share_of_first(matrix, effort)
         if share is not None and np.ptp(load) >= least:
@@ -121,16 +142,26 @@ def _share_of_first(matrix: FloatArray, seen: FloatArray) -> float | None:
         matrix: Shape (B, K).
         seen: Shape (B,).
     """
-    size = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
+    size = np.maximum(
+        np.abs(matrix).max(axis=0),
+        1e-12,
+    )
     matrix = matrix / size
-    solution, _, rank, _ = np.linalg.lstsq(matrix, seen, rcond=1e-8)
+    solution, _, rank, _ = np.linalg.lstsq(
+        matrix,
+        seen,
+        rcond=1e-8,
+    )
     count, columns = matrix.shape
     if rank < columns:
         return None
     residual = seen - matrix @ solution
     inverse = np.linalg.inv(matrix.T @ matrix)
-    error = float(np.sqrt(residual @ residual / (count - columns) * inverse[0, 0]))
-    return float(solution[0] / size[0]) if abs(solution[0]) > LEAST_T * error else None
+    variance = residual @ residual / (count - columns)
+    error = float(np.sqrt(variance * inverse[0, 0]))
+    if abs(solution[0]) <= LEAST_T * error:
+        return None
+    return float(solution[0] / size[0])
 
 
 def effort_units(

@@ -98,7 +98,11 @@ def _of_these_motors(
     return replace(recording, notes=recording.notes + notes)
 
 
-def motors_notes(source: RecordingSource, robot: Robot, state_topic: str | None) -> tuple[str, ...]:
+def motors_notes(
+    source: RecordingSource,
+    robot: Robot,
+    state_topic: str | None,
+) -> tuple[str, ...]:
     """A note where a recording is of the motors that were calibrated, but these have other firmware now.
 
     Args:

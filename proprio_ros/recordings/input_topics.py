@@ -45,7 +45,15 @@ def commanded(
         RecordingError: The commands cannot be read, or are efforts of a joint whose torque constant is not known.
     """
     noted = Noted(bag.path, topic.name)
-    columns, times_ns = _columns(bag, topic, means, states, clock, options, noted)
+    columns, times_ns = _columns(
+        bag,
+        topic,
+        means,
+        states,
+        clock,
+        options,
+        noted,
+    )
     if not len(times_ns):
         raise RecordingError(
             f"of no message of {topic.name} it is known when it was: {CLOCK_STEPS}", bag.path
@@ -83,10 +91,24 @@ def _columns(
 ) -> tuple[JointColumns, TimeArray]:
     """Messages of a topic as efforts by joint, and when they were sent, shape (M,) [ns]."""
     if topic.msgtype == JOINT_STATE:
-        columns = clock.mended(joint_state_columns(bag, topic, ["effort"], options.conventions))
+        columns = clock.mended(
+            joint_state_columns(
+                bag,
+                topic,
+                ["effort"],
+                options.conventions,
+            )
+        )
         return columns, times_of(columns, noted)
     columns = clock.mended(
-        array_columns(bag, topic, means, options.joint_order, states.names, options.conventions)
+        array_columns(
+            bag,
+            topic,
+            means,
+            options.joint_order,
+            states.names,
+            options.conventions,
+        )
     )
     return columns, columns.bag_ns
 

@@ -27,7 +27,8 @@ def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
     position = record.position[:, np.isin(record.names, joints)]
     if len(position) <= MIN_SAMPLES:
         return recording
-    kept = ~np.any(_jumped(1e-9 * np.diff(record.times_ns), position), axis=1)
+    intervals_s = 1e-9 * np.diff(record.times_ns)
+    kept = ~np.any(_jumped(intervals_s, position), axis=1)
     if kept.all():
         return recording
     jumps = f"in {count_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s"
@@ -38,7 +39,11 @@ def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
             recording.name,
         )
     note = f"{jumps}; they were left out: is the file damaged?"
-    return replace(recording, joints=record.kept(kept), notes=(*recording.notes, note))
+    return replace(
+        recording,
+        joints=record.kept(kept),
+        notes=(*recording.notes, note),
+    )
 
 
 def _jumped(intervals_s: FloatArray, position: FloatArray) -> BoolArray:

@@ -44,7 +44,10 @@ def deserialised(raw: bytes, msgtype: str) -> Any:
     """A message; behind its empty arrays rclpy's serialize_message leaves up to 8 stray bytes, which rosbags refuses."""
     for stray in (0, 4, 8):
         try:
-            return message_types().deserialize_cdr(raw[: len(raw) - stray], msgtype)
+            return message_types().deserialize_cdr(
+                raw[: len(raw) - stray],
+                msgtype,
+            )
         except SerdeError as error:
             if "size mismatch" not in str(error) or stray == 8:
                 raise

@@ -136,7 +136,11 @@ def motion_of(
         held={joint: float(record.position[:, record.column(joint)].mean()) for joint in others}
         | dict(held or {}),
         source=source,
-        notes=(*notes, *left_out, *_repeats_command(recording, joints, source)),
+        notes=(
+            *notes,
+            *left_out,
+            *_repeats_command(recording, joints, source),
+        ),
         left_out=left_out,
         begin_ns=int(record.times_ns[0]),
         beside={joint: record.position[:, record.column(joint)] for joint in others},
@@ -158,7 +162,11 @@ def _without_repeats(
     """The same without joint states that only repeat the one before."""
     record = recording.joints
     everywhere = np.ones(len(record.times_ns), dtype=bool)
-    repeats = repeated(record, everywhere, [record.column(joint) for joint in joints])
+    repeats = repeated(
+        record,
+        everywhere,
+        [record.column(joint) for joint in joints],
+    )
     if not repeats.any():
         return recording
     kept = record.kept(~repeats)

@@ -157,7 +157,12 @@ def _scale_of_run(recording: Recording, run: Run) -> VelocityScale | None:
 def _integral_and_velocity(times_s: FloatArray, velocity: FloatArray) -> FloatArray:
     """The columns of the fit, shape (T, 2): by the first goes the scale, by the second scale and lag."""
     means = 0.5 * (velocity[1:] + velocity[:-1])
-    integral = np.concatenate([[0.0], np.cumsum(means * np.diff(times_s))])
+    integral = np.concatenate(
+        [
+            [0.0],
+            np.cumsum(means * np.diff(times_s)),
+        ]
+    )
     return np.column_stack([integral, velocity])
 
 
@@ -188,17 +193,29 @@ def refuse_pace_of_runs(recording: Recording, runs: Sequence[Run]) -> None:
     """Raise RecordingError: The joints that runs moved turned at another pace than their velocities say."""
     pace = pace_of_runs(recording, runs)
     if pace is not None:
-        _refuse_pace(recording, pace, tuple(dict.fromkeys(run.joint for run in runs)))
+        _refuse_pace(
+            recording,
+            pace,
+            tuple(dict.fromkeys(run.joint for run in runs)),
+        )
 
 
 def refuse_pace_of_joint(recording: Recording, joint: str) -> None:
     """Raise RecordingError: A joint that moved alone, under whatever controller, did so."""
     found = velocity_scales(recording).get(joint)
     if found is not None and TIME_SCALES[0] < found.scale < TIME_SCALES[1]:
-        _refuse_pace(recording, Pace(found.scale, found.std), (joint,))
+        _refuse_pace(
+            recording,
+            Pace(found.scale, found.std),
+            (joint,),
+        )
 
 
-def _refuse_pace(recording: Recording, pace: Pace, joints: Sequence[str]) -> None:
+def _refuse_pace(
+    recording: Recording,
+    pace: Pace,
+    joints: Sequence[str],
+) -> None:
     if abs(pace.scale - 1.0) < ALONE_OFF + ALONE_SURE * pace.std:
         return
     raise RecordingError(
@@ -277,7 +294,11 @@ class _Window:
     travelled: FloatArray  # position, shape (K,)
 
 
-def _windows(times_s: FloatArray, position: FloatArray, velocity: FloatArray) -> list[_Window]:
+def _windows(
+    times_s: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+) -> list[_Window]:
     """Windows of one joint that have enough samples and no gap; all of shape (T,)."""
     regressors = _integral_and_velocity(times_s, velocity)
     number = np.floor(times_s / WINDOW_S).astype(np.int64)
@@ -300,7 +321,10 @@ def _velocity_scale(
     windows = _windows(times_s, position, velocity)
     if len(windows) < FEWEST_WINDOWS:
         return None
-    product = np.sum([each.design.T @ each.design for each in windows], axis=0)
+    product = np.sum(
+        [each.design.T @ each.design for each in windows],
+        axis=0,
+    )
     if np.linalg.cond(product) > 1e12:
         return None
     inverse = np.linalg.inv(product)

@@ -67,7 +67,12 @@ def findings(
         *_stale(record, moved),
     )
     time_scale = [] if pace is None or not stretched else [_time_scale(pace, moved)]
-    return (*_held(recording, moved), *time_scale, *by_column, *_command_as_effort(recording))
+    return (
+        *_held(recording, moved),
+        *time_scale,
+        *by_column,
+        *_command_as_effort(recording),
+    )
 
 
 def _time_scale(pace: Pace, moved: Sequence[str]) -> Finding:
@@ -80,19 +85,31 @@ def _time_scale(pace: Pace, moved: Sequence[str]) -> Finding:
     )
 
 
-def _held(recording: Recording, moved: Sequence[str]) -> Iterator[Finding]:
+def _held(
+    recording: Recording,
+    moved: Sequence[str],
+) -> Iterator[Finding]:
     """Joints that a current holds."""
     inputs = recording.inputs
     if inputs is None or not moved:
         return
-    largest = dict(zip(inputs.names, np.abs(inputs.current_A).max(axis=0), strict=True))
+    largest = dict(
+        zip(
+            inputs.names,
+            np.abs(inputs.current_A).max(axis=0),
+            strict=True,
+        )
+    )
     still = [name for name in recording.joints.names if name not in moved]
     if held := tuple(name for name in still if largest.get(name, 0.0) > ZERO_CURRENT_A):
         whose = "its motor gave held it" if len(held) == 1 else "their motors gave held them"
         yield Finding("held", f"{some(held)} stood still: what {whose} and drove nothing", held)
 
 
-def _still_columns(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
+def _still_columns(
+    record: JointRecord,
+    moved: Sequence[str],
+) -> Iterator[Finding]:
     """Columns of a driver that has no such reading."""
     for quantity in ("velocity", "reported_effort"):
         values = getattr(record, quantity)
@@ -158,7 +175,11 @@ def velocity_lag_s(
     # both are smoothed alike, so that counts of the encoder do not decide
     width = max(3, round(0.05 / period_s) | 1)
     smooth = np.ones(width) / width
-    derivative = np.convolve(np.gradient(both[:, 0], period_s), smooth, "same")
+    derivative = np.convolve(
+        np.gradient(both[:, 0], period_s),
+        smooth,
+        "same",
+    )
     reported = np.convolve(both[:, 1], smooth, "same")
     if most < 1 or len(even) < 8 * most + 2 * width or not derivative.any() or not reported.any():
         return None
@@ -167,9 +188,12 @@ def velocity_lag_s(
     if agreement[best] < SURE_CORRELATION:
         return None
     shift = _peak_shift(agreement, best)
-    early = derivative[2 * most - (best - most) : len(even) - 2 * most - (best - most)]
-    late = reported[2 * most : len(even) - 2 * most]
-    return float((best - most + shift) * period_s), float((early @ late) / (early @ early))
+    lag = best - most
+    start = 2 * most
+    stop = len(even) - 2 * most
+    early = derivative[start - lag : stop - lag]
+    ratio = (early @ reported[start:stop]) / (early @ early)
+    return float((lag + shift) * period_s), float(ratio)
 
 
 def _agreement(derivative: FloatArray, reported: FloatArray, most: int) -> FloatArray:
@@ -244,7 +268,10 @@ def _span(values: Mapping[str, float], spec: str) -> str:
     return least if least == most else f"{least} to {most}"
 
 
-def _registers(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
+def _registers(
+    record: JointRecord,
+    moved: Sequence[str],
+) -> Iterator[Finding]:
     """Efforts that a driver took for unsigned: a register of 16 bits below zero, or a magnitude without its sign."""
     if record.reported_effort is None:
         return
@@ -289,7 +316,10 @@ def _registers(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
         yield Finding("effort_without_sign", sentence, tuple(unsigned))
 
 
-def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
+def _stale(
+    record: JointRecord,
+    moved: Sequence[str],
+) -> Iterator[Finding]:
     """Efforts that are read more seldom than they are published."""
     if record.reported_effort is None:
         return
@@ -315,7 +345,8 @@ def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
         if len(seen) < FEW_LEVELS:  # an excitation's constant current, read without noise
             continue
         lengths, places = np.array(seen).T
-        typical = int(np.sort(np.repeat(lengths, lengths))[lengths.sum() // 2])
+        by_sample = np.sort(np.repeat(lengths, lengths))
+        typical = int(by_sample[lengths.sum() // 2])
         # as long as it moves on meanwhile
         if typical >= STALE_SAMPLES and places[lengths >= typical].mean() > 0.5 * STALE_SAMPLES:
             slow[name] = typical * float(np.median(np.diff(times_s)))

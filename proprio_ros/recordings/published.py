@@ -93,4 +93,9 @@ def published_run(
 def _current(text: TextRecording) -> float:
     """Current whose sign is the torque's [A]."""
     stated = float(text.setting.get("current_A_by_the_paper", 0.0)) or 1.0
-    return float(np.copysign(stated, float(text.setting["torque_N_m"])))
+    return float(
+        np.copysign(
+            stated,
+            float(text.setting["torque_N_m"]),
+        )
+    )

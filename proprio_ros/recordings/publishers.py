@@ -74,7 +74,8 @@ def of_one_publisher(noted: Noted, columns: JointColumns) -> JointColumns:
     _refuse_contradiction(noted, columns.names, position)
     if len(notes) == len(columns.notes):
         return columns
-    kept = np.isfinite(position).any(axis=1) | ~np.isfinite(columns.values["position"]).any(axis=1)
+    was_given = np.isfinite(columns.values["position"]).any(axis=1)
+    kept = np.isfinite(position).any(axis=1) | ~was_given
     return JointColumns(
         columns.bag_ns[kept],
         columns.stamp_ns[kept],
@@ -87,7 +88,10 @@ def of_one_publisher(noted: Noted, columns: JointColumns) -> JointColumns:
 def _without_effort(values: dict[str, FloatArray]) -> BoolArray:
     """Positions without an effort, of joints that mostly have one, shape (M, J)."""
     given = np.isfinite(values["position"])
-    effort = values.get("effort", np.full(given.shape, np.nan))
+    effort = values.get(
+        "effort",
+        np.full(given.shape, np.nan),
+    )
     # NaN: not in the message; inf: in it, but not a number
     missing = given & np.isnan(effort)
     with_effort = (given & ~missing).sum(axis=0)
@@ -119,7 +123,8 @@ def _at_one_place(position: FloatArray) -> BoolArray:
         inner = (after > 0) & (after < len(others))
         before = track.position[others[after[inner] - 1]]
         behind = track.position[others[after[inner]]]
-        off = np.abs(usual[column] - before) > JUMP_TIMES * np.abs(behind - before) + JUMP_RAD
+        allowed = JUMP_TIMES * np.abs(behind - before) + JUMP_RAD
+        off = np.abs(usual[column] - before) > allowed
         visits = len(np.unique(after[inner]))
         if visits >= FEWEST and off.mean() > MOST:
             foreign[track.rows[there], column] = True
@@ -131,7 +136,12 @@ def _at_one_place(position: FloatArray) -> BoolArray:
 def _twice(columns: JointColumns, position: FloatArray) -> BoolArray:
     """Messages that have stamp and positions of an earlier one, shape (M, J)."""
     stamped = columns.stamp_ns != 0
-    rows = np.column_stack([columns.stamp_ns.astype(np.float64), position])
+    rows = np.column_stack(
+        [
+            columns.stamp_ns.astype(np.float64),
+            position,
+        ]
+    )
     # NaN differs from itself
     _, first = np.unique(
         np.nan_to_num(rows, nan=np.inf),
@@ -191,7 +201,11 @@ def _copies(position: FloatArray) -> np.ndarray:
     return repeated[elsewhere]
 
 
-def _refuse_contradiction(noted: Noted, names: Sequence[str], position: FloatArray) -> None:
+def _refuse_contradiction(
+    noted: Noted,
+    names: Sequence[str],
+    position: FloatArray,
+) -> None:
     """Raises: RecordingError: one joint is at two places at once."""
     for name, track in zip(names, _tracks(position), strict=True):
         place = track.position

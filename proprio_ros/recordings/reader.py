@@ -147,7 +147,13 @@ class Bag:
             begins = times[::size]
             last_ns = times[-1]
         ends = sorted({begin_ns - begins[0] for begin_ns in begins})
-        return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
+        return list(
+            zip(
+                ends,
+                [*ends[1:], last_ns - begins[0] + 1],
+                strict=True,
+            )
+        )
 
     def messages(
         self,
@@ -162,7 +168,12 @@ class Bag:
     def rows(self, topic: Topic) -> list[Rows]:
         """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together."""
         try:
-            found = list(_in_rows(_in_order(self._limited(topic)), topic.msgtype))
+            found = list(
+                _in_rows(
+                    _in_order(self._limited(topic)),
+                    topic.msgtype,
+                )
+            )
         except _OutOfOrder:  # files of one bag that overlap
             found = list(_in_rows(self._raw(topic), topic.msgtype))
         if not found:
@@ -196,7 +207,10 @@ class Bag:
                     )
             yield reader, wanted
 
-    def _read(self, topic: Topic) -> Iterator[tuple[int, bytes]]:
+    def _read(
+        self,
+        topic: Topic,
+    ) -> Iterator[tuple[int, bytes]]:
         """Recorder's time [ns] and message as it was recorded, file by file."""
         start_ns, stop_ns = self._between
         for reader, wanted in self._wanted(topic):
@@ -242,10 +256,16 @@ class Bag:
         most: int | None = None,
     ) -> list[tuple[int, bytes]]:
         """All of them in the order of time."""
-        return sorted(self._limited(topic, most), key=lambda message: message[0])
+        return sorted(
+            self._limited(topic, most),
+            key=lambda message: message[0],
+        )
 
 
-def _notes_of_storage(path: Path, files: Sequence[Path]) -> list[str]:
+def _notes_of_storage(
+    path: Path,
+    files: Sequence[Path],
+) -> list[str]:
     """What is said of a bag whose storage files were read without its metadata."""
     if (path / "metadata.yaml").exists() and files != [path]:
         return [
@@ -275,7 +295,10 @@ def _topics(path: Path, readers: Sequence[Reader]) -> Topics:
     for reader in readers:
         for connection in reader.connections:
             counts[connection.topic, connection.msgtype] += connection.msgcount
-    return Topics(path, tuple(Topic(*key, count) for key, count in sorted(counts.items())))
+    return Topics(
+        path,
+        tuple(Topic(*key, count) for key, count in sorted(counts.items())),
+    )
 
 
 class _OutOfOrder(Exception):
@@ -343,7 +366,10 @@ class _Layout(NamedTuple):
     ) -> tuple[int, TimeArray | None, dict[str, FloatArray]]:
         """How many of the messages from the first on differ only in their numbers; their stamps and their numbers."""
         length = len(raws[0])
-        count = next((n for n, raw in enumerate(raws) if len(raw) != length), len(raws))
+        count = next(
+            (n for n, raw in enumerate(raws) if len(raw) != length),
+            len(raws),
+        )
         table = np.frombuffer(b"".join(raws[:count]), np.uint8).reshape(
             count,
             length,
@@ -356,7 +382,11 @@ class _Layout(NamedTuple):
         unlike = np.flatnonzero((table[:, same] != table[0, same]).any(axis=1))
         table = table[: int(unlike[0]) if len(unlike) else count]
 
-        def column(at: int, size: int, kind: str) -> NDArray[Any]:
+        def column(
+            at: int,
+            size: int,
+            kind: str,
+        ) -> NDArray[Any]:
             return table[:, at : at + size].copy().view(kind)
 
         stamps = None

@@ -12,7 +12,11 @@ REPEATED_SHARE = 0.2
 """Of the joint states may repeat the one before while a joint moves, before it is taken for a publisher's doing."""
 
 
-def repeated(record: JointRecord, inside: BoolArray, columns: Sequence[int]) -> BoolArray:
+def repeated(
+    record: JointRecord,
+    inside: BoolArray,
+    columns: Sequence[int],
+) -> BoolArray:
     """Rows that only repeat the row before.
 
     A joint that moves slowly repeats its position, too, from one count of its encoder to the next. So repeats count only where a

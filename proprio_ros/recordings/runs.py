@@ -105,7 +105,10 @@ def cut_runs(
     runs = []
     too_short = []
     before = [None, *(interval.end_ns for interval in intervals)]
-    after = [*(interval.onset_ns for interval in intervals[1:]), None]
+    after = [
+        *(interval.onset_ns for interval in intervals[1:]),
+        None,
+    ]
     for number, (interval, end_ns, next_ns) in enumerate(
         zip(intervals, before, after, strict=False), start=1
     ):
@@ -160,7 +163,14 @@ def _without(
     if not runs:
         raise RecordingError(left_out[0])
     return tuple(
-        replace(run, notes=(*run.notes, *(f"left out: {why}" for why in left_out))) for run in runs
+        replace(
+            run,
+            notes=(
+                *run.notes,
+                *(f"left out: {why}" for why in left_out),
+            ),
+        )
+        for run in runs
     )
 
 
@@ -228,7 +238,15 @@ def _free_responses(
         elif len(fell) > 1:
             problems.append(f"{said} {', '.join(fell)} fall at once: hold all joints but one")
         else:
-            runs.append(_free_response(name, record, fell[0], inside, held))
+            runs.append(
+                _free_response(
+                    name,
+                    record,
+                    fell[0],
+                    inside,
+                    held,
+                )
+            )
     return _without(problems, runs)
 
 
@@ -437,7 +455,12 @@ def _intervals_of_joint(
                 f"no input came for {longest_ns / 1e6:.0f} ms while {joint} was driven; the last was held"
             )
         if inputs.measured:
-            onset_ns, end_ns, note = _between_samples(times, int(first), int(last), end_ns)
+            onset_ns, end_ns, note = _between_samples(
+                times,
+                int(first),
+                int(last),
+                end_ns,
+            )
             notes.append(note)
         intervals.append(
             _Interval(
@@ -474,7 +497,10 @@ def _between_samples(
     )
 
 
-def _without_holding_joints(record: JointRecord, intervals: list[_Interval]) -> list[_Interval]:
+def _without_holding_joints(
+    record: JointRecord,
+    intervals: list[_Interval],
+) -> list[_Interval]:
     """Drop the joints whose motors answer a moving neighbour: their current changes, but they stay where they are."""
 
     def holds(interval: _Interval) -> bool:
@@ -567,5 +593,10 @@ def _piecewise(inputs: InputRecord, interval: _Interval) -> tuple[FloatArray, Fl
     begin = max(interval.first - 1, 0) if inputs.measured else interval.first
     times_s = (inputs.times_ns[begin : begin + len(current)] - interval.onset_ns) / 1e9
     times_s[0] = 0.0
-    changes = np.concatenate(([True], np.diff(current) != 0.0))
+    changes = np.concatenate(
+        (
+            [True],
+            np.diff(current) != 0.0,
+        )
+    )
     return times_s[changes], current[changes]

@@ -131,12 +131,19 @@ def hear(bag: Bag, options: ReadOptions) -> Heard:
     )
 
 
-def _states(bag: Bag, state: Topic, options: ReadOptions) -> tuple[JointColumns, Clock]:
+def _states(
+    bag: Bag,
+    state: Topic,
+    options: ReadOptions,
+) -> tuple[JointColumns, Clock]:
     """Joint states of the arm's own driver in the order of a clock that goes on evenly, and what was wrong with the clocks."""
     columns = joint_state_columns(bag, state, QUANTITIES, options.conventions)
     # parts whose times come twice look like two publishers, and two publishers may hide a step
     before = clock_of(state.name, columns)
-    columns = of_one_publisher(Noted(bag.path, state.name), before.mended(columns))
+    columns = of_one_publisher(
+        Noted(bag.path, state.name),
+        before.mended(columns),
+    )
     if not options.states_only:
         refuse_prefix(bag.path, columns.names, options.joint_order)
     behind = clock_of(state.name, columns)
@@ -154,7 +161,11 @@ def recording_of(heard: Heard, options: ReadOptions) -> Recording:
     """
     inputs = heard.inputs
     torque_off_ns = heard.torque_off_ns
-    noted = Noted(heard.path, heard.state.name, list(heard.notes))
+    noted = Noted(
+        heard.path,
+        heard.state.name,
+        list(heard.notes),
+    )
     record = _joint_record(heard, noted, options)
     # zero current needs no unit
     needed = not options.states_only and not (torque_off_ns and options.effort.unit is None)
@@ -179,7 +190,11 @@ def _cuts(heard: Heard, inputs: InputRecord | None) -> Spans:
     return tuple((begin_ns + ahead_ns, end_ns + ahead_ns) for begin_ns, end_ns in cuts)
 
 
-def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) -> None:
+def refuse_prefix(
+    path: Path,
+    recorded: Sequence[str],
+    joints: Sequence[str],
+) -> None:
     """Refuse names that are those of the robot's joints with one prefix before all of them.
 
     Args:
@@ -208,7 +223,10 @@ def _joint_record(heard: Heard, noted: Noted, options: ReadOptions) -> JointReco
     driven: list[str] = []
     inputs = heard.inputs
     if inputs is not None:
-        used = np.any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
+        used = np.any(
+            np.abs(inputs.current_A) > ZERO_CURRENT_A,
+            axis=0,
+        )
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
     rows = state_rows(heard.columns, noted, driven, options.joint_order)
     velocity = known_or_none(rows.values["velocity"])

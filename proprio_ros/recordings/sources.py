@@ -40,7 +40,10 @@ class Attempt(Generic[_Read]):
     error: RecordingError | None = None
 
     @classmethod
-    def to(cls, read: Callable[[], _Read]) -> Attempt[_Read]:
+    def to(
+        cls,
+        read: Callable[[], _Read],
+    ) -> Attempt[_Read]:
         """Try to read."""
         try:
             return cls(read())
@@ -161,7 +164,12 @@ class BagSource(_Closed):
 class EpisodeSource(_Closed):
     """One episode of a data set, called ``FOLDER#INDEX``."""
 
-    def __init__(self, path: Path, folder: Path, index: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        folder: Path,
+        index: int,
+    ) -> None:
         super().__init__(path)
         self._folder = folder
         self._index = index

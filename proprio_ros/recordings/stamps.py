@@ -15,7 +15,11 @@ def times_of(columns: JointColumns, noted: Noted) -> TimeArray:
     """Header stamps; where there are none, the recorder's time on the same clock; shape (M,) [ns]."""
     missing = columns.stamp_ns == 0
     noted.count(missing, "messages have no header stamp; their time of recording was used")
-    return np.where(missing, columns.bag_ns + columns.clock_ns(), columns.stamp_ns)
+    return np.where(
+        missing,
+        columns.bag_ns + columns.clock_ns(),
+        columns.stamp_ns,
+    )
 
 
 def order_of(times_ns: TimeArray, noted: Noted) -> NDArray[np.intp]:

@@ -98,14 +98,25 @@ def in_order(rows: StateRows) -> StateRows:
     if never:
         rows.noted.note(f"{', '.join(never)} never has a finite position and was left out.")
     values = {quantity: table[np.ix_(order, usable)] for quantity, table in rows.values.items()}
-    return replace(rows, times_ns=rows.times_ns[order], names=names, values=values)
+    return replace(
+        rows,
+        times_ns=rows.times_ns[order],
+        names=names,
+        values=values,
+    )
 
 
 def without_sign_bits_of_counts(rows: StateRows) -> StateRows:
     """The same with positions whose sign is in a bit of their count decoded."""
     times_s = 1e-9 * (rows.times_ns - rows.times_ns[0]).astype(np.float64)
     position = rows.position.copy()
-    without_sign_bits(times_s, position, rows.names, rows.expected, rows.noted.notes)
+    without_sign_bits(
+        times_s,
+        position,
+        rows.names,
+        rows.expected,
+        rows.noted.notes,
+    )
     return replace(rows, values={**rows.values, "position": position})
 
 
@@ -148,7 +159,13 @@ def complete(rows: StateRows) -> StateRows:
         rows.noted.note(
             f"{rows.names[column]} is in {count_of(known)} messages; between them it was interpolated."
         )
-    return replace(rows, values={**rows.values, "position": position}).kept(whole)
+    return replace(
+        rows,
+        values={
+            **rows.values,
+            "position": position,
+        },
+    ).kept(whole)
 
 
 def _needed(rows: StateRows, given: BoolArray) -> BoolArray:

@@ -149,7 +149,15 @@ class AnyMcap(McapReader):
             raise ReaderError("No whole message is left")
         counts = found.channel_message_counts
         connections = self.connections
-        self.connections = [each._replace(msgcount=counts.get(each.id, 0)) for each in connections]
+        self.connections = [
+            each._replace(
+                msgcount=counts.get(
+                    each.id,
+                    0,
+                )
+            )
+            for each in connections
+        ]
         self.metadata = ReaderMetadata(0, 0, 0, 0, None, None, None, None)._replace(
             duration=found.end_time - found.start_time + 1,
             start_time=found.start_time,
@@ -241,9 +249,18 @@ def notes_of(reader: Reader) -> list[str]:
     return [each.note for each in storages if isinstance(each, AnyMcap) and each.note]
 
 
-def _unpacked(kind: Any, data: bytes, size: int = MOST_BYTES_OF_ONE) -> bytes:
+def _unpacked(
+    kind: Any,
+    data: bytes,
+    size: int = MOST_BYTES_OF_ONE,
+) -> bytes:
     """By a kind of decompressor, at most the given number of bytes, and one more."""
-    return bytes(kind().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
+    return bytes(
+        kind().decompress(
+            data,
+            max_length=min(size, MOST_UNPACKED) + 1,
+        )
+    )
 
 
 def _read_exact(stream: BinaryIO, size: int) -> bytes:

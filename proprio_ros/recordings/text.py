@@ -147,7 +147,10 @@ def read_point_file(path: str | Path) -> PointTrack:
             [int(row[0]) for row in table],
             dtype=np.int64,
         )
-        points = np.array([[float(cell) for cell in row[1:]] for row in table]).reshape(-1, 3)
+        points = np.array([[float(cell) for cell in row[1:]] for row in table]).reshape(
+            -1,
+            3,
+        )
     except (ValueError, OverflowError) as error:
         raise RecordingError(
             f"needs rows of a whole number of ns and three numbers in m ({error})", path

@@ -59,7 +59,10 @@ class Conventions:
     # what a unit of its positions is [rad]; those of sliding joints, too, are multiplied with it
     radians: float = 1.0
 
-    def renamed(self, names: Sequence[str]) -> tuple[str, ...]:
+    def renamed(
+        self,
+        names: Sequence[str],
+    ) -> tuple[str, ...]:
         """The robot's names of joints that a driver names."""
         if not self.prefix and not self.names:
             return tuple(str(name) for name in names)
@@ -160,7 +163,7 @@ class Topics:
         return fitting[0]
 
     def _refuse(self, why: str) -> NoReturn:
-        raise RecordingError(f"{why}", self.path)
+        raise RecordingError(why, self.path)
 
     def states(
         self,

@@ -161,9 +161,9 @@ def _standing(
     ``times_s``: of the samples [s], shape (T,); ``position``: of some joints [rad], ``effort``: of the same, shape (T, K) each.
     """
     known = np.isfinite(effort)
-    alike = np.where(
-        known[1:] & known[:-1], effort[1:] == effort[:-1], known[1:] == known[:-1]
-    ).all(axis=1)
+    both = known[1:] & known[:-1]
+    same = effort[1:] == effort[:-1]
+    alike = np.where(both, same, known[1:] == known[:-1]).all(axis=1)
     starts = np.flatnonzero(np.concatenate([[True], ~alike]))
     ends = np.append(starts[1:], len(effort))
     lasts = ends - starts  # [samples]
@@ -177,7 +177,9 @@ def _standing(
             return
         # the stretch that a sample usually lies in; those as long as this one are looked at for themselves
         others = lasts[lasts < lasts[stretch]]
-        usual = 1.0 if not len(others) else float(np.median(np.repeat(others, others)))
+        usual = 1.0
+        if len(others):
+            usual = float(np.median(np.repeat(others, others)))
         long_enough = lasts[stretch] >= USUAL_TIMES * usual
         if long_enough and np.ptp(position[first:end], axis=0).max() > TURNED_RAD:
             yield first, end
@@ -204,7 +206,10 @@ def _of_stretches(
         )
 
 
-def _of_samples(joints: Sequence[str], alone: BoolArray) -> Iterator[str]:
+def _of_samples(
+    joints: Sequence[str],
+    alone: BoolArray,
+) -> Iterator[str]:
     counts = alone.sum(axis=0)
     if counts.any():
         names = [name for name, count in zip(joints, counts, strict=True) if count]
@@ -214,5 +219,8 @@ def _of_samples(joints: Sequence[str], alone: BoolArray) -> Iterator[str]:
         )
 
 
-def _named(joints: Sequence[str], names: Sequence[str]) -> str:
+def _named(
+    joints: Sequence[str],
+    names: Sequence[str],
+) -> str:
     return "all joints" if len(names) == len(joints) > 1 else ", ".join(names)

@@ -52,7 +52,11 @@ def with_stall_currents(recording: Recording, robot: Robot) -> Recording:
     names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
     source = f"{STALL_CURRENT}, from {' and from '.join(dict.fromkeys(takes))}"
     inputs = InputRecord(record.times_ns, names, current[:, known], source)
-    return replace(recording, joints=replace(record, current=current), inputs=inputs)
+    return replace(
+        recording,
+        joints=replace(record, current=current),
+        inputs=inputs,
+    )
 
 
 def _stall_current(
@@ -109,5 +113,10 @@ def _smoothed(signals: DriveSignals) -> FloatArray:
     times_s = 1e-9 * (signals.voltage_ns - signals.voltage_ns[0]).astype(np.float64)
     first = np.searchsorted(times_s, times_s - 0.5 * SMOOTHED_S)
     last = np.searchsorted(times_s, times_s + 0.5 * SMOOTHED_S, side="right")
-    total = np.concatenate([[0.0], np.cumsum(signals.voltage_V)])
+    total = np.concatenate(
+        [
+            [0.0],
+            np.cumsum(signals.voltage_V),
+        ]
+    )
     return (total[last] - total[first]) / (last - first)
