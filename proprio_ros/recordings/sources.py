@@ -6,11 +6,12 @@ motion of what it gives.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.errors import ConfigurationError, RecordingError
@@ -30,6 +31,7 @@ from proprio_ros.recordings.text import TextRecording, is_text_recording, read_t
 from proprio_ros.records import DriveSignals, Recording
 
 _Read = TypeVar("_Read")
+_Opened = TypeVar("_Opened", bound="RecordingSource")
 
 
 @dataclass(frozen=True)
@@ -58,62 +60,48 @@ class Attempt(Generic[_Read]):
         return self.value
 
 
-class RecordingSource(Protocol):
+class RecordingSource(ABC):
     """A recording of joint states, once it is open; each member is read when it is asked for.
 
     Every member raises a `RecordingError` where it cannot be read.
     """
-
-    path: Path
-
-    @property
-    def name(self) -> str:
-        """What messages and reports call it; empty where its recording says it."""
-
-    def __enter__(self) -> RecordingSource: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def contents(self, options: ReadOptions) -> Contents:
-        """Topics with their types, and which of them are joint states and input."""
-
-    def recording(self, options: ReadOptions) -> Recording:
-        """Joint states, input, and when torque was off, in SI units."""
-
-    def drive_signals(self, options: ReadOptions) -> DriveSignals | None:
-        """Goals and supply voltage of position servos; None where the recording has them, or there can be none."""
-
-    def motors(self, state_topic: str | None) -> Motors:
-        """The motors of the arm, by joint, as far as the source says whose they are."""
-
-    def temperatures(self, state_topic: str | None) -> dict[str, float]:
-        """How warm the motors were on average, by joint [deg C], as far as the source says it."""
-
-
-class _Closed:
-    """A source that holds nothing open."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @property
     def name(self) -> str:
+        """What messages and reports call it; empty where its recording says it."""
         return ""
+
+    def __enter__(self: _Opened) -> _Opened:
+        return self
 
     def __exit__(self, *_: object) -> None:
         return None
 
+    @abstractmethod
+    def contents(self, options: ReadOptions) -> Contents:
+        """Topics with their types, and which of them are joint states and input."""
+
+    @abstractmethod
+    def recording(self, options: ReadOptions) -> Recording:
+        """Joint states, input, and when torque was off, in SI units."""
+
     def drive_signals(self, options: ReadOptions) -> DriveSignals | None:
+        """Goals and supply voltage of position servos; None where the recording has them, or there can be none."""
         return None
 
     def motors(self, state_topic: str | None) -> Motors:
+        """The motors of the arm, by joint, as far as the source says whose they are."""
         return {}
 
     def temperatures(self, state_topic: str | None) -> dict[str, float]:
+        """How warm the motors were on average, by joint [deg C], as far as the source says it."""
         return {}
 
 
-class BagSource(_Closed):
+class BagSource(RecordingSource):
     """A ROS 2 bag; it must be entered before anything is read."""
 
     def __init__(self, path: Path) -> None:
@@ -161,7 +149,7 @@ class BagSource(_Closed):
         return self._read(description_in)
 
 
-class EpisodeSource(_Closed):
+class EpisodeSource(RecordingSource):
     """One episode of a data set, called ``FOLDER#INDEX``."""
 
     def __init__(
@@ -173,9 +161,6 @@ class EpisodeSource(_Closed):
         super().__init__(path)
         self._folder = folder
         self._index = index
-
-    def __enter__(self) -> EpisodeSource:
-        return self
 
     def contents(self, options: ReadOptions) -> Contents:
         """A data set has columns, and the driver's profile says which."""
@@ -192,23 +177,29 @@ class EpisodeSource(_Closed):
         return read_episode(self._folder, self._index, options)
 
 
-class TextSource(_Closed):
+class TextSource:
     """The motion of one joint as text, which its setting says all about: it is no `Recording` of an arm."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
 
     def __enter__(self) -> TextSource:
         return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
 
     def text(self) -> TextRecording:
         """The motion with its setting."""
         return read_text_recording(self.path)
 
 
-def open_source(path: Path) -> BagSource | EpisodeSource | TextSource:
+def open_source(path: Path) -> RecordingSource | TextSource:
     """The source that a path names; nothing of it is read before it is entered."""
     return TextSource(path) if is_text_recording(path) else open_recording(path)
 
 
-def open_recording(path: Path) -> BagSource | EpisodeSource:
+def open_recording(path: Path) -> RecordingSource:
     """The same where only a bag or an episode will do."""
     episode = episode_of(path)
     return BagSource(path) if episode is None else EpisodeSource(path, *episode)
