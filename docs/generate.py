@@ -12,8 +12,6 @@ Tables of figures in README, ``pages/validation.md`` and ``pages/validation`` co
 from __future__ import annotations
 
 import argparse
-import ast
-import contextlib
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -26,11 +24,13 @@ import tempfile
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import conformance_page
 import figures
+import settings_page
+from connections import Connection, Reader
 
 PAGES = Path(__file__).resolve().parent / "pages"
 NOTE = "<!-- written by docs/generate.py from the code: change that instead -->"
@@ -261,122 +261,17 @@ def nodes() -> dict[str, tuple[ModuleType, type]]:
     return found
 
 
-def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str, str, str, str]]:
-    """What a node makes in `configure`, and in its parts; see `_made_by`."""
+def connections_of(name: str, module: ModuleType, node: Any) -> list[Connection]:
+    """What a node makes in `configure`, and in its parts, each once."""
     values = {parameter.name: parameter.default for parameter in node.parameters}
-    yield from _made_by(node.configure, vars(module), name, values)
+    readers = [Reader(name, node.configure, vars(module), values)]
     for part, given in PARTS.get(name, ()):
         place, _, method = part.partition(":")
         module = importlib.import_module(f"proprio_ros.nodes.{place}")
-        yield from _made_by(
-            operator.attrgetter(method)(module), {**vars(module), **given}, name, values
-        )
-
-
-def _made_by(
-    function: Any, known: dict[str, Any], name: str, values: dict[str, Any]
-) -> Iterator[tuple[str, str, str, str]]:
-    """What a function makes: ``publishes``, ``takes`` or ``serves``; the full name, the type, and how messages are kept.
-
-    The body is read, not run: loops over tables of the module are followed, and names are computed from what they hold.
-    """
-    body = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
-    scope = {
-        **known,
-        "self": SimpleNamespace(
-            values=values,
-            conventions=importlib.import_module("proprio_ros.recordings.topics").OUR_DRIVER,
-        ),
-        "node": SimpleNamespace(values=values),
-    }
-    # a kind of connection, and which of its arguments are type, name and quality of service
-    makers = {"create_publisher": ("publishes", 0, 1, 2), "create_subscription": ("takes", 0, 1, 3),
-              "listen": ("takes", 0, 1, 3),
-              "create_service": ("serves", 0, 1, None), "LongService": ("serves", None, 1, None)}  # fmt: skip
-
-    def of(expression: ast.expr, local: dict[str, Any]) -> Any:
-        return eval(compile(ast.Expression(expression), name, "eval"), {**scope, **local})
-
-    def bound(target: ast.expr, value: Any) -> dict[str, Any]:
-        if isinstance(target, ast.Name):
-            return {target.id: value}
-        assert isinstance(target, ast.Tuple)
-        return {
-            key: part
-            for one, each in zip(target.elts, value, strict=True)
-            for key, part in bound(one, each).items()
-        }
-
-    def maker(tree: ast.AST) -> str:
-        called = (
-            getattr(tree.func, "attr", getattr(tree.func, "id", ""))
-            if isinstance(tree, ast.Call)
-            else ""
-        )
-        return called if called in makers else ""
-
-    def names(expression: ast.AST) -> set[str]:
-        return {
-            ast.unparse(part)
-            for part in ast.walk(expression)
-            if isinstance(part, (ast.Name, ast.Attribute))
-        }
-
-    # assignments are computed where a topic or a loop over topics needs them, and no others
-    needed: set[str] = set()
-    for part in ast.walk(body):
-        if maker(part):
-            assert isinstance(part, ast.Call)
-            needed |= {
-                name
-                for place in makers[maker(part)][1:3]
-                if place is not None
-                for name in names(part.args[place])
-            }
-        elif isinstance(part, (ast.For, ast.comprehension)):
-            needed |= names(part.iter)
-    for part in reversed([part for part in ast.walk(body) if isinstance(part, ast.Assign)]):
-        if ast.unparse(part.targets[0]) in needed:
-            needed |= names(part.value)
-
-    def walk(tree: ast.AST, local: dict[str, Any]) -> Iterator[tuple[str, str, str, str]]:
-        if isinstance(tree, ast.Assign) and ast.unparse(tree.targets[0]) in needed:
-            target = tree.targets[0]
-            # if a topic needs it all the same, that is an error there
-            with contextlib.suppress(Exception):
-                if isinstance(target, ast.Attribute):
-                    setattr(of(target.value, local), target.attr, of(tree.value, local))
-                else:
-                    local.update(bound(target, of(tree.value, local)))
-        if not any(maker(part) for part in ast.walk(tree)):
-            return
-        if isinstance(tree, ast.For):
-            for value in of(tree.iter, local):
-                for statement in tree.body:
-                    yield from walk(statement, {**local, **bound(tree.target, value)})
-            return
-        if isinstance(tree, (ast.DictComp, ast.ListComp)):
-            (loop,) = tree.generators
-            for value in of(loop.iter, local):
-                element = tree.value if isinstance(tree, ast.DictComp) else tree.elt
-                yield from walk(element, {**local, **bound(loop.target, value)})
-            return
-        if isinstance(tree, ast.Call) and maker(tree):
-            what, kind_at, name_at, quality_at = makers[maker(tree)]
-            kind = (
-                "std_srvs/Trigger" if kind_at is None else _message(of(tree.args[kind_at], local))
-            )
-            quality = "" if quality_at is None else ast.unparse(tree.args[quality_at])
-            topic = of(tree.args[name_at], local)
-            full = f"/{name}{topic[1:]}" if topic.startswith("~") else "/" + topic.lstrip("/")
-            yield what, full, kind, quality
-        for child in ast.iter_child_nodes(tree):
-            yield from walk(child, local)
-
-    local: dict[str, Any] = {}
-    assert isinstance(body, ast.FunctionDef)
-    for statement in body.body:
-        yield from walk(statement, local)
+        function = operator.attrgetter(method)(module)
+        readers.append(Reader(name, function, {**vars(module), **given}, values))
+    found = [connection for reader in readers for connection in reader.connections()]
+    return list(dict.fromkeys(found))
 
 
 def ros_interface() -> str:
@@ -395,7 +290,7 @@ def ros_interface() -> str:
             f"## {name}",
             f"`proprio_{name}`. " + inspect.cleandoc(node.__doc__ or "").split("\n\n")[0],
         ]
-        found = list(dict.fromkeys(connections(name, module, node)))
+        found = connections_of(name, module, node)
         for what, title in (("publishes", "Publishes"), ("takes", "Takes"), ("serves", "Services")):
             rows = [
                 (
@@ -481,10 +376,6 @@ def _about_probe(topic: str) -> str:
     return f"make the sequence named by `{probe}_sequence`, and identify" if found else ""
 
 
-def _message(kind: type) -> str:
-    return f"{kind.__module__.split('.')[0]}/{kind.__name__}"
-
-
 def _parameter(parameter: Any) -> tuple[str, str, str, str]:
     stated = str(parameter.default).replace(tempfile.gettempdir(), "/tmp")
     default = f"`{stated}`" if parameter.default not in ("", []) else "empty"
@@ -497,170 +388,6 @@ def _parameter(parameter: Any) -> tuple[str, str, str, str]:
         f"{parameter.lowest:g} .. {parameter.highest:g}" if bounded else "",
         about,
     )
-
-
-# --- settings and files -------------------------------------------------------------------------------------------------
-
-
-def settings() -> str:
-    """The page about settings, robot files, calibrations and limits."""
-    from proprio_ros.addons.contents.facts import FORMS as OF_CONTENTS
-    from proprio_ros.calibration_files.pushes import NOISE, RANGES
-    from proprio_ros.inputs import reading
-    from proprio_ros.inputs.forms import REQUIRED
-    from proprio_ros.inputs.settings import SEARCH, probe_file
-    from proprio_ros.kinds import KINDS
-    from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
-    from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
-    from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
-    from proprio_ros.recordings import reader, storage, text
-    from proprio_ros.recordings.drivers import COLUMNS, FORMS, INPUT
-    from proprio_ros.robot import fields as robot_fields
-    from proprio_ros.robot import urdf
-
-    parts = [
-        NOTE,
-        "# Settings, files and limits",
-        "What a setting (`--set KEY=VALUE`, the identifier's parameter `settings`), a robot file, a driver profile and a "
-        "calibration may say. Ranges are "
-        "wider than any arm on a table needs; what lies outside is refused in one sentence. Defaults are those of "
-        "the files in `config/probes`.",
-    ]
-    explained = _Once("as above")
-    of_probes = {
-        "payload": OF_PAYLOAD,
-        "container": OF_CONTAINER,
-        "softness": OF_BLOCK,
-        "contents": OF_CONTENTS,
-    }
-    for probe, forms in of_probes.items():
-        content = probe_file(probe)
-        rows = []
-        for key, form in (forms | SEARCH).items():
-            section, _, name = key.partition(".")
-            if key in forms or name in content.get(section, {}):
-                value = content.get(section, {}).get(name)
-                rows.append(
-                    (
-                        f"`{key}`",
-                        "" if value is None else f"`{_yaml(value)}`",
-                        form.described(),
-                        explained(form.meaning),
-                    )
-                )
-        parts += [f"## Probe {probe}", _table(("key", "default", "value", "meaning"), rows)]
-    parts += [
-        "`payload.size`, `container.inner_size` and `block.size` are lengths in m of the form that the shape needs: a diameter or "
-        "an "
-        "edge, `[diameter, length]`, or `[x, y, z]`. `payload.frame` is a link of the robot, `held.JOINT` the position of a joint "
-        "that "
-        "was locked and not recorded, and `robot.KEY` any key of the robot file.",
-        "## Robot file",
-        "An uncertain number is `{value: .., std: ..}`; a plain one is known exactly; `null` is left out, and what is left out has "
-        "its default. `proprio robot new` writes a file with every key. The nominal torque constant may be left out where the "
-        "drive train's is stated.",
-    ]
-    for title, fields in (
-        ("The robot", robot_fields.ROBOT),
-        ("joints: JOINT", robot_fields.JOINT),
-        ("joints: JOINT: motor", robot_fields.MOTOR),
-        ("joints: JOINT: drive_train", robot_fields.DRIVE_TRAIN),
-    ):
-        rows = [
-            (
-                f"`{key}`",
-                _default(field.default, REQUIRED),
-                field.form.described(),
-                explained(field.form.meaning),
-            )
-            for key, field in fields.items()
-        ]
-        parts += [f"### {title}", _table(("key", "default", "value", "meaning"), rows)]
-    parts += [
-        "## Driver profile",
-        "Files of `config/drivers`, or of your own, for `--driver` and the identifier's parameter `driver`. Keys that are left out "
-        "are those of the profile that a file extends. Topics are named without a namespace, and found in any.",
-        _table(
-            ("key", "value", "meaning"),
-            [(f"`{key}`", form.described(), form.meaning) for key, form in FORMS.items()],
-        ),
-        "### inputs",
-        _table(
-            ("key", "value", "meaning"),
-            [(f"`{key}`", form.described(), form.meaning) for key, form in INPUT.items()],
-        ),
-        "### columns",
-        _table(
-            ("key", "value", "meaning"),
-            [(f"`{key}`", form.described(), form.meaning) for key, form in COLUMNS.items()],
-        ),
-        "## Calibration",
-        "The section `calibration` of a robot file, as `proprio calibrate` writes it. `model_fingerprint` is required; joints and "
-        "links "
-        "must be the robot's; of a calibrated joint no unknown may be missing that the robot file leaves open; a torque constant "
-        "lies "
-        "within five times the motor's nominal one, up or down. A number within its range that is nevertheless wrong cannot be "
-        "seen "
-        "in the file: only further runs show it (`--baseline`).",
-        _table(
-            ("unknown", "value", "meaning"),
-            [
-                (
-                    f"`{kind}[{KINDS[kind].of.upper()}]`" if KINDS[kind].of else f"`{kind}`",
-                    form.described(),
-                    form.meaning,
-                )
-                for kind, form in RANGES.items()
-            ]
-            + [
-                (f"`{key}`", form.described(), explained(form.meaning))
-                for key, form in NOISE.items()
-            ],
-        ),
-        "## Limits",
-        _table(
-            ("of", "at most"),
-            [
-                ("a YAML, JSON or URDF file", f"{reading.LONGEST_TEXT / 1e6:g} MB"),
-                ("lists and mappings within each other", str(reading.DEEPEST)),
-                (
-                    "values of a YAML file, aliases counted as what they stand for",
-                    str(reading.MOST_NODES),
-                ),
-                ("VALUE of a setting", f"{reading.LONGEST_VALUE} characters"),
-                ("links of a URDF, and joints", str(urdf.MOST_LINKS)),
-                ("names of joints and links", f"{urdf.LONGEST_NAME} printable characters"),
-                ("rows of a CSV file", str(text.MOST_ROWS)),
-                (
-                    "messages of one topic",
-                    f"{reader.MOST_MESSAGES}, {reader.MOST_BYTES / 1e6:g} MB together",
-                ),
-                ("one message", f"{reader.MOST_BYTES_OF_ONE / 1e3:g} kB"),
-                ("files of a compressed bag, unpacked", f"{storage.MOST_UNPACKED / 1e9:g} GB each"),
-            ],
-        ),
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
-def _yaml(value: Any) -> str:
-    return (
-        {True: "true", False: "false"}.get(value, str(value))
-        if isinstance(value, bool)
-        else str(value)
-    )
-
-
-def _default(value: Any, required: Any) -> str:
-    if value is required:
-        return "required"
-    if value is None or value == "" or value == float("inf"):
-        return ""
-    if hasattr(value, "described"):
-        return str(value.described())
-    if getattr(value, "std", 0.0):
-        return f"`{{value: {value.value:g}, std: {value.std:g}}}`"
-    return f"`{_yaml(getattr(value, 'value', list(value) if isinstance(value, tuple) else value))}`"
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------------
@@ -707,7 +434,7 @@ def pages() -> dict[Path, str]:
     return {
         PAGES / "command_line.md": command_line(),
         PAGES / "ros_interface.md": ros_interface(),
-        PAGES / "settings.md": settings(),
+        PAGES / "settings.md": settings_page.page(NOTE, _table, _Once("as above")),
         PAGES / "refusals.md": refusals(),
         PAGES / "conformance.md": conformance_page.page(NOTE, _table),
         **measured(),
