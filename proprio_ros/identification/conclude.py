@@ -9,7 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Detail, Estimate, Fit, SolverSummary, Value, Verdict
+from proprio_ros.identification.estimate import (
+    Detail,
+    Estimate,
+    Fit,
+    SolverSummary,
+    Useful,
+    Value,
+    Verdict,
+)
 from proprio_ros.identification.fit import (
     FitResult,
     other_suspects,
@@ -22,7 +30,6 @@ from proprio_ros.identification.judge import (
     Assessment,
     Guess,
     Refusal,
-    Useful,
     guessed,
     judge,
     not_identifiable,

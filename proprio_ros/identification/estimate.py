@@ -11,7 +11,7 @@ import numpy as np
 
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import Tag, label_of
-from proprio_ros.quantity import shown_unit, spec_for, written
+from proprio_ros.quantity import Z95, shown_unit, spec_for, written
 from proprio_ros.schema import header, reason_codes
 
 
@@ -22,6 +22,67 @@ class Verdict(str, Enum):
     TOO_WIDE = "too_wide"  # the interval is too wide for its share of the value; both are given
     REJECTED = "rejected"  # the model does not explain the recording
     NOT_IDENTIFIABLE = "not_identifiable"  # the recording does not determine it
+
+
+@dataclass(frozen=True)
+class Useful:
+    """How wide an answer's 95 % interval may be: half of it may be a share of the value, or the floor where that is more.
+
+    | answer | share | floor | verdict where it is wider |
+    | --- | --- | --- | --- |
+    | pushes: payload, sphere | `solver.wide_share`, 50 % | `solver.wide_floor_kg`, 5 g | `too_wide`: both ends are given |
+    | softness | 50 % | none | `too_wide` |
+    | motion of several joints, arm at rest | 50 % | 4 % of the arm's mass | `too_wide` |
+    | one joint under a controller | 50 % | none | `not_identifiable`: no mass is stated |
+    | calibration by motions, of a light object | 100 % | none | `not_identifiable` |
+    | running estimate | 50 % | 10 g | no verdict: it is not known yet |
+
+    A probe of an add-on has its own.
+    """
+
+    share: float  # of the value
+    floor: float = 0.0  # in its unit; what is nearly nothing has no share to speak of
+    verdict: Verdict = Verdict.TOO_WIDE
+
+    def widest(self, value: float) -> float:
+        """Half of the widest interval of a value that is allowed, in its unit."""
+        return max(self.share * abs(value), self.floor)
+
+    def exceeded_by(self, value: float, half: float) -> bool:
+        """Whether half an interval is too wide for its value, both in its unit."""
+        return half > self.widest(value)
+
+    def exceeded_as_printed(self, value: float, std: float) -> bool:
+        """The same of a quantity that is not negative, whose interval ends at nothing."""
+        low, high = not_negative(value, std)
+        return self.exceeded_by(max(value, 0.0), 0.5 * (high - low))
+
+
+USEFUL_SHARE = 0.5  # of its value that half an interval may be, where no setting says otherwise
+USEFUL_FLOOR_KG = 0.005  # of the mass of pushes, likewise
+USEFUL_OF_ONE_JOINT = Useful(USEFUL_SHARE, verdict=Verdict.NOT_IDENTIFIABLE)
+USEFUL_OF_CALIBRATION = Useful(1.0, verdict=Verdict.NOT_IDENTIFIABLE)
+USEFUL_WHILE_RUNNING = Useful(USEFUL_SHARE, 0.01)
+USEFUL_OF_ARM = 0.04  # of the arm's own mass
+
+
+def useful_in_motion(arm_kg: float) -> Useful:
+    """For a mass weighed by an arm of so many kg, in motion or at rest."""
+    return Useful(USEFUL_SHARE, USEFUL_OF_ARM * arm_kg)
+
+
+def not_negative(
+    value: float,
+    std: float,
+    quantile: float = Z95,
+) -> tuple[float, float]:
+    """The 95 % interval of a quantity that cannot be below nothing, never shorter above than the likelihood has it.
+
+    An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the
+    narrower the less likely it is. The quantile is half the width of a 95 % interval in standard deviations.
+    """
+    half = quantile * std
+    return max(value - half, 0.0), max(value, 0.0) + half
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Scan, Value, Verdict
+from proprio_ros.identification.estimate import Scan, Useful, Value, Verdict, not_negative
 from proprio_ros.identification.fit import (
     FitResult,
     error_budget,
@@ -69,6 +69,13 @@ def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
     return Refusal(Verdict.NOT_IDENTIFIABLE, withheld, (Reason(code, sentence),))
 
 
+def wide(useful: Useful, sentence: str) -> Refusal:
+    """The interval is wider than is useful: the value is given with its interval, or not stated at all."""
+    if useful.verdict is Verdict.TOO_WIDE:
+        return Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
+    return not_identifiable("says_too_little", "the interval is too wide to state a mass", sentence)
+
+
 def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
     """What may be wrong with a recording that no model explains: the computer that held the arm and recorded it was busy elsewhere.
 
@@ -96,19 +103,6 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
         why = f"{busy} stamps positions when it did not read them"
         return [Reason("uneven", f"{name}: the joint states {uneven}: {why}; {again}")]
     return []
-
-
-@dataclass(frozen=True)
-class Useful:
-    """From when on an interval is too wide for an accepted answer: both must be exceeded by half of it, as it is printed."""
-
-    share: float  # of the value
-    floor: float = 0.0  # in its unit; what is nearly nothing has no share to speak of
-
-    def exceeded_by(self, value: float, std: float) -> bool:
-        """Whether the 95 % interval of a quantity that is not negative is too wide."""
-        low, high = not_negative(value, std)
-        return 0.5 * (high - low) > max(self.share * max(value, 0.0), self.floor)
 
 
 @dataclass(frozen=True)
@@ -328,7 +322,7 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     std = assessed.std
     # zeros are asked for by a sentence of their own, which says what tells them
     std_but_zeros = float(np.sqrt(max(std**2 - assessed.zeros_std**2, 0.0)))
-    if not useful.exceeded_by(value, std_but_zeros):
+    if not useful.exceeded_as_printed(value, std_but_zeros):
         return
     interval = shown(
         unit,
@@ -345,7 +339,7 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     sentence = (
         f"anything from {interval} explains the recording, wider than {limit}{mostly}: {more}"
     )
-    yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
+    yield wide(useful, sentence)
 
 
 def guessed(guesses: Sequence[Guess], value: float) -> Reason:
@@ -383,17 +377,3 @@ def positive(
         std,
         [low, min(high, highest)],
     )
-
-
-def not_negative(
-    value: float,
-    std: float,
-    quantile: float = Z95,
-) -> tuple[float, float]:
-    """The 95 % interval of a quantity that cannot be below nothing, never shorter above than the likelihood has it.
-
-    An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the
-    narrower the less likely it is. The quantile is half the width of a 95 % interval in standard deviations.
-    """
-    half = quantile * std
-    return max(value - half, 0.0), max(value, 0.0) + half

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from proprio_ros.identification.conclude import Conclusion
-from proprio_ros.identification.estimate import SolverSummary, Value, Verdict
+from proprio_ros.identification.estimate import SolverSummary, Useful, Value, Verdict
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
@@ -22,7 +22,7 @@ from proprio_ros.identification.fit import (
     unexplained,
 )
 from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings
-from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
+from proprio_ros.identification.judge import Guess, Refusal, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS
 from proprio_ros.pipeline.loading import bag_runs

@@ -21,10 +21,17 @@ from proprio_ros.addons.contents.models import ContentsFacts
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion, stated_in
-from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
+from proprio_ros.identification.estimate import (
+    USEFUL_SHARE,
+    Estimate,
+    SolverSummary,
+    Useful,
+    Value,
+    no_answer,
+)
 from proprio_ros.identification.fit import FitResult, SearchOptions, summary, unknown_rows
 from proprio_ros.identification.gates import Findings, admitted
-from proprio_ros.identification.judge import Assessment, Refusal, Useful, positive
+from proprio_ros.identification.judge import Assessment, Refusal, positive
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
@@ -245,7 +252,7 @@ class ContentsFound(Conclusion):
         )
 
     def useful(self) -> Useful:
-        return Useful(0.5, 0.02)
+        return Useful(USEFUL_SHARE, 0.02)
 
     def remarks(self) -> Iterator[str]:
         if not self.kind():

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
+from proprio_ros.identification.estimate import USEFUL_WHILE_RUNNING
 from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.motion_equations import (
     HOP_SHARE,
@@ -96,9 +97,6 @@ FROZEN_S = 0.05
 FROZEN_RAD_S = 0.1
 TOLD_S = 1.0  # `changed` is told for so long.
 RESTING_S = 0.5  # An arm that has not moved for so long is at rest.
-# No half width that is more than this share of the mass, and than this, is an answer.
-WIDEST_SHARE = 0.5
-WIDEST_KG = 0.01
 LEAST_HEAVY_KG = 0.02  # A load counts as at least so heavy where its centre is open.
 LEAST_EIGENVALUE = 1e-9  # Of a calibration's correlations, in parts of the largest: below it there is only rounding.
 # How far from the stated place in the hand the load's centre may be where nothing is said of it.
@@ -123,9 +121,7 @@ class OnlineEstimate:
     @property
     def known(self) -> bool:
         """Whether the interval is narrow enough to be called a mass."""
-        return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * max(
-            WIDEST_KG, WIDEST_SHARE * abs(self.mass_kg)
-        )
+        return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * USEFUL_WHILE_RUNNING.widest(self.mass_kg)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import UNITS
 from proprio_ros.errors import some
-from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.estimate import Useful
+from proprio_ros.identification.judge import FAR, Refusal, rejected, wide
 from proprio_ros.identification.regression.error_budget import CONSTANTS
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
@@ -24,7 +25,6 @@ UNEXPLAINED_SHARE = 0.5
 """A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
 URDF_RATIO = 1.35
 """URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
-WIDEST_SHARE = 0.5  # No mass is stated whose half width is more than this share of it.
 APART_SIGMAS = 4.0  # What differs by more standard deviations is not the same.
 LEAST_SIGMAS = 5.0  # A mass that is not known so many times better than it is large is no divisor.
 DECIDES = 0.05
@@ -223,29 +223,28 @@ def lighter_than_empty(mass_kg: float, half_kg: float, advice: str) -> Iterator[
 
 
 def interval_too_wide(
+    useful: Useful,
     mass_kg: float,
     half_kg: float,
     parts: Sequence[tuple[str, float]],
     name: str = "",
     advice: str = "",
-    share: float = WIDEST_SHARE,
 ) -> Iterator[Refusal]:
-    """Where the interval of a mass is wide beside it.
+    """Where the interval of a mass is wider than is useful.
 
     Args:
+        useful: How wide it may be.
         mass_kg: That was found [kg].
         half_kg: Half width of its interval [kg].
         parts: What puts how much on it, by name.
         name: Of the recording and a colon, before the sentence.
         advice: After the sentence.
-        share: How wide the half may be, in parts of the mass.
     """
-    if half_kg > share * abs(mass_kg):
+    if useful.exceeded_by(mass_kg, half_kg):
         most, _ = max(parts, key=lambda part: part[1])
         half = shown("kg", min(half_kg, 1e6), spec=".0f")
-        yield not_identifiable(
-            "says_too_little",
-            "the interval is too wide to state a mass",
+        sentence = (
             f"{name}this motion determines the mass only to +-{half}; what it errs by most: "
-            f"{most}{advice}",
+            f"{most}{advice}"
         )
+        yield wide(useful, sentence)

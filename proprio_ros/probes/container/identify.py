@@ -21,7 +21,15 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.coefficients import reduced_model
 from proprio_ros.identification.conclude import Conclusion, stated_in
-from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, Verdict, no_answer
+from proprio_ros.identification.estimate import (
+    Estimate,
+    SolverSummary,
+    Useful,
+    Value,
+    Verdict,
+    no_answer,
+    not_negative,
+)
 from proprio_ros.identification.fit import SearchOptions, fit_opened, summary
 from proprio_ros.identification.gates import (
     CONTRADICTION,
@@ -34,8 +42,6 @@ from proprio_ros.identification.gates import (
 from proprio_ros.identification.judge import (
     Guess,
     Refusal,
-    Useful,
-    not_negative,
     positive,
     rejected,
 )

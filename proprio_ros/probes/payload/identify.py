@@ -23,7 +23,16 @@ import numpy as np
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification import gates, swings
 from proprio_ros.identification.conclude import Conclusion, stated_in
-from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, Verdict, no_answer
+from proprio_ros.identification.estimate import (
+    USEFUL_FLOOR_KG,
+    USEFUL_SHARE,
+    Estimate,
+    SolverSummary,
+    Useful,
+    Value,
+    Verdict,
+    no_answer,
+)
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
@@ -37,7 +46,6 @@ from proprio_ros.identification.judge import (
     FAR,
     Guess,
     Refusal,
-    Useful,
     not_identifiable,
     positive,
     rejected,
@@ -87,8 +95,8 @@ SWING_ROUNDS = 4  # How often the error of a simulated swing is looked at again.
 class WeighingOptions(SearchOptions):
     """How to solve; an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``."""
 
-    wide_share: float = 0.5
-    wide_floor_kg: float = 0.005
+    wide_share: float = USEFUL_SHARE
+    wide_floor_kg: float = USEFUL_FLOOR_KG
 
 
 def weigh(

@@ -16,7 +16,15 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError, TooLittleMotion
-from proprio_ros.identification.estimate import Estimate, Fit, JointFit, Value, Verdict
+from proprio_ros.identification.estimate import (
+    USEFUL_SHARE,
+    Estimate,
+    Fit,
+    JointFit,
+    Value,
+    Verdict,
+    useful_in_motion,
+)
 from proprio_ros.identification.judge import (
     ACCEPTED,
     Refusal,
@@ -24,6 +32,7 @@ from proprio_ros.identification.judge import (
     not_identifiable,
     positive,
     rejected,
+    wide,
 )
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
@@ -50,8 +59,6 @@ MISFIT_RATIO = 3.0
 # How far from nothing an empty hand may weigh before the calibration is called out of date.
 DRIFT_SIGMAS = 3.0
 SEEN_SHARE = 0.5  # Of the spread of any load's parameters: what is known no better is not seen.
-WIDEST_OF_ARM = 0.04
-"""A mass whose half width is more than `WIDEST_SHARE` of it and this share of the arm's own mass is ``too_wide``."""
 
 
 @dataclass(frozen=True)
@@ -555,12 +562,13 @@ def _louder(fit: MotionFit) -> str:
 def _too_wide(fit: MotionFit) -> Iterator[Refusal]:
     """Why an answer that nothing else speaks against is not accepted."""
     half = fit.half_width
-    if half > max(refusals.WIDEST_SHARE * abs(float(fit.values[0])), WIDEST_OF_ARM * fit.arm_kg):
+    useful = useful_in_motion(fit.arm_kg)
+    if useful.exceeded_by(float(fit.values[0]), half):
         sentence = (
             f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: move faster and through more attitudes of "
             f"the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and record the empty hand in the same motion"
         )
-        yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
+        yield wide(useful, sentence)
 
 
 def _assumptions(
@@ -647,7 +655,7 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     # a moment of inertia is told as a mass is, to half of itself, and a product only means something beside its moments
     seen = stds < SEEN_SHARE * fit.payload_prior[4:]
     moments = [0, 3, 5]
-    seen[moments] &= fit.quantile * stds[moments] < refusals.WIDEST_SHARE * value[moments]
+    seen[moments] &= fit.quantile * stds[moments] < USEFUL_SHARE * value[moments]
     for product, (one, other) in {1: (0, 3), 2: (0, 5), 4: (3, 5)}.items():
         seen[product] &= seen[one] or seen[other]
     names = [

@@ -10,20 +10,18 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import TooLittleMotion
-from proprio_ros.identification.estimate import Estimate, Fit, Verdict
+from proprio_ros.identification.estimate import Estimate, Fit, useful_in_motion
 from proprio_ros.identification.gates import chi2_limit
-from proprio_ros.identification.judge import Refusal, judge, positive, rejected
-from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.judge import Refusal, judge, positive, rejected, wide
 from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import MotionFit, fit_payload
 from proprio_ros.identification.regression.refusals import (
     APART_SIGMAS,
-    WIDEST_SHARE,
     lighter_than_empty,
     unlike_urdf,
 )
-from proprio_ros.probes.payload.moving import WIDEST_OF_ARM, drift, motion_answer
+from proprio_ros.probes.payload.moving import drift, motion_answer
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -113,9 +111,10 @@ def _refusals(
 
 def _too_wide(fit: RestFit, arm_kg: float) -> Iterator[Refusal]:
     half = Z95 * fit.std_kg
-    if half > max(WIDEST_SHARE * abs(fit.mass_kg), WIDEST_OF_ARM * arm_kg):
+    useful = useful_in_motion(arm_kg)
+    if useful.exceeded_by(fit.mass_kg, half):
         sentence = (
             f"so little motion determines the mass only to +-{shown('kg', half, spec='.0f')}: hold the arm in more poses, each "
             "reached from above and from below, or let it move for 15 s"
         )
-        yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
+        yield wide(useful, sentence)

@@ -19,7 +19,14 @@ import numpy as np
 from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion, stated_in
-from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
+from proprio_ros.identification.estimate import (
+    USEFUL_SHARE,
+    Estimate,
+    SolverSummary,
+    Useful,
+    Value,
+    no_answer,
+)
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
@@ -37,7 +44,7 @@ from proprio_ros.identification.gates import (
     contradiction,
     screen_run,
 )
-from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
+from proprio_ros.identification.judge import Guess, Refusal, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.detail import (
@@ -88,7 +95,7 @@ class SqueezeOptions:
     # half width of the 95 % interval of Young's modulus over its value beyond which none is given
     widest_relative: float = 1.0
     # an answer whose half width exceeds this share of the value is ``too_wide``
-    wide_share: float = 0.5
+    wide_share: float = USEFUL_SHARE
 
 
 @dataclass(frozen=True)
