@@ -2,7 +2,7 @@
 
 An arm of six joints in MuJoCo, whose links, friction, rotors and torque constants are not those of its robot file, moves with a box
 of 2 kg in its hand, and with an empty hand before. What is drawn is what ``--report`` draws: the arm with the payload, and the
-joint that told most of the mass.
+joint that determined most of the mass.
 """
 
 from __future__ import annotations

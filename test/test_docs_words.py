@@ -21,6 +21,7 @@ from support.pages import (
 )
 
 CHANGELOG = REPOSITORY / "CHANGELOG.rst"
+CONTRIBUTING = REPOSITORY / "CONTRIBUTING.md"
 FIRST_READ = (
     README,
     FOLDER / "index.md",
@@ -134,7 +135,7 @@ def test_all_pages_together_have_a_limit_of_words() -> None:
     assert words_of(PAGES) <= ALL_PAGES_AT_MOST
 
 
-@pytest.mark.parametrize("path", [README, CHANGELOG, *PAGES], ids=place_of)
+@pytest.mark.parametrize("path", [README, CHANGELOG, CONTRIBUTING, *PAGES], ids=place_of)
 def test_words_are_those_of_the_field(path: Path) -> None:
     text = CODE.sub("", read_prose(text_of(path)))
     for word, better in OLD_WORDS.items():
