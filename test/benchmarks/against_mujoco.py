@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from case import Case, Row, compare
 
-from proprio_ros.addons.paper.speed import sysid_search
+from proprio_ros.addons.paper.speed import SysidSearch
 
 GOAL = 30.0
 
@@ -28,7 +28,7 @@ def rows(case: Case) -> list[Row]:
     return [
         compare(
             f"{what} (MuJoCo {mujoco.__version__}, RK4)",
-            sysid_search(case, case.step_s),
+            SysidSearch(case, case.step_s),
             GOAL,
             case,
         )

@@ -33,6 +33,7 @@ data. In the functions without tangents each component of a matrix is assigned o
 the tangents against one.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -113,17 +114,13 @@ def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: Arra
             turn[i, 0] = placed
             shift[i, 1] = placed @ axis
     fixed = ChainData()
-    fixed.turn, fixed.shift, fixed.axis = (
-        doubles(turn, MAT33),
-        doubles(shift, VEC3),
-        doubles(model.axes, VEC3),
-    )
+    fixed.turn = doubles(turn, MAT33)
+    fixed.shift = doubles(shift, VEC3)
+    fixed.axis = doubles(model.axes, VEC3)
     fixed.revolute = doubles([kind == "revolute" for kind in model.kinds], FLOAT)
     fixed.gravity = VEC3(*model.gravity)
-    fixed.friction_velocity, fixed.supply = (
-        doubles(friction_velocity, FLOAT),
-        doubles(supply, FLOAT),
-    )
+    fixed.friction_velocity = doubles(friction_velocity, FLOAT)
+    fixed.supply = doubles(supply, FLOAT)
     return fixed
 
 
@@ -168,12 +165,10 @@ class ChainSimulator:
         step_s: float = 1.0 / 240.0,
         fine_step_s: float | None = None,
     ) -> None:
-        joints = model.joint_names
         n = len(model.joint_names)
-        samples, switches, current = (
-            np.asarray(values, dtype=np.float64)
-            for values in (sample_times_s, input_times_s, input_current_A)
-        )
+        samples = np.asarray(sample_times_s, dtype=np.float64)
+        switches = np.asarray(input_times_s, dtype=np.float64)
+        current = np.asarray(input_current_A, dtype=np.float64)
         smoothing = np.asarray(friction_velocity, dtype=np.float64)
         limits = np.zeros((n, 3)) if supply is None else np.asarray(supply, dtype=np.float64)
         fine = step_s if fine_step_s is None else min(fine_step_s, step_s)
@@ -181,60 +176,22 @@ class ChainSimulator:
             raise SimulationError(
                 f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}"
             )
-        if samples.ndim != 1 or len(samples) == 0 or np.any(np.diff(samples) < 0.0):
-            raise SimulationError("sample_times_s must be one or more increasing instants in s")
-        if (
-            switches.ndim != 1
-            or len(switches) == 0
-            or switches[0] != 0.0
-            or np.any(np.diff(switches) <= 0.0)
-        ):
-            raise SimulationError(
-                "input_times_s must be increasing instants in s, the first of them 0"
-            )
-        if current.shape != (len(switches), n):
-            raise SimulationError(
-                f"input_current_A has shape {current.shape}: give a row for each of the {len(switches)} instants of "
-                f"input_times_s and a column for each joint ({', '.join(joints)})"
-            )
-        if (
-            limits.shape != (n, 3)
-            or np.any(limits < 0.0)
-            or np.any((limits[:, 0] > 0.0) & (limits[:, 2] == 0.0))
-        ):
-            raise SimulationError(
-                "supply must be (voltage, back-EMF constant, resistance) of each joint, not negative"
-            )
-        if smoothing.shape not in ((), (n,)) or not np.all(smoothing > 0.0):
-            raise SimulationError(
-                "friction_velocity must be one positive number, or one for each joint"
-            )
+        _check_instants(samples, switches)
+        _check_joints(model.joint_names, switches, current, limits, smoothing)
         if not fine > 0.0:
             raise SimulationError(
                 f"the integration step is {fine} s: step_s and fine_step_s must be positive"
             )
         self.model = model
         self.integrator = integrator
-        names = [f"{group}[{joint}]" for group in JOINT_PARAMETERS for joint in joints]
-        names += [f"pi[{joint}][{k}]" for joint in joints for k in range(INERTIAL)]
-        names += ["delay", *(f"{group}[{joint}]" for group in ("q0", "v0") for joint in joints)]
-        self.parameter_names = tuple(names)
-        sizes = dict.fromkeys(JOINT_PARAMETERS, n) | {
-            "pi": INERTIAL * n,
-            "delay": 1,
-            "q0": n,
-            "v0": n,
-        }
-        stops = np.cumsum(list(sizes.values())).tolist()
-        self.columns = {
-            group: slice(stop - sizes[group], stop)
-            for group, stop in zip(sizes, stops, strict=True)
-        }
+        self.parameter_names = _names_of_parameters(model.joint_names)
+        self.columns = _columns_of_parameters(n)
         self._n = n
         self._parents = tuple(model.parents.tolist())
         self._vec = wp.types.vector(length=n, dtype=FLOAT)
         self._fixed = constants_of(model, np.broadcast_to(smoothing, (n,)), limits)
-        self._samples, self._switches = doubles(samples, FLOAT), doubles(switches, FLOAT)
+        self._samples = doubles(samples, FLOAT)
+        self._switches = doubles(switches, FLOAT)
         self._current = doubles(current, self._vec)
         self._steps = (step_s, fine)
 
@@ -290,6 +247,74 @@ class ChainSimulator:
         return q, v, np.ascontiguousarray(sensitivities.transpose(0, 2, 3, 1))
 
 
+def _names_of_parameters(joints: Sequence[str]) -> tuple[str, ...]:
+    """Of the columns of a parameter array."""
+    names = [f"{group}[{joint}]" for group in JOINT_PARAMETERS for joint in joints]
+    for joint in joints:
+        names += [f"pi[{joint}][{k}]" for k in range(INERTIAL)]
+    names.append("delay")
+    for group in ("q0", "v0"):
+        names += [f"{group}[{joint}]" for joint in joints]
+    return tuple(names)
+
+
+def _columns_of_parameters(n: int) -> dict[str, slice]:
+    """Of each group of them, for n joints."""
+    sizes = dict.fromkeys(JOINT_PARAMETERS, n)
+    sizes |= {"pi": INERTIAL * n, "delay": 1, "q0": n, "v0": n}
+    columns = {}
+    start = 0
+    for group, size in sizes.items():
+        columns[group] = slice(start, start + size)
+        start += size
+    return columns
+
+
+def _check_instants(samples: np.ndarray, switches: np.ndarray) -> None:
+    """Raises `SimulationError`: Samples or changes of the input are in no order."""
+    if samples.ndim != 1 or len(samples) == 0 or np.any(np.diff(samples) < 0.0):
+        raise SimulationError("sample_times_s must be one or more increasing instants in s")
+    some = switches.ndim == 1 and len(switches) > 0
+    if not some or switches[0] != 0.0 or np.any(np.diff(switches) <= 0.0):
+        raise SimulationError("input_times_s must be increasing instants in s, the first of them 0")
+
+
+def _check_joints(
+    joints: Sequence[str],
+    switches: np.ndarray,
+    current: np.ndarray,
+    limits: np.ndarray,
+    smoothing: np.ndarray,
+) -> None:
+    """Whether each joint has a current, a supply and a velocity over which its friction is smoothed.
+
+    Args:
+        joints: Names of the n joints.
+        switches: When the currents change, shape (S,).
+        current: The currents, which should have shape (S, n).
+        limits: Voltage, back-EMF constant and resistance, which should have shape (n, 3).
+        smoothing: Velocities, which should have shape () or (n,).
+
+    Raises:
+        SimulationError: They have not, or are negative.
+    """
+    n = len(joints)
+    if current.shape != (len(switches), n):
+        raise SimulationError(
+            f"input_current_A has shape {current.shape}: give a row for each of the {len(switches)} instants of "
+            f"input_times_s and a column for each joint ({', '.join(joints)})"
+        )
+    fits = limits.shape == (n, 3) and not np.any(limits < 0.0)
+    if not fits or np.any((limits[:, 0] > 0.0) & (limits[:, 2] == 0.0)):
+        raise SimulationError(
+            "supply must be (voltage, back-EMF constant, resistance) of each joint, not negative"
+        )
+    if smoothing.shape not in ((), (n,)) or not np.all(smoothing > 0.0):
+        raise SimulationError(
+            "friction_velocity must be one positive number, or one for each joint"
+        )
+
+
 def attach_payload_joint(
     model: ReducedModel,
     frame: str,
@@ -321,53 +346,61 @@ def attach_payload_joint(
         raise SimulationError(
             f"unknown payload joint {kind!r}: choose one of {', '.join(PAYLOAD_JOINTS)}"
         )
-    wanted = (3,) if kind == "prismatic" else (2, 3)
-    directions = np.asarray(axes, dtype=np.float64)
+    directions = _unit_axes(kind, axes)
     pseudo = np.asarray(pseudo_inertia, dtype=np.float64)
-    if directions.shape != wanted or not np.all(np.linalg.norm(directions, axis=-1) > 0.0):
-        raise SimulationError(
-            f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}"
-        )
-    directions = (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).reshape(-1, 3)
-    if pseudo.shape != (4, 4) or not np.all(np.isfinite(pseudo)):
-        raise SimulationError("the payload's pseudo-inertia must be a finite 4 x 4 matrix")
+    _check_inertia(kind, directions, pseudo)
     if kind == "prismatic":
-        smallest = pseudo[3, 3]
         names = [f"{name}_slide"]
         kinds = ["prismatic"]
         bodies = [pseudo]
     else:
-        # singular as well when the hinges are parallel
-        smallest = np.linalg.eigvalsh(directions @ inertia_about_origin(pseudo) @ directions.T)[0]
         names = [f"{name}_swing_1", f"{name}_swing_2"]
         kinds = ["revolute"] * 2
         bodies = [np.zeros((4, 4)), pseudo]
-    if not smallest > 1e-12 * max(float(np.trace(pseudo)), 1e-12):
-        raise SimulationError(
-            f"the payload has no inertia against its {kind} joint: give it a mass, away from hinges that are not parallel"
-        )
-    taken = [new for new in (name, *names) if new in (*model.frames, *model.joint_names)]
-    if taken:
-        raise SimulationError(
-            f"{taken[0]!r} is already a joint or frame of the model: choose another name"
-        )
+    for new in (name, *names):
+        if new in (*model.frames, *model.joint_names):
+            raise SimulationError(
+                f"{new!r} is already a joint or frame of the model: choose another name"
+            )
     parent, placement = model.frames[frame]
     # the first new joint sits in the hand, a second one on the first
     first = len(model.joint_names)
     added = len(names)
+    parents = [*model.parents, *[parent, first][:added]]
     return replace(
         model,
         joint_names=(*model.joint_names, *names),
         kinds=(*model.kinds, *kinds),
-        parents=np.array(
-            [*model.parents, *[parent, first][:added]],
-            dtype=np.int64,
-        ),
+        parents=np.array(parents, dtype=np.int64),
         placement=np.concatenate([model.placement, [placement, np.eye(4)][:added]]),
         axes=np.concatenate([model.axes, directions]),
         pseudo_inertia=np.concatenate([model.pseudo_inertia, bodies]),
-        frames={
-            **model.frames,
-            name: (first + added - 1, np.eye(4)),
-        },
+        frames={**model.frames, name: (first + added - 1, np.eye(4))},
     )
+
+
+def _unit_axes(kind: str, axes: ArrayLike) -> np.ndarray:
+    """Axes of a payload joint as unit vectors, shape (1, 3) or (2, 3). Raises `SimulationError`: They are no axes."""
+    wanted = (3,) if kind == "prismatic" else (2, 3)
+    directions = np.asarray(axes, dtype=np.float64)
+    if directions.shape != wanted or not np.all(np.linalg.norm(directions, axis=-1) > 0.0):
+        raise SimulationError(
+            f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}"
+        )
+    unit: np.ndarray = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return unit.reshape(-1, 3)
+
+
+def _check_inertia(kind: str, directions: np.ndarray, pseudo: np.ndarray) -> None:
+    """Raises `SimulationError`: A pseudo-inertia is no such matrix, or nothing resists a payload joint along these axes (A, 3)."""
+    if pseudo.shape != (4, 4) or not np.all(np.isfinite(pseudo)):
+        raise SimulationError("the payload's pseudo-inertia must be a finite 4 x 4 matrix")
+    if kind == "prismatic":
+        smallest = pseudo[3, 3]
+    else:
+        # singular as well when the hinges are parallel
+        smallest = np.linalg.eigvalsh(directions @ inertia_about_origin(pseudo) @ directions.T)[0]
+    if not smallest > 1e-12 * max(float(np.trace(pseudo)), 1e-12):
+        raise SimulationError(
+            f"the payload has no inertia against its {kind} joint: give it a mass, away from hinges that are not parallel"
+        )

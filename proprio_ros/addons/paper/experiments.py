@@ -7,11 +7,11 @@ numbers taken as exact; the schedule is long enough to reach the least error, so
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -221,68 +221,65 @@ def extensions(seed: int) -> Rows:
     return {"rows": [*_hung(seed), *_anywhere(seed)]}
 
 
+class _Hanging(NamedTuple):
+    """A ball that moves in the hand: what is in it, and what each way of identifying it knows."""
+
+    part: str
+    held: HungPayload
+    ways: Sequence[tuple[str, Hung]]
+
+
 def _hung(seed: int) -> list[Rows]:
     """Lift and lowering of a ball that moves in the hand, as if it were rigid and on its joint; the joint's numbers are hidden."""
     robot = calibrated_robot(seed, "empty_hand_elbow")
-    shape = PayloadShape.of("sphere", HUNG_SIZE_M)
+    rows = []
+    for part, held, ways in _hanging(seed):
+        runs = play("payload_elbow", seed, held).runs
+        labels = {"part": part, "truth": HUNG_KG}
+        facts = PayloadFacts(np.array(held.com_m), shape=PayloadShape.of("sphere", HUNG_SIZE_M))
+        rigid = answered(weigh(robot, runs, facts), "payload_mass")
+        rows.append(rigid.row(way="as if it were rigid", **labels))
+        for way, hung in ways:
+            rows.append(identify_hung(robot, runs, hung).row(way=way, **labels))
+    return rows
+
+
+def _hanging(seed: int) -> tuple[_Hanging, _Hanging]:
+    """A ball on a spring and a pendulum, whose numbers a seed draws."""
     rng = np.random.default_rng((seed, 15))
     frequency = rng.uniform(14.0, 26.0)
     decay = rng.uniform(1.5, 4.0)
     stated = 1.0 + 0.1 * rng.standard_normal()
+    spread = PayloadShape.of("sphere", HUNG_SIZE_M).second_moment_per_mass
     across = HUNG_KG * HUNG_SIZE_M**2 / 10.0
-    below = (0.0, 0.0, -PENDULUM_M)
     ball: Any = {
         "mass_kg": HUNG_KG,
         "inertia_kg_m2": (across, across, across, 0.0, 0.0, 0.0),
     }
-    damping = 2.0 * HUNG_KG * decay
-    stiffness = HUNG_KG * frequency**2
     slid = HungPayload(
-        **ball, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=stiffness, damping=damping
+        **ball,
+        axes=((1.0, 0.0, 0.0),),
+        slides=True,
+        stiffness=HUNG_KG * frequency**2,
+        damping=2.0 * HUNG_KG * decay,
     )
+    below = (0.0, 0.0, -PENDULUM_M)
     swung = HungPayload(
         **ball,
         com_m=below,
         damping=2.0 * HUNG_KG * PENDULUM_M**2 * decay,
     )
-    spring = Hung(
-        "prismatic",
-        np.array(slid.axes[0]),
-        np.zeros(3),
-        shape.second_moment_per_mass,
-    )
+    spring = Hung("prismatic", np.array(slid.axes[0]), np.zeros(3), spread)
     known = replace(spring, frequency=(stated * frequency, 0.1 * stated * frequency))
-    pendulum = Hung(
-        "universal", np.array(swung.axes), np.array(below), shape.second_moment_per_mass
+    pendulum = Hung("universal", np.array(swung.axes), np.array(below), spread)
+    on_slide = (
+        ("on its slide, spring known to 10 %", known),
+        ("on its slide, spring unknown", spring),
     )
-    rows = []
-    for part, held, ways in (
-        (
-            "slide",
-            slid,
-            (
-                ("on its slide, spring known to 10 %", known),
-                ("on its slide, spring unknown", spring),
-            ),
-        ),
-        ("universal joint", swung, (("on its universal joint", pendulum),)),
-    ):
-        runs = play("payload_elbow", seed, held).runs
-        labels = {"part": part, "truth": HUNG_KG}
-        rigid = weigh(
-            robot,
-            runs,
-            PayloadFacts(np.array(held.com_m), shape=shape),
-        )
-        rows.append(answered(rigid, "payload_mass").row(way="as if it were rigid", **labels))
-        for way, hung in ways:
-            rows.append(
-                identify_hung(robot, runs, hung).row(
-                    way=way,
-                    **labels,
-                )
-            )
-    return rows
+    return (
+        _Hanging("slide", slid, on_slide),
+        _Hanging("universal joint", swung, (("on its universal joint", pendulum),)),
+    )
 
 
 def _anywhere(seed: int) -> list[Rows]:
@@ -312,45 +309,34 @@ def cubes(seed: int) -> Rows:
     """V-C: Young's modulus and Poisson's ratio of two cubes from three squeezes; the paper's way from the last of them."""
     rows = []
     trace = {}
-    facts = BlockFacts(np.full(3, EDGE_M))
     known = cases.robots(seed, "empty_hand_gripper")
     for name, (modulus, ratio) in CUBES.items():
         runs = play("softness", seed, cases.soft_cube(name)).runs
         for calibrated, robot in known:
-            first = lame(2.0 * modulus, 0.3)
-            theirs = paper_cube(
-                robot,
-                runs[-1],
-                EDGE_M,
-                2.0 * GAP_M,
-                OBJECTS[name][0],
-                first,
-            )
-            labels = {"object": name, "calibrated": calibrated}
-            rows.append(
-                theirs.row(
-                    way="paper",
-                    quantity="youngs_modulus",
-                    truth=modulus,
-                    **labels,
-                )
-            )
-            estimate, seconds = timed(partial(find_softness, robot, runs, facts))
-            for quantity, truth in (("youngs_modulus", modulus), ("poissons_ratio", ratio)):
-                answer = answered(estimate, quantity, seconds)
-                rows.append(
-                    answer.row(
-                        way="ours",
-                        quantity=quantity,
-                        truth=truth,
-                        **labels,
-                    )
-                )
-            value = estimate.value("youngs_modulus").value
+            own, value = _cube_both_ways(robot, runs, name)
+            rows += [{**row, "object": name, "calibrated": calibrated} for row in own]
             if calibrated and isinstance(value, float):
                 moduli = {"wrong": 4.0 * modulus, "identified": value}
                 trace[name] = _squeeze_trace(robot, runs[-1], moduli, ratio)
     return {"rows": rows, "trace": trace}
+
+
+def _cube_both_ways(
+    robot: Robot,
+    runs: Sequence[Run],
+    name: str,
+) -> tuple[list[Rows], Any]:
+    """Rows of one cube, by the paper's way and ours, and the modulus [Pa] that ours gives."""
+    modulus, ratio = CUBES[name]
+    first = lame(2.0 * modulus, 0.3)
+    theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, OBJECTS[name][0], first)
+    rows = [theirs.row(way="paper", quantity="youngs_modulus", truth=modulus)]
+    facts = BlockFacts(np.full(3, EDGE_M))
+    estimate, seconds = timed(partial(find_softness, robot, runs, facts))
+    for quantity, truth in (("youngs_modulus", modulus), ("poissons_ratio", ratio)):
+        answer = answered(estimate, quantity, seconds)
+        rows.append(answer.row(way="ours", quantity=quantity, truth=truth))
+    return rows, estimate.value("youngs_modulus").value
 
 
 def _squeeze_trace(

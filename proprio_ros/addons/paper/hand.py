@@ -63,7 +63,8 @@ class HungPayload(Payload):
         for along in self.axes:
             kind = mujoco.mjtJoint.mjJNT_SLIDE if self.slides else mujoco.mjtJoint.mjJNT_HINGE
             made = body.add_joint(type=kind, axis=along)
-            made.stiffness[0], made.damping[0] = self.stiffness, self.damping
+            made.stiffness[0] = self.stiffness
+            made.damping[0] = self.damping
         return body
 
 
@@ -81,75 +82,112 @@ def play(
     exact: bool = False,
     anywhere: bool = False,
 ) -> Played:
-    """Let the robot of a seed play a sequence of ``config/probes``; SimulationError where a run of it was not made.
+    """Let the robot of a seed play a sequence.
 
-    With ``exact`` all is known of the robot (``known_robot``), and only its noise is drawn; ``anywhere`` lets a sphere
-    lie somewhere on the container's floor when the current comes on, drawn for each run.
+    Args:
+        name: The sequence, of ``config/probes``.
+        seed: Draws the robot, its noise, and where a sphere lies.
+        held: What is in the hand; None: nothing.
+        exact: Whether all is known of the robot (`known_robot`), and only its noise is drawn.
+        anywhere: Whether a sphere lies somewhere on the container's floor when the current comes on, drawn for each run.
+
+    Raises:
+        SimulationError: A run of it was not made.
     """
     robot = stated_robot()
-    joints = tuple(robot.drive_trains)
-    scale = np.array([robot.drive_trains[joint].transmission for joint in joints])
     truth = (
         Truth.nominal(known_robot())
         if exact
         else Truth.draw(robot, seed, links=True, stribeck=True)
     )
-    arm = VirtualArm(robot, truth, position=PARKED, seed=seed, control_period_s=PERIOD_S)
-    arm.hold(held)
-    at_start = dict(zip(joints, (arm.shaft_rad() * scale).tolist(), strict=True))
-    waiting = deque([Command(at_start)] * round(truth.latency_s / PERIOD_S))
-    time_s = 10.0
+    hand = _MovingHand(robot, truth, seed, held)
     machine = ExcitationMachine(robot)
-    rows: list[tuple[int, list[float], list[float]]] = []  # stamp [ns], positions, currents
-    seen: list[tuple[int, np.ndarray]] = []  # stamp [ns] and place of the sphere
-
-    def sample() -> JointSample:
-        position = scale * COUNT_RAD * np.rint(arm.encoder_rad() / COUNT_RAD)
-        velocity = scale * COUNT_RAD_S * np.rint(arm.velocity_rad_s() / COUNT_RAD_S)
-        by_joint = (
-            dict(zip(joints, values.tolist(), strict=True)) for values in (position, velocity)
-        )
-        return JointSample(time_s, *by_joint)
-
-    now = sample()
-    machine.start(load_sequence(name, robot), now)
-    ticks = round(1.0 / (RATE_HZ * PERIOD_S))
+    machine.start(load_sequence(name, robot), hand.now)
     places_of_sphere = np.random.default_rng((seed, 8))
     while machine.busy:
         before = machine.phase
-        command = machine.tick(time_s, now)
-        if (
-            anywhere
-            and machine.phase is Phase.PROBE
-            and before is not Phase.PROBE
-            and isinstance(held, Container)
-        ):
-            held.put_sphere(arm, _on_the_floor(robot, arm.position(), held, places_of_sphere))
-        counted = [_counted(command.current_A.get(joint, 0.0)) for joint in joints]
-        rows.append((round(1e9 * now.time_s), [now.position[joint] for joint in joints], counted))
-        for tick in range(ticks):
-            waiting.append(command)
-            _drive(arm, waiting.popleft(), joints, scale)
-            if isinstance(held, Container):
-                at_ns = 1e9 * (time_s + (tick + 1) * PERIOD_S)
-                if not seen or at_ns - seen[-1][0] > 1e9 / CAMERA_HZ - 1.0:
-                    seen.append((round(at_ns), held.sphere_m(arm)))
-        time_s += 1.0 / RATE_HZ
-        now = sample()
+        command = machine.tick(hand.time_s, hand.now)
+        comes_on = machine.phase is Phase.PROBE and before is not Phase.PROBE
+        if anywhere and comes_on and isinstance(held, Container):
+            place = _on_the_floor(robot, hand.arm.position(), held, places_of_sphere)
+            held.put_sphere(hand.arm, place)
+        hand.obey(command)
     if machine.phase is not Phase.DONE:
         raise SimulationError(
             f"{name} of robot {seed} was not played to its end: {machine.message}"
         )
-    times, places, currents = map(np.array, zip(*rows, strict=True))
-    inputs = InputRecord(times, joints, currents, "/applied_effort")
-    runs = cut_runs(
-        Recording(name, JointRecord(times, joints, places), inputs), joints=list(joints)
-    )
-    if not seen:
-        return Played(runs, None)
-    blur = CAMERA_STD_M * np.random.default_rng((seed, 7)).standard_normal((len(seen), 3))
-    instants, true = map(np.array, zip(*seen, strict=True))
-    return Played(runs, PointTrack(instants, true + blur))
+    runs = cut_runs(hand.recording(name), joints=list(hand.joints))
+    return Played(runs, hand.camera(seed))
+
+
+class _MovingHand:
+    """The arm of a seed in MuJoCo, its driver, which samples it, and a camera that sees a sphere in the hand."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        truth: Truth,
+        seed: int,
+        held: HandObject | None,
+    ) -> None:
+        drives = robot.drive_trains
+        self.joints = tuple(drives)
+        self._scale = np.array([drives[joint].transmission for joint in self.joints])
+        self._held = held
+        self.arm = VirtualArm(robot, truth, position=PARKED, seed=seed, control_period_s=PERIOD_S)
+        self.arm.hold(held)
+        at_start = (self.arm.shaft_rad() * self._scale).tolist()
+        parked = Command(dict(zip(self.joints, at_start, strict=True)))
+        self._waiting = deque([parked] * round(truth.latency_s / PERIOD_S))
+        self._rows: list[
+            tuple[int, list[float], list[float]]
+        ] = []  # stamp [ns], positions, currents
+        self._seen: list[tuple[int, np.ndarray]] = []  # stamp [ns] and place of the sphere
+        self.time_s = 10.0
+        self.now = self._sample()
+
+    def _sample(self) -> JointSample:
+        """What the encoders show now, in whole counts."""
+        position = self._scale * COUNT_RAD * np.rint(self.arm.encoder_rad() / COUNT_RAD)
+        velocity = self._scale * COUNT_RAD_S * np.rint(self.arm.velocity_rad_s() / COUNT_RAD_S)
+        return JointSample(
+            self.time_s,
+            dict(zip(self.joints, position.tolist(), strict=True)),
+            dict(zip(self.joints, velocity.tolist(), strict=True)),
+        )
+
+    def obey(self, command: Command) -> None:
+        """Move on by one sample, which is recorded with the current that was commanded."""
+        counted = [_counted(command.current_A.get(joint, 0.0)) for joint in self.joints]
+        shown = [self.now.position[joint] for joint in self.joints]
+        self._rows.append((round(1e9 * self.now.time_s), shown, counted))
+        for tick in range(round(1.0 / (RATE_HZ * PERIOD_S))):
+            self._waiting.append(command)
+            _drive(self.arm, self._waiting.popleft(), self.joints, self._scale)
+            self._look(1e9 * (self.time_s + (tick + 1) * PERIOD_S))
+        self.time_s += 1.0 / RATE_HZ
+        self.now = self._sample()
+
+    def _look(self, at_ns: float) -> None:
+        """The camera sees the sphere, so often in a second."""
+        if not isinstance(self._held, Container):
+            return
+        if not self._seen or at_ns - self._seen[-1][0] > 1e9 / CAMERA_HZ - 1.0:
+            self._seen.append((round(at_ns), self._held.sphere_m(self.arm)))
+
+    def recording(self, name: str) -> Recording:
+        """All samples so far."""
+        times, places, currents = map(np.array, zip(*self._rows, strict=True))
+        inputs = InputRecord(times, self.joints, currents, "/applied_effort")
+        return Recording(name, JointRecord(times, self.joints, places), inputs)
+
+    def camera(self, seed: int) -> PointTrack | None:
+        """Where the camera saw the sphere, with its noise; None where there is none."""
+        if not self._seen:
+            return None
+        noise = np.random.default_rng((seed, 7)).standard_normal((len(self._seen), 3))
+        instants, true = map(np.array, zip(*self._seen, strict=True))
+        return PointTrack(instants, true + CAMERA_STD_M * noise)
 
 
 def _on_the_floor(

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -112,77 +113,80 @@ def _head(seeds: int, recording: bool) -> list[str]:
     ]
 
 
-def _objects(found: Sequence[Rows]) -> list[str]:
+class _Total(NamedTuple):
+    """All rows of one way with a robot in one state."""
+
+    way: str
+    state: str
+    rows: list[Rows]
+
+
+def _totals(found: Sequence[Rows]) -> list[_Total]:
+    """Of table I; those that have rows."""
     ways = (
         ("paper", 1, "the paper's, one lift"),
         ("ours", 1, "ours, one lift"),
         ("ours", 2, "ours, lift and lower"),
     )
-    totals = [
-        (words, state, rows)
-        for calibrated, state in STATES
-        for way, runs, words in ways
-        if (rows := flat(found, way=way, runs=runs, calibrated=calibrated))
-    ]
+    totals = []
+    for calibrated, state in STATES:
+        for way, runs, words in ways:
+            rows = flat(found, way=way, runs=runs, calibrated=calibrated)
+            if rows:
+                totals.append(_Total(words, state, rows))
+    return totals
+
+
+def _objects(found: Sequence[Rows]) -> list[str]:
+    totals = _totals(found)
     lines = []
-    for name, (words, state, every) in product(OBJECTS, totals):
-        rows = [row for row in every if row["object"] == name]
+    for name, total in product(OBJECTS, totals):
+        rows = [row for row in total.rows if row["object"] == name]
         seconds = over([row["seconds"] for row in rows], 1.0, 2)
-        lines.append(
-            [name, f"{1e3 * OBJECTS[name][0]:g}", words, state, *identified(rows, 1e3), seconds]
-        )
+        true = f"{1e3 * OBJECTS[name][0]:g}"
+        lines.append([name, true, total.way, total.state, *identified(rows, 1e3), seconds])
     header = ["object", "true (g)", "way", "robot", *IN_GRAMS, "time (s)"]
-    paper = [["errors of the four masses", quoted.MASS_ERRORS], ["its time", quoted.TIME]]
-    paper.append(["identified, by object", quoted.MISSING])
-    parts = [
+    paper = [
+        ["errors of the four masses", quoted.MASS_ERRORS],
+        ["its time", quoted.TIME],
+        ["identified, by object", quoted.MISSING],
+    ]
+    over_all = [
+        [f"{way}, {state}", rms(rows, 1e3), half(rows, 1e3), holds(rows)]
+        for way, state, rows in totals
+    ]
+    return [
         '<h2 id="table-1">Table I: four objects in the hand</h2>',
         "<p>One lift of the elbow, as in the paper, with as much current as it takes; shape and size of the object are stated. The "
         "paper's way may run until it has reached its least error (five starts, 400 iterations), which is what its time is of. "
         "Times are those of a processor, without what else the machine does.</p>",
-        linked(
-            "table-1",
-            header,
-            lines,
-            (1, 4, 5, 6, 9),
-            4,
-        ),
+        linked("table-1", header, lines, (1, 4, 5, 6, 9), 4),
         table(["the paper says", ""], paper, ()),
         "<h3>With and without calibration, one run against lift and lower</h3>",
+        linked(
+            "all",
+            ["way and robot", "rms error (g)", "interval (g)", "holds"],
+            over_all,
+            (1, 2),
+        ),
+        framed(_errors_by_way(totals), "A dot is one robot and object."),
+        *_figure_4(found),
     ]
-    over_all = []
+
+
+def _errors_by_way(totals: Sequence[_Total]) -> str:
+    """The error of every mass, a panel for each way."""
     panels = []
-    for color, (words, state, rows) in zip((*COLORS, "simulated"), totals, strict=False):
-        name = f"{words}, {state}"
-        over_all.append(
-            [
-                name,
-                rms(rows, 1e3),
-                half(rows, 1e3),
-                holds(rows),
-            ]
-        )
-        dots = [
-            (1e3 * row["truth"], 1e3 * (row["value"] - row["truth"]))
-            for row in rows
-            if row["value"] is not None
-        ]
-        if dots:
-            true, off = np.array(dots).T
-            series = Series(name, true, off, color, "dots", listed=False)
-            panels.append(
-                Panel(
-                    f"{name}: error (g)",
-                    "g",
-                    [series],
-                    80.0,
-                    rules=[0.0],
-                )
-            )
-    drawn = chart(panels, Axis("true mass (g)", "g"), "Error of the mass by way")
-    parts.append(
-        linked("all", ["way and robot", "rms error (g)", "interval (g)", "holds"], over_all, (1, 2))
-    )
-    return [*parts, framed(drawn, "A dot is one robot and object."), *_figure_4(found)]
+    for color, total in zip((*COLORS, "simulated"), totals, strict=False):
+        known = [row for row in total.rows if row["value"] is not None]
+        if not known:
+            continue
+        true = np.array([1e3 * row["truth"] for row in known])
+        off = np.array([1e3 * (row["value"] - row["truth"]) for row in known])
+        name = f"{total.way}, {total.state}"
+        series = Series(name, true, off, color, "dots", listed=False)
+        panels.append(Panel(f"{name}: error (g)", "g", [series], 80.0, rules=[0.0]))
+    return chart(panels, Axis("true mass (g)", "g"), "Error of the mass by way")
 
 
 def _figure_4(found: Sequence[Rows]) -> list[str]:

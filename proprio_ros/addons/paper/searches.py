@@ -22,9 +22,32 @@ from proprio_ros.addons.paper.cases import (
 from proprio_ros.addons.paper.hand import play
 from proprio_ros.addons.paper.ways import SphereLastFrame
 from proprio_ros.identification import solvers
+from proprio_ros.identification.problem import Problem
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 
 EVALUATIONS = 150  # simulations that each search may ask for
+
+
+class Watched:
+    """A problem, with every cost that a search asked for and when it was known."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self.coordinates = problem.coordinates
+        self.cost: list[float] = []
+        self.seconds: list[float] = []
+        self.began = time.process_time()  # and later by what is not part of the search
+
+    def linearise(self, internal: np.ndarray, counts: Any = None) -> Any:
+        """As `Problem.linearise`."""
+        found = self._problem.linearise(internal, counts)
+        now = time.process_time()
+        self.seconds += [now - self.began] * len(internal)
+        # on a window that still grows the cost is another: what is drawn is that of all samples
+        whole = found if counts is None else self._problem.linearise(internal)
+        self.cost += whole[0].tolist()
+        self.began += time.process_time() - now
+        return found
 
 
 def optimisers(seed: int) -> Rows:
@@ -33,47 +56,12 @@ def optimisers(seed: int) -> Rows:
     run = play("payload_elbow", seed, held).runs[LIFT]
     robot = calibrated_robot(seed, "empty_hand_elbow")
     problem = one_lift(robot, run, facts)
-    coordinates = problem.coordinates
     rng = np.random.default_rng((seed, 6))
-    first = coordinates.prior_mean.copy()
+    first = problem.coordinates.prior_mean.copy()
     first[0] = float(np.exp(rng.uniform(np.log(0.002), np.log(0.5))))
-    start = coordinates.internal(first[None])
-
-    class Watched:
-        """The problem, with every cost and when it was known."""
-
-        def __init__(self) -> None:
-            self.coordinates = coordinates
-            self.cost: list[float] = []
-            self.seconds: list[float] = []
-            self.began = time.process_time()  # and later by what is not part of the search
-
-        def linearise(self, internal: np.ndarray, counts: Any = None) -> Any:
-            found = problem.linearise(internal, counts)
-            now = time.process_time()
-            self.seconds += [now - self.began] * len(internal)
-            # on a window that still grows the cost is another: what is drawn is that of all samples
-            self.cost += (found if counts is None else problem.linearise(internal))[0].tolist()
-            self.began += time.process_time() - now
-            return found
-
-    def parzen(watched: Any) -> None:
-        natural = coordinates.natural
-        low = start[0] - 5.0 * natural
-        high = start[0] + 5.0 * natural
-        low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[
-            :, 0
-        ]
-        tree_parzen(
-            lambda x: float(watched.linearise(x[None])[0][0]),
-            low,
-            high,
-            start[0],
-            rng,
-        )
-
+    start = problem.coordinates.internal(first[None])
     windows = problem.simulator.windows
-    searches: dict[str, Callable[[Any], Any]] = {
+    searches: dict[str, Callable[[Watched], Any]] = {
         "Levenberg-Marquardt (ours)": lambda watched: solvers.levenberg_marquardt(
             watched, start, windows
         ),
@@ -81,17 +69,16 @@ def optimisers(seed: int) -> Rows:
         "CMA-ES": lambda watched: solvers.cma(
             watched, start, generations=EVALUATIONS // 7, seed=seed + 1
         ),
-        "tree-structured Parzen": parzen,
+        "tree-structured Parzen": lambda watched: _parzen(watched, first, start[0], rng),
     }
     # compiles, and loads the library, before anyone is timed
     solvers.cma(problem, start, generations=1)
     rows = []
     for name, search in searches.items():
-        watched = Watched()
+        watched = Watched(problem)
         search(watched)
-        best = np.minimum.accumulate(np.where(np.isfinite(watched.cost), watched.cost, 1e12))[
-            :EVALUATIONS
-        ]
+        costs = np.where(np.isfinite(watched.cost), watched.cost, 1e12)
+        best = np.minimum.accumulate(costs)[:EVALUATIONS]
         rows.append(
             {
                 "search": name,
@@ -101,6 +88,22 @@ def optimisers(seed: int) -> Rows:
         )
     least = min(row["cost"][-1] for row in rows)
     return {"rows": [{**row, "cost": [cost / least for cost in row["cost"]]} for row in rows]}
+
+
+def _parzen(
+    watched: Watched,
+    first: np.ndarray,
+    start: np.ndarray,
+    rng: np.random.Generator,
+) -> None:
+    """The tree-structured estimator on masses of 1 g to 1 kg, from a first guess (F,) and what it is inside, (F,)."""
+    coordinates = watched.coordinates
+    natural = coordinates.natural
+    low = start - 5.0 * natural
+    high = start + 5.0 * natural
+    ends = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))
+    low[0], high[0] = ends[:, 0]
+    tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start, rng)
 
 
 def tree_parzen(
@@ -173,6 +176,10 @@ def _logarithm(
 
 def landscapes(seed: int) -> Rows:
     """Figure 7: the cost of the three experiments over what is searched for: last frame, and all samples."""
+    return {"rows": [_over_mass(seed), _over_sphere(seed), _over_modulus(seed)]}
+
+
+def _over_mass(seed: int) -> Rows:
     held, facts = payload("heavy ball")
     run = play("payload_elbow", seed, held).runs[LIFT]
     robot = calibrated_robot(seed, "empty_hand_elbow")
@@ -185,32 +192,28 @@ def landscapes(seed: int) -> Rows:
     seen = whole.runs[0]
     last = loss(np.maximum(masses, 1e-6)[:, None])[0]
     every = ((q[:, 0, : seen.used] - seen.position) ** 2).mean(axis=1)
-    rows = [_landscape("payload", masses, held.mass_kg, last, every)]
-    box_held, box_facts, _ = box()
-    rolling = play("container", seed, box_held).runs[LIFT]
+    return _landscape("payload", masses, held.mass_kg, last, every)
+
+
+def _over_sphere(seed: int) -> Rows:
+    held, facts, _ = box()
+    run = play("container", seed, held).runs[LIFT]
     robot = calibrated_robot(seed, "empty_hand_container")
-    spheres = np.linspace(0.001, 0.04, 79)
-    last = SphereLastFrame(robot, rolling, box_facts)(spheres[:, None])[0]
-    everything = SphereLastFrame(robot, rolling, box_facts, all_samples=True)
-    every = everything(spheres[:, None])[0] / everything.samples
-    rows.append(_landscape("sphere", spheres, box_held.sphere_mass_kg, last, every))
+    masses = np.linspace(0.001, 0.04, 79)
+    last = SphereLastFrame(robot, run, facts)(masses[:, None])[0]
+    all_samples = SphereLastFrame(robot, run, facts, all_samples=True)
+    every = all_samples(masses[:, None])[0] / all_samples.samples
+    return _landscape("sphere", masses, held.sphere_mass_kg, last, every)
+
+
+def _over_modulus(seed: int) -> Rows:
     modulus, ratio = CUBES["heavy cube"]
-    squeeze = play("softness", seed, soft_cube("heavy cube")).runs[-1]
+    run = play("softness", seed, soft_cube("heavy cube")).runs[-1]
+    robot = calibrated_robot(seed, "empty_hand_gripper")
     moduli = np.geomspace(1e3, 1e5, 61)
-    problem, q = squeezed(
-        calibrated_robot(seed, "empty_hand_gripper"), squeeze, moduli.tolist(), ratio
-    )
+    problem, q = squeezed(robot, run, moduli.tolist(), ratio)
     off = q - problem.runs[0].position
-    rows.append(
-        _landscape(
-            "squeeze",
-            moduli,
-            modulus,
-            off[:, -1] ** 2,
-            (off**2).mean(axis=1),
-        )
-    )
-    return {"rows": rows}
+    return _landscape("squeeze", moduli, modulus, off[:, -1] ** 2, (off**2).mean(axis=1))
 
 
 def _landscape(

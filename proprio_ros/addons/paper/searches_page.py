@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,43 +117,37 @@ def _between(values: np.ndarray, x: np.ndarray) -> list[Series]:
     return [Series("", x, end, "left-out") for end in (values.min(axis=0), values.max(axis=0))]
 
 
+class _Searched(NamedTuple):
+    """What one landscape is over."""
+
+    what: str
+    words: str
+    unit: str
+    scale: float
+    log: bool
+
+
+SEARCHED = {
+    "payload": _Searched("heavy ball", "mass (g)", "g", 1e3, False),
+    "sphere": _Searched("sphere in the box", "mass of the sphere (g)", "g", 1e3, False),
+    "squeeze": _Searched("heavy cube", "Young's modulus (kPa)", "kPa", 1e-3, True),
+}
+
+
 def landscapes(found: Sequence[Rows]) -> list[str]:
     """Figure 7: the cost over what is searched for."""
-    kinds = {
-        "payload": ("heavy ball", "mass (g)", "g", 1e3, False),
-        "sphere": ("sphere in the box", "mass of the sphere (g)", "g", 1e3, False),
-        "squeeze": ("heavy cube", "Young's modulus (kPa)", "kPa", 1e-3, True),
-    }
-    parts = []
+    figures = []
     lines = []
     for row in found[0]["rows"]:
-        what, words, unit, scale, log = kinds[row["experiment"]]
+        searched = SEARCHED[row["experiment"]]
+        scale = searched.scale
         every = flat(found, experiment=row["experiment"])
         least = [
             [scale * one["x"][int(np.argmin(one[key]))] for one in every] for key in ("last", "all")
         ]
-        lines.append([f"{what} ({unit})", f"{scale * row['truth']:.3g}", *(over(x) for x in least)])
-        panels = []
-        true = [scale * row["truth"]]
-        for key, title, color in (
-            ("last", "last frame", "answer"),
-            ("all", "all samples, mean", "agreeing"),
-        ):
-            squares = np.maximum(1e6 * np.array(row[key]), 1e-3)
-            cost = Series(
-                title,
-                scale * np.array(row["x"]),
-                squares,
-                color,
-                listed=False,
-            )
-            panels.append(
-                Panel(
-                    f"{title} (mrad\u00b2)", "mrad\u00b2", [cost], 110.0, verticals=true, log=True
-                )
-            )
-        drawn = chart(panels, Axis(words, unit, log), f"Cost, {what}")
-        parts.append(framed(drawn, f"{what}; the red line is the truth."))
+        name = f"{searched.what} ({searched.unit})"
+        lines.append([name, f"{scale * row['truth']:.3g}", *(over(x) for x in least)])
+        figures.append(_landscape(searched, row))
     return [
         '<h2 id="figure-7">Figure 7: what the cost looks like</h2>',
         "<p>Squared error of the position over what is searched for, calibrated robots: of the last frame, "
@@ -165,8 +159,32 @@ def landscapes(found: Sequence[Rows]) -> list[str]:
             lines,
             (1, 2, 3),
         ),
-        *parts,
+        *figures,
     ]
+
+
+def _landscape(searched: _Searched, row: Rows) -> str:
+    """The costs of one seed."""
+    panels = []
+    for key, title, color in (
+        ("last", "last frame", "answer"),
+        ("all", "all samples, mean", "agreeing"),
+    ):
+        x = searched.scale * np.array(row["x"])
+        squares = np.maximum(1e6 * np.array(row[key]), 1e-3)
+        cost = Series(title, x, squares, color, listed=False)
+        panel = Panel(
+            f"{title} (mrad\u00b2)",
+            "mrad\u00b2",
+            [cost],
+            110.0,
+            verticals=[searched.scale * row["truth"]],
+            log=True,
+        )
+        panels.append(panel)
+    axis = Axis(searched.words, searched.unit, searched.log)
+    drawn = chart(panels, axis, f"Cost, {searched.what}")
+    return framed(drawn, f"{searched.what}; the red line is the truth.")
 
 
 def effects(found: Sequence[Rows]) -> list[str]:

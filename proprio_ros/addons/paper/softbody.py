@@ -278,47 +278,66 @@ class SoftRollout:
         keep: str,
         start: tuple[np.ndarray, np.ndarray] | None,
     ) -> None:
-        self._owner, self._run, self._keep, self._given = owner, run, keep, p
+        self._owner = owner
+        self._run = run
+        self._keep = keep
+        self._given = p
         self._p = _doubles(p)
         faces_mass = float(owner.masses[owner._ends].sum())
         self._constants = _doubles(
             [0.5 * owner.mesh.length, owner.travel, FRICTION_VELOCITY, faces_mass, run.step_s]
         )
         self._kernel = frame_kernel(owner.law, owner.contact == "bonded")
-        per_frame = (
-            8 * len(p) * run.substeps * (3 + 9 * len(owner.mesh.points) + owner.mesh.cell_count)
-        )
-        whole = max(1, min(run.frames, SEGMENT_BYTES // per_frame))
-        self._first = list(range(0, run.frames, whole))  # frame of each segment
+        self._frames = self._frames_of_a_segment()
+        self._first = list(range(0, run.frames, self._frames))  # frame of each segment
         currents = run.currents()
         self._currents = [
-            _doubles(currents[k * run.substeps : (k + whole) * run.substeps]) for k in self._first
+            _doubles(currents[k * run.substeps : (k + self._frames) * run.substeps])
+            for k in self._first
         ]
-        q0, v0, gap = (p[:, SOFT_INDEX[name]] for name in ("q0", "v0", "gap"))
-        self._pressed_at_start = owner.travel * q0 > gap
+        self._pressed_at_start = owner.travel * p[:, SOFT_INDEX["q0"]] > p[:, SOFT_INDEX["gap"]]
         self._segments: list[list[wp.array]] = []
-        self.q, self.v = np.zeros((2, len(p), run.frames))
-        done: list[wp.array] = []
-        for segment, frame in enumerate(self._first):
-            rows = self._rows(0 if keep == "starts" else self._steps(segment))
-            if segment:
-                _carry(done, self._steps(segment - 1), rows, 0)
-            else:
-                for array, value in zip(rows, (q0, v0, *owner._start(p, start)), strict=False):
-                    array.numpy()[:, 0] = value
-            self._segments.append(rows)
-            done = self._integrate(segment)
-            ends = slice(frame, frame + whole)
-            self.q[:, ends], self.v[:, ends] = (
-                state.numpy()[:, run.substeps :: run.substeps] for state in done[:2]
-            )
+        self.q = np.zeros((len(p), run.frames))
+        self.v = np.zeros((len(p), run.frames))
+        done = self._roll(start)
         self.points, self.velocities = (array.numpy()[:, -1].copy() for array in done[2:_STATES])
         if not (np.isfinite(self.q).all() and np.isfinite(self.points).all()):
             raise SimulationError(
                 "the rollout diverged: a squeezed block is stiffer than at rest; take more substeps, or less current"
             )
-        kept = [*self._segments, *([done] if keep == "starts" else [])]
+        kept = [*self._segments]
+        if keep == "starts":
+            kept.append(done)
         self.bytes = sum(int(array.capacity) for rows in kept for array in rows)
+
+    def _frames_of_a_segment(self) -> int:
+        """As many as `SEGMENT_BYTES` hold the states of."""
+        mesh = self._owner.mesh
+        numbers = 3 + 9 * len(mesh.points) + mesh.cell_count
+        per_frame = 8 * len(self._given) * self._run.substeps * numbers
+        return max(1, min(self._run.frames, SEGMENT_BYTES // per_frame))
+
+    def _roll(self, start: tuple[np.ndarray, np.ndarray] | None) -> list[wp.array]:
+        """All segments, one after the other; returns the states of the last one."""
+        owner = self._owner
+        substeps = self._run.substeps
+        p = self._given
+        done: list[wp.array] = []
+        for segment, frame in enumerate(self._first):
+            rows = self._rows(0 if self._keep == "starts" else self._steps(segment))
+            if segment:
+                _carry(done, self._steps(segment - 1), rows, 0)
+            else:
+                q0 = p[:, SOFT_INDEX["q0"]]
+                v0 = p[:, SOFT_INDEX["v0"]]
+                for array, value in zip(rows, (q0, v0, *owner._start(p, start)), strict=False):
+                    array.numpy()[:, 0] = value
+            self._segments.append(rows)
+            done = self._integrate(segment)
+            ends = slice(frame, frame + self._frames)
+            self.q[:, ends] = done[0].numpy()[:, substeps::substeps]
+            self.v[:, ends] = done[1].numpy()[:, substeps::substeps]
+        return done
 
     def _steps(self, segment: int) -> int:
         return int(self._currents[segment].shape[0])
@@ -356,10 +375,9 @@ class SoftRollout:
     def gradient(self, weights: np.ndarray) -> np.ndarray:
         """Gradient of ``sum(weights * q)``, weights of shape (W, K), by the parameters of each world, shape (W, P)."""
         run = self._run
-        owner = self._owner
         later = self._rows(0)
         by_p = wp.zeros_like(self._p)
-        given = [None] * (len(owner._block) + 2)
+        given = [None] * (len(self._owner._block) + 2)
         adjoint: dict[int, list[wp.array]] = {}
         for segment, frame in reversed(list(enumerate(self._first))):
             rows = self._segments[segment] if self._keep == "states" else self._integrate(segment)
@@ -380,8 +398,13 @@ class SoftRollout:
                 adjoint=True,
             )
             _carry(mine, 0, later, 0)
-        gradient = by_p.numpy().copy()
-        by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in later[:_STATES])
+        return by_p.numpy() + self._by_start(later)
+
+    def _by_start(self, adjoint: list[wp.array]) -> np.ndarray:
+        """What parameters change through the state at the start, by its adjoint, shape (W, P)."""
+        owner = self._owner
+        gradient = np.zeros((len(self._given), len(SOFT_PARAMETERS)))
+        by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in adjoint[:_STATES])
         # the start: q0 and v0, and the faces' nodes that the fingers hold there
         side = owner._sides[owner._ends]
         ends = owner._ends

@@ -106,39 +106,17 @@ def _ours(case: _Case) -> Callable[[], float]:
 
 def _scipy(case: _Case) -> Callable[[], float]:
     """scipy's general tools: DOP853 at a relative tolerance of 1e-8, Jacobian by forward differences."""
-    from scipy.integrate import solve_ivp
     from scipy.optimize import least_squares
 
     coordinates = case.problem.coordinates
     prepared = case.prepared
-    values = coordinates.prior_mean[None].copy()
-    values[0, 0] = 0.0
-    p, dp = case.problem.parameters(
-        case.problem.all_values(values),
-        case.problem.free,
-    )
-    empty = p[0, 0]
-    per_kg = dp[0, 0, :, 0]
-    torque = empty[INDEX["torque_constant"]] * float(case.run.input_current_A[0])
-    times = prepared.times_s - empty[INDEX["delay"]]
     weight = np.sqrt(np.diag(coordinates.prior_precision))
+    positions = _rolled_by_scipy(case)
 
     def residual(internal: np.ndarray) -> np.ndarray:
         now = coordinates.physical(internal)
-        inertia, cosine, sine, constant = (empty + now[0] * per_kg)[:4]
-
-        def law(_t: float, y: np.ndarray) -> tuple[float, float]:
-            q, v = y.tolist()
-            return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
-
-        rolled = solve_ivp(
-            law, (0.0, float(times[-1])), now[1:], "DOP853", times, rtol=RTOL, atol=ATOL
-        )
-        off = (rolled.y[0] - prepared.position) / prepared.sigma
-        return np.append(
-            off,
-            ((now - coordinates.prior_mean) * weight)[1:],
-        )
+        off = (positions(now) - prepared.position) / prepared.sigma
+        return np.append(off, ((now - coordinates.prior_mean) * weight)[1:])
 
     def solve() -> float:
         ends = [
@@ -150,6 +128,36 @@ def _scipy(case: _Case) -> Callable[[], float]:
     return solve
 
 
+def _rolled_by_scipy(case: _Case) -> Callable[[np.ndarray], np.ndarray]:
+    """Positions at the samples (T,) [rad] by mass, position and velocity at the start, shape (3,)."""
+    from scipy.integrate import solve_ivp
+
+    values = case.problem.coordinates.prior_mean[None].copy()
+    values[0, 0] = 0.0
+    p, dp = case.problem.parameters(
+        case.problem.all_values(values),
+        case.problem.free,
+    )
+    empty = p[0, 0]
+    per_kg = dp[0, 0, :, 0]
+    torque = empty[INDEX["torque_constant"]] * float(case.run.input_current_A[0])
+    times = case.prepared.times_s - empty[INDEX["delay"]]
+    span = (0.0, float(times[-1]))
+
+    def positions(now: np.ndarray) -> np.ndarray:
+        inertia, cosine, sine, constant = (empty + now[0] * per_kg)[:4]
+
+        def law(_t: float, y: np.ndarray) -> tuple[float, float]:
+            q, v = y.tolist()
+            return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
+
+        rolled = solve_ivp(law, span, now[1:], "DOP853", times, rtol=RTOL, atol=ATOL)
+        found: np.ndarray = rolled.y[0]
+        return found
+
+    return positions
+
+
 def _sysid_row(case: _Case) -> dict[str, Any]:
     try:
         from absl import logging
@@ -159,41 +167,47 @@ def _sysid_row(case: _Case) -> dict[str, Any]:
     except (ImportError, AttributeError):
         return _row("mujoco.sysid", None, why="not installed")
     logging.set_verbosity(logging.ERROR)
-    (_, mass), seconds = timed(sysid_search(case, float(case.problem.simulator.runs[0].step_s)))
+    (_, mass), seconds = timed(SysidSearch(case, float(case.problem.simulator.runs[0].step_s)))
     return _row("mujoco.sysid", mass, seconds)
 
 
-def sysid_search(
-    case: _Case,
-    step_s: float,
-) -> Callable[[], tuple[np.ndarray, float]]:
-    """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, no resampling, RK4.
+class SysidSearch:
+    """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, no resampling, RK4."""
 
-    Returns: A function that identifies from all starts and returns where they end, shape (5,), and the best of these [kg].
-    """
-    from mujoco import sysid
+    def __init__(self, case: _Case, step_s: float) -> None:
+        from mujoco import sysid
 
-    coordinates = case.problem.coordinates
-    prepared = case.prepared
-    spec = welded(case, step_s)
-    times = step_s * np.arange(int(np.ceil(prepared.times_s[-1] / step_s - 1e-9)) + 1)
-    model = spec.compile()
-    control = sysid.TimeSeries(
-        times,
-        np.full(
-            (len(times), 1),
-            case.run.input_current_A[0],
-        ),
-    )
-    encoder = sysid.TimeSeries.from_names(
-        prepared.times_s,
-        prepared.position[:, None],
-        model,
-    )
-    initial = sysid.create_initial_state(model, np.array([prepared.rest.value]))
-    sequences = sysid.ModelSequences("arm", spec, "probe", initial, control, encoder)
+        self._case = case
+        self._prepared = case.prepared
+        self._coordinates = case.problem.coordinates
+        spec = welded(case, step_s)
+        self._model = spec.compile()
+        last_s = self._prepared.times_s[-1]
+        times = step_s * np.arange(int(np.ceil(last_s / step_s - 1e-9)) + 1)
+        current = np.full((len(times), 1), case.run.input_current_A[0])
+        encoder = sysid.TimeSeries.from_names(
+            self._prepared.times_s,
+            self._prepared.position[:, None],
+            self._model,
+        )
+        rest = np.array([self._prepared.rest.value])
+        sequences = sysid.ModelSequences(
+            "arm",
+            spec,
+            "probe",
+            sysid.create_initial_state(self._model, rest),
+            sysid.TimeSeries(times, current),
+            encoder,
+        )
+        self._residual = sysid.build_residual_fn(
+            models_sequences=[sequences],
+            modify_residual=self._whitened,
+            custom_rollout=self._rollout,
+            resample_true=False,
+        )
 
-    def rollout(
+    def _rollout(
+        self,
         models: Any,
         datas: Any,
         control_signal: Any,
@@ -201,22 +215,24 @@ def sysid_search(
         initial_states: Any,
         **maps: Any,
     ) -> Any:
-        # one recording, so one state per column of finite differences
+        """One recording, so one state per column of finite differences."""
+        from mujoco import sysid
+
         states = [
-            sysid.create_initial_state(model, one["q0"].value, one["v0"].value)
+            sysid.create_initial_state(self._model, one["q0"].value, one["v0"].value)
             for one in param_dicts
         ]
         names = ("rollout_signal_mapping", "rollout_state_mapping", "ctrl_mapping")
-        chosen = {name: maps[name] for name in names}
         return sysid.sysid_rollout(
             models=models,
             datas=datas,
             control_signal=control_signal,
             initial_states=states,
-            **chosen,
+            **{name: maps[name] for name in names},
         )
 
-    def whitened(
+    def _whitened(
+        self,
         params: Any,
         predicted: Any,
         measured: Any,
@@ -224,54 +240,52 @@ def sysid_search(
         everything: bool,
         state: Any,
     ) -> Any:
+        """The same residual and priors as everyone's."""
         values = params.as_vector()
+        prepared = self._prepared
+        coordinates = self._coordinates
         seen = np.interp(
-            prepared.times_s, np.append(0.0, state[:, 0]), np.append(values[1], state[:, 1])
+            prepared.times_s,
+            np.append(0.0, state[:, 0]),
+            np.append(values[1], state[:, 1]),
         )
         off = (seen - prepared.position) / prepared.sigma
-        prior = ((values - coordinates.prior_mean) * np.sqrt(np.diag(coordinates.prior_precision)))[
-            1:
-        ]
+        weight = np.sqrt(np.diag(coordinates.prior_precision))
+        prior = ((values - coordinates.prior_mean) * weight)[1:]
         return np.concatenate([off, prior])[:, None], measured, measured
 
-    residual = sysid.build_residual_fn(
-        models_sequences=[sequences],
-        modify_residual=whitened,
-        custom_rollout=rollout,
-        resample_true=False,
-    )
+    def _guess(self, mass: float) -> Any:
+        """The unknowns with a first guess of the mass [kg]."""
+        from mujoco import sysid
 
-    def heavier(spec: Any, parameter: Any) -> None:
-        set_mass(spec.body("payload"), float(parameter.value[0]), case)
+        rest = self._prepared.rest.value
+        speed_at_start = self._coordinates.prior_mean[2]
+        first = sysid.ParameterDict()
+        first.add(sysid.Parameter("mass", mass, 1e-4, 2.0, modifier=self._heavier))
+        first.add(sysid.Parameter("q0", rest, rest - 0.1, rest + 0.1))
+        first.add(sysid.Parameter("v0", speed_at_start, -1.0, 1.0))
+        return first
 
-    def solve() -> tuple[np.ndarray, float]:
+    def _heavier(self, spec: Any, parameter: Any) -> None:
+        set_mass(spec.body("payload"), float(parameter.value[0]), self._case)
+
+    def __call__(self) -> tuple[np.ndarray, float]:
+        """Where the search ends from all starts, shape (5,), and the best of these [kg]."""
+        from mujoco import sysid
+
         masses = []
         costs = []
         for mass in STARTS_KG:
-            first = sysid.ParameterDict()
-            first.add(sysid.Parameter("mass", mass, 1e-4, 2.0, modifier=heavier))
-            rest = prepared.rest.value
-            first.add(sysid.Parameter("q0", rest, rest - 0.1, rest + 0.1))
-            first.add(
-                sysid.Parameter(
-                    "v0",
-                    coordinates.prior_mean[2],
-                    -1.0,
-                    1.0,
-                )
-            )
             found, _ = sysid.optimize(
-                first,
-                residual,
+                self._guess(mass),
+                self._residual,
                 verbose=False,
                 output=io.StringIO(),
             )
-            (end,), _, _ = residual(found.as_vector(), found)
+            (end,), _, _ = self._residual(found.as_vector(), found)
             masses.append(float(found["mass"].value[0]))
             costs.append(float(end @ end))
         return np.array(masses), masses[int(np.argmin(costs))]
-
-    return solve
 
 
 def welded(case: _Case, step_s: float) -> Any:
@@ -290,44 +304,52 @@ def welded(case: _Case, step_s: float) -> Any:
     for joint in list(spec.joints):
         if joint.name == case.run.joint:
             joint.armature = case.prepared.drive.armature.value
-            continue
-        body = joint.parent
-        axis = np.array(joint.axis)
-        q = positions[joint.name]
-        if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-            moved = np.zeros(3)
-            mujoco.mju_rotVecQuat(moved, axis * q, np.array(body.quat))
-            body.pos = np.array(body.pos) + moved
         else:
-            turn = np.zeros(4)
-            turned = np.zeros(4)
-            mujoco.mju_axisAngle2Quat(turn, axis, q)
-            mujoco.mju_mulQuat(turned, np.array(body.quat), turn)
-            body.quat = turned
-        spec.delete(joint)
-    payload = spec.body(case.robot.payload_frame).add_body(
-        name="payload",
-        pos=case.facts.com,
-    )
+            _weld(spec, joint, positions[joint.name])
+    payload = spec.body(case.robot.payload_frame).add_body(name="payload", pos=case.facts.com)
     payload.explicitinertial = True
     set_mass(payload, STARTS_KG[0], case)
-    motor = spec.add_actuator(
-        name="motor", target=case.run.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
-    )
-    motor.gainprm[0] = case.prepared.drive.torque_constant.value
-    sensor = mujoco.mjtSensor.mjSENS_JOINTPOS
-    seen = mujoco.mjtObj.mjOBJ_JOINT
-    spec.add_sensor(
-        name="encoder",
-        type=sensor,
-        objtype=seen,
-        objname=case.run.joint,
-    )
-    spec.option.gravity, spec.option.timestep = case.robot.gravity, step_s
+    _instrument(spec, case)
+    spec.option.gravity = case.robot.gravity
+    spec.option.timestep = step_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     off = mujoco.mjtDisableBit
     spec.option.disableflags = int(off.mjDSBL_CONSTRAINT | off.mjDSBL_CONTACT | off.mjDSBL_LIMIT)
     return spec
+
+
+def _weld(spec: Any, joint: Any, position: float) -> None:
+    """Put a joint's body where the joint is held [rad, m], and take the joint away."""
+    import mujoco
+
+    body = joint.parent
+    axis = np.array(joint.axis)
+    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+        moved = np.zeros(3)
+        mujoco.mju_rotVecQuat(moved, axis * position, np.array(body.quat))
+        body.pos = np.array(body.pos) + moved
+    else:
+        turn = np.zeros(4)
+        turned = np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, axis, position)
+        mujoco.mju_mulQuat(turned, np.array(body.quat), turn)
+        body.quat = turned
+    spec.delete(joint)
+
+
+def _instrument(spec: Any, case: _Case) -> None:
+    """The motor that drives the hinge by a current [A], and the encoder that sees it."""
+    import mujoco
+
+    hinge = case.run.joint
+    motor = spec.add_actuator(name="motor", target=hinge, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.gainprm[0] = case.prepared.drive.torque_constant.value
+    spec.add_sensor(
+        name="encoder",
+        type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        objname=hinge,
+    )
 
 
 def set_mass(body: Any, mass: float, case: _Case) -> None:
