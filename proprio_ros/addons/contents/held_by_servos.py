@@ -119,7 +119,8 @@ class HeldJoint:
 
     def slope(self, times_s: FloatArray, load: FloatArray, further: FloatArray) -> float:
         """The torque's mean change by one of position, velocity and acceleration, the one of ``further`` that is not zero."""
-        return float(np.mean(self.torque(times_s[::10], further.tolist()) - load[::10])) / STEP
+        moved = self.torque(times_s[::10], further.tolist())
+        return float(np.mean(moved - load[::10])) / STEP
 
 
 def forced_on(
@@ -145,7 +146,8 @@ def forced_on(
     """
     others = {each: motion for each, motion in moving.items() if each != name}
     model = robot.model.lock([*others, name], run.held, robot.gravity)
-    inertias = np.tensordot([1.0, carried_kg], arm_and_payload(robot, model, facts), axes=1)[None]
+    parts = arm_and_payload(robot, model, facts)
+    inertias = np.tensordot([1.0, carried_kg], parts, axes=1)[None]
     joint = HeldJoint(name, run.held[name], others, model, inertias)
     times_s = next(iter(others.values())).times_s
     middle_s = times_s + 0.5 * times_s[1]
@@ -220,10 +222,11 @@ class Servo:
         """The joint's parameters in each run, shape (R, P), analytic in the numbers."""
         stiffness, lag_s = np.exp(SERVO + SPREADS[:2] * z[:2])
         p = self._known.astype(z.dtype)
-        friction = self._known[:, INDEX["coulomb"]] * np.exp(SPREADS[2] * z[2])
+        coulomb = INDEX["coulomb"]
+        friction = self._known[:, coulomb] * np.exp(SPREADS[2] * z[2])
         p[:, INDEX["gravity_sin"]] += stiffness
         p[:, INDEX["viscous"]] += stiffness * lag_s
-        p[:, INDEX["coulomb"]] = friction
+        p[:, coulomb] = friction
         p[:, INDEX["gravity_constant"]] = -friction * np.tanh(z[3:])
         return p
 
@@ -253,13 +256,15 @@ class Servo:
     def residual(self, z: FloatArray) -> FloatArray:
         """Of all readings, then of the priors, in standard deviations. Where a joint rests, the readings' mean says."""
         positions = self._shaken(z)[0]
-        off = [self._seen(row, q) - self._forced[row].shown for row, q in enumerate(positions)]
+        seen = [self._seen(row, q) for row, q in enumerate(positions)]
+        off = [each - forced.shown for each, forced in zip(seen, self._forced, strict=True)]
         readings = [(each - each.mean()) / self._sigma for each in off]
         return np.concatenate([*readings, z])
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         """The residual's derivative."""
-        seen = [self._seen(row, slopes) for row, slopes in enumerate(self._shaken(z)[2])]
+        _, _, slopes = self._shaken(z)
+        seen = [self._seen(row, each) for row, each in enumerate(slopes)]
         readings = [(each - each.mean(axis=0)) / self._sigma for each in seen]
         return np.concatenate([*readings, np.eye(len(z))])
 
@@ -280,6 +285,7 @@ class Servo:
             q = positions[row]
             times_s = run.sample_times_s
             rest = float(np.mean(self._forced[row].shown - self._seen(row, q)))
-            motion = Followed(times_s, rest + q[: len(times_s)], velocities[row][: len(times_s)])
+            count = len(times_s)
+            motion = Followed(times_s, rest + q[:count], velocities[row][:count])
             found.append(motion)
         return found

@@ -112,7 +112,8 @@ def weighted(
         least * (1.0 - float(plain[0])),
     )
     # each side by itself: beside the other's its evidence may be nothing
-    within, beside = (softmax(np.where(side, logs, -np.inf)) for side in (moves, ~moves))
+    within = softmax(np.where(moves, logs, -np.inf))
+    beside = softmax(np.where(~moves, logs, -np.inf))
     return share * within + (1.0 - share) * beside
 
 
@@ -176,18 +177,7 @@ def find_contents(
             "the empty container is not known: give its recording (--baseline), or its mass (--set contents.mass=KG)"
         )
     found = Findings()
-    used = []
-    filled = []
-    for run, has in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
-        prepared = prepare_run(robot, run, None, facts.shell)
-        if abs(law.container_seen(robot, prepared, facts)[0]) > law.LEVEL:
-            said = f"{run.name}: {run.joint} turns the container about its own axis, so that nothing in it has to move"
-            raise RecordingError(
-                f"{said}; drive a joint whose axis is level, or state contents.rpy"
-            )
-        if admitted(robot, prepared, found):
-            used.append(prepared)
-            filled.append(has)
+    used, filled = _usable(robot, runs, baseline, facts, found)
     if not any(filled):
         return no_answer(
             "contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes
@@ -197,7 +187,8 @@ def find_contents(
     empty = ~np.array(filled)
     best = min(opened, key=lambda fit: fit.reduced_chi2)
     inflation = ALIKE_RUNS * max(1.0, left_over(best, empty) if empty.any() else best.reduced_chi2)
-    logs = np.array([evidence(Posterior(fit.problem, fit.values, inflation)) for fit in opened])
+    known = [Posterior(fit.problem, fit.values, inflation) for fit in opened]
+    logs = np.array([evidence(each) for each in known])
     logs -= np.log([np.sum(kind == KINDS) for kind in KINDS])  # each kind is as likely beforehand
     weight = weighted(
         logs,
@@ -206,6 +197,41 @@ def find_contents(
     )
     first, best = models[1 + int(np.argmax(weight[1:]))]
     return ContentsFound(first, best, found, len(runs), opened, weight, facts).estimate()
+
+
+def _usable(
+    robot: Robot,
+    runs: Sequence[Run],
+    baseline: Sequence[Run],
+    facts: ContentsFacts,
+    found: Findings,
+) -> tuple[list[PreparedRun], list[bool]]:
+    """The runs that can be fitted, and which of them have the contents.
+
+    Args:
+        robot: The arm.
+        runs: With the contents.
+        baseline: With the container empty.
+        facts: The container.
+        found: Hears why a run is left out.
+
+    Raises:
+        RecordingError: A run turns the container about its own axis.
+    """
+    used = []
+    filled = []
+    with_contents = [True] * len(runs) + [False] * len(baseline)
+    for run, has in zip((*runs, *baseline), with_contents, strict=True):
+        prepared = prepare_run(robot, run, None, facts.shell)
+        if abs(law.container_seen(robot, prepared, facts)[0]) > law.LEVEL:
+            raise RecordingError(
+                f"{run.name}: {run.joint} turns the container about its own axis, so that nothing in it has to move; "
+                "drive a joint whose axis is level, or state contents.rpy"
+            )
+        if admitted(robot, prepared, found):
+            used.append(prepared)
+            filled.append(has)
+    return used, filled
 
 
 @dataclass(eq=False)
@@ -224,7 +250,8 @@ class ContentsFound(Conclusion):
         super().__post_init__()
         assert isinstance(self.opened.problem, law.ContentsProblem)
         self.problem = self.opened.problem
-        self.probabilities = np.array([self.weights[kind == KINDS].sum() for kind in KINDS_INSIDE])
+        shares = [self.weights[kind == KINDS].sum() for kind in KINDS_INSIDE]
+        self.probabilities = np.array(shares)
 
     def kind(self, sure: float = SURE) -> str:
         """What is inside, where that is so sure; empty where it is not."""
@@ -285,7 +312,8 @@ class ContentsFound(Conclusion):
         """In words, where its whole interval is in one class."""
         if (known := self.log_damping) is None:
             return ""
-        ends = [self.viscosity(known[0] + side * Z95 * known[1]) for side in (-1.0, 1.0)]
+        log, std = known
+        ends = [self.viscosity(log + side * Z95 * std) for side in (-1.0, 1.0)]
         words = [next(said for limit, said in CLASSES if end < limit) for end in ends]
         return words[0] if words[0] == words[1] else ""
 
@@ -300,7 +328,8 @@ class ContentsFound(Conclusion):
         """Fill [m], slosh frequency [Hz] and damping ratio of the liquid, and their standard deviations; shape (3,)."""
         names = [unknown.kind for unknown in self.problem.inside]
         rows = [self.problem.index[name] for name in names]
-        at = {name: np.array([self.fit.values[row]]) for name, row in zip(names, rows, strict=True)}
+        values = [np.array([self.fit.values[row]]) for row in rows]
+        at = dict(zip(names, values, strict=True))
         slopes = np.zeros((3, len(rows)))
         for n, name in enumerate(names):
             changed = {**at, name: at[name] + 1j * law.COMPLEX_STEP}
@@ -313,7 +342,8 @@ class ContentsFound(Conclusion):
     def values(self, withheld: str) -> tuple[Value, ...]:
         mass, shell = (self.problem.index[name] for name in (self.name, "payload_mass"))
         covariance = self.assessed.covariance
-        together = float(np.sqrt(np.sum(covariance[np.ix_((mass, shell), (mass, shell))])))
+        both = (mass, shell)
+        together = float(np.sqrt(np.sum(covariance[np.ix_(both, both)])))
         total = float(self.fit.values[mass] + self.fit.values[shell])
         shares = zip(KINDS_INSIDE, self.probabilities.tolist(), strict=True)
         return (

@@ -71,8 +71,10 @@ class ContentsFacts:
             "cylinder",
             np.array([2.0 * self.radius] * 2 + [self.height]),
         )
-        centre = self.bottom + self.rotation @ np.array([0.0, 0.0, 0.5 * self.height])
-        off = np.abs(self.rotation @ np.array([0.002, 0.002, 0.1 * self.height]))
+        up = np.array([0.0, 0.0, 0.5 * self.height])
+        centre = self.bottom + self.rotation @ up
+        beside = np.array([0.002, 0.002, 0.1 * self.height])
+        off = np.abs(self.rotation @ beside)
         return PayloadFacts(centre, off, walls.turned(self.rotation), 0.3)
 
 
@@ -91,7 +93,10 @@ class Slosh:
         k = FIRST_MODE / radius
         share = 2.0 * np.tanh(k * fill) / (2.39 * k * fill)
         return cls(
-            fill, share, fill - 2.0 / k * np.tanh(0.5 * k * fill), GRAVITY * k * np.tanh(k * fill)
+            fill,
+            share,
+            fill - 2.0 / k * np.tanh(0.5 * k * fill),
+            GRAVITY * k * np.tanh(k * fill),
         )
 
 
@@ -120,8 +125,10 @@ def inside_unknowns(model: str, facts: ContentsFacts) -> list[Unknown]:
     )
     spread = Unknown("contents_spread", 1.0, 0.3, 0.0, 5.0)
     if model == "rigid":
-        centre = facts.bottom + facts.rotation @ np.array([0.0, 0.0, 0.3 * facts.height])
-        off = np.abs(facts.rotation @ np.array([0.2 * facts.radius] * 2 + [0.2 * facts.height]))
+        up = np.array([0.0, 0.0, 0.3 * facts.height])
+        centre = facts.bottom + facts.rotation @ up
+        beside = np.array([0.2 * facts.radius] * 2 + [0.2 * facts.height])
+        off = np.abs(facts.rotation @ beside)
         of_it = zip("xyz", centre.tolist(), off.tolist(), strict=True)
         return [
             mass,
@@ -252,15 +259,18 @@ def inertial_parameters(
     along = np.outer(axis, axis)
     level = u["contents_spread"] * facts.radius**2 / 4.0
     up = u["contents_spread"] * tall**2 / 12.0
-    spread = level[:, None, None] * (np.eye(3) - along) + up[:, None, None] * along  # (S, 3, 3)
+    across = np.eye(3) - along
+    spread = level[:, None, None] * across + up[:, None, None] * along  # (S, 3, 3)
     pseudo = np.zeros(
         (len(mass), 4, 4),
         dtype=np.result_type(mass, com, spread),
     )
     pseudo[:, 0, 0] = mass
     pseudo[:, 0, 1:] = mass[:, None] * com
-    about_origin = mass[:, None, None] * (com[:, :, None] * com[:, None, :])
-    pseudo[:, 1:, 1:] = about_origin + u["contents_mass"][:, None, None] * spread
+    squared = com[:, :, None] * com[:, None, :]
+    about_origin = mass[:, None, None] * squared
+    whole = u["contents_mass"][:, None, None]
+    pseudo[:, 1:, 1:] = about_origin + whole * spread
     return np.stack([pseudo[:, row, column] for row, column in TEN], axis=1)
 
 
@@ -295,7 +305,8 @@ def container_seen(
     axis, gravity = axis_and_gravity(model)
     up = body_from_payload[:3, :3] @ facts.rotation[:, 2]
     bottom = body_from_payload[:3, :3] @ facts.bottom + body_from_payload[:3, 3]
-    along = np.cross(axis, up) / max(float(np.linalg.norm(np.cross(axis, up))), 1e-9)
+    across = np.cross(axis, up)
+    along = across / max(float(np.linalg.norm(across)), 1e-9)
     high = np.cross(along, axis)
     fixed = axis * float(axis @ gravity)
     turning = np.stack([fixed, gravity - fixed, -np.cross(axis, gravity)])
@@ -357,12 +368,12 @@ class ContentsProblem(Problem):
         if self.model not in MOVING:
             return JointSimulator(runs, integrator)
         rows = np.flatnonzero(self.filled).tolist()
-        moving = [
-            replace(container_seen(self.robot, self._prepared[r], self.container)[1], joint=runs[r])
-            for r in rows
-        ]
+        moving = [replace(self._geometry(row), joint=runs[row]) for row in rows]
         plain = [runs[row] for row in np.flatnonzero(~self.filled)]
         return MixedSimulator(SloshSimulator(moving, integrator), plain, self.filled, integrator)
+
+    def _geometry(self, row: int) -> SloshRun:
+        return container_seen(self.robot, self._prepared[row], self.container)[1]
 
     def touches(self, unknown: Unknown, row: int) -> bool:
         if any(unknown.key == own.key for own in self.inside):
@@ -456,7 +467,9 @@ class ContentsProblem(Problem):
             for run in self.simulator.runs
         ]
         q, v, _ = self.simulator_of(fine, "rk4").jacobian(
-            np.arange(len(p), dtype=np.int32), p, np.zeros((*p.shape, 1))
+            np.arange(len(p), dtype=np.int32),
+            p,
+            np.zeros((*p.shape, 1)),
         )
         driven = [
             Followed(

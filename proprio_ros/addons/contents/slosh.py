@@ -65,7 +65,10 @@ class SloshSimulator(JointSimulator):
     def path(self, world_run: np.ndarray, p: np.ndarray) -> np.ndarray:
         """How far the moving part is from the container's axis at the samples [m], shape (W, T), a copy."""
         outputs = self.launch(
-            np.asarray(world_run, dtype=np.int32), p, np.zeros((*p.shape, 1)), None
+            np.asarray(world_run, dtype=np.int32),
+            p,
+            np.zeros((*p.shape, 1)),
+            None,
         )
         return np.array(outputs[3])
 

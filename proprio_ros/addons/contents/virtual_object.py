@@ -125,4 +125,5 @@ class Filled(HandObject):
         joint = upper.add_joint(
             name="held/slosh", type=mujoco.mjtJoint.mjJNT_BALL, pos=(0.0, 0.0, long)
         )
-        joint.damping[0] = 2.0 * DAMPING_RATIO * moving * float(np.sqrt(slosh.stiffness)) * long**2
+        frequency = float(np.sqrt(slosh.stiffness))  # [rad/s]
+        joint.damping[0] = 2.0 * DAMPING_RATIO * moving * frequency * long**2

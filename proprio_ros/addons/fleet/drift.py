@@ -113,7 +113,8 @@ class Drift(Listed[Period]):
         if len(self) < 2:
             return "There are no two periods to compare: recordings of an empty hand in motion, from two days or more, would be."
         first, last = (self[place].term("coulomb") for place in (0, -1))
-        sigmas = np.abs(last[0] - first[0]) / np.maximum(np.hypot(first[1], last[1]), 1e-12)
+        spread = np.maximum(np.hypot(first[1], last[1]), 1e-12)
+        sigmas = np.abs(last[0] - first[0]) / spread
         most = int(np.argmax(sigmas))
         from_to = " to ".join(number(value[most], std[most]) for value, std in (first, last))
         return (

@@ -148,7 +148,9 @@ class Grasps:
             reach = joint.upper - joint.lower
         if not 0.0 < reach < np.inf:
             reach = float(np.ptp(gripper))
-        return bool(near.any() and np.ptp(gripper[near]) > max(MOVED_SHARE * reach, 1e-4))
+        if not near.any():
+            return False
+        return bool(np.ptp(gripper[near]) > max(MOVED_SHARE * reach, 1e-4))
 
 
 def _said(

@@ -374,12 +374,17 @@ def _reports(
         named(row): f"reports/{hashlib.sha256(named(row).encode()).hexdigest()[:16]}.html"
         for row in chosen
     }
-    missing = [row for row in chosen if not (folder / places[named(row)]).exists()]
+    kept = {name for name, place in places.items() if (folder / place).exists()}
+    missing = [row for row in chosen if named(row) not in kept]
     if missing:
         (folder / "reports").mkdir(exist_ok=True)
         tell(f"writing the pages of {len(missing)} rows")
-    each = [(named(row), path_of(row), replace(job.options, span=span_of(row))) for row in missing]
-    work = [(*one, folder / places[one[0]]) for one in each]
+    work = []
+    for row in missing:
+        name = named(row)
+        options = replace(job.options, span=span_of(row))
+        work.append((name, path_of(row), options, folder / places[name]))
+
     if len(work) > MOST_REPORTS:
         with pool_of(processes) as pool:
             written = list(pool.map(_write_page, *zip(*work, strict=True)))

@@ -61,7 +61,8 @@ def run_ray(
     listed = [asdict(episode) for episode in episodes]
 
     def answered(batch: Any) -> Any:
-        return table_of(lasting(rows_of_all([Episode(**each) for each in batch.to_pylist()], job)))
+        episodes = [Episode(**each) for each in batch.to_pylist()]
+        return table_of(lasting(rows_of_all(episodes, job)))
 
     # the same needs for both, so that one task answers and writes; Ray tries a task again whose worker or machine dies
     blocks = ray.data.from_items(

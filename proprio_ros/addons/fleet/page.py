@@ -90,7 +90,8 @@ def write_batch_page(
 
 
 def _order(row: Row) -> tuple[int, int, str]:
-    return int(row["recorded_ns"] or 2**62), int(row["episode_index"] or 0), str(row["episode"])
+    recorded_ns = int(row["recorded_ns"] or 2**62)
+    return recorded_ns, int(row["episode_index"] or 0), str(row["episode"])
 
 
 def _sources(rows: Iterable[Row]) -> dict[str, tuple[str, str]]:
@@ -282,7 +283,8 @@ def far(whole: Sequence[Row]) -> list[Row]:
     """Accepted rows that are far from the rest of their source, the furthest first."""
     found: list[tuple[float, Row]] = []
     accepted = [row for row in whole if row["verdict"] == "accepted" and row["value"] is not None]
-    for own in _by_source(row for row in accepted if row["kind"] in (EPISODE, PART)).values():
+    answers = [row for row in accepted if row["kind"] in (EPISODE, PART)]
+    for own in _by_source(answers).values():
         values = np.array([row["value"] for row in own])
         off = np.abs(values - np.median(values))
         spread = 1.4826 * float(np.median(off))

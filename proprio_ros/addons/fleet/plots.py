@@ -68,8 +68,10 @@ def _range_of(
         accepted: Which are accepted, shape (R,).
     """
     seen = accepted if accepted.any() else np.full(len(value), True)
-    bottom = min(value[seen].min(), np.percentile(ends[seen, 0], 2))
-    top = max(value[seen].max(), np.percentile(ends[seen, 1], 98))
+    low = ends[seen, 0]
+    high = ends[seen, 1]
+    bottom = min(value[seen].min(), np.percentile(low, 2))
+    top = max(value[seen].max(), np.percentile(high, 98))
     return 1.5 * bottom - 0.5 * top, 1.5 * top - 0.5 * bottom
 
 
@@ -96,13 +98,12 @@ def histogram(accepted: Sequence[Row]) -> list[str]:
         return []
     factor, unit = shown_unit(accepted[0]["unit"])
     values = factor * np.array([row["value"] for row in accepted])
-    # some that are far off must not make one bar of all others
-    low, high = np.percentile(values, (25, 75))
-    reach = 3.0 * max(high - low, 1e-6 * abs(high), 1e-9)
-    inside = values[(values >= low - reach) & (values <= high + reach)]
+    inside, reach = _without_far_ones(values)
     std = factor * float(np.median([row["std"] or 0.0 for row in accepted]))
     step = _round_step(max(np.ptp(inside) / 80.0, 1e-3 * reach, 0.5 * std))
-    edges = step * np.arange(np.floor(inside.min() / step), np.floor(inside.max() / step) + 2)
+    first = np.floor(inside.min() / step)
+    last = np.floor(inside.max() / step)
+    edges = step * np.arange(first, last + 2)
     counts = np.append(np.histogram(inside, edges)[0], 0).astype(float)
     bars = Series(
         "rows",
@@ -125,3 +126,10 @@ def _round_step(least: float) -> float:
     power = 10.0 ** np.floor(np.log10(least))
     enough = least * (1.0 - 1e-9)
     return next(power * digit for digit in (1, 2, 5, 10) if power * digit >= enough)
+
+
+def _without_far_ones(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Values (R,) without those that would make one bar of all others, and how far from the middle half such are."""
+    low, high = np.percentile(values, (25, 75))
+    reach = 3.0 * max(high - low, 1e-6 * abs(high), 1e-9)
+    return values[(values >= low - reach) & (values <= high + reach)], reach

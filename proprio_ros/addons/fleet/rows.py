@@ -131,7 +131,8 @@ def spans_of(
 def _bytes_of(bag: Path) -> int:
     """Of all its files; 0 where it has gone, which reading it will say."""
     try:
-        return sum(file.stat().st_size for file in ([bag] if bag.is_file() else bag.iterdir()))
+        files = [bag] if bag.is_file() else bag.iterdir()
+        return sum(file.stat().st_size for file in files)
     except OSError:
         return 0
 

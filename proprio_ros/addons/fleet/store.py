@@ -35,7 +35,8 @@ def schema() -> Any:
         "number": pa.float64(),
     }
     narrow = dict.fromkeys(("segment", "segments"), pa.int32())
-    return pa.schema([(name, narrow.get(name, types[kind])) for name, kind in COLUMNS.items()])
+    columns = [(name, narrow.get(name, types[kind])) for name, kind in COLUMNS.items()]
+    return pa.schema(columns)
 
 
 def table_of(rows: Sequence[Row]) -> Any:
@@ -45,7 +46,8 @@ def table_of(rows: Sequence[Row]) -> Any:
 
 def chunk_id(episodes: Sequence[Episode]) -> str:
     """A name that the same episodes always have."""
-    return hashlib.sha256("\n".join(episode.path for episode in episodes).encode()).hexdigest()[:16]
+    paths = "\n".join(episode.path for episode in episodes)
+    return hashlib.sha256(paths.encode()).hexdigest()[:16]
 
 
 def chunks_of(

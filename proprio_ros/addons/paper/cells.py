@@ -46,7 +46,8 @@ def linked(
 
 def slug(*words: str) -> str:
     """Of letters, digits and hyphens."""
-    return re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower().replace("'", "")).strip("-")
+    text = " ".join(words).lower().replace("'", "")
+    return re.sub(r"[^a-z0-9.]+", "-", text).strip("-")
 
 
 def over(
@@ -69,7 +70,9 @@ def rms(
 ) -> str:
     """Root mean square of the errors, and the least and the greatest of them."""
     off = [abs(row["value"] - row["truth"]) for row in rows if row["value"] is not None]
-    return ranged(float(np.sqrt(np.mean(np.square(off)))), off, scale, digits) if off else "-"
+    if not off:
+        return "-"
+    return ranged(float(np.sqrt(np.mean(np.square(off)))), off, scale, digits)
 
 
 def ranged(

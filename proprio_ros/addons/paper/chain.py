@@ -70,7 +70,8 @@ def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
     pseudo = np.asarray(pseudo, dtype=np.float64)
     rows, columns = _TRIANGLE
     second = pseudo[..., :3, :3]
-    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
+    trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
+    inertia = trace * np.eye(3) - second
     return np.concatenate(
         [
             pseudo[..., 3, 3:],

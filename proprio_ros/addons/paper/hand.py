@@ -185,7 +185,8 @@ class _MovingHand:
         """Where the camera saw the sphere, with its noise; None where there is none."""
         if not self._seen:
             return None
-        noise = np.random.default_rng((seed, 7)).standard_normal((len(self._seen), 3))
+        rng = np.random.default_rng((seed, 7))
+        noise = rng.standard_normal((len(self._seen), 3))
         instants, true = map(np.array, zip(*self._seen, strict=True))
         return PointTrack(instants, true + CAMERA_STD_M * noise)
 
@@ -197,7 +198,8 @@ def _on_the_floor(
     rng: np.random.Generator,
 ) -> np.ndarray:
     """A place of the sphere on the wall that is lowest, from the container's centre [m], shape (3,)."""
-    down = robot.model.frame_transform(robot.payload_frame, position)[:3, :3].T @ robot.gravity
+    turned = robot.model.frame_transform(robot.payload_frame, position)[:3, :3]
+    down = turned.T @ robot.gravity
     room = 0.5 * np.array(held.inner_size_m) - held.sphere_radius_m
     place: np.ndarray = room * rng.uniform(-0.9, 0.9, 3)
     floor = int(np.argmax(np.abs(down)))
@@ -243,7 +245,9 @@ def _drive(
     least, most = (
         (volts - BACK_EMF_V_S * speeds) / RESISTANCE_OHM for volts in (-SUPPLY_V, SUPPLY_V)
     )
-    arm.step(np.clip(current, np.maximum(least, -1.0), np.minimum(most, 1.0)))
+    least = np.maximum(least, -1.0)
+    most = np.minimum(most, 1.0)
+    arm.step(np.clip(current, least, most))
 
 
 @lru_cache(maxsize=4)

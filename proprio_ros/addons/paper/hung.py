@@ -166,7 +166,8 @@ class HungSimulator:
             moment[:3, 3] = moment[3, :3] = direction
             felt.append(joint_coefficients(moment, model.kinds[0], axis, gravity)[1:3])
         moments = across.T @ np.linalg.inv(np.array(felt).T)
-        by[first["pi"] + 1 : first["pi"] + 4, [at["gravity_cos"], at["gravity_sin"]]] = moments
+        pi = first["pi"]
+        by[pi + 1 : pi + 4, [at["gravity_cos"], at["gravity_sin"]]] = moments
         last = chain.columns["pi"].stop
         by[last - 10 : last, at["mass"]] = inertial_parameters(hung.pseudo_per_kg)
         for n in range(1, hung.joints + 1):
@@ -198,7 +199,9 @@ class HungSimulator:
                     p[mine] @ by.T,
                     by @ dp[mine],
                 )
-                q[mine, : seen.shape[1]], dq[mine, : seen.shape[1]] = seen[..., 0], slopes[:, :, 0]
+                count = seen.shape[1]
+                q[mine, :count] = seen[..., 0]
+                dq[mine, :count] = slopes[:, :, 0]
         return q, v, dq
 
 

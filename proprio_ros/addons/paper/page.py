@@ -73,7 +73,9 @@ def paper_parts(
 def _cost(found: Mapping[str, Sequence[Rows]]) -> list[str]:
     """What all of it took of a processor."""
     costs = {name: [row.get("cost_s") or 0.0 for row in rows] for name, rows in found.items()}
-    lines = [[name, str(len(each)), over(each), f"{sum(each):.0f}"] for name, each in costs.items()]
+    lines = []
+    for name, each in costs.items():
+        lines.append([name, str(len(each)), over(each), f"{sum(each):.0f}"])
     total = sum(map(sum, costs.values()))
     if total == 0.0:
         return []

@@ -101,7 +101,8 @@ def _parzen(
     natural = coordinates.natural
     low = start - 5.0 * natural
     high = start + 5.0 * natural
-    ends = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))
+    guesses = np.array([[1e-3, *first[1:]], [1.0, *first[1:]]])
+    ends = coordinates.internal(guesses)
     low[0], high[0] = ends[:, 0]
     tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start, rng)
 
@@ -171,7 +172,8 @@ def _logarithm(
 ) -> np.ndarray:
     """Of the densities' mean at x, shape (K,), less a constant."""
     distance = (x[:, None] - centres) / widths
-    return np.log((np.exp(-0.5 * distance**2) / widths).mean(axis=1) + 1e-300)
+    densities = np.exp(-0.5 * distance**2) / widths
+    return np.log(densities.mean(axis=1) + 1e-300)
 
 
 def landscapes(seed: int) -> Rows:
@@ -191,7 +193,8 @@ def _over_mass(seed: int) -> Rows:
     q, _, _ = whole.simulate(whole.all_values(inside), whole.free)
     seen = whole.runs[0]
     last = loss(np.maximum(masses, 1e-6)[:, None])[0]
-    every = ((q[:, 0, : seen.used] - seen.position) ** 2).mean(axis=1)
+    off = q[:, 0, : seen.used] - seen.position
+    every = (off**2).mean(axis=1)
     return _landscape("payload", masses, held.mass_kg, last, every)
 
 

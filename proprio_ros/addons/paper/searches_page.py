@@ -114,7 +114,8 @@ def _banded(
 
 def _between(values: np.ndarray, x: np.ndarray) -> list[Series]:
     """The least and the greatest of each column."""
-    return [Series("", x, end, "left-out") for end in (values.min(axis=0), values.max(axis=0))]
+    ends = (values.min(axis=0), values.max(axis=0))
+    return [Series("", x, end, "left-out") for end in ends]
 
 
 class _Searched(NamedTuple):

@@ -132,9 +132,11 @@ class SoftBody:
             mesh.tets.ravel(),
             np.repeat(0.25 * density * mesh.volumes, 4),
         )
-        self._points = mesh.points - np.array([mesh.low[0] + 0.5 * mesh.length, 0.0, 0.0])
+        middle = np.array([mesh.low[0] + 0.5 * mesh.length, 0.0, 0.0])
+        self._points = mesh.points - middle
         self._sides = np.zeros(len(mesh.points))
-        self._sides[mesh.end(0, False)], self._sides[mesh.end(0, True)] = -1.0, 1.0
+        self._sides[mesh.end(0, False)] = -1.0
+        self._sides[mesh.end(0, True)] = 1.0
         self._ends = np.flatnonzero(self._sides)
         inverses = mesh.gradients[:, 1:]
         shares = mesh.volumes / np.bincount(mesh.cells, mesh.volumes)[mesh.cells]
@@ -164,9 +166,12 @@ class SoftBody:
         """
         mesh = self.mesh
         gradients = mesh.gradients
-        local = mesh.volumes[:, None, None] * (gradients @ np.swapaxes(gradients, 1, 2))
-        index = np.repeat(mesh.tets, 4, axis=1).ravel(), np.tile(mesh.tets, (1, 4)).ravel()
-        viscous = coo_matrix((local.ravel(), index), shape=(len(mesh.points),) * 2).tocsr()
+        products = gradients @ np.swapaxes(gradients, 1, 2)
+        local = mesh.volumes[:, None, None] * products
+        rows = np.repeat(mesh.tets, 4, axis=1).ravel()
+        columns = np.tile(mesh.tets, (1, 4)).ravel()
+        shape = (len(mesh.points),) * 2
+        viscous = coo_matrix((local.ravel(), (rows, columns)), shape=shape).tocsr()
         moves = np.ones((len(mesh.points), 3), dtype=bool)
         moves[self._ends, : 3 if self.contact == "bonded" else 1] = False
         if not moves.any():
@@ -295,12 +300,14 @@ class SoftRollout:
             _doubles(currents[k * run.substeps : (k + self._frames) * run.substeps])
             for k in self._first
         ]
-        self._pressed_at_start = owner.travel * p[:, SOFT_INDEX["q0"]] > p[:, SOFT_INDEX["gap"]]
+        squeezed = owner.travel * p[:, SOFT_INDEX["q0"]]
+        self._pressed_at_start = squeezed > p[:, SOFT_INDEX["gap"]]
         self._segments: list[list[wp.array]] = []
         self.q = np.zeros((len(p), run.frames))
         self.v = np.zeros((len(p), run.frames))
         done = self._roll(start)
-        self.points, self.velocities = (array.numpy()[:, -1].copy() for array in done[2:_STATES])
+        self.points = done[2].numpy()[:, -1].copy()
+        self.velocities = done[3].numpy()[:, -1].copy()
         if not (np.isfinite(self.q).all() and np.isfinite(self.points).all()):
             raise SimulationError(
                 "the rollout diverged: a squeezed block is stiffer than at rest; take more substeps, or less current"
@@ -412,5 +419,6 @@ class SoftRollout:
         along = -half * (by_x[:, ends, 0] @ side)
         gradient[:, SOFT_INDEX["q0"]] += by_q + owner.travel * along
         gradient[:, SOFT_INDEX["gap"]] -= along
-        gradient[:, SOFT_INDEX["v0"]] += by_u - half * owner.travel * (by_v[:, ends, 0] @ side)
+        through_faces = half * owner.travel * (by_v[:, ends, 0] @ side)
+        gradient[:, SOFT_INDEX["v0"]] += by_u - through_faces
         return gradient

@@ -167,7 +167,8 @@ def _sysid_row(case: _Case) -> dict[str, Any]:
     except (ImportError, AttributeError):
         return _row("mujoco.sysid", None, why="not installed")
     logging.set_verbosity(logging.ERROR)
-    (_, mass), seconds = timed(SysidSearch(case, float(case.problem.simulator.runs[0].step_s)))
+    step_s = float(case.problem.simulator.runs[0].step_s)
+    (_, mass), seconds = timed(SysidSearch(case, step_s))
     return _row("mujoco.sysid", mass, seconds)
 
 

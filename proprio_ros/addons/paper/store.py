@@ -83,7 +83,8 @@ class Store:
 
     def write(self, task: Task, rows: Rows) -> None:
         """Keep rows."""
-        text = json.dumps({"experiment": task[0], "seed": task[1], "code": code(), "rows": rows})
+        name, seed = task
+        text = json.dumps({"experiment": name, "seed": seed, "code": code(), "rows": rows})
         write_in_one_step(self._path(task), text + "\n", "--out")
 
     def _path(self, task: Task) -> Path:

@@ -186,7 +186,11 @@ class SqueezeLastFrame:
         self._body = SoftBody(mesh, mass, 2.0 * drive.transmission, contact="frictionless")
         frames = round(float(times[-1]) / SQUEEZE_FRAME_S)
         self._run = SoftRun(
-            np.zeros(1), np.array([abs(current)]), frames, times[-1] / frames, SQUEEZE_SUBSTEPS
+            np.zeros(1),
+            np.array([abs(current)]),
+            frames,
+            times[-1] / frames,
+            SQUEEZE_SUBSTEPS,
         )
         given = {
             name: getattr(drive, name).value for name in ("torque_constant", "coulomb", "viscous")
