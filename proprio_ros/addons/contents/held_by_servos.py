@@ -118,7 +118,13 @@ class HeldJoint:
         return joint_torque(self.model, motion, row, self.inertias)[:, 0]
 
     def slope(self, times_s: FloatArray, load: FloatArray, further: FloatArray) -> float:
-        """The torque's mean change by one of position, velocity and acceleration, the one of ``further`` that is not zero."""
+        """The torque's mean change by one of position, velocity and acceleration, the one of ``further`` that is not zero.
+
+        Args:
+            times_s: Instants of the others' motion [s], shape (T,).
+            load: What the joint needs at them where it is held [N m], shape (T,).
+            further: Position, velocity and acceleration [rad, rad/s, rad/s^2], two of them zero, shape (3,).
+        """
         moved = self.torque(times_s[::10], further.tolist())
         return float(np.mean(moved - load[::10])) / STEP
 

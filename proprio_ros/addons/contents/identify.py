@@ -94,8 +94,18 @@ def weighted(
     kinds: np.ndarray,
     explains: np.ndarray,
 ) -> np.ndarray:
-    """Probabilities of M models by logarithms of evidence, shape (M,), the first of nothing inside; whether each explains it."""
-    logs, moves = logs.copy(), np.isin(kinds, MOVING)
+    """Probabilities of M models by logarithms of evidence, shape (M,), the first of nothing inside; whether each explains it.
+
+    Args:
+        logs: Logarithms of the models' evidence, shape (M,), the first of nothing inside.
+        kinds: Kind of each model, shape (M,).
+        explains: Whether each explains the recording, shape (M,).
+
+    Returns:
+        Shape (M,), with a sum of 1.
+    """
+    logs = logs.copy()
+    moves = np.isin(kinds, MOVING)
     rigid = max(
         np.flatnonzero(kinds == "rigid"),
         key=lambda row: logs[row],
@@ -124,7 +134,18 @@ def fitted(
     filled: Sequence[bool],
     model: str,
 ) -> list[FitResult]:
-    """A model's search from all starts, and the best from there on, with held joints as the motion before moves them."""
+    """A model's search from all starts, and the best from there on, with held joints as the motion before moves them.
+
+    Args:
+        robot: The arm.
+        runs: What is fitted.
+        facts: The container.
+        filled: Which of the runs have the contents.
+        model: One of `models.MODELS`.
+
+    Returns:
+        The first search's fit and the best one.
+    """
 
     def search(
         problem: law.ContentsProblem,
@@ -167,6 +188,12 @@ def find_contents(
     baseline: Sequence[Run] = (),
 ) -> Estimate:
     """Identify what is in the container in all ``runs``; the baseline is runs with it empty.
+
+    Args:
+        robot: The arm.
+        runs: With the contents.
+        facts: The container.
+        baseline: With the container empty.
 
     Raises:
         ConfigurationError: Neither a baseline nor the container's mass.
@@ -310,7 +337,8 @@ class ContentsFound(Conclusion):
     @property
     def viscosity_class(self) -> str:
         """In words, where its whole interval is in one class."""
-        if (known := self.log_damping) is None:
+        known = self.log_damping
+        if known is None:
             return ""
         log, std = known
         ends = [self.viscosity(log + side * Z95 * std) for side in (-1.0, 1.0)]

@@ -101,7 +101,13 @@ class Slosh:
 
 
 def damping_ratio(radius: float, fill: float, viscosity: float) -> float:
-    """Of the first mode; kinematic viscosity in m^2/s."""
+    """Of the first mode; kinematic viscosity in m^2/s.
+
+    Args:
+        radius: Of the cylinder [m].
+        fill: How high the liquid stands [m].
+        viscosity: Kinematic [m^2/s].
+    """
     deep = FIRST_MODE * fill / radius
     near = (1.0 - fill / radius) / np.cosh(deep) + 1.0
     return float(
@@ -299,7 +305,13 @@ def container_seen(
     run: PreparedRun,
     facts: ContentsFacts,
 ) -> tuple[float, SloshRun]:
-    """The cosine between the axes of the joint and the container, and what the law needs of a run's geometry."""
+    """The cosine between the axes of the joint and the container, and what the law needs of a run's geometry.
+
+    Args:
+        robot: The arm.
+        run: Whose joint turns the container.
+        facts: The container.
+    """
     model = reduced_model(robot, run.run, {})
     _, body_from_payload = model.frames[robot.payload_frame]
     axis, gravity = axis_and_gravity(model)

@@ -249,7 +249,13 @@ def readable(
     most: int,
     request: Request,
 ) -> list[Motion]:
-    """Motions of at most so many episodes, evenly over those there are; what cannot be read is left out."""
+    """Motions of at most so many episodes, evenly over those there are; what cannot be read is left out.
+
+    Args:
+        episodes: With an empty hand.
+        most: How many to read.
+        request: How to read them.
+    """
     found = []
     for episode in evenly(episodes, most):
         with suppress(ProprioError):  # its row says why

@@ -22,8 +22,9 @@ from proprio_ros.robot import Robot
 LEAST_S = 0.5  # a stretch with less motion than this says nothing [s]
 GRIPPERS = ("gripper", "finger", "jaw")
 """A joint with one of these in its name moves the fingers, and so does one that slides."""
-BEFORE_S, AFTER_S = 1.0, 0.5
-"""A gripper that lets go or takes hold does so within this of the change of the load, whose instant is known to some tenths [s]."""
+# a gripper that lets go or takes hold does so within this of the change of the load, whose instant is known to some tenths [s]
+BEFORE_S = 1.0
+AFTER_S = 0.5
 # of its range; a gripper that moves less stands still: an object gives way, and motors have play
 MOVED_SHARE = 0.05
 

@@ -39,7 +39,13 @@ def processors() -> int:
 
 
 def chunk_size(episodes: int, workers: int, most: int = CHUNK) -> int:
-    """Small enough that every worker has many, so that none works long after the others have ended."""
+    """Small enough that every worker has many, so that none works long after the others have ended.
+
+    Args:
+        episodes: How many there are.
+        workers: How many compute.
+        most: Episodes per file at most.
+    """
     return max(1, min(most, episodes // (16 * workers)))
 
 
@@ -52,7 +58,13 @@ class Done:
 
 
 def compute(episodes: Sequence[Episode], job: Job, folder: str) -> Done:
-    """Rows of a chunk, written, but for those of episodes that the computer could not do."""
+    """Rows of a chunk, written, but for those of episodes that the computer could not do.
+
+    Args:
+        episodes: Those of one chunk.
+        job: What is asked of each.
+        folder: Where the file of rows goes.
+    """
     rows = rows_of_all(episodes, job)
     kept = lasting(rows)
     undone = [row for row in rows if row not in kept]
@@ -73,7 +85,16 @@ def run_local(
     tell: Callable[[str], Any],
     most: int = CHUNK,
 ) -> None:
-    """Answer episodes in so many processes at a time, at most so many episodes per file; ``tell`` hears how far it is."""
+    """Answer episodes in so many processes at a time, at most so many episodes per file; ``tell`` hears how far it is.
+
+    Args:
+        episodes: What is to be answered.
+        job: What is asked of each.
+        store: Takes the rows.
+        processes: How many at a time.
+        tell: Hears how far it is.
+        most: Episodes per file at most.
+    """
     waiting = deque(
         _Chunk(group) for group in chunks_of(episodes, chunk_size(len(episodes), processes, most))
     )

@@ -44,6 +44,15 @@ def run_ray(
     Its ``address`` is as for ``ray.init``; None: the one that runs here, else a new one on this machine. ``quiet`` leaves Ray's own
     progress bars out.
 
+    Args:
+        episodes: What is to be answered.
+        job: What is asked of each.
+        store: Takes the rows.
+        address: As for ``ray.init``; None: the cluster that runs here, else a new one on this machine.
+        tell: Hears how far it is.
+        most: Episodes per file at most.
+        quiet: Whether Ray's own progress bars are left out.
+
     Raises `ConfigurationError`: Ray is missing, or its cluster cannot be reached.
     """
     ray = ray_or_refuse()

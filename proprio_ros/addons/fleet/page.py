@@ -38,8 +38,10 @@ OWN = Own(
         for name in ("rows.css", "rows.js")
     )
 )
-MOST_PLOTS, MOST_LISTED, MOST_CAUSES, EXAMPLES = 12, 50_000, 20, 3
-"""Plots, of the sources with the most episodes; rows; causes; episodes that are named with each cause."""
+MOST_PLOTS = 12  # of the sources with the most episodes
+MOST_LISTED = 50_000  # rows
+MOST_CAUSES = 20
+EXAMPLES = 3  # episodes that are named with each cause
 ODD_SIGMAS = 5.0
 """So far from the source's median, by the spread of the rest and its own standard deviation, a value is listed."""
 _HELP = {
@@ -319,7 +321,10 @@ def _all(
         f"<button type=button data-key='{key}'>{escape(words)}</button></th>"
         for key, words in heads
     )
-    pages = {n: reports[name] for n, row in enumerate(rows) if (name := named(row)) in reports}
+    pages = {}
+    for number, row in enumerate(rows):
+        if named(row) in reports:
+            pages[number] = reports[named(row)]
     about = {"replay": asked(options), "check": asked(options, True)}
     data = listing(
         rows,

@@ -27,9 +27,11 @@ from proprio_ros.version import __version__
 
 Row = dict[str, Any]
 
-EPISODE, PART, GRASP, FAILED = "episode", "part", "grasp", "failed"
-"""Kinds of rows: a whole episode; a part of one that is too long to be answered at once; a stretch in which one thing was held;
-what could not be read or identified."""
+# kinds of rows
+EPISODE = "episode"  # a whole one
+PART = "part"  # of one that is too long to be answered at once
+GRASP = "grasp"  # a stretch in which one thing was held
+FAILED = "failed"  # what could not be read or identified
 MACHINE = "machine"
 """Code of a reason that is the computer's; such a row is not kept."""
 COLUMNS = {
@@ -113,7 +115,16 @@ def spans_of(
     job: Job,
     request: Request,
 ) -> list[Span | None]:
-    """The parts in which an episode is answered; one, unless it is long. Raises `RecordingError`: It cannot be read."""
+    """The parts in which an episode is answered; one, unless it is long.
+
+    Args:
+        episode: What is answered.
+        job: What is asked of it.
+        request: How it is read.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
     parts: Sequence[Span] = []
     if episode.index is not None:
         parts = parts_of_episode(episode.source, episode.index, MOST_SAMPLES)
@@ -125,7 +136,8 @@ def spans_of(
         )
     if len(parts) < 2:
         return [_later(None, job)]
-    return [later for part in parts if (later := _later(part, job)) is not None]
+    later = [_later(part, job) for part in parts]
+    return [part for part in later if part is not None]
 
 
 def _bytes_of(bag: Path) -> int:
@@ -245,7 +257,14 @@ def _row(
 
 
 def failed_row(episode: Episode, job: Job, reason: str, code: str) -> Row:
-    """The row of an episode that has no answer."""
+    """The row of an episode that has no answer.
+
+    Args:
+        episode: What could not be answered.
+        job: What was asked of it.
+        reason: The sentence that says why.
+        code: The reason's code.
+    """
     robot = "" if job.options.robot is None else Path(job.options.robot).stem
     why = {"reasons": [reason], "reason_codes": [code], "robot": robot}
     alone = {"segment": 0, "segments": 1, "elapsed_s": 0.0}
@@ -326,7 +345,8 @@ def _of_grasp(
     grasp: Grasp,
     used: Mapping[str, str],
 ) -> Row:
-    verdict, (low, high) = "accepted" if grasp.known else "too_wide", grasp.ci95_kg
+    verdict = "accepted" if grasp.known else "too_wide"
+    low, high = grasp.ci95_kg
     as_whole = {
         name: whole[name] for name in ("recorded_ns", "joints", "quantity", "unit", "robot")
     }

@@ -67,7 +67,8 @@ class Store:
     """
 
     def __init__(self, folder: Path, job: Job) -> None:
-        self.folder, self.rows = real_path(folder), real_path(folder) / "rows"
+        self.folder = real_path(folder)
+        self.rows = self.folder / "rows"
         arrow()
         try:
             self.rows.mkdir(parents=True, exist_ok=True)

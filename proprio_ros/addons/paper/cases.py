@@ -70,7 +70,13 @@ def calibrated_robot(seed: int, sequence: str) -> Robot:
 
 
 def one_lift(robot: Robot, run: Run, facts: PayloadFacts) -> Problem:
-    """A mass from one run of a robot whose numbers are taken as exact, with where and how fast the joint began."""
+    """A mass from one run of a robot whose numbers are taken as exact, with where and how fast the joint began.
+
+    Args:
+        robot: The arm.
+        run: One lift.
+        facts: The payload.
+    """
     prepared = prepare_run(robot, run, None, facts)
     return Problem(
         robot,
@@ -104,7 +110,17 @@ def soft_cube(name: str) -> SoftBlock:
 def squeezed(
     robot: Robot, run: Run, moduli: Sequence[float], ratio: float
 ) -> tuple[SqueezeProblem, np.ndarray]:
-    """One squeeze of a cube as simulated with some moduli [Pa], nothing else unknown; and positions, shape (S, T)."""
+    """One squeeze of a cube as simulated with some moduli [Pa], nothing else unknown; and positions, shape (S, T).
+
+    Args:
+        robot: The arm.
+        run: One squeeze.
+        moduli: Young's moduli [Pa], S of them.
+        ratio: Poisson's.
+
+    Returns:
+        The problem, and the positions of the joint [rad], shape (S, T).
+    """
     facts = BlockFacts(np.full(3, EDGE_M))
     prepared = prepare_run(robot, run, KnownLoad(), past_fast=True)
     unknowns = [

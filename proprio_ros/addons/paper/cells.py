@@ -21,7 +21,13 @@ def identified(
     scale: float,
     digits: int = 1,
 ) -> list[str]:
-    """Cells of one way over the seeds: value, error, interval, how many hold the truth, verdicts."""
+    """Cells of one way over the seeds: value, error, interval, how many hold the truth, verdicts.
+
+    Args:
+        rows: Of one way, a row a seed.
+        scale: From SI to the table's unit.
+        digits: After the point.
+    """
     value = over([row["value"] for row in rows], scale, digits)
     return [
         value,
@@ -39,7 +45,15 @@ def linked(
     numbers: Sequence[int],
     labels: int = 1,
 ) -> str:
-    """A table whose rows can be linked to: by its name and what stands in the first ``labels`` cells."""
+    """A table whose rows can be linked to: by its name and what stands in the first ``labels`` cells.
+
+    Args:
+        name: Of the table.
+        header: Titles of the columns.
+        rows: Cells.
+        numbers: Which columns are numbers.
+        labels: How many cells say which row it is.
+    """
     ids = [slug(name, *row[:labels]) for row in rows]
     return table(header, rows, numbers, ids, labels)
 
@@ -55,7 +69,13 @@ def over(
     scale: float = 1.0,
     digits: int = 1,
 ) -> str:
-    """Mean and standard deviation over seeds."""
+    """Mean and standard deviation over seeds.
+
+    Args:
+        values: One a seed; None where there is none.
+        scale: From SI to the table's unit.
+        digits: After the point.
+    """
     known = scale * np.array([value for value in values if value is not None])
     if not len(known):
         return "-"
@@ -68,7 +88,13 @@ def rms(
     scale: float,
     digits: int = 1,
 ) -> str:
-    """Root mean square of the errors, and the least and the greatest of them."""
+    """Root mean square of the errors, and the least and the greatest of them.
+
+    Args:
+        rows: Of one way, a row a seed.
+        scale: From SI to the table's unit.
+        digits: After the point.
+    """
     off = [abs(row["value"] - row["truth"]) for row in rows if row["value"] is not None]
     if not off:
         return "-"
@@ -81,7 +107,14 @@ def ranged(
     scale: float,
     digits: int,
 ) -> str:
-    """A number for many, with the least and the greatest of them."""
+    """A number for many, with the least and the greatest of them.
+
+    Args:
+        middle: The number.
+        values: Those that it stands for.
+        scale: From SI to the table's unit.
+        digits: After the point.
+    """
     word = f"{scale * middle:.{digits}f}"
     if len(values) < 2:
         return word
@@ -100,7 +133,13 @@ def half(
     scale: float,
     digits: int = 1,
 ) -> str:
-    """Half the width of the intervals: median, least and greatest."""
+    """Half the width of the intervals: median, least and greatest.
+
+    Args:
+        rows: Of one way, a row a seed.
+        scale: From SI to the table's unit.
+        digits: After the point.
+    """
     known = [0.5 * (row["high"] - row["low"]) for row in rows if row["low"] is not None]
     return "\u00b1" + ranged(float(np.median(known)), known, scale, digits) if known else "-"
 

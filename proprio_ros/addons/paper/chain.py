@@ -96,7 +96,13 @@ def doubles(values: ArrayLike, dtype: Any, **kwargs: Any) -> wp.array:
 
 
 def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayLike) -> Any:
-    """What no parameter changes, as the kernels read it."""
+    """What no parameter changes, as the kernels read it.
+
+    Args:
+        model: The bodies and their n joints.
+        friction_velocity: Where Coulomb's law is smoothed [rad/s or m/s], shape (n,).
+        supply: Voltage [V], back-EMF constant [V s/rad] and resistance [ohm] of each joint, shape (n, 3).
+    """
     n = len(model.joint_names)
     turn = np.zeros((n, 3, 3, 3))
     shift = np.zeros((n, 2, 3))

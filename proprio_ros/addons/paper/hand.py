@@ -29,8 +29,10 @@ from proprio_ros.virtual.truth import Truth
 
 PERIOD_S = 0.001
 RATE_HZ = 40.0
-COUNT_RAD, COUNT_A, COUNT_RAD_S = 2.0 * np.pi / 4096, 0.00269, 0.02398
-"""XM430-W350: of the encoder, the current and the velocity."""
+# one count of an XM430-W350's encoder, current and velocity
+COUNT_RAD = 2.0 * np.pi / 4096
+COUNT_A = 0.00269
+COUNT_RAD_S = 0.02398
 SUPPLY_V = 12.0
 BACK_EMF_V_S = 2.49
 RESISTANCE_OHM = 5.22

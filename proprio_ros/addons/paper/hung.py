@@ -187,7 +187,14 @@ class HungSimulator:
         dp: np.ndarray,
         counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As ``JointSimulator.jacobian``; all samples are computed whatever the ``counts``."""
+        """As ``JointSimulator.jacobian``; all samples are computed whatever the ``counts``.
+
+        Args:
+            world_run: Run of each world, shape (W,).
+            p: Parameters, shape (W, P).
+            dp: Directions, shape (W, P, D).
+            counts: Ignored.
+        """
         shape = (len(world_run), int(self.sample_counts.max()))
         q = np.zeros(shape)
         v = np.zeros(shape)
@@ -280,7 +287,13 @@ def hung_unknowns(
     runs: Sequence[PreparedRun],
     hung: Hung,
 ) -> list[Unknown]:
-    """The payload's mass, what its joint does, where it began in each run, and what is open about the robot."""
+    """The payload's mass, what its joint does, where it began in each run, and what is open about the robot.
+
+    Args:
+        robot: The arm.
+        runs: R runs.
+        hung: The payload and its joint.
+    """
     slides = hung.kind == "prismatic"
     unknowns = [
         Unknown("payload_mass", 0.05, np.inf, 1e-4, 20.0, asinh_scale=0.005),
@@ -309,6 +322,11 @@ def identify_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> Answer:
     """The mass [kg] of a payload on a joint of its own, from runs of a calibrated robot's joint from rest.
 
     Its interval is widened where the fit is worse than the encoder explains, which the verdict says.
+
+    Args:
+        robot: The arm, calibrated.
+        runs: Of a joint from rest, with the payload in the hand.
+        hung: The payload and its joint.
     """
     began = time.process_time()
     prepared = [prepare_run(robot, run, KnownLoad()) for run in runs]

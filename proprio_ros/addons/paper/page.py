@@ -46,6 +46,13 @@ def write_paper_page(
     """Write the page, with the command that makes it again; ConfigurationError where the file cannot be written.
 
     ``recording`` is what ``published`` made of the paper's own recording, where it was given.
+
+    Args:
+        found: Rows of each seed by experiment.
+        path: Where the page goes.
+        command: The command line that makes it again.
+        seeds: How many robots were drawn.
+        recording: What ``published`` made of the paper's own recording, where it was given.
     """
     parts = [
         *paper_parts(found, seeds, recording),
@@ -60,7 +67,13 @@ def paper_parts(
     seeds: int,
     recording: Rows | None = None,
 ) -> list[str]:
-    """What the page says, as HTML; the documentation takes its tables and figures from here."""
+    """What the page says, as HTML; the documentation takes its tables and figures from here.
+
+    Args:
+        found: Rows of each seed by experiment.
+        seeds: How many robots were drawn.
+        recording: What ``published`` made of the paper's own recording, where it was given.
+    """
     parts = _head(seeds, recording is not None)
     for name, section in SECTIONS.items():
         if found.get(name):

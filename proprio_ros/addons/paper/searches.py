@@ -118,6 +118,13 @@ def tree_parzen(
 
     The best quarter of the points (at most 25) makes one density, the others make the other; of 24 draws from the first the one
     with the greatest ratio of the two is tried next. Ten points come first, nine of them drawn evenly.
+
+    Args:
+        cost: Of a point, shape (F,).
+        low: The box's lower ends, shape (F,).
+        high: Its upper ends, shape (F,).
+        first: The first guess, shape (F,).
+        rng: Draws the points.
     """
     points = [first]
     costs = [cost(first)]

@@ -186,7 +186,13 @@ class SoftBody:
         )
 
     def most_step_s(self, mu: float, lam: float, viscosity: float = 0.0) -> float:
-        """Longest stable step at rest [s]: h^2 omega^2 + 2 h c < 4 with the fastest wave's omega and damping c."""
+        """Longest stable step at rest [s]: h^2 omega^2 + 2 h c < 4 with the fastest wave's omega and damping c.
+
+        Args:
+            mu: Lame's second parameter, the shear modulus [Pa].
+            lam: Lame's first parameter [Pa].
+            viscosity: Of the block [Pa s].
+        """
         shear, bulk, viscous = self._fastest
         omega2 = mu * shear + max(lam, 0.0) * bulk
         damping = viscosity * viscous

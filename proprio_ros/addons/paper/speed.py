@@ -41,7 +41,8 @@ class _Case:
     def __init__(self) -> None:
         robot = stated_robot()
         (run,) = bag_runs(share_directory() / "bags" / BAG / "bag_mcap", Request(robot))
-        self.robot, self.run = robot, run
+        self.robot = robot
+        self.run = run
         self.facts = PayloadFacts(shape=PayloadShape.of("sphere", 0.04))
         self.problem = one_lift(robot, run, self.facts)
         (self.prepared,) = self.problem.runs
@@ -354,6 +355,12 @@ def _instrument(spec: Any, case: _Case) -> None:
 
 
 def set_mass(body: Any, mass: float, case: _Case) -> None:
-    """Give the payload body a mass [kg], and the inertia that goes with it."""
+    """Give the payload body a mass [kg], and the inertia that goes with it.
+
+    Args:
+        body: Of MuJoCo's specification.
+        mass: What it weighs [kg].
+        case: Whose payload it is.
+    """
     body.mass = mass
     body.inertia = mass * np.diag(inertia_about_origin(case.facts.shape.second_moment_per_mass))

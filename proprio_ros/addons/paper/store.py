@@ -127,6 +127,13 @@ def run(
     """All rows by experiment, in the order of the seeds; what is kept is not computed again.
 
     No names are all experiments. So many processes work at a time; those that take times run alone.
+
+    Args:
+        store: Keeps the rows.
+        names: The experiments; none: all.
+        seeds: How many robots are drawn.
+        processes: How many work at a time; what takes times runs alone.
+        tell: Hears how far it is.
     """
     wanted = tasks_of(names, seeds)
     missing = [task for task in wanted if store.read(task) is None]

@@ -30,12 +30,14 @@ _Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 SPHERE_STARTS_KG = (0.002, 0.006, 0.015, 0.04, 0.1)
 LIGHTEST_SPHERE_KG = 0.001
-SPHERE_RATE, SPHERE_ITERATIONS = 0.002, 200
-"""Of Adam for the sphere [kg per iteration]: the authors' 10 g would step over a sphere of 12 g."""
+# of Adam for the sphere [kg per iteration]: the authors' 10 g would step over a sphere of 12 g
+SPHERE_RATE = 0.002
+SPHERE_ITERATIONS = 200
 SQUEEZE_FRAME_S = 1.0 / 60.0
 SQUEEZE_SUBSTEPS = 192
-CUBE_RATE, CUBE_ITERATIONS = 0.15, 30
-"""Of Adam for the cube, in logarithms of the Lame parameters: with the authors' 0.01 it would not arrive."""
+# of Adam for the cube, in logarithms of the Lame parameters: with the authors' 0.01 it would not arrive
+CUBE_RATE = 0.15
+CUBE_ITERATIONS = 30
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,13 @@ def ours(identify: Callable[[], Estimate], name: str) -> Answer:
 
 
 def answered(estimate: Estimate, name: str, seconds: float | None = None) -> Answer:
-    """A value of an estimate as an answer."""
+    """A value of an estimate as an answer.
+
+    Args:
+        estimate: Whose value it is.
+        name: Of the value.
+        seconds: What it took.
+    """
     value = estimate.value(name)
     low, high = (None, None) if value.ci95 is None else value.ci95
     why = (
@@ -85,7 +93,13 @@ def answered(estimate: Estimate, name: str, seconds: float | None = None) -> Ans
 
 
 def paper_mass(robot: Robot, run: Run, facts: PayloadFacts) -> Answer:
-    """The paper's way with a schedule long enough to reach the least error, from five starts."""
+    """The paper's way with a schedule long enough to reach the least error, from five starts.
+
+    Args:
+        robot: The arm, taken as exact.
+        run: One lift.
+        facts: The payload.
+    """
     options = PaperOptions()
     make = partial(last_frame_loss, robot, run, facts, options)
     return _descended(
@@ -158,7 +172,13 @@ class SphereLastFrame:
 
 
 def paper_sphere(robot: Robot, run: Run, facts: problem.ContainerFacts) -> Answer:
-    """The paper's way for the sphere's mass, from five starts."""
+    """The paper's way for the sphere's mass, from five starts.
+
+    Args:
+        robot: The arm, taken as exact.
+        run: One run of the container.
+        facts: The container.
+    """
     make = partial(SphereLastFrame, robot, run, facts)
     return _descended(make, SPHERE_STARTS_KG, SPHERE_RATE, SPHERE_ITERATIONS, LIGHTEST_SPHERE_KG)
 
@@ -224,7 +244,16 @@ def paper_cube(
     mass: float,
     start_Pa: tuple[float, float],
 ) -> Answer:
-    """The paper's way for a soft cube, from one first guess of its Lame parameters; the answer is Young's modulus [Pa]."""
+    """The paper's way for a soft cube, from one first guess of its Lame parameters; the answer is Young's modulus [Pa].
+
+    Args:
+        robot: The arm, taken as exact.
+        run: One squeeze.
+        edge_m: Of the cube [m].
+        gap_m: How far the fingers come together before both touch it [m].
+        mass: Of the cube [kg].
+        start_Pa: First guess of mu and lambda [Pa].
+    """
     started = time.process_time()
     loss = SqueezeLastFrame(robot, run, edge_m, gap_m, mass)
     first = np.log(np.array([start_Pa]))
