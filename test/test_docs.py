@@ -14,7 +14,7 @@ from typing import Any
 import figures
 import pytest
 from ruamel.yaml import YAML
-from support.pages import (
+from support.documents import (
     PACKAGE,
     PAGES,
     QUESTIONS,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import figures
 import pytest
-from support.pages import (
+from support.documents import (
     FENCED,
     FOLDER,
     PACKAGE,
