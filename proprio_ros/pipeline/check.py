@@ -22,12 +22,12 @@ from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.loading import (
-    refuse_uncalibrated,
     runs_or_motion,
     turning_joints,
     unit_not_used,
 )
 from proprio_ros.pipeline.looked_into import BagCheck, MotionCheck, RunCheck
+from proprio_ros.pipeline.replay import refuse_uncalibrated
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import all_probes
 from proprio_ros.recordings.contents import Contents

@@ -74,14 +74,6 @@ def bag_motion(path: Path, request: Request) -> Motion:
     return _motion(bag_recording(path, request), request)
 
 
-def bag_runs_or_motion(path: Path, request: Request) -> tuple[Run, ...] | Motion:
-    """The runs of one bag, or its motion where several joints were driven at once, or one under a controller.
-
-    Raises `RecordingError`: It cannot be read, or holds neither.
-    """
-    return found_in(bag_recording(path, request), request)
-
-
 def runs_in(recording: Recording, request: Request) -> tuple[Run, ...]:
     """Runs, with what was noted of the recording. Raises `RecordingError`: It holds none."""
     return _noted(_runs(recording, request), recording, request)
@@ -181,15 +173,6 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
         learnt = robot.motion_calibration is not None or robot.joint_calibration is not None
         return learnt and robot.calibration is None
     return not inputs.current_A.any()
-
-
-def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:
-    """Raises: RecordingError: only motions were calibrated, and these are runs."""
-    if runs and robot.calibration is None and robot.motion_calibration is not None:
-        raise RecordingError(
-            f"{runs[0].name}: one joint was driven; --calibration {robot.source.name} was made from motions of several and says "
-            "nothing about such runs: calibrate with empty-hand runs, or leave it out"
-        )
 
 
 def turning_joints(robot: Robot) -> list[str]:

@@ -23,7 +23,6 @@ from proprio_ros.pipeline.loading import (
     bag_motion,
     bag_runs,
     load,
-    refuse_uncalibrated,
 )
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
@@ -140,6 +139,15 @@ def _refuse_unsuited(
     if (swings := [run.name for run in runs if run.free]) and not isinstance(probe, TakesMotions):
         raise RecordingError(
             f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives"
+        )
+
+
+def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:
+    """Raises: RecordingError: only motions were calibrated, and these are runs."""
+    if runs and robot.calibration is None and robot.motion_calibration is not None:
+        raise RecordingError(
+            f"{runs[0].name}: one joint was driven; --calibration {robot.source.name} was made from motions of several and says "
+            "nothing about such runs: calibrate with empty-hand runs, or leave it out"
         )
 
 

@@ -20,7 +20,7 @@ from proprio_ros.identification.regression.recording_variability import (
 )
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
-from proprio_ros.pipeline.loading import bag_recording, bag_runs_or_motion
+from proprio_ros.pipeline.loading import bag_recording, load
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.quantity import Quantity
@@ -191,7 +191,7 @@ def test_the_stall_current_follows_from_goal_position_and_voltage(
 ) -> None:
     bag = write(tmp_path / "bag", rows)
     robot = load_robot(robot_file(tmp_path, delay="{value: 0.025, std: 0.0}"))
-    motion: Any = bag_runs_or_motion(bag, Request(robot))
+    motion: Any = load(bag, Request(robot)).found
     assert "stall current, from goal" in motion.source
     true = rows["duty"] * (12.0 - 0.2 * np.sin(3.0 * rows["t"])) / 2.0
     assert np.sqrt(np.mean(np.square(motion.current_A[:, 0] - true))) < 0.05 * np.std(true)
@@ -211,7 +211,7 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(
         ),
         ("voltage",),
     )
-    motion: Any = bag_runs_or_motion(bag, Request(load_robot(robot_file(tmp_path, DUTY))))
+    motion: Any = load(bag, Request(load_robot(robot_file(tmp_path, DUTY)))).found
     np.testing.assert_allclose(
         motion.current_A[:, 0],
         rows["duty"] * 6.0,
@@ -219,7 +219,7 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(
     )
     stated = load_robot(robot_file(tmp_path, DUTY, more="      supply_voltage_V: 12.0\n"))
     without = write(tmp_path / "no_voltage", rows, counts, ())
-    motion = bag_runs_or_motion(without, Request(stated))
+    motion = load(without, Request(stated)).found
     np.testing.assert_allclose(motion.current_A[:, 0], 6e-3 * counts)
     assert "12 V as stated" in motion.source
 
