@@ -15,7 +15,11 @@ class ArmTerms:
     count: int  # of joints, n
     first: int = 0  # so many unknowns stand before the arm's
 
-    def _after(self, per_joint: int, kinds: int = 1) -> slice:
+    def _after(
+        self,
+        per_joint: int,
+        kinds: int = 1,
+    ) -> slice:
         """Some kinds of terms behind others, of which each joint has so many."""
         start = self.first + per_joint * self.count
         return slice(start, start + kinds * self.count)
@@ -49,7 +53,10 @@ class ArmTerms:
     @property
     def friction(self) -> slice:
         """Viscous friction, Coulomb friction and offset of a motion."""
-        return self._after(PARAMETERS + len(DRIVE_TERMS), len(FRICTION_TERMS))
+        return self._after(
+            PARAMETERS + len(DRIVE_TERMS),
+            len(FRICTION_TERMS),
+        )
 
     @property
     def coulomb(self) -> slice:

@@ -85,7 +85,10 @@ class Stances:
         motion: Motion,
         joints: Sequence[str],
     ) -> Stances:
-        """Those of a recording, of some of its joints."""
+        """Those of a recording.
+
+        ``robot``: whose encoders they are; ``motion``: the recording; ``joints``: some of its joints, n.
+        """
         columns = [motion.joints.index(name) for name in joints]
         position = motion.position[:, columns]
         current = motion.current_A[:, columns]
@@ -93,10 +96,17 @@ class Stances:
         found: list[_Stance] = []
         for first, end in _quiet_spans(motion.times_s, position, band):
             settled_s = motion.times_s[first] + SETTLING_S
-            stood = slice(int(np.searchsorted(motion.times_s, settled_s)), end)
+            stood = slice(
+                int(np.searchsorted(motion.times_s, settled_s)),
+                end,
+            )
             at = position[stood].mean(axis=0)
             way = _way_there(position[:first], at, band)
-            stance = _Stance(at, current[stood].mean(axis=0), way)
+            stance = _Stance(
+                at,
+                current[stood].mean(axis=0),
+                way,
+            )
             if found and stance.repeats(found[-1]):
                 found.pop()
             found.append(stance)
@@ -150,7 +160,11 @@ def _quiet_spans(
         yield first, end
 
 
-def _way_there(before: FloatArray, at: FloatArray, band: FloatArray) -> FloatArray:
+def _way_there(
+    before: FloatArray,
+    at: FloatArray,
+    band: FloatArray,
+) -> FloatArray:
     """The sign of each joint's way to a pose from where it last was away from it; 0 where it never was, shape (n,)."""
     way = np.zeros(len(at))
     for joint, away in enumerate((np.abs(before - at) > band).T):
@@ -202,7 +216,11 @@ def fit_at_rest(
     """
     check_arm(robot, motions, calibration)
     motions = [motion.complete() for motion in motions]
-    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
+    arm = Arm.of(
+        robot,
+        calibration.joints,
+        dict(motions[0].held),
+    )
     if centre_std_m is None:
         centre_std_m = payload_stds(arm)[1:4]
     found = [Stances.of(robot, motion, calibration.joints) for motion in motions]
@@ -211,7 +229,13 @@ def fit_at_rest(
     if len(stood.way):
         fits.append(_by_stances(arm, calibration, stood, centre_m, centre_std_m))
     if len(motions) == 1:
-        fits += _in_motion(robot, motions[0], calibration, centre_m, centre_std_m)
+        fits += _in_motion(
+            robot,
+            motions[0],
+            calibration,
+            centre_m,
+            centre_std_m,
+        )
     if not fits:
         raise TooLittleMotion(
             f"{motions[0].name}: the arm neither stands still for {SHORTEST_S:g} s nor moves for long enough: hold it in several "
@@ -220,7 +244,10 @@ def fit_at_rest(
     if len(fits) == 1:
         return fits[0]
     coarser, finer = sorted(fits, key=lambda fit: -fit.std_kg)
-    return replace(finer, beside=(coarser.mass_kg, coarser.std_kg))
+    return replace(
+        finer,
+        beside=(coarser.mass_kg, coarser.std_kg),
+    )
 
 
 def _in_motion(
@@ -262,7 +289,10 @@ def _by_stances(
     mass = 0.0
     for _ in range(ROUNDS):
         errors = equations.errors(mass)
-        covariance = np.sum(list(errors.parts.values()), axis=0)  # (E, E)
+        covariance = np.sum(
+            list(errors.parts.values()),
+            axis=0,
+        )  # (E, E)
         weighted = np.linalg.solve(covariance, equations.lever)
         gain = weighted / max(float(equations.lever @ weighted), 1e-12)  # (E,)
         before = mass
@@ -370,7 +400,11 @@ class _StanceEquations:
         of_friction = friction * np.where(self._way != 0.0, ARRIVED_STD, ANYWHERE_STD)
         same_joint = self._joint[:, None] == self._joint
         alike = same_joint & (self._way[:, None] == self._way)
-        common = np.where(alike, ALIKE * np.outer(of_friction, of_friction), 0.0)
+        common = np.where(
+            alike,
+            ALIKE * np.outer(of_friction, of_friction),
+            0.0,
+        )
         residual = self._calibration.residual[self._joint]
         return common + np.diag((1.0 - ALIKE) * of_friction**2 + residual**2)
 
@@ -382,7 +416,12 @@ class StandingEstimator(OnlineEstimator):
     arm's motion said before then stands no longer; and nothing is known while an arm moves that nobody sends anywhere.
     """
 
-    def __init__(self, robot: Robot, calibration: MotionCalibration, **known: Any) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        calibration: MotionCalibration,
+        **known: Any,
+    ) -> None:
         super().__init__(robot, calibration, **known)
         self._band = _still_band(robot, self.joints)
         self._centre_std_m = np.full(3, known["centre_std_m"])
@@ -402,7 +441,14 @@ class StandingEstimator(OnlineEstimator):
         currents: Sequence[float],
         works: bool = True,
     ) -> bool:
-        """As that of the running estimate; ``works``: whether somebody moves the arm, as far as that is known."""
+        """As that of the running estimate.
+
+        Args:
+            time_s: Instant of the sample.
+            positions: [rad], length n.
+            currents: Of the motors [A], length n.
+            works: Whether somebody moves the arm, as far as that is known.
+        """
         new = works and super().add(time_s, positions, currents)
         row = (time_s, np.array(positions), np.array(currents))
         if not np.isfinite([time_s, *row[1], *row[2]]).all():
@@ -427,7 +473,10 @@ class StandingEstimator(OnlineEstimator):
         self._lost = not (works or explained)
         return new or explained or self._lost
 
-    def _keep(self, row: tuple[float, FloatArray, FloatArray]) -> None:
+    def _keep(
+        self,
+        row: tuple[float, FloatArray, FloatArray],
+    ) -> None:
         """The rows of the last moments, without a gap."""
         time_s = row[0]
         if self._rows and not 0.0 <= time_s - self._rows[-1][0] < SETTLING_S:
@@ -444,7 +493,13 @@ class StandingEstimator(OnlineEstimator):
         current = np.array([each[2] for each in self._rows])[late].mean(axis=0)[None]
         stance = Stances(at, current, np.zeros_like(at))
         centre_m = np.array(self.centre_m)
-        return _by_stances(self._arm, self._calibration, stance, centre_m, self._centre_std_m)
+        return _by_stances(
+            self._arm,
+            self._calibration,
+            stance,
+            centre_m,
+            self._centre_std_m,
+        )
 
     def estimate(self) -> OnlineEstimate | None:
         moved = super().estimate()
@@ -505,4 +560,10 @@ def refuse_useless(robot: Robot, motion: Motion) -> None:
     except TooLittleMotion:
         if learnt is None:
             raise
-        fit_at_rest(robot, [motion], learnt, np.zeros(3), None)
+        fit_at_rest(
+            robot,
+            [motion],
+            learnt,
+            np.zeros(3),
+            None,
+        )

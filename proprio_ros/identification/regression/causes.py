@@ -64,7 +64,11 @@ class _Model:
     @classmethod
     def of(cls, robot: Robot, motion: Motion) -> _Model:
         rows = equations(robot, motion, motion.joints, by_zeros=False)
-        arm = Arm.of(robot, motion.joints, dict(motion.held))
+        arm = Arm.of(
+            robot,
+            motion.joints,
+            dict(motion.held),
+        )
         by_urdf = rows.design[:, : PARAMETERS * arm.count] @ np.concatenate(arm.bodies)
         size = np.array([_rms(by_urdf[rows.joint == joint]) for joint in range(arm.count)])
         places = 3.0 * HELD_WITHIN * arm.reach_m * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
@@ -150,7 +154,12 @@ def with_cause(
         said = f"{found.words}: so the torques of all joints are explained, and as recorded they are not"
         reasons = (Reason("misread_joint", said), *refusal.reasons)
         withheld = refusal.withheld or "a joint is not read as its URDF has it"
-        return replace(refusal, verdict=Verdict.REJECTED, withheld=withheld, reasons=reasons)
+        return replace(
+            refusal,
+            verdict=Verdict.REJECTED,
+            withheld=withheld,
+            reasons=reasons,
+        )
     if accepted:
         return refusal
     for motion in (*motions, *empty):
@@ -162,7 +171,12 @@ def with_cause(
             )
             reasons = (Reason(code, f"{motion.name}: {cause}"), *refusal.reasons)
             withheld = refusal.withheld or "the arm does not fit its URDF"
-            return replace(refusal, verdict=Verdict.REJECTED, withheld=withheld, reasons=reasons)
+            return replace(
+                refusal,
+                verdict=Verdict.REJECTED,
+                withheld=withheld,
+                reasons=reasons,
+            )
     return refusal
 
 
@@ -182,7 +196,10 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
     sure = least < min(EXPLAINED, nothing / 2.0) and as_it_is > max(
         BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST
     )
-    other = next((left for left, said in others if said != words), np.inf)
+    other = next(
+        (left for left, said in others if said != words),
+        np.inf,
+    )
     return words if sure and CLEARER * least < other else ""
 
 
@@ -220,7 +237,10 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
 
 def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
     """Gravity from elsewhere: torque is linear in it."""
-    still = _Model.of(replace(robot, gravity=np.zeros(3)), motion)
+    still = _Model.of(
+        replace(robot, gravity=np.zeros(3)),
+        motion,
+    )
     along = [
         _Model.of(replace(robot, gravity=axis), motion).by_urdf - still.by_urdf
         for axis in np.eye(3)

@@ -106,7 +106,12 @@ def _followed(
     notes = []
     pace = 1.0
     lag_s = 0.0
-    pace_std = _open_std(np.log(clock.pace), clock.pace_std, PACE_MISFIT, PACE_SPREAD)
+    pace_std = _open_std(
+        np.log(clock.pace),
+        clock.pace_std,
+        PACE_MISFIT,
+        PACE_SPREAD,
+    )
     lag_std_s = _open_std(clock.lag_s, clock.lag_std_s, LAG_MISFIT_S, LAG_SPREAD_S)
     if clock.runs_off:
         pace = clock.pace
@@ -125,7 +130,11 @@ def _followed(
     )
 
 
-def _pace_followed(motion: Motion, pace: float, std: float) -> Reason:
+def _pace_followed(
+    motion: Motion,
+    pace: float,
+    std: float,
+) -> Reason:
     """What is said of stamps that run at another pace."""
     rate_hz = 1.0 / float(np.median(np.diff(motion.times_s)))
     return Reason(
@@ -150,7 +159,14 @@ def with_clocks_named(refusal: Refusal, motions: Sequence[Motion]) -> Refusal:
     if refusal.verdict is Verdict.ACCEPTED:
         return refusal
     clocks = [reason for motion in motions for reason in motion.clock_off]
-    return replace(refusal, reasons=(*clocks, *refusal.reasons)) if clocks else refusal
+    return (
+        replace(
+            refusal,
+            reasons=(*clocks, *refusal.reasons),
+        )
+        if clocks
+        else refusal
+    )
 
 
 def clock_of(
@@ -192,7 +208,10 @@ def _step(
     arm = Arm.of(robot, joints, dict(motion.held))
     # a tool that nobody stated would bend the clock of an arm that only its file describes
     holds = loaded or calibration is None
-    problem = Problem.of([equations(robot, motion, joints)], int(holds))
+    problem = Problem.of(
+        [equations(robot, motion, joints)],
+        int(holds),
+    )
     priors = priors_of_file(robot, arm, 1)
     if calibration is not None:
         priors = priors_of_calibration(arm, calibration, [motion])
@@ -218,7 +237,11 @@ def _step(
     )
 
 
-def _retimed(motion: Motion, pace: float, lag_s: float) -> Motion:
+def _retimed(
+    motion: Motion,
+    pace: float,
+    lag_s: float,
+) -> Motion:
     """The motion, had it taken ``pace`` times as long, and its torques been recorded ``lag_s`` of stamped time earlier."""
     if pace == 1.0 and lag_s == 0.0:
         return motion
@@ -228,10 +251,19 @@ def _retimed(motion: Motion, pace: float, lag_s: float) -> Motion:
         [np.interp(times_s[within] + lag_s, times_s, column) for column in motion.current_A.T]
     )
     part = motion.part(within)
-    return replace(part, times_s=pace * part.times_s, current_A=current_A)
+    return replace(
+        part,
+        times_s=pace * part.times_s,
+        current_A=current_A,
+    )
 
 
-def _open_std(off: float, std: float, misfit: float, spread: float) -> float:
+def _open_std(
+    off: float,
+    std: float,
+    misfit: float,
+    spread: float,
+) -> float:
     """What an error of a clock that is not followed leaves open: that it runs off after all, as likely as that still is.
 
     Args:

@@ -82,7 +82,10 @@ class ErrorBudget:
     @property
     def covariance(self) -> FloatArray:
         """Of the payload's parameters by all causes together, shape (10, 10)."""
-        result: FloatArray = np.sum(list(self.covariances.values()), axis=0)
+        result: FloatArray = np.sum(
+            list(self.covariances.values()),
+            axis=0,
+        )
         return result
 
     def mass_stds(self, scale: float) -> dict[str, float]:
@@ -131,7 +134,10 @@ def _of_recordings(
 ) -> dict[str, FloatArray]:
     """How the payload follows what recordings differ by, covariances by word, shape (10, 10) each."""
     variability = followed.estimate.variability
-    words = np.tile([WORDS[kind] for kind in variability.kinds], problem.motions)
+    words = np.tile(
+        [WORDS[kind] for kind in variability.kinds],
+        problem.motions,
+    )
     own = slice(problem.own(0).start, None)
     follows = by_prior[:, own] * np.tile(variability.std, problem.motions)
     covariances = {}

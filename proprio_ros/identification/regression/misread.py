@@ -98,6 +98,10 @@ class _Squares:
     windows: FloatArray  # that do not overlap, by joint, shape (n,)
     log_scale: float = 0.0  # what the likelihood of a torque is less for its being scaled
 
+    def mean_of(self, squares: FloatArray) -> FloatArray:
+        """Of sums of squares by joint, the mean over all windows, shape (n,)."""
+        return squares / np.maximum(self.windows, 1e-9) * HOP_SHARE
+
     def louder(self, factor: FloatArray) -> _Squares:
         """With torques that were recorded so many times too large, shape (n,)."""
         products = self.products.copy()
@@ -112,7 +116,10 @@ class _Squares:
         count = rows.design.shape[1] // (ARM_TERMS + len(FRICTION_TERMS))
         parts = [columns[rows.joint == joint] for joint in range(count)]
         windows = HOP_SHARE * np.array([len(part) for part in parts])
-        return cls(np.array([part.T @ part for part in parts]), windows)
+        return cls(
+            np.array([part.T @ part for part in parts]),
+            windows,
+        )
 
 
 @dataclass(frozen=True)
@@ -174,6 +181,37 @@ class _Fitting:
 
     def fit(self, parts: Sequence[_Squares]) -> _Fit:
         """All motions together, each joint weighted by what is left over of it."""
+        pooled = self._pooled(parts)
+        moved = pooled.windows > 0.0
+        torque = pooled.products[:, -1, -1]
+        variance = np.where(moved, pooled.mean_of(torque), 1.0)
+        kept = np.ones(
+            len(self.prior.values),
+            dtype=bool,
+        )
+        rest = torque
+        pull = 0.0
+        for _ in range(ROUNDS):
+            weight = np.where(
+                moved,
+                HOP_SHARE / np.maximum(variance, 1e-18),
+                0.0,
+            )
+            values, pull = self._solved(
+                np.tensordot(weight, pooled.products, 1),
+                kept,
+            )
+            with_torque = np.append(values, -1.0)
+            rest = np.maximum(with_torque @ pooled.products @ with_torque, 1e-9 * torque)
+            variance = pooled.mean_of(rest)
+            kept &= ~(self.brakes & (values < 0.0))
+        logs = np.log(np.where(moved, np.maximum(variance, 1e-18), 1.0))
+        share = np.sqrt(rest / np.maximum(torque, 1e-18))
+        cost = 0.5 * float(pooled.windows @ logs) + pull + pooled.log_scale
+        return _Fit(cost, np.where(moved, share, 0.0))
+
+    def _pooled(self, parts: Sequence[_Squares]) -> _Squares:
+        """Of all motions, by all unknowns and the torque."""
         size = len(self.prior.values)
         products = np.zeros((self.count, size + 1, size + 1))
         for number, part in enumerate(parts):
@@ -183,41 +221,30 @@ class _Fitting:
                 own[:, :PARAMETERS] = 0.0
                 own[:, :, :PARAMETERS] = 0.0
             products[:, columns[:, None], columns] += own
-        windows = np.sum([part.windows for part in parts], axis=0)
-        moved = windows > 0.0
-        torque = products[:, -1, -1]
-        variance = np.where(
-            moved,
-            torque / np.maximum(windows, 1e-9) * HOP_SHARE,
-            1.0,
+        windows = np.sum(
+            [part.windows for part in parts],
+            axis=0,
         )
-        kept = np.ones(size, dtype=bool)
-        rest = torque
-        values = np.zeros(size)
-        pull = 0.0
-        for _ in range(ROUNDS):
-            weight = np.where(moved, HOP_SHARE / np.maximum(variance, 1e-18), 0.0)
-            normal = np.tensordot(weight, products, 1)
-            inside = np.ix_(kept, kept)
-            prior = Prior(self.prior.values[kept], self.prior.covariance[inside])
-            side = normal[:-1, -1][kept]
-            information = normal[:-1, :-1][inside]
-            found, _ = posterior(information, side, prior)
-            values = np.zeros(size)
-            values[kept] = found
-            # at the optimum what the data still pull with is what the prior holds against
-            pull = 0.5 * float((found - prior.values) @ (side - information @ found))
-            with_torque = np.append(values, -1.0)
-            rest = np.maximum(with_torque @ products @ with_torque, 1e-9 * torque)
-            variance = rest / np.maximum(windows, 1e-9) * HOP_SHARE
-            kept &= ~(self.brakes & (values < 0.0))
-        logs = np.log(np.where(moved, np.maximum(variance, 1e-18), 1.0))
-        scaled = sum(part.log_scale for part in parts)
-        share = np.sqrt(rest / np.maximum(torque, 1e-18))
-        return _Fit(
-            0.5 * float(windows @ logs) + pull + scaled,
-            np.where(moved, share, 0.0),
+        return _Squares(
+            products,
+            windows,
+            sum(part.log_scale for part in parts),
         )
+
+    def _solved(self, normal: FloatArray, kept: NDArray[np.bool_]) -> tuple[FloatArray, float]:
+        """The unknowns that are kept by weighted products, the others 0, and how improbable they are by their prior."""
+        inside = np.ix_(kept, kept)
+        prior = Prior(
+            self.prior.values[kept],
+            self.prior.covariance[inside],
+        )
+        side = normal[:-1, -1][kept]
+        information = normal[:-1, :-1][inside]
+        found, _ = posterior(information, side, prior)
+        values = np.zeros(len(kept))
+        values[kept] = found
+        # at the optimum what the data still pull with is what the prior holds against
+        return values, 0.5 * float((found - prior.values) @ (side - information @ found))
 
 
 def misread(
@@ -238,8 +265,17 @@ def misread(
     joints = motions[0].joints
     if any(motion.joints != joints for motion in motions):
         return None
-    arm = Arm.of(robot, joints, dict(motions[0].held))
-    fitting = _Fitting(robot, arm, len(motions), len(loaded))
+    arm = Arm.of(
+        robot,
+        joints,
+        dict(motions[0].held),
+    )
+    fitting = _Fitting(
+        robot,
+        arm,
+        len(motions),
+        len(loaded),
+    )
     try:
         as_recorded = [_squares(robot, motion) for motion in motions]
         before = fitting.fit(as_recorded)
@@ -258,20 +294,21 @@ def misread(
     return None
 
 
-def thinned(motion: Motion, rate_hz: float, longest_s: float) -> Motion:
-    """The middle of a long motion, and of fast samples every so many."""
+def thinned(
+    motion: Motion,
+    rate_hz: float,
+    longest_s: float,
+) -> Motion:
+    """The middle of a long motion, and of fast samples every so many.
+
+    ``motion``: to be thinned; ``rate_hz``: that is kept, about; ``longest_s``: of it.
+    """
     times_s = motion.times_s
     middle_s = 0.5 * float(times_s[-1])
-    first, last = np.searchsorted(
-        times_s,
-        [middle_s - 0.5 * longest_s, middle_s + 0.5 * longest_s],
-    )
-    kept = slice(
-        first,
-        last,
-        max(1, int(len(times_s) / (2.0 * middle_s * rate_hz))),
-    )
-    return motion.part(kept)
+    half_s = 0.5 * longest_s
+    first, last = np.searchsorted(times_s, [middle_s - half_s, middle_s + half_s])
+    every = max(1, int(len(times_s) / (2.0 * middle_s * rate_hz)))
+    return motion.part(slice(first, last, every))
 
 
 def _squares(robot: Robot, motion: Motion) -> _Squares:

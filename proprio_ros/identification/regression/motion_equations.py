@@ -139,7 +139,10 @@ class Arm:
         of_gravity = regressor
         if by_zeros:
             zero = self._by_zeros(samples, window, joint, regressor)
-            still = replace(samples, velocity=np.zeros_like(samples.velocity))
+            still = replace(
+                samples,
+                velocity=np.zeros_like(samples.velocity),
+            )
             of_gravity = self._torques(still, window, joint)
         return Rows(
             start_s=samples.times_s[windows.starts[window]],
@@ -238,20 +241,41 @@ def once_each() -> Iterator[None]:
         _made.reset(token)
 
 
-def _of_motion(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) -> Rows:
+def _of_motion(
+    arm: Arm,
+    motion: Motion,
+    constants: FloatArray,
+    by_zeros: bool,
+) -> Rows:
     """The rows of one motion by motors of these torque constants [N m/A], shape (n,)."""
     times_s, position, current = evenly(motion, arm.model.joint_names, BANDWIDTH_HZ)
     period_s = float(times_s[1] - times_s[0])
     velocity = np.gradient(position, period_s, axis=0)
     width = round(WINDOW_S / period_s)
-    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    windows = Windows.over(
+        len(times_s),
+        width,
+        max(1, round(HOP_SHARE * width)),
+    )
     names = arm.model.joint_names
     counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, names, times_s, windows)
-    samples = Samples(windows, times_s, period_s, position, velocity, current * constants)
+    samples = Samples(
+        windows,
+        times_s,
+        period_s,
+        position,
+        velocity,
+        current * constants,
+    )
     return arm.rows(samples, counts, by_zeros=by_zeros)
 
 
-def _made_once(arm: Arm, motion: Motion, constants: FloatArray, by_zeros: bool) -> Rows:
+def _made_once(
+    arm: Arm,
+    motion: Motion,
+    constants: FloatArray,
+    by_zeros: bool,
+) -> Rows:
     """The same rows, or those that were made before of the same numbers."""
     made = _made.get()
     if made is None:
@@ -330,7 +354,12 @@ class Rows:
         payload[:, 0] = self.payload @ point
         zero[:, :, 0] = self.zero[:, :, :PARAMETERS] @ point
         inertial[:, 0] = self.inertial[:, :PARAMETERS] @ point
-        return replace(self, payload=payload, zero=zero, inertial=inertial)
+        return replace(
+            self,
+            payload=payload,
+            zero=zero,
+            inertial=inertial,
+        )
 
     @property
     def stretch(self) -> NDArray[np.int64]:
@@ -426,7 +455,11 @@ class Problem:
     count: int  # of joints, n
 
     @classmethod
-    def of(cls, parts: Sequence[Rows], loaded: int) -> Problem:
+    def of(
+        cls,
+        parts: Sequence[Rows],
+        loaded: int,
+    ) -> Problem:
         """All motions together, ``loaded`` of them with the payload."""
         count = parts[0].design.shape[1] // TERMS
         shared = ARM_TERMS * count
@@ -439,7 +472,10 @@ class Problem:
             payload = part.payload if number < loaded else np.zeros_like(part.payload)
             matrix.append(np.hstack([payload, part.design[:, :shared], of_motion]))
         rows = Rows.together(parts)
-        motion = np.repeat(np.arange(len(parts)), [len(part.joint) for part in parts])
+        motion = np.repeat(
+            np.arange(len(parts)),
+            [len(part.joint) for part in parts],
+        )
         stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
         zero = rows.zero.copy()
         zero[motion >= loaded, :, :PARAMETERS] = 0.0
@@ -475,7 +511,11 @@ class Problem:
         """How many there are."""
         return (self.matrix.shape[1] - PARAMETERS - ARM_TERMS * self.count) // own_terms(self.count)
 
-    def own(self, number: int, of: int = 0) -> slice:
+    def own(
+        self,
+        number: int,
+        of: int = 0,
+    ) -> slice:
         """Where the own terms of a motion stand among the unknowns, from the one numbered ``of`` on."""
         first = PARAMETERS + ARM_TERMS * self.count + number * own_terms(self.count)
         return slice(first + of, first + own_terms(self.count))
@@ -543,7 +583,11 @@ class Problem:
             )
         return stretches
 
-    def rms_by_joint(self, values: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+    def rms_by_joint(
+        self,
+        values: FloatArray,
+        kept: NDArray[np.bool_],
+    ) -> FloatArray:
         """Of some equations' values, by joint, shape (n,); NaN of joints without a value."""
         mine = [values[kept & (self.joint == number)] for number in range(self.count)]
         return np.array(

@@ -78,7 +78,11 @@ def calibrate_motions(
     recorded = [*followed, *(motion for motion, _ in references)]
     progress("weighing each empty motion by the others")
     weighed = () if refusal.withheld else _weighed_empty(robot, followed)
-    arm = Arm.of(robot, calibration.joints, dict(followed[0].held))
+    arm = Arm.of(
+        robot,
+        calibration.joints,
+        dict(followed[0].held),
+    )
     weighable = None
     if not refusal.withheld:
         weighable = _weighable(robot, followed, calibration, weighed, arm.kg)
@@ -145,18 +149,33 @@ def _unknown_rows(calibration: MotionCalibration, prior: Prior) -> tuple[Unknown
 def calibration_refusals(
     robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
 ) -> Iterator[Refusal]:
-    """Why a calibration is not believed that was made of motions with an empty hand."""
+    """Why a calibration is not believed that was made of motions with an empty hand.
+
+    ``robot``: as its file states it; ``motions``: with an empty hand; ``calibration``: of them.
+    """
     share = refusals.deciding(calibration.tells, _unexplained(motions, calibration))
     yield from refusals.unexplained_torque(calibration.joints, share, "the arm and its friction")
-    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
+    arm = Arm.of(
+        robot,
+        calibration.joints,
+        dict(motions[0].held),
+    )
     prior = file_prior(robot, arm)
     # the prior has what a joint's torque repeats to; what its file leaves open is more, most of it in common with the others
     open_yet = [
         OWN_SHARE * relative_torque_std(robot, joint) if kind == "torque_share" else 0.0
         for kind, joint in calibration.keys
     ]
-    std = np.hypot(np.sqrt(np.diag(prior.covariance)), open_yet)
-    learnt = FittedTerms(calibration.keys, calibration.values, prior.values, std)
+    std = np.hypot(
+        np.sqrt(np.diag(prior.covariance)),
+        open_yet,
+    )
+    learnt = FittedTerms(
+        calibration.keys,
+        calibration.values,
+        prior.values,
+        std,
+    )
     unlike = [
         *refusals.unlike_urdf(calibration.arm_over_urdf),
         *refusals.far_from_prior(learnt, "robot file"),
@@ -165,7 +184,12 @@ def calibration_refusals(
         return
     held = held_by_file(robot, motions)
     shared = slice(0, len(held.arm))  # what differs from motion to motion is open
-    with_it = FittedTerms(calibration.keys[shared], held.arm, prior.values[shared], std[shared])
+    with_it = FittedTerms(
+        calibration.keys[shared],
+        held.arm,
+        prior.values[shared],
+        std[shared],
+    )
     if not any(refusals.far_from_prior(with_it, "robot file")):
         yield from refusals.held_when_empty(held)
     yield from unlike
@@ -196,7 +220,11 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEs
     for number, part in enumerate(parts):
         others = [*parts[:number], *parts[number + 1 :]]
         try:
-            fit = fit_payload(robot, [part], fit_empty(robot, others))
+            fit = fit_payload(
+                robot,
+                [part],
+                fit_empty(robot, others),
+            )
         except RecordingError:
             continue  # too short to be halved: then the fit's own word has to do
         mass_kg = float(fit.values[0])
@@ -204,7 +232,12 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEs
     return tuple(weighed)
 
 
-def _between(motion: Motion, first_s: float, last_s: float, words: str) -> Motion:
+def _between(
+    motion: Motion,
+    first_s: float,
+    last_s: float,
+    words: str,
+) -> Motion:
     rows = (motion.times_s >= first_s) & (motion.times_s < last_s)
     return replace(motion.part(rows), name=f"{motion.name}, {words}")
 

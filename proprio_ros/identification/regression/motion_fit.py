@@ -173,9 +173,17 @@ def learn_arm(
     Raises `RecordingError`: A motion is of no use, or all together are too short.
     """
     joints = motions[0].joints
-    arm = Arm.of(robot, joints, dict(motions[0].held))
+    arm = Arm.of(
+        robot,
+        joints,
+        dict(motions[0].held),
+    )
     problem = problem_of(robot, motions, joints, 0)
-    problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
+    problem.stretches_of(
+        ~problem.carrying,
+        motions[0].name,
+        better_s=50.0,
+    )
     priors = priors_of_file(robot, arm, len(motions))
     solution = _solved_empty(problem, priors)
     mean = _mean_of_runs(problem)
@@ -230,7 +238,11 @@ def _mean_of_runs(problem: Problem) -> FloatArray:
     return mean
 
 
-def _over_urdf(problem: Problem, solution: Solution, priors: Priors) -> float:
+def _over_urdf(
+    problem: Problem,
+    solution: Solution,
+    priors: Priors,
+) -> float:
     """By how much the torques of the arm's bodies are those that its URDF says, by least squares."""
     bodies = ArmTerms(problem.count, PARAMETERS).bodies
     columns = problem.matrix[:, bodies]
@@ -239,7 +251,11 @@ def _over_urdf(problem: Problem, solution: Solution, priors: Priors) -> float:
     return float(fitted @ by_urdf / (by_urdf @ by_urdf))
 
 
-def _torque_scale_std(robot: Robot, names: Sequence[str], over_urdf: float) -> float:
+def _torque_scale_std(
+    robot: Robot,
+    names: Sequence[str],
+    over_urdf: float,
+) -> float:
     """How well the torque constants are known, relative, of an arm that by its torques is so much heavier than its URDF."""
     scale_std = max(relative_torque_std(robot, name) for name in names)
     # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
@@ -270,9 +286,16 @@ def held_by_file(robot: Robot, motions: Sequence[Motion]) -> HeldByFile:
     Raises `RecordingError`: A motion is of no use.
     """
     joints = motions[0].joints
-    arm = Arm.of(robot, joints, dict(motions[0].held))
+    arm = Arm.of(
+        robot,
+        joints,
+        dict(motions[0].held),
+    )
     problem = problem_of(robot, motions, joints, len(motions))
-    solution = solve(problem, priors_of_file(robot, arm, len(motions)))
+    solution = solve(
+        problem,
+        priors_of_file(robot, arm, len(motions)),
+    )
     seen = solution.values[:4]  # mass and first moment: what gravity pulls at
     squared = float(seen @ np.linalg.solve(solution.covariance[:4, :4], seen))
     return HeldByFile(
@@ -301,7 +324,12 @@ def _friction_variability(problem: Problem, solution: Solution) -> RecordingVari
     for _ in range(SPREAD_ITERATIONS):
         shrunk = np.minimum(variances / (variances + now.std**2), 1.0)
         left = 1.0 - determined * (1.0 - shrunk)
-        now = stated.learnt(now, off, left * now.std**2, ("friction", "offset"))
+        now = stated.learnt(
+            now,
+            off,
+            left * now.std**2,
+            ("friction", "offset"),
+        )
     return now
 
 
@@ -354,24 +382,40 @@ def fit_payload(
     """
     motions = [*loaded, *empty]
     check_arm(robot, motions, calibration)
-    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
+    arm = Arm.of(
+        robot,
+        calibration.joints,
+        dict(motions[0].held),
+    )
     place = None if centre is None else centre[0]
-    problem = problem_of(robot, motions, calibration.joints, len(loaded), place)
+    problem = problem_of(
+        robot,
+        motions,
+        calibration.joints,
+        len(loaded),
+        place,
+    )
     _refuse_other_joints(loaded, problem, calibration)
     carrying = problem.carrying
-    stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0, least=least)
-    priors = priors_of_calibration(arm, calibration, motions)
-    if centre is not None:
-        priors.per_kg[1:4] = np.maximum(centre[1], LEAST_PLACE_STD_M)
+    stretches = problem.stretches_of(
+        carrying,
+        loaded[0].name,
+        better_s=15.0,
+        least=least,
+    )
+    priors = _priors(arm, calibration, motions, centre)
     followed = solve_following(problem, priors, calibration)
     solution = followed.estimate
     tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
     residual = problem.rms_by_joint(solution.residual, carrying)
-    empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
-    misfit = float(np.nansum(tells * np.square(residual / empty_residual)))
+    empty_residual = np.where(
+        calibration.residual > 0.0,
+        calibration.residual,
+        np.nan,
+    )
+    misfit = _misfit(tells, residual, empty_residual)
     budget = ErrorBudget.of(problem, followed, calibration, misfit, stretches)
     scale = calibration.torque_scale
-    long_enough = stretches >= 2 * MIN_STRETCHES
     return MotionFit(
         joints=arm.model.joint_names,
         values=scale * solution.values[:PARAMETERS],
@@ -383,7 +427,7 @@ def fit_payload(
         misfit=misfit,
         driven=problem.rms_by_joint(problem.torque, carrying),
         quantile=budget.quantile,
-        halves=_weighed_by_halves(problem, priors, calibration) if long_enough else None,
+        halves=_weighed_by_halves(problem, priors, calibration, stretches),
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
         payload_prior=solution.payload_prior,
@@ -395,6 +439,15 @@ def fit_payload(
         problem=problem,
         solution=solution,
     )
+
+
+def _misfit(
+    tells: FloatArray,
+    residual: FloatArray,
+    empty_residual: FloatArray,
+) -> float:
+    """How much worse motions are explained than empty ones, each joint as much as it tells: reduced chi-square."""
+    return float(np.nansum(tells * np.square(residual / empty_residual)))
 
 
 def _fitted_terms(
@@ -411,19 +464,37 @@ def _fitted_terms(
     )
 
 
+def _priors(
+    arm: Arm, calibration: MotionCalibration, motions: Sequence[Motion], centre: Centre | None
+) -> Priors:
+    """By a calibration, and by where the payload is stated to be."""
+    priors = priors_of_calibration(arm, calibration, motions)
+    if centre is None:
+        return priors
+    per_kg = priors.per_kg.copy()
+    per_kg[1:4] = np.maximum(centre[1], LEAST_PLACE_STD_M)
+    return replace(priors, per_kg=per_kg)
+
+
 def _weighed_by_halves(
-    problem: Problem, priors: Priors, calibration: MotionCalibration
-) -> tuple[tuple[float, float], tuple[float, float]]:
+    problem: Problem, priors: Priors, calibration: MotionCalibration, stretches: int
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
     """Mass and its standard deviation [kg] by the first and by the second half of the motions with the payload.
 
-    The motions with an empty hand count with both.
+    The motions with an empty hand count with both. None where there are too few stretches to be halved.
     """
+    if stretches < 2 * MIN_STRETCHES:
+        return None
     late = np.zeros(len(problem.motion), dtype=bool)
     for number in range(problem.loaded):
         mine = problem.motion == number
         late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
     first = solve(problem.only(~late), priors, calibration)
-    second = solve(problem.only(late | ~problem.carrying), priors, calibration)
+    second = solve(
+        problem.only(late | ~problem.carrying),
+        priors,
+        calibration,
+    )
     return first.mass_and_std(), second.mass_and_std()
 
 
@@ -469,7 +540,11 @@ def _shown(
     return explained.joint_fits(names, calibration.joints, calibration.residual)
 
 
-def check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> None:
+def check_arm(
+    robot: Robot,
+    motions: Sequence[Motion],
+    calibration: MotionCalibration,
+) -> None:
     """That motions are of the joints, and the robot has the torque constants, of a calibration.
 
     Raises `RecordingError`, `RobotError`: They are of others.
@@ -484,8 +559,19 @@ def check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibr
         check_torque_constant(robot, joint, constant, "motions were")
 
 
-def check_torque_constant(robot: Robot, joint: str, constant: float, what: str) -> None:
-    """That a robot file still has the torque constant [N m/A] that ``what`` calibrated with.
+def check_torque_constant(
+    robot: Robot,
+    joint: str,
+    constant: float,
+    what: str,
+) -> None:
+    """That a robot file still has the torque constant of a calibration.
+
+    Args:
+        robot: As its file states it.
+        joint: Of it.
+        constant: That the calibration was made with [N m/A].
+        what: Was recorded for it, with its verb.
 
     Raises `RobotError`: It has another one.
     """
@@ -514,12 +600,26 @@ def _of_its_own(
         )
         if kind == "own_scale":
             share[:, own.start + solution.variability.place("common_scale")] = 1.0 / problem.loaded
-    before = np.sum(share @ solution.prior.covariance * share, axis=1)
-    after = np.sum(share @ solution.covariance * share, axis=1)
+    before = np.sum(
+        share @ solution.prior.covariance * share,
+        axis=1,
+    )
+    after = np.sum(
+        share @ solution.covariance * share,
+        axis=1,
+    )
     shown = 1.0 - after / before > LEAST_TOLD
     determined = np.maximum(1.0 - after / before, LEAST_TOLD)
-    values = np.where(shown, share @ solution.values / determined, 0.0)
-    return values, np.where(shown, np.sqrt(after / determined), np.inf)
+    values = np.where(
+        shown,
+        share @ solution.values / determined,
+        0.0,
+    )
+    return values, np.where(
+        shown,
+        np.sqrt(after / determined),
+        np.inf,
+    )
 
 
 def _follows_torque(problem: Problem, solution: Solution) -> float:
@@ -530,10 +630,18 @@ def _follows_torque(problem: Problem, solution: Solution) -> float:
     return float(solution.covariance[0, shares].sum() / together)
 
 
-def _weight_by_joint(problem: Problem, residual: FloatArray, correlation: FloatArray) -> FloatArray:
+def _weight_by_joint(
+    problem: Problem,
+    residual: FloatArray,
+    correlation: FloatArray,
+) -> FloatArray:
     """How much of what the motions tell about a mass each joint tells that leaves so much over, shape (n,), sum 1."""
     weight = window_weights(residual, correlation)[problem.joint]
     squares = np.square(weight * problem.by_mass)
-    by_joint = np.bincount(problem.joint, squares, minlength=problem.count)
+    by_joint = np.bincount(
+        problem.joint,
+        squares,
+        minlength=problem.count,
+    )
     result: FloatArray = by_joint / max(float(by_joint.sum()), 1e-300)
     return result

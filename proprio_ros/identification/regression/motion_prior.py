@@ -55,7 +55,10 @@ def body_stds(arm: Arm, share: float) -> list[float]:
     """How far the bodies' parameters may lie off the URDF, where their masses do by a share, length 10 n."""
     stds: list[float] = []
     for length_m, body in zip(arm.lengths_m, arm.bodies, strict=True):
-        stds += sizes(share * float(body[0]) + ARM_SHARE * arm.kg, length_m)
+        stds += sizes(
+            share * float(body[0]) + ARM_SHARE * arm.kg,
+            length_m,
+        )
     return stds
 
 
@@ -90,7 +93,11 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
     return Prior(values, covariance)
 
 
-def priors_of_file(robot: Robot, arm: Arm, motions: int) -> Priors:
+def priors_of_file(
+    robot: Robot,
+    arm: Arm,
+    motions: int,
+) -> Priors:
     """Of all unknowns of some motions by the robot file alone.
 
     Args:
@@ -141,7 +148,10 @@ def priors_of_calibration(
     at = range(geared.start, geared.stop)
     covariance[at, at] += LOAD_FRICTION_SPREAD**2
     return Priors(
-        unknowns=with_payload(arm, Prior(terms @ calibration.values, covariance)),
+        unknowns=with_payload(
+            arm,
+            Prior(terms @ calibration.values, covariance),
+        ),
         variability=variability_of(calibration, motions),
         per_kg=payload_stds(arm),
     )
@@ -171,7 +181,12 @@ def variability_of(
     of_friction = np.full(2 * count, 1.0 / spreads["friction"])
     of_offset = np.full(count, 1.0 / spreads["offset"])
     unit = np.concatenate([of_friction, of_offset])
-    return RecordingVariability(spreads, recordings, spread * unit, np.zeros_like(spread))
+    return RecordingVariability(
+        spreads,
+        recordings,
+        spread * unit,
+        np.zeros_like(spread),
+    )
 
 
 def payload_stds(arm: Arm) -> FloatArray:

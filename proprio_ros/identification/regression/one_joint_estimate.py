@@ -32,29 +32,16 @@ def calibrate_joint(
 ) -> CalibrationEstimate:
     """Learn a joint from motions with known loads.
 
-    ``robot``: of one joint that turns; ``motions``: three or more; ``loads_kg``: what was held in each; ``facts``:
-    where the loads sat.
+    Args:
+        robot: Of one joint that turns.
+        motions: Three or more.
+        loads_kg: What was held in each; 0 is an empty hand.
+        facts: Where the loads sat.
 
     Raises `RecordingError`: There are too few, or one is of no use.
     """
     learnt = learn_joint(robot, motions, loads_kg, facts)
     refusal = judge(_refusals(robot, motions, learnt))
-    heaviest = float(learnt.loads_kg.max())
-    weighable = Weighable(
-        heaviest,
-        float(
-            np.hypot(
-                learnt.spread,
-                np.median(
-                    [run["std_kg"] / run["load_kg"] for run in learnt.runs if run["load_kg"] > 0.0]
-                ),
-            )
-        )
-        * heaviest,
-        (learnt.joint,),
-        f"recordings of known loads, each weighed by the others, differ by {100.0 * learnt.spread:.2g} % beyond what each knows "
-        "of its own error",
-    )
     return CalibrationEstimate(
         robot=robot.name,
         verdict=refusal.verdict,
@@ -63,11 +50,29 @@ def calibrate_joint(
         calibration=None,
         joint=learnt,
         notes=tuple(note for motion in motions for note in motion.notes),
-        weighable=None if refusal.withheld else weighable,
+        weighable=None if refusal.withheld else _weighable(learnt),
         weighed_empty=tuple(
-            EmptyHandEstimate(run["name"], run["read_kg"], run["std_kg"], Z95)
+            EmptyHandEstimate(
+                run["name"],
+                run["read_kg"],
+                run["std_kg"],
+                Z95,
+            )
             for run in learnt.runs
         ),
+    )
+
+
+def _weighable(learnt: JointCalibration) -> Weighable:
+    """What an object as heavy as the heaviest known load would be weighed to."""
+    heaviest = float(learnt.loads_kg.max())
+    own = [run["std_kg"] / run["load_kg"] for run in learnt.runs if run["load_kg"] > 0.0]
+    return Weighable(
+        heaviest,
+        float(np.hypot(learnt.spread, np.median(own))) * heaviest,
+        (learnt.joint,),
+        f"recordings of known loads, each weighed by the others, differ by {100.0 * learnt.spread:.2g} % beyond what each knows "
+        "of its own error",
     )
 
 
@@ -103,13 +108,23 @@ def _refusals(
 def torque_left_over(
     robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts
 ) -> float:
-    """What known loads, rotor and friction leave over of the torque of the only joint, rms in true torque [N m]."""
+    """What known loads, rotor and friction leave over of the torque of the only joint, rms in true torque [N m].
+
+    Args:
+        robot: Of one joint that turns.
+        motions: With known loads.
+        loads_kg: What was held in each.
+        facts: Where the loads sat.
+    """
     (joint,) = motions[0].joints
     carried = carried_by(robot, joint, motions[0], facts)
     return terms_of([tables_of(robot, motion, joint) for motion in motions], loads_kg, carried)[1]
 
 
-def best_delay(left_over: Callable[[float], float], stated: Quantity) -> Quantity:
+def best_delay(
+    left_over: Callable[[float], float],
+    stated: Quantity,
+) -> Quantity:
     """The delay that leaves the least torque over, to a step of the search.
 
     ``left_over``: by the delay [s]; ``stated``: where to look: two standard deviations about the value [s].

@@ -99,12 +99,21 @@ class Hinge:
         return -np.column_stack([np.cross(d, seen) @ axis for d in self.directions])
 
     @classmethod
-    def of(cls, robot: Robot, joint: str, motion: Motion) -> Hinge:
+    def of(
+        cls,
+        robot: Robot,
+        joint: str,
+        motion: Motion,
+    ) -> Hinge:
         """Of a motion, whose other joints stood still.
 
         ``robot``: its geometry; ``joint``: that moves alone; ``motion``: where the other joints stand.
         """
-        model = robot.model.lock([joint], dict(motion.held), robot.gravity)
+        model = robot.model.lock(
+            [joint],
+            dict(motion.held),
+            robot.gravity,
+        )
         axis = model.axes[0]
         least = np.eye(3)[int(np.argmin(np.abs(axis)))]
         first = np.cross(axis, least)
@@ -123,7 +132,12 @@ class Carried:
     centre_std_m: float  # how well the payload's place across the axis is known
 
 
-def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) -> Carried:
+def carried_by(
+    robot: Robot,
+    joint: str,
+    motion: Motion,
+    facts: PayloadFacts,
+) -> Carried:
     """Arm and payload about one joint.
 
     Args:
@@ -149,7 +163,11 @@ def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) ->
     )
 
 
-def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJointFit:
+def fit_one_joint(
+    robot: Robot,
+    motions: Sequence[Motion],
+    joint: str,
+) -> OneJointFit:
     """Fit inertia, first moment and friction of a joint that moves alone.
 
     Args:
@@ -290,7 +308,11 @@ def table_of(
     position = positions[:, 0]
     velocity = np.gradient(position, period_s)
     width = max(round(window_s / period_s), 4)
-    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    windows = Windows.over(
+        len(times_s),
+        width,
+        max(1, round(HOP_SHARE * width)),
+    )
     columns = np.column_stack(
         [
             windows.derivative(velocity, period_s),
@@ -347,12 +369,20 @@ class _Stacked:
             mine = number == motion
             friction[mine, 3 * motion : 3 * motion + 3] = columns[mine, 3:]
         torque = np.concatenate([part.torque for part in parts])
-        return cls(columns[:, :3], friction, torque, number)
+        return cls(
+            columns[:, :3],
+            friction,
+            torque,
+            number,
+        )
 
 
 def motion_numbers(parts: Sequence[Table]) -> NDArray[np.int64]:
     """Number of the motion of each window of all, shape (W,)."""
-    return np.repeat(np.arange(len(parts)), [len(part.torque) for part in parts])
+    return np.repeat(
+        np.arange(len(parts)),
+        [len(part.torque) for part in parts],
+    )
 
 
 def _by_torque(parts: Sequence[Table]) -> _Solution:
@@ -376,7 +406,11 @@ def _by_torque(parts: Sequence[Table]) -> _Solution:
         by_motion = [residual[windows.motion == number] for number in range(len(parts))]
         each = np.array([max(rms(of_motion), 1e-12) for of_motion in by_motion])
         weight = (each.min() / each)[windows.motion]
-    return _Solution(values[:3], values[3:-1].reshape(-1, 3), residual)
+    return _Solution(
+        values[:3],
+        values[3:-1].reshape(-1, 3),
+        residual,
+    )
 
 
 def _by_acceleration(parts: Sequence[Table]) -> FloatArray:

@@ -16,7 +16,7 @@ known, so the wider counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -101,14 +101,31 @@ def tables_of(
     motion: Motion,
     joint: str,
 ) -> tuple[Table, ...]:
-    """What one motion says, once for each length of the windows. Raises `RecordingError`: It does not move for long enough."""
+    """What one motion says, once for each length of the windows.
+
+    ``robot``: its torque constant and geometry; ``motion``: of the joint; ``joint``: that moves alone.
+
+    Raises `RecordingError`: It does not move for long enough.
+    """
     hinge = Hinge.of(robot, joint, motion)
     return tuple(
-        table_of(robot, motion, joint, hinge, window_s, CREEP_RAD_S) for window_s in WINDOWS_S
+        table_of(
+            robot,
+            motion,
+            joint,
+            hinge,
+            window_s,
+            CREEP_RAD_S,
+        )
+        for window_s in WINDOWS_S
     )
 
 
-def _design(table: Table, load: FloatArray, share: float) -> FloatArray:
+def _design(
+    table: Table,
+    load: FloatArray,
+    share: float,
+) -> FloatArray:
     """A column per term, shape (W, 6); those of load friction are taken ``share`` times."""
     true = table.columns[:, :3] @ load
     direction = table.columns[:, 4]
@@ -156,7 +173,11 @@ def _bounded_terms(
     for _ in range(ITERATIONS):
         rows = []
         for number, (part, kg) in enumerate(zip(parts, loads_kg, strict=True)):
-            design = _design(part, carried.arm + kg * carried.per_kg, values[0])
+            design = _design(
+                part,
+                carried.arm + kg * carried.per_kg,
+                values[0],
+            )
             rows.append(weights[number] * _with_offsets(design, number, len(parts)))
         matrix = np.vstack(rows)  # (W, 6 + M)
         prior = np.zeros((2, matrix.shape[1]))
@@ -166,15 +187,22 @@ def _bounded_terms(
         # as small as it can be: the bounded search then costs nothing
         stacked = np.column_stack([np.vstack([matrix, prior]), np.append(right, [0.0, 0.0])])
         root = np.asarray(np.linalg.qr(stacked, mode="r"))
-        bounds = (lowest, np.inf)
-        solution = lsq_linear(root[:, :-1], root[:, -1], bounds=bounds, method="bvls").x
-        values = solution[: len(TERMS)]
-    squares = np.sum(np.square(right - matrix @ solution))
-    left_over = float(np.sqrt(squares / len(parts))) / max(abs(values[0]), 1e-9)
-    return values, left_over
+        found = lsq_linear(
+            root[:, :-1],
+            root[:, -1],
+            bounds=(lowest, np.inf),
+            method="bvls",
+        )
+        values = found.x[: len(TERMS)]
+    squares = np.sum(np.square(right - matrix @ found.x))
+    return values, float(np.sqrt(squares / len(parts))) / max(abs(values[0]), 1e-9)
 
 
-def _with_offsets(columns: FloatArray, number: int, motions: int) -> FloatArray:
+def _with_offsets(
+    columns: FloatArray,
+    number: int,
+    motions: int,
+) -> FloatArray:
     """Columns of one motion, and of each motion's offset, shape (W, K) to (W, K + M)."""
     offsets = np.zeros((len(columns), motions))
     offsets[:, number] = 1.0
@@ -194,6 +222,8 @@ class _Weighing:
     ) -> list[tuple[FloatArray, float]]:
         """Of each motion the torque beside the terms' with a mass, less an offset and a change of friction of its own [N m].
 
+        ``parts``: windows of each motion; ``terms``: see `TERMS`, shape (6,); ``mass``: of the payload [kg].
+
         With it comes how improbable that change of Coulomb friction is, in squares of what windows leave over.
         """
         load = self.carried.arm + mass * self.carried.per_kg
@@ -208,7 +238,11 @@ class _Weighing:
             found.append((residual - change * friction, prior * change**2))
         return found
 
-    def mass(self, parts: Sequence[Table], terms: FloatArray) -> float:
+    def mass(
+        self,
+        parts: Sequence[Table],
+        terms: FloatArray,
+    ) -> float:
         """The one that leaves least over [kg]."""
 
         def cost(mass: float) -> float:
@@ -222,7 +256,11 @@ class _Weighing:
         options = {"xatol": 1e-5}
         return float(minimize_scalar(cost, bounds=bounds, method="bounded", options=options).x)
 
-    def by_stretches(self, tables: Sequence[Sequence[Table]], terms: FloatArray) -> _Jackknife:
+    def by_stretches(
+        self,
+        tables: Sequence[Sequence[Table]],
+        terms: FloatArray,
+    ) -> _Jackknife:
         """Mass of motions, by the length of the windows, and its variance."""
         return _Jackknife.of(tables, lambda parts: self.mass(parts, terms), least=2)
 
@@ -247,7 +285,13 @@ class _Jackknife:
         answer: Callable[[Sequence[Table]], FloatArray | float],
         least: int,
     ) -> _Jackknife:
-        """By an answer to windows of one length; a motion of which no more than so many are left counts as none."""
+        """By an answer to windows of one length.
+
+        Args:
+            tables: Of each motion, by the length of the windows.
+            answer: Of windows of all motions, of one length, shape () or (K,).
+            least: A motion of which no more windows are left counts as none.
+        """
         by_window = list(zip(*tables, strict=True))
         choices = np.array([answer(parts) for parts in by_window])
         values = choices.mean(axis=0)
@@ -264,7 +308,11 @@ class _Jackknife:
         scatter = np.inf
         if count > 1:
             scatter = (count - 1) / count * np.square(moved).sum(axis=0)
-        return cls(values, scatter + choices.var(axis=0, ddof=1), count)
+        return cls(
+            values,
+            scatter + choices.var(axis=0, ddof=1),
+            count,
+        )
 
 
 def own_terms(
@@ -287,7 +335,11 @@ def own_terms(
     speeds = np.concatenate([parts[0].columns[:, 3] for parts in tables])
     inertia = float((carried.arm + start_kg * carried.per_kg)[0])
     usual = _usual(terms, rms(speeds), inertia)
-    return OwnTerms(found.values, np.sqrt(found.variance), usual)
+    return OwnTerms(
+        found.values,
+        np.sqrt(found.variance),
+        usual,
+    )
 
 
 def _own(
@@ -300,7 +352,11 @@ def _own(
         rows = []
         rights = []
         for number, part in enumerate(parts):
-            design = _design(part, carried.arm + mass * carried.per_kg, terms[0])
+            design = _design(
+                part,
+                carried.arm + mass * carried.per_kg,
+                terms[0],
+            )
             arm = terms[0] * (part.columns[:, :3] @ carried.arm)
             per_kg = terms[0] * (part.columns[:, :3] @ carried.per_kg)
             columns = np.column_stack([per_kg, design[:, 1:4]])
@@ -311,7 +367,11 @@ def _own(
     return solution[1:4]
 
 
-def _usual(terms: FloatArray, speed_rad_s: float, inertia: float) -> FloatArray:
+def _usual(
+    terms: FloatArray,
+    speed_rad_s: float,
+    inertia: float,
+) -> FloatArray:
     """By how much rotor, viscous and dry friction differ from one recording to the next, shape (3,)."""
     scale, armature, viscous, coulomb = terms[:4]
     speed = max(speed_rad_s, 1e-6)
@@ -349,14 +409,22 @@ def learn_joint(
     tables = [tables_of(robot, motion, joint) for motion in motions]
     loads = np.asarray(loads_kg, dtype=np.float64)
     values, residual = terms_of(tables, loads.tolist(), carried)
-    weighing = _Weighing(carried, reach_of(loads), residual * abs(values[0]))
+    weighing = _Weighing(
+        carried,
+        reach_of(loads),
+        residual * abs(values[0]),
+    )
     without = []
     runs = []
     own = []
     for number, motion in enumerate(motions):
         kg = float(loads[number])
         others = tables[:number] + tables[number + 1 :]
-        terms, _ = terms_of(others, np.delete(loads, number).tolist(), carried)
+        terms, _ = terms_of(
+            others,
+            np.delete(loads, number).tolist(),
+            carried,
+        )
         read = weighing.by_stretches([tables[number]], terms)
         without.append(terms)
         runs.append(
@@ -411,7 +479,10 @@ def check_law(robot: Robot, calibration: JointCalibration) -> None:
             )
 
 
-def _spread_by(calibration: JointCalibration, mass: float | None = None) -> FloatArray:
+def _spread_by(
+    calibration: JointCalibration,
+    mass: float | None = None,
+) -> FloatArray:
     """The posterior of how far its recordings differ, relative to each load, or all to one mass [kg]."""
     loaded = [run for run in calibration.runs if float(run["load_kg"]) > 0.0]
     loads = np.array([float(run["load_kg"]) for run in loaded])
@@ -438,45 +509,76 @@ def identify_by_joint(
     carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]
     reach_kg = reach_of(calibration.loads_kg)
+    scale = max(abs(calibration.values[0]), 1e-9)
     noise = calibration.residual * abs(float(calibration.values[0]))
     weighing = _Weighing(carried, reach_kg, noise)
     found = weighing.by_stretches(tables, calibration.values)
     mass = float(found.values)
-    by_window = list(zip(*tables, strict=True))
-    variances = {
-        STRETCHES: float(found.variance),
-        CALIBRATION: _by_calibration(weighing, by_window, calibration),
-        **_by_place(calibration, carried, mass),
-    }
-    rest = max(sum(variances.values()), 1e-18)
-    freedom = [
-        (variances[STRETCHES], max(found.stretches - 1, 1)),
-        (variances[CALIBRATION], len(calibration.without) - 1),
-    ]
-    half, spread_kg = _by_recordings(calibration, mass, rest, freedom)
-    variances[RUNS] = spread_kg**2
-    std = float(np.sqrt(rest + variances[RUNS]))
-    longest = by_window[-1]
+    budget = _Budget.of(weighing, tables, calibration, found)
+    longest = [parts[-1] for parts in tables]
     left_over = np.concatenate(
         [left for left, _ in weighing.left_over(longest, calibration.values, mass)]
     )
-    scale = max(abs(calibration.values[0]), 1e-9)
-    names = [motion.name for motion in motions]
-    usual = calibration.residual
     return KnownJointFit(
         mass=mass,
-        std=std,
-        quantile=half / std if np.isfinite(half) else float(stdtrit(1, 0.975)),
-        parts=tuple((name, float(np.sqrt(variance))) for name, variance in variances.items()),
+        std=budget.std,
+        quantile=budget.quantile,
+        parts=tuple((name, float(np.sqrt(part))) for name, part in budget.variances.items()),
         stretches=found.stretches,
         residual=rms(left_over) / scale,
         driven=rms(np.concatenate([part.torque for part in longest])) / scale,
         at_the_end=not reach_kg[0] + 1e-3 < mass < reach_kg[1] - 1e-3,
         shown=shown_of(
-            names, joint, longest, left_over, carried.per_kg, mass, usual=usual, scale=scale
+            [motion.name for motion in motions],
+            joint,
+            longest,
+            left_over,
+            carried.per_kg,
+            mass,
+            usual=calibration.residual,
+            scale=scale,
         ),
         own_terms=own_terms(tables, calibration.values, carried, mass),
     )
+
+
+@dataclass(frozen=True)
+class _Budget:
+    """What a mass errs by."""
+
+    variances: Mapping[str, float]  # by cause [kg^2]
+    std: float  # of all together [kg]
+    quantile: float  # half width of a 95 % interval in standard deviations
+
+    @classmethod
+    def of(
+        cls,
+        weighing: _Weighing,
+        tables: Sequence[Sequence[Table]],
+        calibration: JointCalibration,
+        found: _Jackknife,
+    ) -> _Budget:
+        """The budget of a mass that was found in some motions."""
+        mass = float(found.values)
+        variances = {
+            STRETCHES: float(found.variance),
+            CALIBRATION: _by_calibration(
+                weighing,
+                list(zip(*tables, strict=True)),
+                calibration,
+            ),
+            **_by_place(calibration, weighing.carried, mass),
+        }
+        rest = max(sum(variances.values()), 1e-18)
+        freedom = [
+            (variances[STRETCHES], max(found.stretches - 1, 1)),
+            (variances[CALIBRATION], len(calibration.without) - 1),
+        ]
+        half, spread_kg = _by_recordings(calibration, mass, rest, freedom)
+        variances[RUNS] = spread_kg**2
+        std = float(np.sqrt(rest + variances[RUNS]))
+        quantile = half / std if np.isfinite(half) else float(stdtrit(1, 0.975))
+        return cls(variances, std, quantile)
 
 
 def _by_calibration(

@@ -153,7 +153,13 @@ class _Grid:
     windows: Windows
 
     @classmethod
-    def of(cls, period_s: float, width: int, reach: int) -> _Grid:
+    def of(
+        cls,
+        period_s: float,
+        width: int,
+        reach: int,
+    ) -> _Grid:
+        """By ``period_s``, ``width`` and ``reach``, see above."""
         thin = max(int(THINNED_S / period_s), 1)
         inside = len(range(0, width, thin))
         # a parabola through the neighbours, and its slope (Savitzky & Golay 1964)
@@ -210,7 +216,11 @@ class OnlineEstimator:
     ) -> None:
         self.joints = calibration.joints
         others = [name for name in robot.model.independent_joints if name not in self.joints]
-        self._arm = Arm.of(robot, self.joints, zero_pose(robot, others) | (held or {}))
+        self._arm = Arm.of(
+            robot,
+            self.joints,
+            zero_pose(robot, others) | (held or {}),
+        )
         names = self._arm.model.joint_names
         if tuple(names) != tuple(self.joints):
             raise RobotError(
@@ -407,7 +417,10 @@ class OnlineEstimator:
         ):
             return None
         spans_s = times_s[-1] - times_s[0] + grid.period_s
-        fitting = self._fitting(grid, len(rows) * grid.period_s / spans_s)
+        fitting = self._fitting(
+            grid,
+            len(rows) * grid.period_s / spans_s,
+        )
         if fitting is None:
             return None
         return self._window_on(fitting, start_s, rows)
@@ -419,36 +432,51 @@ class OnlineEstimator:
         rows: Sequence[_Row],
     ) -> _Window:
         """The same of samples, on a grid."""
-        period_s = grid.period_s
-        reach = grid.reach
-        width = grid.width
-        thin = grid.thin
         times_s = np.array([row[0] for row in rows])
-        grid_s = start_s + period_s * np.arange(-reach, width + reach)
-        position = _interpolated(grid_s, times_s, np.array([row[1] for row in rows]))
-        current = _interpolated(grid_s, times_s, np.array([row[2] for row in rows]))
+        inside = np.arange(
+            -grid.reach,
+            grid.width + grid.reach,
+        )
+        grid_s = start_s + grid.period_s * inside
+        position = _interpolated(
+            grid_s,
+            times_s,
+            np.array([row[1] for row in rows]),
+        )
+        current = _interpolated(
+            grid_s,
+            times_s,
+            np.array([row[2] for row in rows]),
+        )
+        moves = np.ptp(position, axis=0) > self._least_rad
+        samples = self._smoothed(grid, start_s, position, current)
+        made = self._arm.rows(samples, moves)
+        middle = samples.position[len(samples.position) // 2]
+        return _Window(made, self._of_acceleration(grid, middle))
+
+    def _smoothed(
+        self, grid: _Grid, start_s: float, position: FloatArray, current: FloatArray
+    ) -> Samples:
+        """Every so many samples of a grid, positions by the parabola through their neighbours."""
+        reach = grid.reach
+        thin = grid.thin
         mean, slope = grid.smoothing[:2]
-        inside = slice(reach, reach + width, thin)
-        neighbours = sliding_window_view(position, 2 * reach + 1, axis=0)[:width:thin]
+        inside = slice(reach, reach + grid.width, thin)
+        neighbours = sliding_window_view(position, 2 * reach + 1, axis=0)[: grid.width : thin]
         smooth = neighbours @ mean  # (samples, n)
-        velocity = neighbours @ slope / period_s
         left_over = position[inside] - smooth
         jitter = 0.2 * left_over.T @ left_over / len(smooth) / (1.0 - mean[reach])
         self._jitter = 0.8 * self._jitter + jitter
         torque = sliding_window_view(current, thin, axis=0)[inside].mean(-1)
-        inside_s = np.asarray(start_s + period_s * np.arange(0, width, thin), dtype=np.float64)
-        constants = self._calibration.torque_constants
-        moves = np.ptp(position, axis=0) > self._least_rad
-        samples = Samples(
+        since_s = grid.period_s * np.arange(0, grid.width, thin)
+        return Samples(
             windows=grid.windows,
-            times_s=inside_s,
-            period_s=thin * period_s,
+            times_s=np.asarray(start_s + since_s, dtype=np.float64),
+            period_s=thin * grid.period_s,
             position=smooth,
-            velocity=velocity,
-            torque=torque * constants,
+            velocity=neighbours @ slope / grid.period_s,
+            torque=torque * self._calibration.torque_constants,
         )
-        made = self._arm.rows(samples, moves)
-        return _Window(made, self._of_acceleration(grid, smooth[len(smooth) // 2]))
 
     def _of_acceleration(self, grid: _Grid, position: FloatArray) -> FloatArray:
         """What noise of positions and stamps makes of the torque that accelerates the arm, covariance, shape (n, n).
@@ -604,8 +632,14 @@ class _Filter:
         self._knows = knows
         self._window_s = window_s
         self._arm = slice(0, knows.root.shape[1])
-        self._other = slice(self._arm.stop, self._arm.stop + knows.count)
-        self._load = slice(self._other.stop, self._other.stop + 4)
+        self._other = slice(
+            self._arm.stop,
+            self._arm.stop + knows.count,
+        )
+        self._load = slice(
+            self._other.stop,
+            self._other.stop + 4,
+        )
         size = self._load.stop
         self.motion_s = 0.0
         self._covariance = np.eye(size)
@@ -643,7 +677,13 @@ class _Filter:
         first_step = 1 + self._knows.count
         before = self._state[:, :first_step]
         self._past.append(
-            _Past(window, before, self._covariance, self._time_s, self._misfit),
+            _Past(
+                window,
+                before,
+                self._covariance,
+                self._time_s,
+                self._misfit,
+            ),
         )
         while len(self._past) * hop_s > LATEST_STEP_S:
             self._past.popleft()
@@ -706,7 +746,13 @@ class _Filter:
         mass_kg = self.mass_kg or self._heavy_kg
         along = window.payload @ knows.point
         design = window.design.copy()
-        fill_drives(design, knows.values, window, ArmTerms(knows.count), mass_kg * along)
+        fill_drives(
+            design,
+            knows.values,
+            window,
+            ArmTerms(knows.count),
+            mass_kg * along,
+        )
         heavy = max(abs(mass_kg), LEAST_HEAVY_KG) * knows.centre_std_m
         rows = np.hstack(
             [
@@ -724,7 +770,11 @@ class _Filter:
     def _before_onsets(self, start_s: float) -> FloatArray:
         """How much of a window's weight lies before each step that may have been: the integral of its test function."""
         since_s = np.array(self._onsets) - start_s
-        x = np.clip(2.0 * since_s / self._window_s - 1.0, -1.0, 1.0)
+        x = np.clip(
+            2.0 * since_s / self._window_s - 1.0,
+            -1.0,
+            1.0,
+        )
         result: FloatArray = 0.5 + 35.0 / 32.0 * (x - x**3 + 0.6 * x**5 - x**7 / 7.0)
         return result
 
@@ -756,7 +806,11 @@ class _Filter:
             return None
         information = np.maximum(self._information, 1e-12)
         change_kg = self._along / information
-        score = np.where(ready, np.abs(change_kg) * np.sqrt(information), 0.0)
+        score = np.where(
+            ready,
+            np.abs(change_kg) * np.sqrt(information),
+            0.0,
+        )
         best = int(np.argmax(score))
         least_kg = LEAST_SHARE * abs(self.mass_kg)
         is_step = score[best] > sigmas and abs(change_kg[best]) > least_kg
@@ -790,7 +844,11 @@ class _Filter:
         return new
 
 
-def inertia_matrix(model: ReducedModel, position: FloatArray, terms: FloatArray) -> FloatArray:
+def inertia_matrix(
+    model: ReducedModel,
+    position: FloatArray,
+    terms: FloatArray,
+) -> FloatArray:
     """Of an arm of n joints at a pose.
 
     ``model``: its geometry; ``position``: [rad], shape (n,); ``terms``: parameters of its bodies and its rotors, shape (11 n,).
@@ -800,15 +858,29 @@ def inertia_matrix(model: ReducedModel, position: FloatArray, terms: FloatArray)
     count = len(position)
     bodies = terms[: PARAMETERS * count].reshape(count, PARAMETERS)
     # momentum of each body where one joint after the other turns at 1 rad/s
-    motion = kinematics(model, np.tile(position, (count, 1)), np.eye(count))
+    motion = kinematics(
+        model,
+        np.tile(position, (count, 1)),
+        np.eye(count),
+    )
     result = np.diag(terms[PARAMETERS * count :])
     for body, own in enumerate(bodies):
         joints = carriers(model, body)
-        of_body = motion.seen_by(body, motion.twist[:, body, None])
-        along = momentum_along(*motion.seen_by(body, motion.axis[:, joints]), *of_body)
+        of_body = motion.seen_by(
+            body,
+            motion.twist[:, body, None],
+        )
+        along = momentum_along(
+            *motion.seen_by(body, motion.axis[:, joints]),
+            *of_body,
+        )
         result[joints] += np.tensordot(own, along, 1)
     return result
 
 
-def _interpolated(at_s: NDArray[Any], times_s: FloatArray, values: FloatArray) -> FloatArray:
+def _interpolated(
+    at_s: NDArray[Any],
+    times_s: FloatArray,
+    values: FloatArray,
+) -> FloatArray:
     return np.column_stack([np.interp(at_s, times_s, column) for column in values.T])

@@ -96,7 +96,12 @@ class RecordingVariability:
     @classmethod
     def published(cls, friction: FloatArray, drift: FloatArray) -> RecordingVariability:
         """Nothing is known of this arm but its friction."""
-        return cls(PUBLISHED, dict.fromkeys(PUBLISHED, PSEUDO_RECORDINGS), friction, drift)
+        return cls(
+            PUBLISHED,
+            dict.fromkeys(PUBLISHED, PSEUDO_RECORDINGS),
+            friction,
+            drift,
+        )
 
     @classmethod
     def unknown(cls, count: int) -> RecordingVariability:
@@ -159,9 +164,18 @@ class RecordingVariability:
         for kind in kinds:
             mine = own == kind
             stated = self.spreads[kind]
-            determined = np.clip(1.0 - variances[:, mine] / std[mine] ** 2, 0.0, 1.0)
+            determined = np.clip(
+                1.0 - variances[:, mine] / std[mine] ** 2,
+                0.0,
+                1.0,
+            )
             found = off[:, mine] / std[mine] * now.spreads[kind]
-            spreads[kind] = spread_of_runs(stated, found, determined, self.recordings[kind])
+            spreads[kind] = spread_of_runs(
+                stated,
+                found,
+                determined,
+                self.recordings[kind],
+            )
             recordings[kind] = self.recordings[kind] + float(determined.sum())
         return replace(self, spreads=spreads, recordings=recordings)
 
@@ -176,7 +190,11 @@ class Evidence:
     weights: FloatArray  # how likely each spread is, shape (F,), sum 1
 
 
-def by_evidence(kinds: NDArray[np.str_], information: FloatArray, side: FloatArray) -> Evidence:
+def by_evidence(
+    kinds: NDArray[np.str_],
+    information: FloatArray,
+    side: FloatArray,
+) -> Evidence:
     """Average terms over how far they may scatter, by how likely each spread makes the data.
 
     Args:
@@ -191,9 +209,18 @@ def by_evidence(kinds: NDArray[np.str_], information: FloatArray, side: FloatArr
     terms = np.array([values for _, values in each])
     weights, agree = likely(evidence, pairs)
     wider: dict[str, float] = {}
-    for group, factor in zip(FOLLOWED_TOGETHER, np.sqrt(weights @ np.square(pairs)), strict=True):
+    for group, factor in zip(
+        FOLLOWED_TOGETHER,
+        np.sqrt(weights @ np.square(pairs)),
+        strict=True,
+    ):
         wider |= dict.fromkeys(group, float(factor))
-    return Evidence((1.0 - agree) * (weights @ terms), wider, terms, weights)
+    return Evidence(
+        (1.0 - agree) * (weights @ terms),
+        wider,
+        terms,
+        weights,
+    )
 
 
 def under(
@@ -241,7 +268,10 @@ def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:
     ``errors``: of each, relative, shape (n,); ``variances``: that each knows, shape (n,).
     """
     apart = np.maximum(variances, 1e-12) + SPREADS[:, None] ** 2
-    fit = -0.5 * np.sum(np.log(apart) + np.square(errors) / apart, axis=1)
+    fit = -0.5 * np.sum(
+        np.log(apart) + np.square(errors) / apart,
+        axis=1,
+    )
     # a half Cauchy prior, too; the steps grow with the spread
     log = fit - np.log1p(np.square(SPREADS / SPREAD_SCALE)) + np.log(SPREADS)
     weights: FloatArray = np.exp(log - log.max())

@@ -119,7 +119,11 @@ def held_when_empty(held: HeldByFile) -> Iterator[Refusal]:
     """Where a hand that should be empty holds something by the robot file, and with that the arm is as stated."""
     if held.sigmas < LEAST_SIGMAS:
         return
-    mass = shown("kg", abs(held.mass_kg), spec=".0f")
+    mass = shown(
+        "kg",
+        abs(held.mass_kg),
+        spec=".0f",
+    )
     half = shown("kg", Z95 * held.std_kg, spec=".0f")
     seen = f"holds {mass} +- {half}: was something held, or is a tool mounted that the URDF lacks?"
     if held.mass_kg < 0.0:
@@ -136,7 +140,11 @@ def noticed(fit: MotionFit) -> FloatArray:
     """By how much of a joint's torque this has to differ from the empty arm's to be noticed, shape (n,)."""
     _, std = fit.off["own_scale"]
     least = np.maximum(RATIO_SHARE, APART_SIGMAS * np.hypot(std, RATIO_STD))
-    return np.where(fit.tells < DECIDES, np.inf, least)
+    return np.where(
+        fit.tells < DECIDES,
+        np.inf,
+        least,
+    )
 
 
 def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:
@@ -191,10 +199,18 @@ def centre_elsewhere(
         np.square(mass * np.asarray(stated[1]))
     )
     if Z95 * np.sqrt(off @ np.linalg.solve(covariance, off)) > APART_SIGMAS * free.quantile:
-        yield elsewhere(name, at, free.values[1:4] / mass)
+        yield elsewhere(
+            name,
+            at,
+            free.values[1:4] / mass,
+        )
 
 
-def elsewhere(name: str, stated: FloatArray, found: FloatArray) -> Refusal:
+def elsewhere(
+    name: str,
+    stated: FloatArray,
+    found: FloatArray,
+) -> Refusal:
     """The refusal of a stated centre where another one explains the motion.
 
     ``name``: of the recording; ``stated``: the centre [m], shape (3,); ``found``: the other one.

@@ -59,19 +59,26 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
     information = np.linalg.inv(
         scaled[1:, 1:] - np.outer(scaled[1:, 0], scaled[0, 1:]) / scaled[0, 0]
     )
-    units = np.array([pseudo_inertia(unit) for unit in np.eye(PARAMETERS)[1:]])
+    rest = _nearest_in_cone(wanted[1:], information)
+    result: FloatArray = np.concatenate([parameters[:1], rest * size[1:]])
+    return result
+
+
+def _nearest_in_cone(wanted: FloatArray, information: FloatArray) -> FloatArray:
+    """First moments and inertia of a body of mass 1 that are nearest to some, shape (9,), by Newton's method with a barrier."""
+    units = np.array([pseudo_inertia(unit) for unit in np.eye(PARAMETERS)[1:]])  # (9, 4, 4)
     fixed = pseudo_inertia(np.eye(PARAMETERS)[0])
     # a sphere at the origin is a body, and the barrier keeps every step one
     rest = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
-    barrier = 1.0 + float((rest - wanted[1:]) @ information @ (rest - wanted[1:]))
+    barrier = 1.0 + float((rest - wanted) @ information @ (rest - wanted))
     while barrier > _BARRIER_END:
         for _ in range(_NEWTON_STEPS):
             inverse = np.linalg.inv(fixed + np.tensordot(rest, units, 1))
             turned = inverse @ units
-            gradient = 2.0 * information @ (rest - wanted[1:]) - barrier * np.trace(
-                turned, axis1=1, axis2=2
-            )
-            hessian = 2.0 * information + barrier * np.einsum("aij,bji->ab", turned, turned)
+            traces = np.trace(turned, axis1=1, axis2=2)
+            gradient = 2.0 * information @ (rest - wanted) - barrier * traces
+            curvature = np.einsum("aij,bji->ab", turned, turned)
+            hessian = 2.0 * information + barrier * curvature
             step = -np.linalg.solve(hessian, gradient)
             # the decrement measures how far the minimum is; within 1/4 of it full steps stay inside the cone
             decrement = float(np.sqrt(max(-gradient @ step, 0.0) / barrier))
@@ -79,8 +86,7 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
             if decrement < 1e-6:
                 break
         barrier *= 0.2
-    result: FloatArray = np.concatenate([parameters[:1], rest * size[1:]])
-    return result
+    return rest
 
 
 def inertia_about_centre(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -102,7 +108,6 @@ def inertia_about_centre(parameters: FloatArray) -> tuple[FloatArray, FloatArray
         value[row] -= part / mass
         gradient[row, 0] = part / mass**2
         slope = 2.0 * moment if i == j else np.zeros(3)
-        slope = slope.copy()
         slope[i] -= moment[j]
         slope[j] -= moment[i]
         gradient[row, 1:4] = -slope / mass

@@ -156,7 +156,11 @@ class Followed:
     scatter: FloatArray  # how solutions by each spread scatter about the estimate, covariance, shape (U, U)
 
 
-def solve_following(problem: Problem, priors: Priors, known: MotionCalibration | None) -> Followed:
+def solve_following(
+    problem: Problem,
+    priors: Priors,
+    known: MotionCalibration | None,
+) -> Followed:
     """The mean of solutions over all spreads of what differs between recordings, each as likely as it makes the data.
 
     Args:
@@ -170,15 +174,24 @@ def solve_following(problem: Problem, priors: Priors, known: MotionCalibration |
     std = terms.each_motion(variability.std)
     # what the data say of these terms alone; all else follows them linearly
     covariance = opened.covariance[np.ix_(terms.at, terms.at)]
-    precision = np.asarray(np.linalg.inv(covariance), np.float64)  # (K, K)
+    precision = np.asarray(
+        np.linalg.inv(covariance),
+        np.float64,
+    )  # (K, K)
     leads = opened.covariance[:, terms.at] @ precision  # (U, K)
     found = terms.evidence(opened, precision, variability)
     mean = terms.basis @ found.mean  # (K,), in parts of std
     apart = (found.terms @ terms.basis.T - mean) * std @ leads.T  # (F, U)
     wider = {kind: variability.spreads[kind] * times for kind, times in found.wider.items()}
-    differs = replace(opened.variability, spreads={**opened.variability.spreads, **wider})
+    differs = replace(
+        opened.variability,
+        spreads={**opened.variability.spreads, **wider},
+    )
     spread = terms.each_motion(differs.std)[:, None] * terms.basis
-    wide = Prior(opened.prior.values, opened.prior.covariance.copy())
+    wide = Prior(
+        opened.prior.values,
+        opened.prior.covariance.copy(),
+    )
     wide.covariance[np.ix_(terms.at, terms.at)] = spread @ spread.T
     values = opened.values + leads @ (std * mean - opened.values[terms.at])
     return Followed(
@@ -201,14 +214,26 @@ class _Considered:
     def of(
         cls, problem: Problem, variability: RecordingVariability, about_mean: bool
     ) -> _Considered:
-        """Those of a problem, as they are or as they differ from their mean over the motions."""
+        """Those of a problem.
+
+        ``problem``: of M motions; ``variability``: by how much they differ; ``about_mean``: whether the terms are how they differ
+        from their mean over the motions.
+        """
         motions = problem.motions
         own = np.flatnonzero(np.isin(np.tile(variability.kinds, motions), CONSIDERED))
         basis: FloatArray = np.eye(len(own))
         if about_mean:
             each = np.eye(len(own) // motions)
-            basis = np.asarray(np.kron(_contrasts(motions), each), np.float64)
-        return cls(motions, own, problem.own(0).start + own, basis)
+            basis = np.asarray(
+                np.kron(_contrasts(motions), each),
+                np.float64,
+            )
+        return cls(
+            motions,
+            own,
+            problem.own(0).start + own,
+            basis,
+        )
 
     def each_motion(self, of_own: NDArray[Any]) -> NDArray[Any]:
         """Of these terms, what is the same for every motion's own terms, shape (K,)."""
@@ -217,7 +242,10 @@ class _Considered:
     def evidence(
         self, opened: Solution, precision: FloatArray, stated: RecordingVariability
     ) -> Evidence:
-        """What data say of these terms, which a solution had open with such a precision, in parts of what is stated of them."""
+        """What data say of these terms, in parts of what is stated of them.
+
+        ``opened``: a solution that had them open; ``precision``: theirs in it, shape (K, K); ``stated``: by how much they differ.
+        """
         opened_std = self.each_motion(opened.variability.std)
         std = self.each_motion(stated.std)
         data = precision - np.diag(1.0 / np.square(opened_std))
@@ -238,9 +266,17 @@ def _moved(
     variability: RecordingVariability,
 ) -> Solution:
     """A solution with other values, and the covariance that the same data have under another prior."""
-    _, covariance = posterior(opened.information, opened.information @ prior.values, prior)
+    _, covariance = posterior(
+        opened.information,
+        opened.information @ prior.values,
+        prior,
+    )
     residual = problem.torque - opened.scaled @ values / opened.weight
-    pulls = scores(opened.scaled, residual * opened.weight, problem.stretch)
+    pulls = scores(
+        opened.scaled,
+        residual * opened.weight,
+        problem.stretch,
+    )
     return replace(
         opened,
         values=values,
@@ -310,13 +346,19 @@ class _Reweighted:
         # each motion's own terms are the last unknowns
         self.own = slice(problem.own(0).start, None)
         self.own_variance = np.diag(prior.covariance)[self.own].copy()
-        self.prior = Prior(prior.values, prior.covariance.copy())
+        self.prior = Prior(
+            prior.values,
+            prior.covariance.copy(),
+        )
         self.per_kg = priors.per_kg
         self.stated = variability
         self.variability = variability
         learnt = (*LEARNT, *followed) if variability.friction.any() else followed
         self.learnt = [kind for kind in PUBLISHED if kind in learnt and kind not in CLOCK]
-        follows = np.isin(variability.kinds, (*LEARNT, *followed))
+        follows = np.isin(
+            variability.kinds,
+            (*LEARNT, *followed),
+        )
         self.follows = np.where(follows, 1.0, FIXED)
         self.rms = np.ones(problem.count)
         self.correlation = np.ones(problem.count)
@@ -331,7 +373,12 @@ class _Reweighted:
         self._open_payload(now)
         self._learn_variability(now)
         self._spread_own_terms()
-        fill_drives(self.matrix, now.values, self.problem, self.terms)
+        fill_drives(
+            self.matrix,
+            now.values,
+            self.problem,
+            self.terms,
+        )
         self.problem.fill_own(self.matrix, now.values)
 
     def solution(self) -> Solution:
@@ -376,7 +423,10 @@ class _Reweighted:
         for joint in np.unique(self.problem.joint):
             mine = self.problem.joint == joint
             rms = max(float(np.std(residual[mine])), LEAST_RMS)
-            correlation = correlated_windows(residual[mine], self.problem.stretch[mine])
+            correlation = correlated_windows(
+                residual[mine],
+                self.problem.stretch[mine],
+            )
             if known is not None and self.followed:  # what unknowns take up is not left over
                 scaled = now.scaled[mine]
                 leverage = np.einsum("ij,ij->", scaled @ now.covariance, scaled)
@@ -420,7 +470,10 @@ class _Reweighted:
         self.variability = self.stated.learnt(self.variability, off, variances, self.learnt)
 
 
-def correlated_windows(residual: FloatArray, stretch: NDArray[np.int64]) -> float:
+def correlated_windows(
+    residual: FloatArray,
+    stretch: NDArray[np.int64],
+) -> float:
     """Over how many windows a joint's residuals are correlated: one and twice the sum of their correlations within a stretch."""
     total = 1.0
     variance = float(np.mean(residual**2))

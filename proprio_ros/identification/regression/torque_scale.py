@@ -38,14 +38,21 @@ def scaled_by_references(
     """
     open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
     readings = [
-        _Reading(motion, mass_kg, fit_payload(robot, [motion], open_scale, centre=centre))
+        _Reading(
+            motion,
+            mass_kg,
+            fit_payload(robot, [motion], open_scale, centre=centre),
+        )
         for motion, mass_kg in references
     ]
     ratios: list[_Ratio] = []
     coarse = ""
     # the best one first: one that is too coarse beside others says nothing, and does no harm
     for reading in sorted(readings, key=lambda each: each.std_kg / each.mass_kg):
-        misplaced = next(_misplaced(robot, reading, open_scale, centre), None)
+        misplaced = next(
+            _misplaced(robot, reading, open_scale, centre),
+            None,
+        )
         if misplaced is not None:
             return calibration, misplaced
         if reading.is_coarse and (ratios or coarse):
@@ -59,7 +66,10 @@ def scaled_by_references(
             ratios.append(reading.ratio)
     # one that says nothing is no reason to stop: an answer is as uncertain as without it
     if not ratios:
-        return calibration, replace(ACCEPTED, reasons=(Reason("says_too_little", coarse),))
+        return calibration, replace(
+            ACCEPTED,
+            reasons=(Reason("says_too_little", coarse),),
+        )
     scale, variance = _mean_scale(ratios)
     drives = [robot.drive_trains[joint] for joint in calibration.joints]
     if all(drive.torque_constant.std > 0.0 for drive in drives):
@@ -110,7 +120,10 @@ class _Reading:
         read = self.read_kg
         std = self.std_kg
         # the reciprocal of what is uncertain is on average too large by its variance
-        return _Ratio(self.mass_kg * read / (read**2 + std**2), std * self.mass_kg / read**2)
+        return _Ratio(
+            self.mass_kg * read / (read**2 + std**2),
+            std * self.mass_kg / read**2,
+        )
 
     @property
     def words(self) -> str:

@@ -46,7 +46,11 @@ class Explained:
             usual: What is left over of each joint's torque where the hand's load is known, rms [N m].
         """
         shown = self.motion < len(names)
-        information = np.where(shown, np.square(self.by_mass), 0.0)
+        information = np.where(
+            shown,
+            np.square(self.by_mass),
+            0.0,
+        )
         whole = max(float(information.sum()), 1e-300)
         fits = []
         for number, name in enumerate(names):

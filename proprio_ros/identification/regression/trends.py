@@ -123,7 +123,12 @@ def _fell(change: float) -> str:
     return "fell" if change < 0.0 else "rose"
 
 
-def trend_of(joints: Sequence[str], problem: Problem, solution: Solution, number: int) -> Trend:
+def trend_of(
+    joints: Sequence[str],
+    problem: Problem,
+    solution: Solution,
+    number: int,
+) -> Trend:
     """What changes along one motion, by what a fit leaves over of it.
 
     Args:
@@ -204,11 +209,20 @@ def _step(
         change_kg = float(found.values[FIRST_MOMENTS])
         is_clear = abs(change_kg) > STEP_SIGMAS * found.std[FIRST_MOMENTS]
         if is_clear and (best is None or found.gain > best.gain):
-            best = Step(float(time_s) - first_s, change_kg, found.gain)
+            best = Step(
+                float(time_s) - first_s,
+                change_kg,
+                found.gain,
+            )
     return best
 
 
-def without_trend(robot: Robot, motion: Motion, trend: Trend, clear: Trend) -> Motion:
+def without_trend(
+    robot: Robot,
+    motion: Motion,
+    trend: Trend,
+    clear: Trend,
+) -> Motion:
     """The motion as if all of it had been recorded in its middle.
 
     Args:
@@ -218,7 +232,11 @@ def without_trend(robot: Robot, motion: Motion, trend: Trend, clear: Trend) -> M
         clear: The trend that says which changes are taken off.
     """
     times_s, position, _ = evenly(motion, trend.joints, BANDWIDTH_HZ)
-    velocity = np.gradient(position, times_s[1] - times_s[0], axis=0)
+    velocity = np.gradient(
+        position,
+        times_s[1] - times_s[0],
+        axis=0,
+    )
     along = _along(motion.times_s)
     current = motion.current_A.copy()
     if clear.torque_is_clear:

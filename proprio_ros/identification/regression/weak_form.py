@@ -49,7 +49,12 @@ class Windows:
     slope: FloatArray  # those of its time derivative, shape (K,)
 
     @classmethod
-    def over(cls, samples: int, width: int, hop: int) -> Windows:
+    def over(
+        cls,
+        samples: int,
+        width: int,
+        hop: int,
+    ) -> Windows:
         """Windows of ``width`` samples, one every ``hop``; the derivative is that per sample."""
         x = (np.arange(width) + 0.5) * 2.0 / width - 1.0
         weight = (1.0 - x**2) ** 3
@@ -168,7 +173,10 @@ def evenly(
             current[:, number] = np.interp(
                 times_s, motion.times_s[known], motion.current_A[known, column]
             )
-    b, a = butter(2, min(2.0 * bandwidth_Hz * period_s, 0.9))
+    b, a = butter(
+        2,
+        min(2.0 * bandwidth_Hz * period_s, 0.9),
+    )
     if len(times_s) <= 3 * max(len(a), len(b)):
         raise RecordingError(f"{motion.name}: {len(times_s)} samples are too few for a motion")
     position = filtfilt(b, a, position, axis=0)
