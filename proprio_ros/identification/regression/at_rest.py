@@ -30,7 +30,12 @@ from proprio_ros.identification.regression.error_budget import CALIBRATION, CONS
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
 from proprio_ros.identification.regression.motion_fit import check_arm
 from proprio_ros.identification.regression.motion_prior import LOAD_FRICTION_SPREAD, payload_stds
-from proprio_ros.identification.regression.online import TOLD_S, OnlineEstimate, OnlineEstimator
+from proprio_ros.identification.regression.online import (
+    TOLD_S,
+    OnlineEstimate,
+    OnlineEstimator,
+    is_finite,
+)
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -149,14 +154,16 @@ def _quiet_spans(
     if len(times_s) < width:
         return
     samples = np.lib.stride_tricks.sliding_window_view(position, width, axis=0)
-    quiet = np.flatnonzero((np.ptp(samples, axis=2) <= band).all(axis=1))
+    still = np.ptp(samples, axis=2) <= band
+    quiet = np.flatnonzero(still.all(axis=1))
     end = 0
     while len(quiet := quiet[quiet >= end]):
         first = int(quiet[0])
         rest = position[first:]
         spread = np.maximum.accumulate(rest) - np.minimum.accumulate(rest)
         gone = (spread > band).any(axis=1)
-        end = first + (int(np.argmax(gone)) if gone.any() else len(rest))
+        lasts = int(np.argmax(gone)) if gone.any() else len(rest)
+        end = first + lasts
         yield first, end
 
 
@@ -263,9 +270,10 @@ def _in_motion(
         robot, calibration, centre_m=centre_m.tolist(), centre_std_m=std_m, held=dict(motion.held)
     )
     columns = [motion.joints.index(name) for name in calibration.joints]
+    times_s = motion.times_s.tolist()
     positions = motion.position[:, columns].tolist()
     currents = motion.current_A[:, columns].tolist()
-    for time_s, position, current in zip(motion.times_s.tolist(), positions, currents, strict=True):
+    for time_s, position, current in zip(times_s, positions, currents, strict=True):
         if running.add(time_s, position, current):
             now = running.estimate()
             if now is not None and now.changed:
@@ -305,6 +313,7 @@ def _by_stances(
     variances = {name: float(gain @ part @ gain) for name, part in errors.parts.items()}
     variances[CONSTANTS] = (mass * calibration.torque_scale_std) ** 2
     wider = max(1.0, chi2 / freedom)
+    expected = np.trace(errors.parts[FRICTION]) / len(left)
     return RestFit(
         mass_kg=mass,
         std_kg=float(np.sqrt(wider * sum(variances.values()))),
@@ -313,7 +322,7 @@ def _by_stances(
         chi2=chi2,
         freedom=freedom,
         rms=float(np.sqrt(np.mean(left**2))),
-        expected_rms=float(np.sqrt(np.trace(errors.parts[FRICTION]) / len(left))),
+        expected_rms=float(np.sqrt(expected)),
     )
 
 
@@ -356,7 +365,7 @@ class _StanceEquations:
         self._pull = (self._by_body @ values[terms.bodies]).ravel()
         self._per_kg = (by_payload @ point_mass(centre_m) / scale).ravel()
         self.lever = self._per_kg * self._given
-        axes = (by_payload[..., 1:4] / scale).reshape(len(self._joint), 3)
+        axes = by_payload[..., 1:4].reshape(-1, 3) / scale
         self._shift = axes * self._given[:, None] * centre_std_m  # (E, 3)
         torque = (stood.current_A * calibration.torque_constants).ravel()
         self._beside_arm = torque - self._pull * self._given - values[terms.offset][self._joint]
@@ -451,7 +460,7 @@ class StandingEstimator(OnlineEstimator):
         """
         new = works and super().add(time_s, positions, currents)
         row = (time_s, np.array(positions), np.array(currents))
-        if not np.isfinite([time_s, *row[1], *row[2]]).all():
+        if not is_finite(time_s, positions, currents):
             return new
         self._lost &= not works
         self._keep(row)
@@ -490,7 +499,8 @@ class StandingEstimator(OnlineEstimator):
         """The mass by how the arm stands now: where it came from is too long ago, or somebody touched it since."""
         late = [each[0] > time_s - SHORTEST_S + SETTLING_S for each in self._rows]
         at = position[late].mean(axis=0)[None]
-        current = np.array([each[2] for each in self._rows])[late].mean(axis=0)[None]
+        currents = np.array([each[2] for each in self._rows])
+        current = currents[late].mean(axis=0)[None]
         stance = Stances(at, current, np.zeros_like(at))
         centre_m = np.array(self.centre_m)
         return _by_stances(

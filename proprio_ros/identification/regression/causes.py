@@ -60,6 +60,7 @@ class _Model:
     by_urdf: FloatArray
     weight: FloatArray
     payload: FloatArray  # of things as heavy as the arm, each at another place
+    size: FloatArray  # rms of the URDF's torque by joint [N m], shape (n,)
 
     @classmethod
     def of(cls, robot: Robot, motion: Motion) -> _Model:
@@ -70,14 +71,18 @@ class _Model:
             dict(motion.held),
         )
         by_urdf = rows.design[:, : PARAMETERS * arm.count] @ np.concatenate(arm.bodies)
-        size = np.array([_rms(by_urdf[rows.joint == joint]) for joint in range(arm.count)])
-        places = 3.0 * HELD_WITHIN * arm.reach_m * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-        payload = arm.kg * rows.payload @ np.array([point_mass(place) for place in places]).T
+        of_joint = [by_urdf[rows.joint == joint] for joint in range(arm.count)]
+        size = np.array([_rms(torque) for torque in of_joint])
+        directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+        places = 3.0 * HELD_WITHIN * arm.reach_m * directions
+        points = np.array([point_mass(place) for place in places])
+        payload = arm.kg * rows.payload @ points.T
         return cls(
             rows,
             by_urdf,
             1.0 / np.maximum(size, WEAK * size.max())[rows.joint],
             payload,
+            size,
         )
 
     def left(
@@ -106,15 +111,11 @@ class _Model:
         # a heavy payload needs a reason, and so does a constant torque
         costs = np.zeros(system.shape[1])
         offsets = slice(held + joints, held + 2 * joints)
-        costs[:held], costs[offsets] = (
-            1.0,
-            (own * self.weight[:, None]).max(axis=0) / np.sqrt(joints),
-        )
-        small = np.asarray(
-            np.linalg.qr(
-                np.vstack([system, np.sqrt(HEAVY_COSTS * total) * np.diag(costs)]), mode="r"
-            )
-        )
+        heaviest = (own * self.weight[:, None]).max(axis=0)
+        costs[:held] = 1.0
+        costs[offsets] = heaviest / np.sqrt(joints)
+        penalties = np.sqrt(HEAVY_COSTS * total) * np.diag(costs)
+        small = np.asarray(np.linalg.qr(np.vstack([system, penalties]), mode="r"))
         least = np.where(
             np.arange(len(costs) - 1) < held + joints,
             0.0,
@@ -151,33 +152,34 @@ def with_cause(
         return refusal
     found = misread(robot, motions, empty)
     if found is not None and (found.of_positions or not accepted):
-        said = f"{found.words}: so the torques of all joints are explained, and as recorded they are not"
-        reasons = (Reason("misread_joint", said), *refusal.reasons)
-        withheld = refusal.withheld or "a joint is not read as its URDF has it"
-        return replace(
-            refusal,
-            verdict=Verdict.REJECTED,
-            withheld=withheld,
-            reasons=reasons,
-        )
+        words = f"{found.words}: so the torques of all joints are explained, and as recorded they are not"
+        cause = Reason("misread_joint", words)
+        return _rejected_for(refusal, cause, "a joint is not read as its URDF has it")
     if accepted:
         return refusal
     for motion in (*motions, *empty):
-        if cause := torque_cause(robot, motion):
-            code = (
-                "misfit"
-                if refusal.verdict is Verdict.TOO_WIDE
-                else getattr(refusal.reasons[0], "code", "other")
-            )
-            reasons = (Reason(code, f"{motion.name}: {cause}"), *refusal.reasons)
-            withheld = refusal.withheld or "the arm does not fit its URDF"
-            return replace(
-                refusal,
-                verdict=Verdict.REJECTED,
-                withheld=withheld,
-                reasons=reasons,
-            )
+        words = torque_cause(robot, motion)
+        if words:
+            code = "misfit"
+            if refusal.verdict is not Verdict.TOO_WIDE:
+                code = getattr(refusal.reasons[0], "code", "other")
+            cause = Reason(code, f"{motion.name}: {words}")
+            return _rejected_for(refusal, cause, "the arm does not fit its URDF")
     return refusal
+
+
+def _rejected_for(
+    refusal: Refusal,
+    cause: Reason,
+    withheld: str,
+) -> Refusal:
+    """A rejection for a cause, before whatever else was found."""
+    return replace(
+        refusal,
+        verdict=Verdict.REJECTED,
+        withheld=refusal.withheld or withheld,
+        reasons=(cause, *refusal.reasons),
+    )
 
 
 def torque_cause(robot: Robot, motion: Motion) -> str:
@@ -188,7 +190,8 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
     motion = thinned(motion, RATE_HZ, LONGEST_S)
     try:
         model = _Model.of(robot, motion)
-        as_it_is, nothing = (model.left(share * model.rows.torque)[0] for share in (1.0, 0.0))
+        as_it_is, _ = model.left(model.rows.torque)
+        nothing, _ = model.left(0.0 * model.rows.torque)
         (least, words), *others = sorted(_tried(robot, motion, model))
     except (ProprioError, np.linalg.LinAlgError):
         return ""
@@ -204,9 +207,7 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
 
 
 def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
-    sizes = np.array(
-        [_rms(model.by_urdf[model.rows.joint == number]) for number in range(len(motion.joints))]
-    )
+    sizes = model.size
     asked = [
         (
             np.ones(len(sizes), dtype=bool),

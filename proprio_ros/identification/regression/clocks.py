@@ -224,9 +224,9 @@ def _step(
     at = [problem.own(0).start + variability.place(kind) for kind in CLOCK]
     acceleration, lag_s = solution.values[at]
     # the larger of what the fit and what its stretches say
-    variance = np.maximum(
-        np.diag(solution.covariance)[at], np.square(solution.deviations[:, at]).sum(axis=0)
-    )
+    formal = np.diag(solution.covariance)[at]
+    of_stretches = np.square(solution.deviations[:, at]).sum(axis=0)
+    variance = np.maximum(formal, of_stretches)
     acceleration_std, lag_std_s = np.sqrt(variance)
     acceleration = max(float(acceleration), LEAST_ACCELERATION)
     return Clock(

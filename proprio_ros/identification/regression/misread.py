@@ -177,7 +177,8 @@ class _Fitting:
         """Where the columns of a motion's `_Squares` stand among the unknowns; the torque is the last."""
         size = len(self.prior.values)
         at = self.shared + self.own * number
-        return np.concatenate([np.arange(self.shared), np.arange(at, at + self.own), [size]])
+        friction = np.arange(at, at + self.own)
+        return np.concatenate([np.arange(self.shared), friction, [size]])
 
     def fit(self, parts: Sequence[_Squares]) -> _Fit:
         """All motions together, each joint weighted by what is left over of it."""

@@ -114,7 +114,8 @@ class Arm:
     @property
     def lengths_m(self) -> list[float]:
         """Size of each body, length n: to the next joint, a tenth of the reach at least."""
-        along = [float(np.linalg.norm(place[:3, 3])) for place in self.model.placement[1:]]
+        steps = [place[:3, 3] for place in self.model.placement[1:]]
+        along = [float(np.linalg.norm(step)) for step in steps]
         return [max(0.1 * self.reach_m, length) for length in (*along, 0.0)]
 
     def rows(
@@ -131,7 +132,7 @@ class Arm:
             by_zeros: Whether the rows know how they follow the joints' zeros, and the pace of the clock.
         """
         windows = samples.windows
-        slow = windows.mean((np.abs(samples.velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
+        slow = windows.share(np.abs(samples.velocity) < SLOW_RAD_S) > 0.5
         window, joint = np.nonzero(counts & ~slow)  # (E,)
         regressor = self._torques(samples, window, joint)
         direction = windows.mean(np.tanh(samples.velocity / SLOW_RAD_S))[window, joint]
@@ -205,7 +206,9 @@ class Arm:
         position = samples.position
         own = np.eye(self.count)[joint]
         moving = np.tanh(samples.velocity / SLOW_RAD_S)
-        waves = [np.sin(position), np.cos(position), np.sin(2.0 * position), np.cos(2.0 * position)]
+        waves = []
+        for angle in (position, 2.0 * position):
+            waves += [np.sin(angle), np.cos(angle)]
         of_rotors = windows.derivative(samples.velocity, samples.period_s)
         of_joints = [
             *(windows.mean(moving * wave) for wave in waves),
@@ -258,7 +261,8 @@ def _of_motion(
         max(1, round(HOP_SHARE * width)),
     )
     names = arm.model.joint_names
-    counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, names, times_s, windows)
+    gaps = across_gaps(motion, names, times_s, windows)
+    counts = np.isin(names, motion.moved)[None, :] & ~gaps
     samples = Samples(
         windows,
         times_s,
@@ -375,7 +379,9 @@ def weighable(parts: Sequence[Rows]) -> list[Rows]:
     As many unknowns as rows explain whatever was read: nothing is left over, and such a joint would outweigh all others.
     """
     together = np.concatenate([part.joint for part in parts])
-    enough = np.bincount(together) >= LEAST_WINDOWS if len(together) else np.zeros(0, dtype=bool)
+    if not len(together):
+        return list(parts)
+    enough = np.bincount(together) >= LEAST_WINDOWS
     return [part.only(enough[part.joint]) for part in parts]
 
 
@@ -509,7 +515,8 @@ class Problem:
     @property
     def motions(self) -> int:
         """How many there are."""
-        return (self.matrix.shape[1] - PARAMETERS - ARM_TERMS * self.count) // own_terms(self.count)
+        shared = PARAMETERS + ARM_TERMS * self.count
+        return (self.matrix.shape[1] - shared) // own_terms(self.count)
 
     def own(
         self,

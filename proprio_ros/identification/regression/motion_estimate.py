@@ -203,7 +203,8 @@ def _unexplained(motions: Sequence[Motion], calibration: MotionCalibration) -> F
         for motion in motions
     ]
     # 0 for a joint whose torque was never measured
-    driven = np.sqrt(np.mean(np.square(np.nan_to_num(np.vstack(torques))), axis=0))
+    known = np.nan_to_num(np.vstack(torques))
+    driven = np.sqrt(np.mean(np.square(known), axis=0))
     return share_of(calibration.residual, driven)
 
 
@@ -267,8 +268,8 @@ def _weighable(
     std_kg = float(fit.std[0])
     nothing_kg = 0.5 * (fit.quantile / Z95) * std_kg + 0.5 * std_kg
     if len(motions) > 1 and weighed:
-        read_kg = float(np.sqrt(np.mean([each.mass_kg**2 for each in weighed])))
-        nothing_kg = max(nothing_kg, read_kg)
+        squares = [each.mass_kg**2 for each in weighed]
+        nothing_kg = max(nothing_kg, float(np.sqrt(np.mean(squares))))
     mass_kg = float(f"{SHOWN_SHARE * arm_kg:.1g}")
     share = calibration.torque_scale_std
     return Weighable(

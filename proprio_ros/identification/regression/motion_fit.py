@@ -16,6 +16,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -163,6 +164,15 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     return learn_arm(robot, motions)[0]
 
 
+def run_entry(motion: Motion, load_kg: float) -> dict[str, Any]:
+    """What a calibration keeps of a motion with a known load."""
+    return {
+        "name": motion.name,
+        "duration_s": float(motion.times_s[-1]),
+        "load_kg": load_kg,
+    }
+
+
 def learn_arm(
     robot: Robot, motions: Sequence[Motion]
 ) -> tuple[MotionCalibration, tuple[JointFit, ...]]:
@@ -209,9 +219,7 @@ def learn_arm(
         torque_scale_std=_torque_scale_std(robot, names, over_urdf),
         arm_over_urdf=over_urdf,
         fingerprint=robot.model.fingerprint(),
-        runs=tuple(
-            {"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": 0.0} for m in motions
-        ),
+        runs=tuple(run_entry(motion, 0.0) for motion in motions),
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
     return learnt, _shown(problem, solution, learnt, motions)
@@ -234,7 +242,8 @@ def _mean_of_runs(problem: Problem) -> FloatArray:
     mean = np.zeros((TERMS * count, problem.matrix.shape[1]))
     mean[:shared, PARAMETERS : PARAMETERS + shared] = np.eye(shared)
     for number in range(problem.motions):
-        mean[shared:, problem.own(number)][:, :friction] = np.eye(friction) / problem.motions
+        of_motion = mean[shared:, problem.own(number)]
+        of_motion[:, :friction] = np.eye(friction) / problem.motions
     return mean
 
 
@@ -317,8 +326,9 @@ def _friction_variability(problem: Problem, solution: Solution) -> RecordingVari
     if len(runs) == 1:
         return stated
     # about their mean they differ by less than about the arm's own
-    off = (runs - runs.mean(axis=0)) * np.sqrt(len(runs) / (len(runs) - 1))
-    determined = (len(runs) - 1) / len(runs)
+    count_less = len(runs) - 1
+    off = (runs - runs.mean(axis=0)) * np.sqrt(len(runs) / count_less)
+    determined = count_less / len(runs)
     variances = np.array([np.diag(solution.covariance)[place] for place in places])
     now = stated
     for _ in range(SPREAD_ITERATIONS):
@@ -338,7 +348,8 @@ def _friction_drift(problem: Problem, solution: Solution) -> FloatArray:
     count = problem.count
     terms = len(FRICTION_TERMS) * count
     # each motion has columns of its own; together they are those of one friction
-    own = [problem.matrix[:, problem.own(number)][:, :terms] for number in range(problem.motions)]
+    places = [problem.own(number) for number in range(problem.motions)]
+    own = [problem.matrix[:, place][:, :terms] for place in places]
     columns = np.sum(own, axis=0)  # (E, 3 n)
     drift = np.zeros(terms)
     for number in range(terms):
@@ -349,11 +360,12 @@ def _friction_drift(problem: Problem, solution: Solution) -> FloatArray:
         of_stretch = []
         for label in np.unique(stretch):
             out = stretch == label
-            squares = max(float(column[out] @ column[out]), 1e-12)
-            of_stretch.append(float(residual[out] @ column[out]) / squares)
+            size = max(float(column[out] @ column[out]), 1e-12)
+            of_stretch.append(float(residual[out] @ column[out]) / size)
         if of_stretch:
             # what a stretch shows may be any of the three
-            drift[number] = np.sqrt(np.mean(np.square(of_stretch)) / len(FRICTION_TERMS))
+            squares = np.mean(np.square(of_stretch))
+            drift[number] = np.sqrt(squares / len(FRICTION_TERMS))
     return drift
 
 

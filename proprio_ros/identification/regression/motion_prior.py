@@ -66,7 +66,8 @@ def drive_stds(robot: Robot, arm: Arm) -> list[float]:
     """The same of rotors [kg m^2] and of the share that gears lose, length 2 n."""
     drives = [robot.drive_trains[name] for name in arm.model.joint_names]
     least = 1e-3 * arm.kg * arm.reach_m**2
-    rotors = [max(d.armature.std, 0.5 * abs(d.armature.value), least) for d in drives]
+    armatures = [drive.armature for drive in drives]
+    rotors = [max(rotor.std, 0.5 * abs(rotor.value), least) for rotor in armatures]
     gears = [max(d.load_friction.std, LEAST_LOAD_FRICTION_STD) for d in drives]
     return rotors + gears
 
@@ -110,8 +111,12 @@ def priors_of_file(
     shared = ARM_TERMS * count
     friction = np.zeros(own_terms(count))
     friction[: TERMS * count - shared] = np.diag(stated.covariance)[shared:]
-    values = np.concatenate([stated.values[:shared], np.zeros(motions * len(friction))])
-    covariance = np.diag(np.concatenate([np.zeros(shared), np.tile(friction, motions)]))
+    size = shared + motions * len(friction)
+    values = np.zeros(size)
+    values[:shared] = stated.values[:shared]
+    covariance = np.zeros((size, size))
+    own = range(shared, size)
+    covariance[own, own] = np.tile(friction, motions)
     covariance[:shared, :shared] = stated.covariance[:shared, :shared]
     return Priors(
         unknowns=with_payload(arm, Prior(values, covariance)),
@@ -172,8 +177,10 @@ def variability_of(
         for kind in PUBLISHED
     }
     # a pace that is off by a share puts accelerations off by twice that
-    spreads["pace"] = 2.0**0.5 * 2.0 * max((motion.pace_std for motion in motions), default=0.0)
-    spreads["lag"] = 2.0**0.5 * max((motion.lag_std_s for motion in motions), default=0.0)
+    pace_std = max((motion.pace_std for motion in motions), default=0.0)
+    lag_std_s = max((motion.lag_std_s for motion in motions), default=0.0)
+    spreads["pace"] = 2.0**0.5 * 2.0 * pace_std
+    spreads["lag"] = 2.0**0.5 * lag_std_s
     recordings = {kind: stated[kind][1] for kind in PUBLISHED}
     # the file has friction's spread in full
     spread = calibration.friction_spread

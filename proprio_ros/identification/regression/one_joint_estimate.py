@@ -132,5 +132,6 @@ def best_delay(
     low = max(stated.value - DELAY_SIGMAS * stated.std, 0.0)
     high = min(max(stated.value + DELAY_SIGMAS * stated.std, 0.0), LATEST_S)
     steps = np.linspace(low, high, DELAY_STEPS)
-    best = float(steps[int(np.argmin([left_over(float(delay)) for delay in steps]))])
+    left = [left_over(float(delay)) for delay in steps]
+    best = float(steps[int(np.argmin(left))])
     return Quantity(round(best, 6), 0.0)

@@ -156,8 +156,9 @@ def carried_by(
     own_axis = turn.T @ hinge.axis
     about_centre = float(np.trace(spread) - own_axis @ spread @ own_axis)
     inertia = float(np.sum((directions @ bodies[:3, :3]) * directions))
+    moments = directions @ bodies[:3, 3]
     return Carried(
-        arm=robot.arm_scale.value * np.array([inertia, *(directions @ bodies[:3, 3])]),
+        arm=robot.arm_scale.value * np.array([inertia, *moments]),
         per_kg=np.array([about_centre + float(lever @ lever), *lever]),
         centre_std_m=float(np.linalg.norm(directions @ turn @ np.diag(facts.com_std))),
     )
@@ -230,7 +231,8 @@ def _jackknifed(
         rest = [without(parts, *stretch) for parts in tables]
         moved.append(_choices(rest).mean(axis=0) - values)
     off = np.array(moved)  # (stretches, 4)
-    covariance = (len(stretches) - 1) / len(stretches) * off.T @ off + np.cov(choices.T)
+    count = len(stretches)
+    covariance = (count - 1) / count * off.T @ off + np.cov(choices.T)
     covariance[0, 0] += (LEAST_LENGTH_STD * values[0]) ** 2
     return values, covariance
 
@@ -322,7 +324,7 @@ def table_of(
             np.ones(len(windows.starts)),
         ]
     )
-    counts = windows.mean((np.abs(velocity) < slow_rad_s).astype(np.float64)) < 0.5
+    counts = windows.share(np.abs(velocity) < slow_rad_s) < 0.5
     counts &= ~across_gaps(motion, [joint], times_s, windows)[:, 0]
     if counts.sum() <= columns.shape[1]:
         raise RecordingError(

@@ -28,6 +28,7 @@ from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCal
 from proprio_ros.calibration_files.own_terms import OwnTerms
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import JointFit
+from proprio_ros.identification.regression.motion_fit import run_entry
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE
 from proprio_ros.identification.regression.one_joint_fit import (
     HOP_SHARE,
@@ -150,12 +151,15 @@ def terms_of(
     heaviest = 0.0
     for parts, kg in zip(tables, loads_kg, strict=True):
         load = carried.arm + kg * carried.per_kg
-        heaviest = max([heaviest, *(float(np.abs(p.columns[:, :3] @ load).max()) for p in parts)])
+        for part in parts:
+            torque = part.columns[:, :3] @ load
+            heaviest = max(heaviest, float(np.abs(torque).max()))
     by_window = [
         _bounded_terms(parts, loads_kg, carried, heaviest) for parts in zip(*tables, strict=True)
     ]
     terms = [found for found, _ in by_window]
-    return np.mean(terms, axis=0), float(np.mean([left for _, left in by_window]))
+    left_over = [left for _, left in by_window]
+    return np.mean(terms, axis=0), float(np.mean(left_over))
 
 
 def _bounded_terms(
@@ -163,7 +167,11 @@ def _bounded_terms(
 ) -> tuple[FloatArray, float]:
     """The same in one length of windows, by bounded least squares: ``heaviest`` is the largest torque of gravity [N m]."""
     # none of the terms can be negative, and an offset can
-    lowest = np.concatenate([np.zeros(len(TERMS)), np.full(len(parts), -np.inf)])
+    lowest = np.full(
+        len(TERMS) + len(parts),
+        -np.inf,
+    )
+    lowest[: len(TERMS)] = 0.0
     values = np.array([1.0, *np.zeros(len(TERMS) - 1)])
     # each recording counts alike, however long
     weights = [1.0 / np.sqrt(len(part.torque)) for part in parts]
@@ -181,11 +189,12 @@ def _bounded_terms(
             rows.append(weights[number] * _with_offsets(design, number, len(parts)))
         matrix = np.vstack(rows)  # (W, 6 + M)
         prior = np.zeros((2, matrix.shape[1]))
-        noise = float(np.sqrt(np.mean(np.square(right - matrix[:, : len(values)] @ values))))
+        noise = rms(right - matrix[:, : len(values)] @ values)
         prior[0, 4] = noise / LOAD_FRICTION_STD
         prior[1, 5] = noise * heaviest / LOAD_FRICTION_STD
         # as small as it can be: the bounded search then costs nothing
-        stacked = np.column_stack([np.vstack([matrix, prior]), np.append(right, [0.0, 0.0])])
+        rows_and_prior = np.vstack([matrix, prior])
+        stacked = np.column_stack([rows_and_prior, np.append(right, [0.0, 0.0])])
         root = np.asarray(np.linalg.qr(stacked, mode="r"))
         found = lsq_linear(
             root[:, :-1],
@@ -347,6 +356,7 @@ def _own(
 ) -> FloatArray:
     """Rotor, viscous and dry friction in one length of windows, shape (3,)."""
     mass = start_kg
+    heaviest = HEAVIEST * abs(start_kg)
     solution = np.zeros(len(TERMS) - 2)
     for _ in range(OWN_ROUNDS):
         rows = []
@@ -362,8 +372,9 @@ def _own(
             columns = np.column_stack([per_kg, design[:, 1:4]])
             rows.append(_with_offsets(columns, number, len(parts)))
             rights.append(part.torque - arm - design[:, 4:] @ terms[4:])
-        solution = np.linalg.lstsq(np.vstack(rows), np.concatenate(rights), rcond=None)[0]
-        mass = float(np.clip(solution[0], -HEAVIEST * abs(start_kg), HEAVIEST * abs(start_kg)))
+        matrix = np.vstack(rows)
+        solution = np.linalg.lstsq(matrix, np.concatenate(rights), rcond=None)[0]
+        mass = float(np.clip(solution[0], -heaviest, heaviest))
     return solution[1:4]
 
 
@@ -427,15 +438,10 @@ def learn_joint(
         )
         read = weighing.by_stretches([tables[number]], terms)
         without.append(terms)
-        runs.append(
-            {
-                "name": motion.name,
-                "duration_s": float(motion.times_s[-1]),
-                "load_kg": kg,
-                "read_kg": float(read.values),
-                "std_kg": min(float(np.sqrt(read.variance)), UNKNOWN_KG),
-            }
-        )
+        entry = run_entry(motion, kg)
+        entry["read_kg"] = float(read.values)
+        entry["std_kg"] = min(float(np.sqrt(read.variance)), UNKNOWN_KG)
+        runs.append(entry)
         own.append(own_terms([tables[number]], values, carried, kg or float(loads.max())))
     learnt = JointCalibration(
         joint=joint,
@@ -523,7 +529,7 @@ def identify_by_joint(
         mass=mass,
         std=budget.std,
         quantile=budget.quantile,
-        parts=tuple((name, float(np.sqrt(part))) for name, part in budget.variances.items()),
+        parts=budget.stds,
         stretches=found.stretches,
         residual=rms(left_over) / scale,
         driven=rms(np.concatenate([part.torque for part in longest])) / scale,
@@ -549,6 +555,11 @@ class _Budget:
     variances: Mapping[str, float]  # by cause [kg^2]
     std: float  # of all together [kg]
     quantile: float  # half width of a 95 % interval in standard deviations
+
+    @property
+    def stds(self) -> tuple[tuple[str, float], ...]:
+        """What each cause puts on the mass, as a standard deviation [kg]."""
+        return tuple((name, float(np.sqrt(part))) for name, part in self.variances.items())
 
     @classmethod
     def of(
@@ -590,7 +601,8 @@ def _by_calibration(
     ]
     others = np.mean(by_others, axis=1)
     count = len(others)
-    return (count - 1) / count * float(np.sum(np.square(others - others.mean())))
+    squares = np.square(others - others.mean())
+    return (count - 1) / count * float(np.sum(squares))
 
 
 def _by_place(calibration: JointCalibration, carried: Carried, mass: float) -> dict[str, float]:

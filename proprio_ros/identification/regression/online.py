@@ -104,6 +104,15 @@ CENTRE_STD_M = 0.01
 LEAST_CENTRE_STD_M = 1e-4  # Nobody knows it better.
 
 
+def is_finite(
+    time_s: float,
+    positions: Sequence[float],
+    currents: Sequence[float],
+) -> bool:
+    """Whether a sample has numbers alone: ``time_s``, ``positions`` and ``currents``."""
+    return bool(np.isfinite([time_s, *positions, *currents]).all())
+
+
 @dataclass(frozen=True)
 class OnlineEstimate:
     """What the hand holds now."""
@@ -163,7 +172,12 @@ class _Grid:
         thin = max(int(THINNED_S / period_s), 1)
         inside = len(range(0, width, thin))
         # a parabola through the neighbours, and its slope (Savitzky & Golay 1964)
-        smoothing = np.linalg.pinv(np.vander(np.arange(-reach, reach + 1), 3, increasing=True))
+        powers = np.vander(
+            np.arange(-reach, reach + 1),
+            3,
+            increasing=True,
+        )
+        smoothing = np.linalg.pinv(powers)
         return cls(
             period_s,
             width,
@@ -283,7 +297,7 @@ class OnlineEstimator:
         Returns: Whether a window became complete, so that there may be a new estimate.
         """
         row = (time_s, tuple(map(float, positions)), tuple(map(float, currents)))
-        if not np.isfinite([time_s, *row[1], *row[2]]).all():
+        if not is_finite(*row):
             return False
         if self._samples and time_s <= self._samples[-1][0]:
             if self._samples[-1][0] - time_s > 1.0:  # a clock was set
@@ -350,13 +364,12 @@ class OnlineEstimator:
             self._same = 0
             return False
         last = self._samples[-1]
-        before = next(
-            (each for each in reversed(self._samples) if last[0] - each[0] >= FROZEN_S), last
-        )
-        if (
-            np.abs(np.subtract(last[1], before[1])).max() < FROZEN_RAD_S * (last[0] - before[0])
-            or before is last
-        ):
+        earlier = (each for each in reversed(self._samples) if last[0] - each[0] >= FROZEN_S)
+        before = next(earlier, last)
+        if before is last:
+            return False
+        moved_rad = np.abs(np.subtract(last[1], before[1])).max()
+        if moved_rad < FROZEN_RAD_S * (last[0] - before[0]):
             return False  # it may have come to rest
         self._same += 1
         return True
@@ -539,7 +552,8 @@ class OnlineEstimator:
         counted = np.linalg.norm(now.by_share)
         apart = np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD)
         constants = max(float(apart), abs(mass) * self._calibration.torque_scale_std)
-        std = float(np.sqrt(max(now.std_kg**2 - float(counted) ** 2, 0.0) + constants**2)) * scale
+        beside_constants = max(now.std_kg**2 - float(counted) ** 2, 0.0)
+        std = float(np.sqrt(beside_constants + constants**2)) * scale
         mass *= scale
         resting = self._looked_s - self._moved_s >= RESTING_S
         changed = np.isfinite(self._changed_at_s)
@@ -647,7 +661,9 @@ class _Filter:
         self._misfit = 1.0
         # columns: what was measured, shares of the torque constants, and steps that may have been
         self._state = np.zeros((size, 1 + knows.count))
-        self._loud = [deque[tuple[float, float]](maxlen=NOISE_WINDOWS) for _ in range(knows.count)]
+        self._loud: list[deque[tuple[float, float]]] = [
+            deque(maxlen=NOISE_WINDOWS) for _ in range(knows.count)
+        ]
         self._begun_s = -np.inf
         self._heavy_kg = 0.0
         self._onsets: list[float] = []
@@ -662,13 +678,15 @@ class _Filter:
     @property
     def std_kg(self) -> float:
         """Of the mass; more where windows do not fit."""
-        variance = self._covariance[self._load.start, self._load.start] * max(self._misfit, 1.0)
+        mass = self._load.start
+        variance = self._covariance[mass, mass] * max(self._misfit, 1.0)
         return float(np.sqrt(variance)) * self._knows.widest_kg
 
     @property
     def by_share(self) -> FloatArray:
         """What each torque constant puts on the mass that is off by `LEAST_TORQUE_STD` [kg], shape (n,)."""
-        return self._state[self._load.start, 1 : 1 + self._knows.count] * self._knows.widest_kg
+        shares = slice(1, 1 + self._knows.count)
+        return self._state[self._load.start, shares] * self._knows.widest_kg
 
     def step(self, window: _Window) -> None:
         """Go on by one window."""
@@ -693,7 +711,8 @@ class _Filter:
             self._along = self._along[1:]
         self._pass(start_s, hop_s)
         self._onsets.append(start_s + hop_s)
-        self._state = np.column_stack([self._state, np.zeros(len(self._state))])
+        new_step = np.zeros(len(self._state))
+        self._state = np.column_stack([self._state, new_step])
         self._information = np.append(self._information, 0.0)
         self._along = np.append(self._along, 0.0)
         self._update(window)
@@ -763,7 +782,8 @@ class _Filter:
             ]
         )
         off = window.torque - design @ knows.values
-        steps = along[:, None] * (1.0 - self._before_onsets(float(window.start_s[0])))
+        before = self._before_onsets(float(window.start_s[0]))
+        steps = along[:, None] * (1.0 - before)
         heard = np.hstack([off[:, None], design @ knows.by_share, steps])
         return _Heard(along, rows, heard)
 

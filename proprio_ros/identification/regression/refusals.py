@@ -190,15 +190,18 @@ def centre_elsewhere(
     mass = float(free.values[0])
     at = np.asarray(stated[0])
     # both err alike as torque constants do
-    std = np.sqrt(max(float(free.std[0]) ** 2 - free.parts[CONSTANTS] ** 2, 0.0))
-    if mass < LEAST_SIGMAS * free.std[0] or abs(fit.values[0] - mass) < free.quantile * std:
+    of_constants = free.parts[CONSTANTS] ** 2
+    std = np.sqrt(max(float(free.std[0]) ** 2 - of_constants, 0.0))
+    alike = abs(fit.values[0] - mass) < free.quantile * std
+    if alike or mass < LEAST_SIGMAS * free.std[0]:
         return
     moments = np.hstack([-at[:, None], np.eye(3)])  # about the stated centre they are nothing
     off = moments @ free.values[:4]
     covariance = moments @ free.covariance[:4, :4] @ moments.T + np.diag(
         np.square(mass * np.asarray(stated[1]))
     )
-    if Z95 * np.sqrt(off @ np.linalg.solve(covariance, off)) > APART_SIGMAS * free.quantile:
+    sigmas = np.sqrt(off @ np.linalg.solve(covariance, off))
+    if Z95 * sigmas > APART_SIGMAS * free.quantile:
         yield elsewhere(
             name,
             at,

@@ -48,7 +48,8 @@ def nearest_body(parameters: FloatArray, covariance: FloatArray) -> FloatArray:
     Returns: Shape (10,); the same where a body already has these.
     """
     # by the largest inertia that the estimate allows, the rest is a number near one
-    second_moment = (np.abs(parameters) + np.sqrt(np.diag(covariance)))[[4, 7, 9]].max()
+    largest = np.abs(parameters) + np.sqrt(np.diag(covariance))
+    second_moment = largest[[4, 7, 9]].max()
     length_m = float(np.sqrt(second_moment / parameters[0]))
     size = parameters[0] * np.array([1.0, *[length_m] * 3, *[length_m**2] * 6])
     wanted = parameters / size

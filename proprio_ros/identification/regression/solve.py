@@ -114,7 +114,8 @@ class Solution:
 
     def mass_and_std(self) -> tuple[float, float]:
         """The mass [kg], and the larger of its standard deviations by the fit and by its stretches."""
-        return float(self.values[0]), float(np.sqrt(max(self.noise()[0, 0], self.covariance[0, 0])))
+        variance = max(self.noise()[0, 0], self.covariance[0, 0])
+        return float(self.values[0]), float(np.sqrt(variance))
 
     def by_prior(self) -> FloatArray:
         """How the payload's parameters follow the prior's mean, shape (10, U)."""
@@ -457,7 +458,8 @@ class _Reweighted:
         heavy_kg = abs(now.values[0]) + np.sqrt(now.covariance[0, 0])
         stds = heavy_kg * self.per_kg  # (10,)
         # but what is seen to be spread further is: else 0.25 kg m^2 of a bar of 2 kg came out 12 % too small, 2.6 half widths off
-        farthest = float(np.max(np.abs(now.values[4:PARAMETERS]) / stds[4:]))
+        inertia = np.abs(now.values[4:PARAMETERS])
+        farthest = float(np.max(inertia / stds[4:]))
         stds[4:] *= max(1.0, farthest / SPREAD_SIGMAS)
         at = range(1, PARAMETERS)
         self.prior.covariance[at, at] = stds[1:] ** 2
@@ -465,7 +467,8 @@ class _Reweighted:
     def _learn_variability(self, now: _Weighted) -> None:
         """By how much recordings differ, as these do."""
         motions = self.problem.motions
-        off = (now.values[self.own] - self.prior.values[self.own]).reshape(motions, -1)
+        off = now.values[self.own] - self.prior.values[self.own]
+        off = off.reshape(motions, -1)
         variances = np.diag(now.covariance)[self.own].reshape(off.shape)
         self.variability = self.stated.learnt(self.variability, off, variances, self.learnt)
 
@@ -477,12 +480,14 @@ def correlated_windows(
     """Over how many windows a joint's residuals are correlated: one and twice the sum of their correlations within a stretch."""
     total = 1.0
     variance = float(np.mean(residual**2))
-    longest = int(np.bincount(np.unique(stretch, return_inverse=True)[1]).max())
+    _, counts = np.unique(stretch, return_counts=True)
+    longest = int(counts.max())
     for lag in range(1, longest):
         same = stretch[lag:] == stretch[:-lag]
         if same.sum() < longest:
             break
-        step = float(np.mean(residual[lag:][same] * residual[:-lag][same])) / variance
+        products = residual[lag:][same] * residual[:-lag][same]
+        step = float(np.mean(products)) / variance
         if step < LEAST_CORRELATION:
             break
         total += 2.0 * step
@@ -504,6 +509,10 @@ def scores(
     Returns: Shape (stretches, U).
     """
     labels = np.unique(stretch)
-    pulls = np.array([scaled[stretch == label].T @ left_over[stretch == label] for label in labels])
-    result: FloatArray = np.sqrt(len(labels) / max(len(labels) - 1, 1)) * pulls
+    count = len(labels)
+    pulls = []
+    for label in labels:
+        mine = stretch == label
+        pulls.append(scaled[mine].T @ left_over[mine])
+    result: FloatArray = np.sqrt(count / max(count - 1, 1)) * np.array(pulls)
     return result

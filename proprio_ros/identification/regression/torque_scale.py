@@ -11,7 +11,12 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, not_identifiable, rejected
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
-from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_payload
+from proprio_ros.identification.regression.motion_fit import (
+    Centre,
+    MotionFit,
+    fit_payload,
+    run_entry,
+)
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -74,9 +79,7 @@ def scaled_by_references(
     drives = [robot.drive_trains[joint] for joint in calibration.joints]
     if all(drive.torque_constant.std > 0.0 for drive in drives):
         scale, variance = _with_stated(scale, variance, calibration.torque_scale_std)
-    runs = tuple(
-        {"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references
-    )
+    runs = [run_entry(motion, mass_kg) for motion, mass_kg in references]
     scaled = replace(
         calibration,
         torque_scale=scale,

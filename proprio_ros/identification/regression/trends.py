@@ -243,7 +243,12 @@ def without_trend(
         current /= 1.0 + trend.torque * along[:, None]
     for number in np.flatnonzero(clear.friction_is_clear):
         name = trend.joints[number]
-        direction = np.tanh(np.interp(motion.times_s, times_s, velocity[:, number]) / SLOW_RAD_S)
+        speed = np.interp(
+            motion.times_s,
+            times_s,
+            velocity[:, number],
+        )
+        direction = np.tanh(speed / SLOW_RAD_S)
         constant = robot.drive_trains[name].torque_constant.value
         taken = trend.friction_N_m[number] / constant * along * direction
         current[:, motion.joints.index(name)] -= taken

@@ -70,6 +70,10 @@ class Windows:
         """Weighted mean of a signal, shape (T, ...), over each window, shape (W, ...)."""
         return self._applied(self._means, values)
 
+    def share(self, holds: NDArray[np.bool_]) -> FloatArray:
+        """How much of each window something holds, shape (T, ...) to (W, ...)."""
+        return self.mean(holds.astype(np.float64))
+
     def derivative(self, values: FloatArray, period_s: float) -> FloatArray:
         """Weighted mean of the signal's time derivative over each window, by parts: the signal itself is not differentiated."""
         return -self._applied(self._slopes, values) / period_s
@@ -139,8 +143,12 @@ def torque_regressor(
         momentum = momentum_along(
             angular[:, :-1], linear[:, :-1], angular[:, -1:], linear[:, -1:]
         ).T
-        mean = windows.mean(momentum[:, len(joints) :] + gravity_along(model, motion, body).T)
-        result[:, joints, body] = windows.derivative(momentum[:, : len(joints)], period_s) - mean
+        rate = windows.derivative(
+            momentum[:, : len(joints)],
+            period_s,
+        )
+        turned = momentum[:, len(joints) :] + gravity_along(model, motion, body).T
+        result[:, joints, body] = rate - windows.mean(turned)
     return result
 
 
@@ -207,10 +215,9 @@ def across_gaps(
         # what is missing at either end is a gap, too
         known_s = np.concatenate([[-np.inf], motion.times_s[known], [np.inf]])
         long = np.diff(known_s) > LONGEST_GAP_S
-        long[[0, -1]] = np.array([motion.times_s[0], -motion.times_s[-1]]) < [
-            known_s[1] - LONGEST_GAP_S,
-            -known_s[-2] - LONGEST_GAP_S,
-        ]
+        long[0] = motion.times_s[0] < known_s[1] - LONGEST_GAP_S
+        long[-1] = -motion.times_s[-1] < -known_s[-2] - LONGEST_GAP_S
         for gap in np.flatnonzero(long):
-            crossed[:, number] |= (first < known_s[gap + 1]) & (last > known_s[gap])
+            begins_before_end = first < known_s[gap + 1]
+            crossed[:, number] |= begins_before_end & (last > known_s[gap])
     return crossed
