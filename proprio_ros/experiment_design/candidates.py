@@ -10,12 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.identification.coefficients import at_poses
-from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import (
+    KnownLoad,
+    PreparedRun,
+    prepare_run,
+)
 from proprio_ros.identification.problem import Problem
 from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
+from proprio_ros.robot.kinematics import (
+    bent_pose,
+    clearance,
+    zero_pose,
+)
 from proprio_ros.sim.payload import PayloadFacts
 
 RATE_HZ = 40.0
@@ -58,7 +66,8 @@ class Push:
 def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
     """Pushes that reach the target, the quickest first, then the others by what they gain per second."""
     return sorted(
-        pushes, key=lambda push: (0, push.time_s) if push.std <= target_std else (1, -push.gain)
+        pushes,
+        key=lambda push: (0, push.time_s) if push.std <= target_std else (1, -push.gain),
     )
 
 
@@ -93,7 +102,8 @@ def candidate_joints(robot: Robot) -> list[str]:
     found = []
     model = robot.model
     rest = zero_pose(robot)
-    followed = {model.driving(joint)[0] for joint in model.joints if joint.mimic is not None}
+    mimics = [joint for joint in model.joints if joint.mimic is not None]
+    followed = {model.driving(joint)[0] for joint in mimics}
     for name in robot.drive_trains:
         if model.joint(name).kind == "prismatic" or name in followed:
             continue
@@ -105,7 +115,9 @@ def candidate_joints(robot: Robot) -> list[str]:
         if not (poses := [pose for pose in poses if clearance(robot, pose) >= CLEARANCE_M]):
             continue
         _, payload = at_poses(
-            robot, name, {held: np.array([pose[held] for pose in poses]) for held in poses[0]}
+            robot,
+            name,
+            {held: np.array([pose[held] for pose in poses]) for held in poses[0]},
         )
         if np.abs(payload[:, 1:3]).max() > 1e-3:
             found.append(name)
@@ -118,18 +130,23 @@ def start_positions(robot: Robot, joint: str, count: int) -> list[float]:
     lower = max(limits.lower, -WIDEST)
     upper = min(limits.upper, WIDEST)
     margin = min(2.0 * LIMIT_MARGIN, 0.1 * (upper - lower))
-    return [round(float(q), 2) for q in np.linspace(lower + margin, upper - margin, count)]
+    places = np.linspace(lower + margin, upper - margin, count)
+    return [round(float(q), 2) for q in places]
 
 
 def joints_that_matter(robot: Robot, joint: str) -> list[str]:
     """Locked joints with a motor whose positions change what a driven joint carries."""
     matters = prepare_run(
-        robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()
+        robot,
+        still_run(joint, bent_pose(robot), 0.0, 0.1),
+        KnownLoad(),
     ).coefficients.pose
     return [name for name in matters if name in robot.drive_trains]
 
 
-def shuffled(axes: Mapping[str, Sequence[float]]) -> Iterator[dict[str, float]]:
+def shuffled(
+    axes: Mapping[str, Sequence[float]],
+) -> Iterator[dict[str, float]]:
     """Places of a grid, by the positions along each of its axes, always in the same order; some of them where they are many."""
     sizes = [len(axis) for axis in axes.values()]
     rng = np.random.default_rng(0)
@@ -141,7 +158,8 @@ def shuffled(axes: Mapping[str, Sequence[float]]) -> Iterator[dict[str, float]]:
     else:
         places = rng.integers(sizes, size=(MOST_POSES, len(sizes)))
     for row in places.tolist():
-        yield {name: axis[at] for (name, axis), at in zip(axes.items(), row, strict=True)}
+        positions = [axis[at] for axis, at in zip(axes.values(), row, strict=True)]
+        yield dict(zip(axes, positions, strict=True))
 
 
 def locked_poses(
@@ -166,7 +184,9 @@ def start_poses(
 ) -> list[dict[str, float]]:
     """Start poses over a grid of the driven joint and of those that matter to it, high enough above the base's plane."""
     poses = locked_poses(robot, joint, locked)
-    whole = [pose | {joint: q} for q in start_positions(robot, joint, starts) for pose in poses]
+    whole = []
+    for q in start_positions(robot, joint, starts):
+        whole += [pose | {joint: q} for pose in poses]
     return [pose for pose in whole if clearance(robot, pose) >= CLEARANCE_M]
 
 
@@ -177,7 +197,9 @@ def expected_coulomb(problem: Problem, joint: str) -> float:
 
 
 def currents_beyond(
-    run: PreparedRun, facts: PayloadFacts, masses_kg: Sequence[float]
+    run: PreparedRun,
+    facts: PayloadFacts,
+    masses_kg: Sequence[float],
 ) -> Iterator[tuple[float, float, float]]:
     """Currents that move the joint of a standing run one way or the other, by a little and by more, with any mass in the hand.
 
@@ -188,11 +210,15 @@ def currents_beyond(
     per_kg = run.coefficients.per_kg(facts)
     q = run.rest.value
     loads = [run.coefficients.arm + mass * per_kg for mass in masses_kg]
-    balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
+    balance = []
+    for g in loads:
+        turning = g[1] * np.cos(q) + g[2] * np.sin(q)
+        balance.append(turning + g[3])
     # a robot that was not calibrated may rub by as much as its file leaves open
     dry = drive.coulomb.value + 0.5 * drive.coulomb.std
-    largest = max(float(np.hypot(g[1], g[2])) + abs(g[3]) for g in loads)
-    for sign, edge in ((1.0, max(balance)), (-1.0, min(balance))):
+    largest = max(_largest_load(g) for g in loads)
+    edges = {1.0: max(balance), -1.0: min(balance)}
+    for sign, edge in edges.items():
         for push in PUSHES:
             beyond = dry + drive.load_friction.value * abs(edge) + push * largest
             yield (
@@ -203,3 +229,8 @@ def currents_beyond(
                 ),
                 largest,
             )
+
+
+def _largest_load(load: np.ndarray) -> float:
+    """Of gravity at any angle of the joint, from the four coefficients of its moving part [N m]."""
+    return float(np.hypot(load[1], load[2])) + abs(load[3])

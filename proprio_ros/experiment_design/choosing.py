@@ -16,7 +16,11 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.machine import ExcitationMachine
-from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, check_sequence
+from proprio_ros.excitation.plans import (
+    ExcitationRun,
+    ExcitationSequence,
+    check_sequence,
+)
 from proprio_ros.excitation.ways import approach_s
 from proprio_ros.experiment_design.candidates import Push, TimeOf
 from proprio_ros.experiment_design.sequential import WORTH
@@ -72,7 +76,10 @@ class Decision:
             self.sought.name: self.value,
             "half_interval": self.half,
         }
-        entries |= {"promised": self.promised, "decided_s": round(self.decided_s, 3)}
+        entries |= {
+            "promised": self.promised,
+            "decided_s": round(self.decided_s, 3),
+        }
         if self.ended_by:
             entries["ended_by"] = self.ended_by
         for name, push in (
@@ -110,7 +117,11 @@ class Chooser(ABC):
     no_push = "no push of any joint stays inside the limits with what the hand may hold"
 
     def __init__(
-        self, robot: Robot, sequence: ExcitationSequence, sought: Sought, whole: Whole | None = None
+        self,
+        robot: Robot,
+        sequence: ExcitationSequence,
+        sought: Sought,
+        whole: Whole | None = None,
     ) -> None:
         if sequence.until is None:
             raise ConfigurationError(
@@ -204,7 +215,8 @@ class Chooser(ABC):
                 self._widening = float(np.sqrt(max(whole**2 - inner**2, 0.0)))
         if known and self.half <= target:
             return self._end(
-                "target", f"sure: {said(self.half)} after {count} and {elapsed_s:.0f} s"
+                "target",
+                f"sure: {said(self.half)} after {count} and {elapsed_s:.0f} s",
             )
         if self._found.runs >= MISFIT_RUNS and self._found.reduced_chi2 > MISFIT_LIMIT:
             chi2 = f"together (reduced chi-square {self._found.reduced_chi2:.1f}), further ones would not help"
@@ -214,10 +226,18 @@ class Chooser(ABC):
         if self._still >= STILL_TRIES:
             nothing = f"{STILL_TRIES} pushes of {' and '.join(self._stuck)} moved nothing"
             heavy = "what the hand holds is too heavy for the currents that its limits allow"
-            return self._end("stuck", f"{nothing}: the joint sticks, or {heavy}")
+            return self._end(
+                "stuck",
+                f"{nothing}: the joint sticks, or {heavy}",
+            )
         return None
 
-    def _next_push(self, pose: Mapping[str, float], count: str, elapsed_s: float) -> Decision:
+    def _next_push(
+        self,
+        pose: Mapping[str, float],
+        count: str,
+        elapsed_s: float,
+    ) -> Decision:
         """The best push that there is time for, that is worth it, and that the excitation's guards let through."""
         target = self._until.half_interval
         said = self.sought.said
@@ -253,7 +273,8 @@ class Chooser(ABC):
                 push=push,
             )
         return self._end(
-            "nothing", "no way to any start keeps the clearance: move the arm to a higher pose"
+            "nothing",
+            "no way to any start keeps the clearance: move the arm to a higher pose",
         )
 
     def _end(self, by: str, reason: str, others: tuple[Push, ...] = ()) -> Decision:
@@ -275,7 +296,12 @@ class Chooser(ABC):
     def leave_out(self, decision: Decision) -> None:
         """No push from near where this one's joint was to start: it ended at a limit, or too low."""
         if decision.push is not None:
-            self._ended_at.append((decision.push.joint, decision.push.start[decision.push.joint]))
+            self._ended_at.append(
+                (
+                    decision.push.joint,
+                    decision.push.start[decision.push.joint],
+                )
+            )
 
     def sequence_of(self, run: ExcitationRun) -> ExcitationSequence:
         """A sequence of one push, which stays where it ends."""
@@ -309,7 +335,12 @@ class Chooser(ABC):
         self._found = self.learn(runs)
 
     def _half(self, std: float) -> float:
-        return float(np.hypot(self.sought.half_of(std, self._found.value), self._widening))
+        return float(
+            np.hypot(
+                self.sought.half_of(std, self._found.value),
+                self._widening,
+            )
+        )
 
 
 def alone(sequence: ExcitationSequence, run: ExcitationRun) -> ExcitationSequence:
@@ -333,22 +364,30 @@ def time_of(
     beside_s = sequence.settle_s + sequence.brake_s
     here = np.array([pose.get(name, 0.0) for name in names])
 
-    def seconds(starts: Sequence[Mapping[str, float]]) -> np.ndarray:
-        away = np.abs(np.array([[start[name] for name in names] for start in starts]) - here)
+    def seconds(
+        starts: Sequence[Mapping[str, float]],
+    ) -> np.ndarray:
+        there = np.array([[start[name] for name in names] for start in starts])
+        away = np.abs(there - here)
         return beside_s + approach_s(away.max(axis=1), sequence.approach_velocity)
 
     return seconds
 
 
 def passes(
-    machine: ExcitationMachine, sequence: ExcitationSequence, pose: Mapping[str, float]
+    machine: ExcitationMachine,
+    sequence: ExcitationSequence,
+    pose: Mapping[str, float],
 ) -> bool:
     """Whether the excitation's guards would let a sequence of one push through, and the way to it."""
     driven = {name: pose[name] for name in machine.joints}
     try:
         check_sequence(sequence, machine.robot)
         machine.ways.find(
-            driven, {**driven, **sequence.runs[0].start}, sequence, "the start of the push"
+            driven,
+            {**driven, **sequence.runs[0].start},
+            sequence,
+            "the start of the push",
         )
     except (ConfigurationError, ExcitationError):
         return False

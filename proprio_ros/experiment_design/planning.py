@@ -34,11 +34,24 @@ from proprio_ros.identification.calibration_estimate import (
     Weighable,
 )
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
-from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.gates import (
+    LITTLE_TRAVEL,
+    MIN_USED,
+)
+from proprio_ros.identification.prepared_runs import (
+    KnownLoad,
+    PreparedRun,
+    prepare_run,
+)
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import load_unknowns, robot_unknowns
-from proprio_ros.identification.unknowns import Role, scaled_inverse
+from proprio_ros.identification.robot_unknowns import (
+    load_unknowns,
+    robot_unknowns,
+)
+from proprio_ros.identification.unknowns import (
+    Role,
+    scaled_inverse,
+)
 from proprio_ros.kinds import Key, label_of
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.robot import Robot
@@ -52,7 +65,13 @@ COARSE_POSES = 2
 ROUNDING = 1e-12  # of the information on a mass: less of it that is left may be none
 DURATION_S = 0.6  # of every run
 TYPICAL_KG = 0.02  # for which a calibration says how well it weighs
-ADVISED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
+ADVISED_TERMS = (
+    "torque_constant",
+    "coulomb",
+    "viscous",
+    "load_friction",
+    "armature",
+)
 
 
 @dataclass(frozen=True)
@@ -89,7 +108,10 @@ class _Weighing(NamedTuple):
 
 
 def _known_after(
-    problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]
+    problem: Problem,
+    dq: np.ndarray,
+    alive: np.ndarray,
+    runs: Sequence[int],
 ) -> tuple[list[Key], np.ndarray]:
     """Keys and precision of the unknowns that some runs touch, after them; dq (R, T, F), alive (R, T)."""
     free = [problem.unknowns[row] for row in problem.free]
@@ -144,7 +166,11 @@ def plan(
             "base's plane: is payload_frame the link that holds, and does gravity point down in the frame of the root link?"
         )
     masses = np.array(sorted(masses_kg))
-    search = Search(robot, joints, partial(_weighings, robot, masses, facts or PayloadFacts()))
+    search = Search(
+        robot,
+        joints,
+        partial(_weighings, robot, masses, facts or PayloadFacts()),
+    )
     try:
         search.run(seconds, progress)
     except KeyboardInterrupt:
@@ -177,13 +203,18 @@ def _weighings(
     if candidates is None:
         return
     for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist():
-        stds = [_std_of_mass(*candidates.known_after(s, r)) for s in range(len(masses))]
+        stds = []
+        for s in range(len(masses)):
+            stds.append(_std_of_mass(*candidates.known_after(s, r)))
         widest = int(np.argmax(stds))
         if np.isfinite(stds[widest]):
             half = shown("kg", Z95 * stds[widest], spec=".1f")
             at = shown("kg", masses[widest], spec=".0f")
             words = f"widest 95 % interval +-{half}, at {at}"
-            yield stds[widest], _as_plan(candidates, r, stds, words)
+            yield (
+                stds[widest],
+                _as_plan(candidates, r, stds, words),
+            )
 
 
 def with_advice(
@@ -216,15 +247,27 @@ def with_advice(
             one_way = estimate.driven_one_way
             if one_way:  # then nothing is worth advice but the other way
                 found = advise(learnt, tuple(one_way), 10 * count)
-                suggestions = [p for p in found if (p.travel[0] > 0.0) != one_way[p.joint]][:count]
+                other_way = [p for p in found if (p.travel[0] > 0.0) != one_way[p.joint]]
+                suggestions = other_way[:count]
             else:
                 suggestions = advise(learnt, whole.joints, count)
         if estimate.verdict is Verdict.ACCEPTED:
             if whole is None:
                 progress("looking at what can be weighed")
-            can_weigh = weighable(robot.with_calibration(calibration), calibration.joints)
-    timing_s = {**estimate.timing_s, "advice": time.perf_counter() - began}
-    return replace(estimate, advice=tuple(suggestions), weighable=can_weigh, timing_s=timing_s)
+            can_weigh = weighable(
+                robot.with_calibration(calibration),
+                calibration.joints,
+            )
+    timing_s = {
+        **estimate.timing_s,
+        "advice": time.perf_counter() - began,
+    }
+    return replace(
+        estimate,
+        advice=tuple(suggestions),
+        weighable=can_weigh,
+        timing_s=timing_s,
+    )
 
 
 def advise(
@@ -268,7 +311,9 @@ def advise(
         then = [wanted.index(key) for key in shared]
         after = scaled_inverse(precision)[np.ix_(now, now)]
         before = old[np.ix_(then, then)]
-        gain = 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
+        _, volume_before = np.linalg.slogdet(before)
+        _, volume_after = np.linalg.slogdet(after)
+        gain = 0.5 * float(volume_before - volume_after)
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best = int(np.argmin(ratio))
         words = (
@@ -295,19 +340,27 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
         upwards = bool(candidates.travel[0, r] > 0.0)
         if upwards not in ways or std < ways[upwards].std:
             ways[upwards] = _Weighing(std, run, candidates.alive[0, r])
-    chosen = sorted(best, key=lambda joint: min(each.std for each in best[joint].values()))[:2]
+    chosen = sorted(
+        best,
+        key=lambda joint: min(each.std for each in best[joint].values()),
+    )[:2]
     if not chosen:
         return None
     weighings = [each for joint in chosen for each in best[joint].values()]
     prepared = [each.run for each in weighings]
     problem = Problem(
-        robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG)
+        robot,
+        prepared,
+        facts,
+        load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG),
     )
     _, _, dq = problem.simulate(problem.base[None], problem.free)
     alive = np.array([each.alive for each in weighings])
     known = _known_after(problem, dq[0], alive, range(len(weighings)))
     return Weighable(
-        TYPICAL_KG, _std_of_mass(*known), tuple(joint for joint in joints if joint in chosen)
+        TYPICAL_KG,
+        _std_of_mass(*known),
+        tuple(joint for joint in joints if joint in chosen),
     )
 
 
@@ -379,19 +432,31 @@ def _candidates(
         q, v, dq = problem.simulate(values, problem.free)
     usable_velocity = robot.drive_trains[joint].usable_velocity
     finite = np.isfinite(q) & np.isfinite(dq).all(axis=3)
-    alive = np.cumprod(finite & (np.abs(v) < usable_velocity), axis=2).astype(bool)
+    usable = finite & (np.abs(v) < usable_velocity)
+    alive = np.cumprod(usable, axis=2).astype(bool)
     start = pose[joint]
-    reached = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
+    inside = np.clip(q, -10.0, 10.0)
+    reached = np.where(np.isfinite(q), inside, start)
     low = reached.min(axis=2)
     high = reached.max(axis=2)
     clear = np.array(
         [
-            _lowest_m(robot, pose, joint, (float(low[:, r].min()), float(high[:, r].max()), start))
+            _lowest_m(
+                robot,
+                pose,
+                joint,
+                (
+                    float(low[:, r].min()),
+                    float(high[:, r].max()),
+                    start,
+                ),
+            )
             for r in range(len(prepared))
         ]
     )
     limits = robot.model.joint(joint)
-    counted = np.abs(np.where(alive, q, start) - start).max(axis=2)
+    off = np.where(alive, q, start) - start
+    counted = np.abs(off).max(axis=2)
     fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
     fits &= (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED)
     fits &= clear >= CLEARANCE_M
@@ -408,7 +473,12 @@ def _runs_from(
     pose: Mapping[str, float],
 ) -> list[PreparedRun]:
     """A run for each current that moves the joint with any of the masses and that its motor may carry; see ``_candidates``."""
-    still = prepare_run(robot, still_run(joint, pose, 0.01, DURATION_S), load, facts)
+    still = prepare_run(
+        robot,
+        still_run(joint, pose, 0.01, DURATION_S),
+        load,
+        facts,
+    )
     limit = robot.motors[joint].current_limit_A
     currents = dict.fromkeys(
         current for _, current, _ in currents_beyond(still, facts, masses.tolist())
@@ -421,7 +491,10 @@ def _runs_from(
 
 
 def _lowest_m(
-    robot: Robot, pose: Mapping[str, float], joint: str, positions: Sequence[float]
+    robot: Robot,
+    pose: Mapping[str, float],
+    joint: str,
+    positions: Sequence[float],
 ) -> float:
     """The lowest point of arm and hand above the base's plane with a joint at any of some positions."""
     return min(clearance(robot, {**pose, joint: position}) for position in positions)
@@ -450,7 +523,15 @@ def _as_plan(
     )
     reason = f"{moves}; {words}"
     return ExcitationPlan(
-        run.joint, start, current, run.duration_s, kind, ends, clearance_m, tuple(stds), reason
+        run.joint,
+        start,
+        current,
+        run.duration_s,
+        kind,
+        ends,
+        clearance_m,
+        tuple(stds),
+        reason,
     )
 
 
@@ -460,5 +541,6 @@ def _kind(prepared: PreparedRun, current: float, travel: float) -> str:
         return "lower"
     arm = prepared.coefficients.arm
     q = prepared.rest.value
-    gravity = -(arm[1] * np.cos(q) + arm[2] * np.sin(q) + arm[3])
+    turning = arm[1] * np.cos(q) + arm[2] * np.sin(q)
+    gravity = -(turning + arm[3])
     return "driven" if np.sign(gravity) == np.sign(travel) else "lift"

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from proprio_ros.identification.coefficients import arm_coefficients
+from proprio_ros.identification.coefficients import (
+    arm_coefficients,
+)
 from proprio_ros.identification.gates import STEADY
 from proprio_ros.identification.regression.motion_equations import (
     HOP_SHARE,
@@ -57,7 +59,12 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
     none = np.zeros_like(own)
     empty = np.zeros_like(rows.payload)
     # with the object and without it, each with friction and offsets of its own
-    matrix = np.block([[rows.payload, shared, own, none], [empty, shared, none, own]])
+    matrix = np.block(
+        [
+            [rows.payload, shared, own, none],
+            [empty, shared, none, own],
+        ]
+    )
     torque = shared[:, : PARAMETERS * count] @ np.concatenate(arm.bodies)
     weight = _torque_weights(robot, names, rows.joint, torque)
     scaled = matrix * np.tile(weight, 2)[:, None]
@@ -66,7 +73,8 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
         spread[:, None] * (scaled.T @ scaled) * spread[None, :] + np.eye(len(spread))
     )
     share = max(relative_torque_std(robot, name) for name in names)
-    return float(Z95 * spread[0] * np.sqrt(covariance[0, 0])), Z95 * share
+    half = float(Z95 * spread[0] * np.sqrt(covariance[0, 0]))
+    return half, Z95 * share
 
 
 def _prior_stds(robot: Robot, arm: Arm) -> np.ndarray:
@@ -74,7 +82,12 @@ def _prior_stds(robot: Robot, arm: Arm) -> np.ndarray:
     open_friction = [arm.kg * 9.81 * arm.reach_m] * (6 * arm.count)
     payload = sizes(arm.kg, WITHIN * arm.reach_m)
     spread = np.array(
-        [*payload, *body_stds(arm, LINK_SHARE), *drive_stds(robot, arm), *open_friction]
+        [
+            *payload,
+            *body_stds(arm, LINK_SHARE),
+            *drive_stds(robot, arm),
+            *open_friction,
+        ]
     )
     small = SMALL_SHARE * spread[0]
     spread[1:PARAMETERS] *= small / spread[0]
@@ -82,7 +95,10 @@ def _prior_stds(robot: Robot, arm: Arm) -> np.ndarray:
 
 
 def _torque_weights(
-    robot: Robot, names: Sequence[str], joint: np.ndarray, torque: np.ndarray
+    robot: Robot,
+    names: Sequence[str],
+    joint: np.ndarray,
+    torque: np.ndarray,
 ) -> np.ndarray:
     """One over the standard deviation of each window's mean torque [N m], of which joint (T,) and how large (T,) it is."""
     weight = np.zeros(len(torque))
@@ -115,7 +131,9 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     acceleration = 2.0 * way / duration**2
     middle = float(run.position[len(run.position) // 2])
     coefficients = arm_coefficients(robot, run, ())
-    basis = np.array([acceleration, np.cos(middle), np.sin(middle), 1.0])
+    cos = np.cos(middle)
+    sin = np.sin(middle)
+    basis = np.array([acceleration, cos, sin, 1.0])
     per_kg = float(coefficients.per_kg(PayloadFacts()) @ basis)
     if abs(per_kg) < 1e-6:
         return None

@@ -49,15 +49,19 @@ class SharedUnknowns:
         """What a fit leaves open of all shared unknowns, those of joints that it does not know among them, shape (F, F)."""
         problem = fit.problem
         posterior = Posterior(
-            problem, fit.values, 1.0 if fit.explains else max(1.0, fit.reduced_chi2)
+            problem,
+            fit.values,
+            1.0 if fit.explains else max(1.0, fit.reduced_chi2),
         )
         free = [problem.unknowns[row] for row in problem.free]
         shared = [f for f, u in enumerate(free) if u.key in self.at]
         own = [f for f, u in enumerate(free) if u.key not in self.at]
         normal = posterior.sensitivity.T @ posterior.sensitivity
-        within = normal[np.ix_(own, own)] + problem.coordinates.prior_precision[np.ix_(own, own)]
+        block = np.ix_(own, own)
+        within = normal[block] + problem.coordinates.prior_precision[block]
         across = normal[np.ix_(shared, own)]
-        information = normal[np.ix_(shared, shared)] - across @ np.linalg.solve(within, across.T)
+        taken = across @ np.linalg.solve(within, across.T)
+        information = normal[np.ix_(shared, shared)] - taken
         total = self.prior.copy()
         to = [self.at[free[f].key] for f in shared]
         total[np.ix_(to, to)] += information
@@ -98,8 +102,10 @@ class SharedUnknowns:
         for sample in range(samples):
             row = rows[:, sample, :, None]
             along = known @ row
-            known -= along * (along / (1.0 + row.transpose(0, 2, 1) @ along)).transpose(0, 2, 1)
-            stds[:, sample] = np.sqrt(np.maximum(known[:, place, place], 0.0))
+            gain = along / (1.0 + row.transpose(0, 2, 1) @ along)
+            known -= along * gain.transpose(0, 2, 1)
+            variance = np.maximum(known[:, place, place], 0.0)
+            stds[:, sample] = np.sqrt(variance)
             if seen is None:
                 continue
             off = seen[:, sample]

@@ -17,7 +17,9 @@ from proprio_ros.experiment_design.candidates import (
     shuffled,
     start_positions,
 )
-from proprio_ros.identification.calibration_estimate import ExcitationPlan
+from proprio_ros.identification.calibration_estimate import (
+    ExcitationPlan,
+)
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
 
@@ -25,7 +27,10 @@ STARTS = 6  # start positions of the driven joint, over its range
 POSES = 4  # positions of each locked joint that matters, over its range
 SAME_KIND = 2  # plans kept of one joint and kind
 AT_A_TIME = 30  # poses of each joint's grid between two descents
-STEPS = (0.5, 0.04)  # of the grid's spacing: the first and the last that a descent goes by
+STEPS = (
+    0.5,
+    0.04,
+)  # of the grid's spacing: the first and the last that a descent goes by
 NEAR = 0.5  # of the grid's spacing: plans that start nearer to each other are one
 TELL_S = 1.0  # between two sentences
 
@@ -50,7 +55,11 @@ class Search:
         joints: Iterable[str],
         tries: Try,
     ) -> None:
-        self._robot, self._tries, self._rest = robot, tries, zero_pose(robot)
+        self._robot, self._tries, self._rest = (
+            robot,
+            tries,
+            zero_pose(robot),
+        )
         self._axes = {joint: self._axes_of(joint) for joint in joints}
         self._found: dict[tuple[str, str], list[_Best]] = {}
         self._seen: set[tuple[str, tuple[float, ...]]] = set()
@@ -59,7 +68,8 @@ class Search:
     def plans(self) -> list[ExcitationPlan]:
         """The best so far of each joint and kind, best first."""
         found = sorted(
-            (best for kept in self._found.values() for best in kept), key=lambda best: best.score
+            (best for kept in self._found.values() for best in kept),
+            key=lambda best: best.score,
         )
         return [best.plan for best in found]
 
@@ -112,7 +122,8 @@ class Search:
             joint = best.plan.joint
             for name, axis in self._axes[joint].items():
                 for way in (1.0, -1.0):
-                    moved = best.plan.start[name] + way * best.step * (axis[1] - axis[0])
+                    spacing = axis[1] - axis[0]
+                    moved = best.plan.start[name] + way * best.step * spacing
                     place = round(
                         min(max(moved, axis[0]), axis[-1]),
                         2,
@@ -123,7 +134,10 @@ class Search:
                 best.step *= 0.5
 
     def _try(self, joint: str, pose: Pose) -> None:
-        key = joint, tuple(pose[name] for name in self._axes[joint])
+        key = (
+            joint,
+            tuple(pose[name] for name in self._axes[joint]),
+        )
         if key not in self._seen:
             self._seen.add(key)
             if clearance(self._robot, pose) >= CLEARANCE_M:
@@ -146,5 +160,6 @@ class Search:
         else:
             kept.append(_Best(score, plan))
         kept[:] = sorted(
-            (best for best in kept if best not in near[1:]), key=lambda best: best.score
+            (best for best in kept if best not in near[1:]),
+            key=lambda best: best.score,
         )[:SAME_KIND]

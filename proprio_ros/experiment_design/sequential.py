@@ -32,12 +32,29 @@ from proprio_ros.experiment_design.candidates import (
     start_positions,
     still_run,
 )
-from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
-from proprio_ros.identification.fit import FitResult, SearchOptions, solve_load
-from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
-from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.experiment_design.predicted_precision import (
+    SharedUnknowns,
+)
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    solve_load,
+)
+from proprio_ros.identification.gates import (
+    LITTLE_TRAVEL,
+    MIN_USED,
+    unusable,
+)
+from proprio_ros.identification.prepared_runs import (
+    PreparedRun,
+    prepare_run,
+)
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import PAYLOAD_TERMS, RIPPLE_TERMS, load_unknowns
+from proprio_ros.identification.robot_unknowns import (
+    PAYLOAD_TERMS,
+    RIPPLE_TERMS,
+    load_unknowns,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
@@ -57,7 +74,10 @@ MAX_TRAVEL = 0.6  # rad, at which a push ends
 LOOKAHEAD_S = 0.08
 FASTEST = 5.5  # rad/s, below the speed at which the excitation ends a sequence
 STEP_S = 1.0 / 120.0
-UNKNOWN_KG = (0.0, 0.12)  # what a hand may hold before anything is known
+UNKNOWN_KG = (
+    0.0,
+    0.12,
+)  # what a hand may hold before anything is known
 PATH_RAD = tuple(float(q) for q in np.linspace(-1.05, 1.05, 8))
 """From a start, where the height above the base's plane is looked at."""
 UNKNOWN_STD_KG = 0.1
@@ -120,7 +140,8 @@ class _Excursion:
         off = q - start[:, None]
         # until it has gone so far, and the sample at which that is seen
         before = np.ones((len(start), 1), bool)
-        under_way = np.concatenate([before, (np.abs(off) < MAX_TRAVEL)[:, :-1]], axis=1)
+        near = np.abs(off) < MAX_TRAVEL
+        under_way = np.concatenate([before, near[:, :-1]], axis=1)
         under_way = np.cumprod(under_way, axis=1).astype(bool)
         ahead = np.where(under_way, q + v * LOOKAHEAD_S, start[:, None])
         here = np.where(under_way, q, start[:, None])
@@ -198,7 +219,8 @@ class Catalogue:
         found: list[_Place] = []
         for pose in locked_poses(self.robot, joint, POSES):
             starts = start_positions(self.robot, joint, self._starts)
-            starts = [q for q in starts if clearance(self.robot, pose | {joint: q}) >= CLEARANCE_M]
+            clear = {q: clearance(self.robot, pose | {joint: q}) for q in starts}
+            starts = [q for q in starts if clear[q] >= CLEARANCE_M]
             if starts:
                 still = self._still(joint, pose | {joint: starts[0]})
                 starts = [q for q in starts if self._suits is None or self._suits(still, q)]
@@ -207,7 +229,10 @@ class Catalogue:
         return found
 
     def _places_from(
-        self, still: PreparedRun, pose: dict[str, float], starts: Sequence[float]
+        self,
+        still: PreparedRun,
+        pose: dict[str, float],
+        starts: Sequence[float],
     ) -> list[_Place]:
         """Of one joint in one pose of the others."""
         runs = [_standing_at(still, q) for q in starts]
@@ -222,9 +247,11 @@ class Catalogue:
         for row, (run, q) in enumerate(zip(runs, starts, strict=True)):
             own = [problem.index[kind, row] for kind in OWN]
             p, dp = problem.parameters(values, np.array(shared + own))
-            slopes = np.zeros((2, p.shape[-1], len(self.keys) + len(OWN)))
-            slopes[..., [self.at[key] for key in keys]] = dp[:, row, :, : len(shared)]
-            slopes[..., len(self.keys) :] = dp[:, row, :, len(shared) :]
+            width = len(self.keys) + len(OWN)
+            slopes = np.zeros((2, p.shape[-1], width))
+            of_run = dp[:, row]
+            slopes[..., [self.at[key] for key in keys]] = of_run[..., : len(shared)]
+            slopes[..., len(self.keys) :] = of_run[..., len(shared) :]
             heights = [clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD]
             found.append(
                 _Place(
@@ -269,7 +296,13 @@ class Catalogue:
                 values=before.fit.values_of(self._unknowns(usable)),
             )
         fit = solve_load(
-            self.robot, usable, self.facts, SearchOptions(), Role.FREE, start=start, rough=True
+            self.robot,
+            usable,
+            self.facts,
+            SearchOptions(),
+            Role.FREE,
+            start=start,
+            rough=True,
         )
         covariance = self._shared.covariance_after(fit)
         place = self.at["payload_mass"]
@@ -303,11 +336,17 @@ class Catalogue:
         shared = rows.shared[0][used]
         own = rows.own[0][used]
         along = shared @ known.covariance
-        within = along @ shared.T + own @ own.T + np.eye(int(used.sum()))
+        noise = np.eye(int(used.sum()))
+        within = along @ shared.T + own @ own.T + noise
         covariance = known.covariance - along.T @ np.linalg.solve(within, along)
         at = self.at["payload_mass"]
         std = float(np.sqrt(max(covariance[at, at], 0.0)))
-        return replace(known, covariance=covariance, std=std, runs=known.runs + 1)
+        return replace(
+            known,
+            covariance=covariance,
+            std=std,
+            runs=known.runs + 1,
+        )
 
     def still(self, push: Push) -> PreparedRun:
         """Where a push of this catalogue begins, as a run in which nothing moves."""
@@ -318,7 +357,12 @@ class Catalogue:
         still = self.still(push)
         times_s, currents_A = _input_of(push.current_A, push.shake_A)
         return replace(
-            still, run=replace(still.run, input_times_s=times_s, input_current_A=currents_A)
+            still,
+            run=replace(
+                still.run,
+                input_times_s=times_s,
+                input_current_A=currents_A,
+            ),
         )
 
     def _place_of(self, push: Push) -> _Place:
@@ -349,11 +393,15 @@ class Catalogue:
         if load_kg is not None:
             known = replace(known, mass=load_kg)
         low, high = (
-            (known.mass - 2.0 * known.std, known.mass + 2.0 * known.std)
+            (
+                known.mass - 2.0 * known.std,
+                known.mass + 2.0 * known.std,
+            )
             if known.runs
             else unknown_kg
         )
-        low, high = (max(low, 0.0), max(high, 1e-3)) if load_kg is None else (load_kg, load_kg)
+        low = max(low, 0.0) if load_kg is None else load_kg
+        high = max(high, 1e-3) if load_kg is None else load_kg
         candidates = self._candidates(low, high)
         if not candidates:
             return []
@@ -368,8 +416,17 @@ class Catalogue:
         if not len(chosen):
             return []
         candidates = [candidates[c] for c in chosen]
-        rows = self._rows(simulator, chosen, candidates, mean, load_kg is not None)
-        return best_first(self._scored(known, candidates, rows, time_of, durations_s), target_std)
+        rows = self._rows(
+            simulator,
+            chosen,
+            candidates,
+            mean,
+            load_kg is not None,
+        )
+        return best_first(
+            self._scored(known, candidates, rows, time_of, durations_s),
+            target_std,
+        )
 
     def _candidates(self, low: float, high: float) -> list[_Candidate]:
         """All pushes that suit masses from low to high [kg]."""
@@ -383,7 +440,11 @@ class Catalogue:
                 for shake in (0.0, wave) if push == PUSHES[-1] else (0.0,):
                     if (
                         abs(current) + shake <= limit
-                        and min(abs(current - shake), abs(current + shake)) > 0.01
+                        and min(
+                            abs(current - shake),
+                            abs(current + shake),
+                        )
+                        > 0.01
                     ):
                         found.append(_Candidate(place, current, shake))
         return found
@@ -400,18 +461,31 @@ class Catalogue:
             )
             lightest = float(place.prepared.coefficients.arm[0]) + 0.5 * drive.armature.value
             fine = float(
-                np.clip(self.robot.friction_velocity * lightest / max(friction, 1e-6), 2e-4, STEP_S)
+                np.clip(
+                    self.robot.friction_velocity * lightest / max(friction, 1e-6),
+                    2e-4,
+                    STEP_S,
+                )
             )
             no_supply = 0.0, 0.0, 1.0
             runs.append(
                 JointRun(
-                    run.times_s, times, given, no_supply, self.robot.friction_velocity, STEP_S, fine
+                    run.times_s,
+                    times,
+                    given,
+                    no_supply,
+                    self.robot.friction_velocity,
+                    STEP_S,
+                    fine,
                 )
             )
         return JointSimulator(runs)
 
     def _fitting(
-        self, simulator: JointSimulator, candidates: Sequence[_Candidate], masses: Sequence[float]
+        self,
+        simulator: JointSimulator,
+        candidates: Sequence[_Candidate],
+        masses: Sequence[float],
     ) -> np.ndarray:
         """Which pushes stay inside all limits with each of the masses, shape (C,)."""
         places = [each.place for each in candidates]
@@ -425,7 +499,11 @@ class Catalogue:
         no_tangents = np.zeros((len(places), len(INDEX), 1))
         for mass in masses:
             with np.errstate(over="ignore", invalid="ignore"):
-                q, v, _ = simulator.jacobian(worlds, _parameters_at(places, mass), no_tangents)
+                q, v, _ = simulator.jacobian(
+                    worlds,
+                    _parameters_at(places, mass),
+                    no_tangents,
+                )
             way = _Excursion.of(start, q, v)
             reach[:, 0] = np.minimum(reach[:, 0], way.low - start)
             reach[:, 1] = np.maximum(reach[:, 1], way.high - start)
@@ -462,12 +540,18 @@ class Catalogue:
         slopes = by_p @ np.array([place.dp + mass * place.dp_per_kg for place in places])
         self._add_ripples(slopes, places, q)
         reading = np.array([place.prepared.sigma[0] for place in places])
-        sigma = np.hypot(reading[:, None], np.abs(v) * self.robot.stamp_jitter_s)
+        sigma = np.hypot(
+            reading[:, None],
+            np.abs(v) * self.robot.stamp_jitter_s,
+        )
         slopes = np.where(alive[..., None], slopes / sigma[..., None], 0.0)
         size = len(self.keys)
         shared = slopes[..., :size]
         if is_known:
-            shared[..., [at for key, at in self.at.items() if key in PAYLOAD_TERMS]] = 0.0
+            shared[
+                ...,
+                [at for key, at in self.at.items() if key in PAYLOAD_TERMS],
+            ] = 0.0
         own_std = np.sqrt(np.array([place.own_variance for place in places]))
         off = np.where(alive, q - start[:, None], 0.0)
         up = off.max(axis=1)
@@ -480,7 +564,12 @@ class Catalogue:
             np.where(up > -down, up, down),
         )
 
-    def _add_ripples(self, slopes: np.ndarray, places: Sequence[_Place], q: np.ndarray) -> None:
+    def _add_ripples(
+        self,
+        slopes: np.ndarray,
+        places: Sequence[_Place],
+        q: np.ndarray,
+    ) -> None:
         """The encoder's once-per-turn error at positions (C, T) in sensitivities (C, T, F + 4), which change."""
         for row, place in enumerate(places):
             for kind, wave in zip(RIPPLE_TERMS, (np.cos, np.sin), strict=True):
@@ -503,17 +592,24 @@ class Catalogue:
             0, 2, 1
         ) + own @ own.transpose(0, 2, 1)
         mass = self.at["payload_mass"]
-        across, now = known.towards or (known.covariance[:, mass], known.covariance[mass, mass])
+        across, now = known.towards or (
+            known.covariance[:, mass],
+            known.covariance[mass, mass],
+        )
         pulled = rows.shared @ across
         beside = time_of([each.place.start for each in candidates])
         found: list[Push] = []
         for duration in durations_s:
             used = times <= duration + 1e-9
-            after = _variance_after(now, within[:, used][:, :, used], pulled[:, used])
+            block = within[:, used][:, :, used]
+            after = _variance_after(now, block, pulled[:, used])
             # a push that travel ends before is the same push
             longer = rows.counted >= np.searchsorted(times, duration - 0.15)
             counts = np.isfinite(after) & (longer | (duration == durations_s[0]))
-            lasts = np.minimum(rows.counted / max(len(times), 1) * times[-1], duration)
+            lasts = np.minimum(
+                rows.counted / max(len(times), 1) * times[-1],
+                duration,
+            )
             for c in np.flatnonzero(counts).tolist():
                 seconds = float(beside[c] + lasts[c])
                 found.append(
@@ -546,7 +642,11 @@ def _variance_after(now: float, within: np.ndarray, pulled: np.ndarray) -> np.nd
         pulled: Covariance of the samples with the mass, shape (C, T).
     """
     block = within + np.eye(within.shape[1])
-    taken = np.einsum("ct,ct->c", pulled, np.linalg.solve(block, pulled[..., None])[..., 0])
+    taken = np.einsum(
+        "ct,ct->c",
+        pulled,
+        np.linalg.solve(block, pulled[..., None])[..., 0],
+    )
     return np.maximum(now - taken, 1e-12)
 
 
@@ -557,7 +657,9 @@ def _standing_at(still: PreparedRun, position: float) -> PreparedRun:
         for name in ("position", "before_position")
     }
     return replace(
-        still, run=replace(still.run, **elsewhere), rest=Quantity(position, still.rest.std)
+        still,
+        run=replace(still.run, **elsewhere),
+        rest=Quantity(position, still.rest.std),
     )
 
 
@@ -569,4 +671,5 @@ def _input_of(
     if not shake_A:
         return np.zeros(1), np.array([current_A])
     times_s = np.arange(0.0, max(DURATIONS_S), 0.5 * SHAKE_PERIOD_S)
-    return times_s, current_A + shake_A * (1.0 - 2.0 * (np.arange(len(times_s)) % 2))
+    square = 1.0 - 2.0 * (np.arange(len(times_s)) % 2)
+    return times_s, current_A + shake_A * square

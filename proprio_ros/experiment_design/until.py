@@ -10,10 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from proprio_ros.excitation.machine import ExcitationMachine
-from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
+from proprio_ros.excitation.plans import (
+    ExcitationRun,
+    ExcitationSequence,
+)
 from proprio_ros.experiment_design import sequential
 from proprio_ros.experiment_design.candidates import Push
-from proprio_ros.experiment_design.choosing import Chooser, Found, Whole, alone, passes, time_of
+from proprio_ros.experiment_design.choosing import (
+    Chooser,
+    Found,
+    Whole,
+    alone,
+    passes,
+    time_of,
+)
 from proprio_ros.quantity import Z95, Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -66,7 +76,10 @@ class UntilSure(CatalogueChooser):
     def learn(self, runs: Sequence[Run]) -> Found:
         self.known = known = self.catalogue.known(runs, self.known)
         return Found(
-            known.mass, known.std, known.runs, 0.0 if known.fit is None else known.fit.reduced_chi2
+            known.mass,
+            known.std,
+            known.runs,
+            0.0 if known.fit is None else known.fit.reduced_chi2,
         )
 
     def ranked(
@@ -118,11 +131,21 @@ def chosen_known(
     weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
     catalogue = sequential.Catalogue(robot)
     known, _ = _predicted_weighing(catalogue, weighed_kg, sequence)
-    return _chosen(catalogue, known, half_interval, at_most_s, sequence, reference_kg)
+    return _chosen(
+        catalogue,
+        known,
+        half_interval,
+        at_most_s,
+        sequence,
+        reference_kg,
+    )
 
 
 def chosen_refresh(
-    fresh: Robot, aged: Robot, at_most_s: float, sequence: ExcitationSequence
+    fresh: Robot,
+    aged: Robot,
+    at_most_s: float,
+    sequence: ExcitationSequence,
 ) -> tuple[list[ExcitationRun], float, float]:
     """Pushes with an empty hand after which a weighing is nearly as sure as with the calibration when it was made.
 
@@ -156,7 +179,9 @@ def chosen_refresh(
 
 
 def _predicted_weighing(
-    catalogue: sequential.Catalogue, weighed_kg: float, sequence: ExcitationSequence
+    catalogue: sequential.Catalogue,
+    weighed_kg: float,
+    sequence: ExcitationSequence,
 ) -> tuple[sequential.Known, list[Push]]:
     """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
     robot = catalogue.robot
@@ -165,7 +190,10 @@ def _predicted_weighing(
     for _ in range(WEIGHED_PUSHES):
         pushes.append(
             max(
-                catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))),
+                catalogue.rank(
+                    known,
+                    time_of(robot, sequence, bent_pose(robot)),
+                ),
                 key=lambda p: p.gain,
             )
         )
@@ -191,7 +219,10 @@ def _chosen(
     chosen: list[ExcitationRun] = []
     while Z95 * known.std > half_interval:
         ranked = catalogue.rank(
-            known, time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg
+            known,
+            time_of(robot, sequence, here),
+            half_interval / Z95,
+            load_kg=load_kg,
         )
         for push in ranked:
             run = run_of(push, robot)

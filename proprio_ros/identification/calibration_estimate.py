@@ -6,8 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from proprio_ros.calibration_files.motions import MotionCalibration
-from proprio_ros.calibration_files.one_joint import JointCalibration
+from proprio_ros.calibration_files.motions import (
+    MotionCalibration,
+)
+from proprio_ros.calibration_files.one_joint import (
+    JointCalibration,
+)
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.identification.estimate import (
     Fit,
@@ -44,10 +48,21 @@ class ExcitationPlan:
 
     def as_json(self) -> dict[str, Any]:
         known = picked(
-            self, "joint", "start", "current_A", "duration_s", "kind", "clearance_m", "reason"
+            self,
+            "joint",
+            "start",
+            "current_A",
+            "duration_s",
+            "kind",
+            "clearance_m",
+            "reason",
         )
         return plain(
-            {**known, "travel_rad": self.travel, **(picked(self, "std_kg") if self.std_kg else {})}
+            {
+                **known,
+                "travel_rad": self.travel,
+                **(picked(self, "std_kg") if self.std_kg else {}),
+            }
         )
 
 
@@ -87,7 +102,10 @@ class Weighable:
         return f"weighs {mass} to +-{half} (95 %) {how}"
 
     def as_json(self) -> dict[str, Any]:
-        return {**picked(self, "mass_kg", "std_kg", "joints"), "half_width95_kg": Z95 * self.std_kg}
+        return {
+            **picked(self, "mass_kg", "std_kg", "joints"),
+            "half_width95_kg": Z95 * self.std_kg,
+        }
 
 
 @dataclass(frozen=True)
@@ -144,7 +162,10 @@ class EmptyHandEstimate:
         return self.quantile * self.std_kg
 
     def as_json(self) -> dict[str, Any]:
-        return {**picked(self, "name", "mass_kg"), "half_width95_kg": self.half_width}
+        return {
+            **picked(self, "name", "mass_kg"),
+            "half_width95_kg": self.half_width,
+        }
 
 
 @dataclass(frozen=True)
@@ -201,9 +222,20 @@ class CalibrationEstimate:
             **self.origin,
         }
         record |= picked(self, "robot", "runs", "verdict", "reasons")
-        record |= {"reason_codes": reason_codes(self.reasons), "can_weigh": self.weighable}
+        record |= {
+            "reason_codes": reason_codes(self.reasons),
+            "can_weigh": self.weighable,
+        }
         rows = [
-            picked(row, "name", "value", "std", "unit", "prior", "prior_std")
+            picked(
+                row,
+                "name",
+                "value",
+                "std",
+                "unit",
+                "prior",
+                "prior_std",
+            )
             for row in self.unknowns
         ]
         record |= {
@@ -213,17 +245,35 @@ class CalibrationEstimate:
             **picked(self, "fit", "held_out"),
         }
         if calibration is not None:
-            units = {"torque_disturbance": "_N_m", "start_velocity": "_rad_s"}
+            units = {
+                "torque_disturbance": "_N_m",
+                "start_velocity": "_rad_s",
+            }
             noise = picked(
-                calibration, "residual_scale", "stamp_jitter_s", "onset_jitter_s", *units
+                calibration,
+                "residual_scale",
+                "stamp_jitter_s",
+                "onset_jitter_s",
+                *units,
             )
             record["noise"] = {name + units.get(name, ""): std for name, std in noise.items()}
         if motion is not None:
             record["motion"] = {
                 **picked(
-                    motion, "stretches", "torque_scale", "torque_scale_std", "arm_over_urdf", "runs"
+                    motion,
+                    "stretches",
+                    "torque_scale",
+                    "torque_scale_std",
+                    "arm_over_urdf",
+                    "runs",
                 ),
-                "residual_N_m": dict(zip(motion.joints, motion.residual.tolist(), strict=True)),
+                "residual_N_m": dict(
+                    zip(
+                        motion.joints,
+                        motion.residual.tolist(),
+                        strict=True,
+                    )
+                ),
                 "weighed_empty": self.weighed_empty,
             }
         if joint is not None:
@@ -231,4 +281,15 @@ class CalibrationEstimate:
                 **picked(joint, "joint", "spread", "runs"),
                 "residual_N_m": joint.residual,
             }
-        return plain({**record, **picked(self, "not_separated", "advice", "notes", "timing_s")})
+        return plain(
+            {
+                **record,
+                **picked(
+                    self,
+                    "not_separated",
+                    "advice",
+                    "notes",
+                    "timing_s",
+                ),
+            }
+        )

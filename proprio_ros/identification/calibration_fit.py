@@ -16,10 +16,21 @@ import numpy as np
 from proprio_ros.identification import solvers
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import FIRST_SWING_ERROR, PreparedRun
+from proprio_ros.identification.prepared_runs import (
+    FIRST_SWING_ERROR,
+    PreparedRun,
+)
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import RISE, robot_unknowns
-from proprio_ros.identification.swings import MISSED_SHARE, missed_share, stamp_jitter, swing_error
+from proprio_ros.identification.robot_unknowns import (
+    RISE,
+    robot_unknowns,
+)
+from proprio_ros.identification.swings import (
+    MISSED_SHARE,
+    missed_share,
+    stamp_jitter,
+    swing_error,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import INDEX
@@ -90,7 +101,10 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
     problem = _problem(robot, runs, noise)
     most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
     solution = solvers.levenberg_marquardt(
-        problem, _starts(problem), problem.simulator.windows, iterations=most
+        problem,
+        _starts(problem),
+        problem.simulator.windows,
+        iterations=most,
     )
     values = FitResult.of(problem, solution).values
     for _ in range(EVIDENCE_ROUNDS):
@@ -100,12 +114,20 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
         values = FitResult.of(
-            problem, solvers.levenberg_marquardt(problem, start, None, iterations=again_most)
+            problem,
+            solvers.levenberg_marquardt(problem, start, None, iterations=again_most),
         ).values
         if noise.near(before):
             break
     posterior = Posterior(problem, values)
-    return Fitted(problem, values, posterior, posterior.covariance, solution.cost, noise)
+    return Fitted(
+        problem,
+        values,
+        posterior,
+        posterior.covariance,
+        solution.cost,
+        noise,
+    )
 
 
 def foretold(
@@ -139,17 +161,29 @@ def foretold(
     own = posterior.run == len(before.runs)
     off = posterior.residual[own]
     slope = posterior.sensitivity[own]
-    return len(off), float(off @ np.linalg.solve(np.eye(len(off)) + slope @ known @ slope.T, off))
+    within = np.eye(len(off)) + slope @ known @ slope.T
+    return len(off), float(off @ np.linalg.solve(within, off))
 
 
 def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem:
-    expected = ("torque_disturbance", "start_velocity", "onset_jitter_s", "friction_spread")
+    expected = (
+        "torque_disturbance",
+        "start_velocity",
+        "onset_jitter_s",
+        "friction_spread",
+    )
     robot = replace(robot, **{name: getattr(noise, name) for name in expected})
     sigmas = [np.hypot(*_noise_parts(run, noise)) for run in runs]
     if runs[0].run.free:
         sigmas = [np.hypot(sigma, noise.swing_error) for sigma in sigmas]
-    noisy = [replace(run, sigma=sigma) for run, sigma in zip(runs, sigmas, strict=True)]
-    return Problem(robot, noisy, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
+    pairs = zip(runs, sigmas, strict=True)
+    noisy = [replace(run, sigma=sigma) for run, sigma in pairs]
+    return Problem(
+        robot,
+        noisy,
+        PayloadFacts(),
+        robot_unknowns(robot, runs, Role.FREE),
+    )
 
 
 def _noise_parts(run: PreparedRun, noise: Noise) -> tuple[float, np.ndarray]:
@@ -166,7 +200,12 @@ def _starts(problem: Problem) -> np.ndarray:
             problem.base[None],
             problem.free[:1],
         )
-        largest = float(np.hypot(p[..., INDEX["gravity_cos"]], p[..., INDEX["gravity_sin"]]).max())
+        largest = float(
+            np.hypot(
+                p[..., INDEX["gravity_cos"]],
+                p[..., INDEX["gravity_sin"]],
+            ).max()
+        )
         levels = [share * largest for share in SWING_FRICTION_STARTS]
     starts = np.tile(coordinates.prior_mean, (len(levels), 1))
     for column, row in enumerate(problem.free):
@@ -217,11 +256,17 @@ def _follows(fitted: Fitted, column: int) -> np.ndarray:
     return follows
 
 
-def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:
+def _evidence(
+    robot: Robot,
+    problem: Problem,
+    posterior: Posterior,
+    noise: Noise,
+) -> Noise:
     """One step towards the noise under which the runs are most probable, the robot file's word counting as pseudo-data."""
     # residual squared plus what the fit has swallowed, in rad^2, is what noise of the assumed kind leaves on average
     parts = [_noise_parts(run, noise) for run in problem.runs]
-    reading = np.concatenate([np.full(len(jitter), base) for base, jitter in parts])
+    readings = [np.full(len(jitter), base) for base, jitter in parts]
+    reading = np.concatenate(readings)
     jitter = np.concatenate([part for _, part in parts])
     left = (posterior.residual**2 + posterior.leverage()) * (reading**2 + jitter**2)
     velocity = jitter / max(noise.stamp_jitter_s, 1e-12)
@@ -246,7 +291,11 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
 
 
 def _parts_of_noise(
-    robot: Robot, noise: Noise, left: np.ndarray, unit: np.ndarray, velocity: np.ndarray
+    robot: Robot,
+    noise: Noise,
+    left: np.ndarray,
+    unit: np.ndarray,
+    velocity: np.ndarray,
 ) -> tuple[float, float]:
     """Which part of the errors is the encoder's and which the stamps', by expectation maximisation (Dempster et al. 1977).
 
@@ -271,7 +320,8 @@ def _parts_of_noise(
         scale_each = ((a / total) ** 2 * left + a * b / total) / unit
         scale2 = float((scale_each.sum() + PSEUDO_SAMPLES) / (len(left) + PSEUDO_SAMPLES))
         if jitter2 > 0.0:
-            jitter_each = ((b / total) ** 2 * left + a * b / total)[moving] / velocity[moving] ** 2
+            square_each = (b / total) ** 2 * left + a * b / total
+            jitter_each = square_each[moving] / velocity[moving] ** 2
             jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
     return scale2, jitter2
 
@@ -299,13 +349,21 @@ def _alike(problem: Problem, posterior: Posterior, left: np.ndarray) -> float:
     return max(together / apart, 1.0) if apart > 0.0 else 1.0
 
 
-def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:
+def _swing_evidence(
+    robot: Robot,
+    problem: Problem,
+    posterior: Posterior,
+    noise: Noise,
+) -> Noise:
     """The same of free swings, whose residuals are not independent."""
     _, found, learnt = of_runs("friction_change", problem, posterior)
     spread = spread_of_runs(robot.friction_spread, found, learnt)
     jitter_s = max(stamp_jitter(posterior), robot.stamp_jitter_s)
     return replace(
-        noise, stamp_jitter_s=jitter_s, friction_spread=spread, swing_error=swing_error(posterior)
+        noise,
+        stamp_jitter_s=jitter_s,
+        friction_spread=spread,
+        swing_error=swing_error(posterior),
     )
 
 
@@ -316,7 +374,9 @@ def of_runs(
 
     Returns: The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
     """
-    stds = {row: problem.unknowns[problem.index[kind, row]].std for row in range(len(problem.runs))}
+    stds = {}
+    for row in range(len(problem.runs)):
+        stds[row] = problem.unknowns[problem.index[kind, row]].std
     rows = [
         row
         for row, std in stds.items()
@@ -324,7 +384,8 @@ def of_runs(
     ]
     place = problem.free.tolist()
     columns = [place.index(problem.index[kind, row]) for row in rows]
-    learnt = 1.0 - np.diag(posterior.covariance)[columns] / np.square([stds[row] for row in rows])
+    priors = np.square([stds[row] for row in rows])
+    learnt = 1.0 - np.diag(posterior.covariance)[columns] / priors
     return rows, posterior.values[problem.free[columns]], learnt
 
 

@@ -9,9 +9,19 @@ import numpy as np
 
 from proprio_ros.records import Run
 from proprio_ros.robot import ReducedModel, Robot
-from proprio_ros.sim.payload import PayloadFacts, joint_coefficients, pseudo_inertia_basis
+from proprio_ros.sim.payload import (
+    PayloadFacts,
+    joint_coefficients,
+    pseudo_inertia_basis,
+)
 
-LINK_TERMS = ("link_mass", "link_com_x", "link_com_y", "link_com_z", "link_inertia")
+LINK_TERMS = (
+    "link_mass",
+    "link_com_x",
+    "link_com_y",
+    "link_com_z",
+    "link_inertia",
+)
 """How a link may differ from the URDF: relative mass, shift of its centre of mass [m], relative inertia about it."""
 # central difference over the pose of a locked joint [rad or m]; the error is about 1e-10
 POSE_STEP = 1e-5
@@ -46,18 +56,27 @@ def reduced_model(
     shift: Mapping[str, float],
 ) -> ReducedModel:
     """The robot with every joint locked but the driven one; ``shift`` displaces locked joints [rad or m]."""
-    held = {name: position + shift.get(name, 0.0) for name, position in run.held.items()}
+    held = {}
+    for name, position in run.held.items():
+        held[name] = position + shift.get(name, 0.0)
     return robot.model.lock([run.joint], held, robot.gravity)
 
 
-def axis_and_gravity(model: ReducedModel) -> tuple[np.ndarray, np.ndarray]:
+def axis_and_gravity(
+    model: ReducedModel,
+) -> tuple[np.ndarray, np.ndarray]:
     """Axis of the driven joint, and gravity [m/s^2] where it is at zero, both in its own frame; shapes (3,)."""
-    return model.axes[0], model.placement[0][:3, :3].T @ model.gravity
+    rotation = model.placement[0][:3, :3]
+    return model.axes[0], rotation.T @ model.gravity
 
 
 def link_stds(robot: Robot) -> dict[str, float]:
     """Standard deviations of ``LINK_TERMS`` before anything is learnt."""
-    stds = (robot.link_mass_std, *[robot.link_com_std] * 3, robot.link_inertia_std)
+    stds = (
+        robot.link_mass_std,
+        *[robot.link_com_std] * 3,
+        robot.link_inertia_std,
+    )
     return dict(zip(LINK_TERMS, stds, strict=True))
 
 
@@ -75,12 +94,16 @@ def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficie
         [run.held.get(name, 0.0) for name in locked],
         (1 + 2 * count, 1),
     )
-    rows[1:] += POSE_STEP * np.concatenate([np.eye(count), -np.eye(count)])
+    one_each = np.eye(count)
+    rows[1:] += POSE_STEP * np.concatenate([one_each, -one_each])
     poses = {name: np.array([position]) for name, position in run.held.items()} | dict(
         zip(locked, rows.T, strict=True)
     )
     arm, payload = at_poses(robot, run.joint, poses)
-    by_pose = [(of[1 : 1 + count] - of[1 + count :]) / (2.0 * POSE_STEP) for of in (arm, payload)]
+    by_pose = []
+    for each in (arm, payload):
+        difference = each[1 : 1 + count] - each[1 + count :]
+        by_pose.append(difference / (2.0 * POSE_STEP))
     matters = np.abs(by_pose[0]).max(axis=1, initial=0.0) > 1e-6
     pose = tuple(name for name, does in zip(locked, matters, strict=True) if does)
     return Coefficients(
@@ -135,7 +158,8 @@ def at_poses(
         return arm, np.zeros((count, 4, 10))
     at = frames[robot.payload_frame][:, None]
     moved = at @ pseudo_inertia_basis() @ at.transpose(0, 1, 3, 2)
-    payload = joint_coefficients(moved, joint.kind, joint.axis, gravity[:, None]).transpose(0, 2, 1)
+    payload = joint_coefficients(moved, joint.kind, joint.axis, gravity[:, None])
+    payload = payload.transpose(0, 2, 1)
     return arm, np.broadcast_to(payload, (count, 4, 10))
 
 
@@ -151,15 +175,18 @@ def _by_links(
         for link in robot.model.links
         if model.frames[link.name][0] == 0 and link.pseudo_inertia[3, 3] != 0.0
     ]
-    at = np.array([model.frames[link.name][1] for link in links])[:, None]
+    frames = np.array([model.frames[link.name][1] for link in links])
+    at = frames[:, None]
     changes = _link_changes(np.array([link.pseudo_inertia for link in links]))
     moved = at @ changes @ at.transpose(0, 1, 3, 2)
     rows = joint_coefficients(moved, model.kinds[0], axis, gravity)  # (L, K, 4)
     stds = link_stds(robot)
-    seen = np.abs(rows).max(axis=2) * np.array([*stds.values()]) > NEGLIGIBLE
+    largest = np.abs(rows).max(axis=2)
+    seen = largest * np.array([*stds.values()]) > NEGLIGIBLE
     keys: list[tuple[str, str]] = []
     for link, of_link in zip(links, seen, strict=True):
-        keys += [(term, link.name) for term, is_seen in zip(stds, of_link, strict=True) if is_seen]
+        terms = [term for term, is_seen in zip(stds, of_link, strict=True) if is_seen]
+        keys += [(term, link.name) for term in terms]
     return tuple(keys), rows[seen]
 
 
@@ -171,10 +198,12 @@ def _link_changes(pseudo: np.ndarray) -> np.ndarray:
     changes[:, 0] = pseudo
     for term, direction in enumerate(np.eye(3)[:, :, None], start=1):
         across = com @ direction.T
-        changes[:, term, :3, :3] = mass * (across + across.transpose(0, 2, 1))
+        both = across + across.transpose(0, 2, 1)
+        changes[:, term, :3, :3] = mass * both
         changes[:, term, :3, 3:] = mass * direction
         changes[:, term, 3:, :3] = mass * direction.T
-    changes[:, -1, :3, :3] = pseudo[:, :3, :3] - mass * (com @ com.transpose(0, 2, 1))
+    about_centre = mass * (com @ com.transpose(0, 2, 1))
+    changes[:, -1, :3, :3] = pseudo[:, :3, :3] - about_centre
     return changes
 
 
@@ -187,12 +216,14 @@ def slide_coefficients(robot: Robot, run: Run) -> Coefficients:
     position = float(run.position[0])
     mass = 0.0
     load = 0.0
-    before, after = ({**run.held, run.joint: position + off} for off in (-0.5, 0.5))
+    before = {**run.held, run.joint: position - 0.5}
+    after = {**run.held, run.joint: position + 0.5}
     for link in robot.model.links:
         weight = float(link.pseudo_inertia[3, 3])
         if weight > 0.0:
             transform = robot.model.frame_transform
-            velocity = (transform(link.name, after) - transform(link.name, before))[:3, 3]
+            moved = transform(link.name, after) - transform(link.name, before)
+            velocity = moved[:3, 3]
             mass += weight * float(velocity @ velocity)
             load -= weight * float(velocity @ robot.gravity)
     return Coefficients(

@@ -25,7 +25,12 @@ from proprio_ros.identification.fit import (
     uncalibrated,
     unknown_rows,
 )
-from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings, contradicting
+from proprio_ros.identification.gates import (
+    MISFIT_LIMIT,
+    Contradiction,
+    Findings,
+    contradicting,
+)
 from proprio_ros.identification.judge import (
     Assessment,
     Guess,
@@ -68,7 +73,10 @@ class Conclusion:
     called: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __post_init__(self) -> None:
-        self.robot, self.runs = self.opened.problem.robot, self.opened.problem.runs
+        self.robot, self.runs = (
+            self.opened.problem.robot,
+            self.opened.problem.runs,
+        )
         self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.assessed = Assessment(self.fit, self.name, self.opened)
         # what each source puts on the value, the largest first
@@ -155,7 +163,10 @@ class Conclusion:
             said += f" where the encoder explains {1e3 * expected:.2f} mrad"
             said += ", so its mass is no weighing" if unit == "kg" else ""
         return rejected(
-            "misfit", "the model does not explain the recording", f"misfit: {said}", *suspects
+            "misfit",
+            "the model does not explain the recording",
+            f"misfit: {said}",
+            *suspects,
         )
 
     def lighter(
@@ -170,7 +181,11 @@ class Conclusion:
             said = (
                 f"{thing}{loaded} seems {-1e3 * mass:.1f} g lighter than it was empty: {question}"
             )
-            yield rejected("lighter_than_empty", f"{thing} seems lighter than empty", said)
+            yield rejected(
+                "lighter_than_empty",
+                f"{thing} seems lighter than empty",
+                said,
+            )
 
     def several(self, share: float, cure: str = "") -> Iterator[Refusal]:
         """Where other starts explain the recording as well, at masses that differ by more than ``share``."""
@@ -178,7 +193,11 @@ class Conclusion:
         if others := rivals(self.fit, self.name, mass, self.assessed.std, share):
             several = "more than one mass explains the recording"
             masses = ", ".join(f"{1e3 * each:.1f} g" for each in sorted((mass, *others)))
-            yield not_identifiable("several_values", several, f"{several}: {masses}{cure}")
+            yield not_identifiable(
+                "several_values",
+                several,
+                f"{several}: {masses}{cure}",
+            )
 
     def count(self, std: float, source: str) -> None:
         """Widen the interval by an uncertainty of its own, and show it in the budget."""
@@ -243,10 +262,18 @@ class Conclusion:
     def _all_refusals(self) -> Iterator[Refusal]:
         if not np.isfinite(self.fit.chi2):
             unsimulated = f"no guess of the {self.searched_for} could be simulated"
-            yield rejected("unsimulated", unsimulated, f"{unsimulated}: {self.check}")
+            yield rejected(
+                "unsimulated",
+                unsimulated,
+                f"{unsimulated}: {self.check}",
+            )
         yield from self.against
         if self.apart is not None and self.apart.half is None:
-            yield rejected("runs_contradict", "the runs contradict each other", self.apart.sentence)
+            yield rejected(
+                "runs_contradict",
+                "the runs contradict each other",
+                self.apart.sentence,
+            )
         yield from self.refusals()
         if useful := self.useful():
             yield from too_wide(self.assessed, useful, self.budget)
@@ -266,11 +293,16 @@ class Conclusion:
         yield from self.remarks()
         if elsewhere := len(solver.paths) - solver.starts_agreeing:
             ended = f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(self.name)}"
-            yield Reason("starts_disagree", f"{ended} or in a worse fit; the best was taken")
+            yield Reason(
+                "starts_disagree",
+                f"{ended} or in a worse fit; the best was taken",
+            )
         sources = [] if assessed.unit != "kg" else self.budget
         sought = {guess.source for guess in self.guesses}
         yield from uncalibrated(
-            self.robot, self.runs, [entry for entry in sources if entry[0] not in sought]
+            self.robot,
+            self.runs,
+            [entry for entry in sources if entry[0] not in sought],
         )
 
 

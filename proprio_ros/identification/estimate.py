@@ -11,7 +11,12 @@ import numpy as np
 
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import Tag, label_of
-from proprio_ros.quantity import Z95, shown_unit, spec_for, written
+from proprio_ros.quantity import (
+    Z95,
+    shown_unit,
+    spec_for,
+    written,
+)
 from proprio_ros.schema import header, reason_codes
 
 
@@ -106,9 +111,10 @@ class Value:
         """Of a vector or a tensor, each as a value of its own; a number as it is."""
         if not isinstance(self.value, list):
             return [self]
-        axes = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(
-            len(self.value), range(len(self.value))
-        )
+        axes = {
+            3: ("x", "y", "z"),
+            6: ("xx", "xy", "xz", "yy", "yz", "zz"),
+        }.get(len(self.value), range(len(self.value)))
         stds = self.std if isinstance(self.std, list) else [None] * len(self.value)
         ends = self.ci95 if isinstance(self.ci95, list) else [None] * len(self.value)
         return [
@@ -145,7 +151,13 @@ class Value:
 
     def as_json(self) -> dict[str, Any]:
         return picked(
-            self, "name", "value", "std", "ci95", "unit", *(["reason"] if self.reason else [])
+            self,
+            "name",
+            "value",
+            "std",
+            "ci95",
+            "unit",
+            *(["reason"] if self.reason else []),
         )
 
 
@@ -160,7 +172,14 @@ class Fit:
     condition: float = float("nan")
 
     def as_json(self) -> dict[str, Any]:
-        return picked(self, "rms", "expected_rms", "unit", "reduced_chi2", "condition")
+        return picked(
+            self,
+            "rms",
+            "expected_rms",
+            "unit",
+            "reduced_chi2",
+            "condition",
+        )
 
 
 @dataclass(frozen=True)
@@ -267,12 +286,22 @@ class SolverSummary:
 
     def as_json(self) -> dict[str, Any]:
         record = picked(
-            self, "name", "profile", "starts_agreeing", "iterations", "integrator", "step_s"
+            self,
+            "name",
+            "profile",
+            "starts_agreeing",
+            "iterations",
+            "integrator",
+            "step_s",
         )
         record["starts"] = len(self.paths)
         if any(path.scheduled is not None for path in self.paths):
             results = [
-                {"start_kg": p.start, "scheduled_kg": p.scheduled, "least_error_kg": p.end}
+                {
+                    "start_kg": p.start,
+                    "scheduled_kg": p.scheduled,
+                    "least_error_kg": p.end,
+                }
                 for p in self.paths
             ]
             record["start_results"] = results
@@ -297,7 +326,17 @@ class UnknownRow(Tag):
         return (self.value - self.prior) / self.prior_std
 
     def as_json(self) -> dict[str, Any]:
-        return picked(self, "name", "unit", "role", "prior", "prior_std", "value", "std", "pull")
+        return picked(
+            self,
+            "name",
+            "unit",
+            "role",
+            "prior",
+            "prior_std",
+            "value",
+            "std",
+            "pull",
+        )
 
 
 @dataclass(frozen=True)
@@ -366,12 +405,19 @@ class Estimate:
             **self.origin,
         }
         record |= picked(self, "probe", "robot", "runs", "verdict", "reasons")
-        record |= {"reason_codes": reason_codes(self.reasons), "estimates": self.values}
+        record |= {
+            "reason_codes": reason_codes(self.reasons),
+            "estimates": self.values,
+        }
         if self.detail is not None:
             record |= self.detail.as_json()
         record |= picked(self, "fit", "solver", "unknowns")
         budget = [
-            {"source": source, "std": std, "unit": self.values[0].unit}
+            {
+                "source": source,
+                "std": std,
+                "unit": self.values[0].unit,
+            }
             for source, std in self.budget
         ]
         return plain(
@@ -393,10 +439,25 @@ def no_answer(
     notes: Sequence[str],
 ) -> Estimate:
     """What is said where no run can be used: the value is not determined, and the reasons are the runs' own."""
-    values = (Value(name, unit, None, reason="no run of this recording determines it"),)
+    values = (
+        Value(
+            name,
+            unit,
+            None,
+            reason="no run of this recording determines it",
+        ),
+    )
     verdict = Verdict.NOT_IDENTIFIABLE
     return Estimate(
-        probe, robot, verdict, tuple(reasons), values, None, None, runs, notes=tuple(notes)
+        probe,
+        robot,
+        verdict,
+        tuple(reasons),
+        values,
+        None,
+        None,
+        runs,
+        notes=tuple(notes),
     )
 
 

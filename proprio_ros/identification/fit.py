@@ -12,14 +12,29 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.estimate import Scan, SolverSummary, StartPath, UnknownRow
+from proprio_ros.identification.estimate import (
+    Scan,
+    SolverSummary,
+    StartPath,
+    UnknownRow,
+)
 from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.prepared_runs import (
+    PreparedRun,
+    joints_of,
+)
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, load_unknowns
-from proprio_ros.identification.unknowns import Role, Unknown, scaled_inverse
+from proprio_ros.identification.robot_unknowns import (
+    DRIVE_TERMS,
+    load_unknowns,
+)
+from proprio_ros.identification.unknowns import (
+    Role,
+    Unknown,
+    scaled_inverse,
+)
 from proprio_ros.kinds import Key, key_of, label_of
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
@@ -32,9 +47,19 @@ CALIBRATED = {
     "armature": "armatures",
     "delay": "delay",
     **dict.fromkeys(
-        ("coulomb", "viscous", "load_friction", "stribeck", "stribeck_velocity"), "friction"
+        (
+            "coulomb",
+            "viscous",
+            "load_friction",
+            "stribeck",
+            "stribeck_velocity",
+        ),
+        "friction",
     ),
-    **dict.fromkeys(("zero", "ripple_cos", "ripple_sin"), "zeros and encoder errors"),
+    **dict.fromkeys(
+        ("zero", "ripple_cos", "ripple_sin"),
+        "zeros and encoder errors",
+    ),
 }
 """What a calibration's unknowns are called together, by kind; all others are the arm's masses."""
 CHI2_95 = Z95**2  # chi-square above its least at the ends of a 95 % interval of one unknown
@@ -148,11 +173,22 @@ def solve_load(
 ) -> FitResult:
     """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
     unknowns = load_unknowns(
-        robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2]
+        robot,
+        runs,
+        facts,
+        role,
+        options.starts_kg[len(options.starts_kg) // 2],
     )
     if start_velocity_std is not None:
         unknowns = [replace(u, std=start_velocity_std) if u.kind == "v0" else u for u in unknowns]
-    problem = Problem(robot, runs, facts, unknowns, options.integrator, options.step_s)
+    problem = Problem(
+        robot,
+        runs,
+        facts,
+        unknowns,
+        options.integrator,
+        options.step_s,
+    )
     coordinates = problem.coordinates
     if start is None:
         starts = np.tile(coordinates.prior_mean, (len(options.starts_kg), 1))
@@ -179,7 +215,8 @@ def solve_load(
 
 
 def fit_both(
-    solve: Callable[..., FitResult], again: Callable[[FitResult, FitResult], bool]
+    solve: Callable[..., FitResult],
+    again: Callable[[FitResult, FitResult], bool],
 ) -> tuple[FitResult, FitResult]:
     """A fit with the robot as it is stated, and from there the one in which all that is open moves under its prior.
 
@@ -205,7 +242,9 @@ def fit_opened(solve: Callable[..., FitResult]) -> FitResult:
 
 
 def uncalibrated(
-    robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]]
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    budget: Sequence[tuple[str, float]],
 ) -> list[Reason]:
     """A sentence where the interval carries the file's priors instead of a calibration; ``budget`` in kg."""
     if robot.is_calibrated():
@@ -215,7 +254,12 @@ def uncalibrated(
             open_of_it = (
                 "was not calibrated, so the interval carries what the robot file leaves open of it"
             )
-            return [Reason("not_calibrated", f"{', '.join(joints)} {open_of_it}")]
+            return [
+                Reason(
+                    "not_calibrated",
+                    f"{', '.join(joints)} {open_of_it}",
+                )
+            ]
         return []
     if known_exactly(robot, runs):
         return []
@@ -228,7 +272,9 @@ def uncalibrated(
 
 
 def error_budget(
-    fit: FitResult, covariance: np.ndarray, name: str = "payload_mass"
+    fit: FitResult,
+    covariance: np.ndarray,
+    name: str = "payload_mass",
 ) -> list[tuple[str, float]]:
     """Which source puts how much standard deviation on the mass called ``name`` [kg], largest first.
 
@@ -252,8 +298,13 @@ def error_budget(
             parts[unknown.name] = float(row[place] * pulled[place])
     parts |= _split(row, problem.coordinates.prior_precision, groups)
     parts[ENCODER] = float(covariance[at, at]) - sum(parts.values())
-    budget = [(source, float(np.sqrt(max(variance, 0.0)))) for source, variance in parts.items()]
-    return sorted((entry for entry in budget if entry[1] > 1e-7), key=lambda entry: -entry[1])
+    budget = []
+    for source, variance in parts.items():
+        budget.append((source, float(np.sqrt(max(variance, 0.0)))))
+    return sorted(
+        (entry for entry in budget if entry[1] > 1e-7),
+        key=lambda entry: -entry[1],
+    )
 
 
 def _split(
@@ -267,7 +318,10 @@ def _split(
     (Shapley effects, Owen 2014, SIAM/ASA J. Uncertainty Quantification 2(1)): no share is negative, and they add up. ``row`` (F,)
     is the covariance of the result with each free unknown, ``precision`` (F, F) that of their prior.
     """
-    names, every = list(groups), [place for places in groups.values() for place in places]
+    names, every = (
+        list(groups),
+        [place for places in groups.values() for place in places],
+    )
     prior = scaled_inverse(precision[np.ix_(every, every)])
     within = [[every.index(place) for place in groups[name]] for name in names]
 
@@ -313,7 +367,8 @@ def rivals(
     ends = fit.physical(name)
     cost = fit.solution.cost
     near = cost < cost[fit.solution.best] + 2.0
-    apart = np.abs(ends - value) > max(3.0 * std, share * abs(value), 5e-4)
+    least = max(3.0 * std, share * abs(value), 5e-4)
+    apart = np.abs(ends - value) > least
     found: list[float] = []
     for end in ends[near & apart]:
         if all(abs(end - other) > share * abs(other) for other in found):
@@ -340,7 +395,13 @@ def summary(
     refined = () if final is None or final is fit else _paths(final, name, tolerance, margin)
     paths = _paths(fit, name, tolerance, margin, starts)
     return SolverSummary(
-        options.solver, "default", iterations, paths, options.integrator, options.step_s, refined
+        options.solver,
+        "default",
+        iterations,
+        paths,
+        options.integrator,
+        options.step_s,
+        refined,
     )
 
 
@@ -387,7 +448,15 @@ def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ..
         strict=True,
     )
     return tuple(
-        UnknownRow(u.kind, u.role.value, u.value, u.std, value, std, scope=u.scope)
+        UnknownRow(
+            u.kind,
+            u.role.value,
+            u.value,
+            u.std,
+            value,
+            std,
+            scope=u.scope,
+        )
         for u, value, std in rows
     )
 
@@ -407,10 +476,17 @@ class _Held:
         best: np.ndarray,
     ) -> None:
         self.coordinates = problem.coordinates
-        self._problem, self._column, self._inflation, self._best = problem, column, inflation, best
+        (
+            self._problem,
+            self._column,
+            self._inflation,
+            self._best,
+        ) = problem, column, inflation, best
 
     def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
+        self,
+        internal: np.ndarray,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See ``LeastSquares``."""
         cost, gradient, matrix = self._problem.linearise(internal, counts)
@@ -463,9 +539,15 @@ def misfit_profile(
     at = fit.values[problem.free]
     at_best = coordinates.internal(at)
     held = _Held(problem, column, inflation, at)
-    step = (_profile_ends(problem.unknowns[problem.index[name]], best, value, std) - best) / (
-        PROFILE_STEPS
-    )
+    step = (
+        _profile_ends(
+            problem.unknowns[problem.index[name]],
+            best,
+            value,
+            std,
+        )
+        - best
+    ) / (PROFILE_STEPS)
     ahead = np.outer(step, posterior.covariance[:, column] / own)
     ahead[:, column] = step
     least = float(held.linearise(at_best[None])[0][0])
@@ -476,7 +558,11 @@ def misfit_profile(
     for _ in range(PROFILE_STEPS):
         guess = coordinates.internal(coordinates.physical(end) + ahead)
         solution = solvers.levenberg_marquardt(
-            held, guess, None, iterations=PROFILE_ITERATIONS, tolerance=0.1
+            held,
+            guess,
+            None,
+            iterations=PROFILE_ITERATIONS,
+            tolerance=0.1,
         )
         end = solution.internal
         follows &= 2.0 * (solution.cost - least) < PROFILE_HIGHEST

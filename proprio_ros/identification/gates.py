@@ -9,9 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from proprio_ros.identification.position_steps import held_jump, jumped
+from proprio_ros.identification.position_steps import (
+    held_jump,
+    jumped,
+)
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.prepared_runs import (
+    PreparedRun,
+    joints_of,
+)
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.quantity import shown
@@ -81,7 +87,10 @@ def contradiction(
         differs = f"{name} differs from the other runs: {said}; the interval carries half of that"
         return Contradiction(Reason("runs_differ", differs), 0.5 * apart)
     return Contradiction(
-        Reason("runs_contradict", f"{name} contradicts the other runs: {said}; {question}")
+        Reason(
+            "runs_contradict",
+            f"{name} contradicts the other runs: {said}; {question}",
+        )
     )
 
 
@@ -94,14 +103,18 @@ def unusable(run: PreparedRun) -> str:
     """Why a run is of no use, or an empty string."""
     if run.used < MIN_USED:
         why = run.cut_reason or "the probe was too short"
-        return Reason("few_samples", f"only {run.used} usable samples, because {why}")
+        return Reason(
+            "few_samples",
+            f"only {run.used} usable samples, because {why}",
+        )
     if jump := "" if run.run.free else held_jump(run):
         return jumped(jump)
     if abs(run.travel) < STUCK_TRAVEL:
         so = "so friction and not the weight decides where it is"
         cure = f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
         return Reason(
-            "stuck", f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {so}: {cure}"
+            "stuck",
+            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {so}: {cure}",
         )
     return ""
 
@@ -127,7 +140,10 @@ def _unusual(robot: Robot, run: PreparedRun) -> Iterator[tuple[str, str]]:
     model = robot.model.joint(run.run.joint)
     if run.cut_reason:
         later = len(run.run.times_s) - run.used
-        yield "left_out_samples", f"{run.cut_reason}; {later} later samples were left out"
+        yield (
+            "left_out_samples",
+            f"{run.cut_reason}; {later} later samples were left out",
+        )
     # fingers on a stiff block do not get that far
     if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and model.kind != "prismatic":
         cure = f"a probe with at least {LITTLE_TRAVEL} rad gives a much narrower interval"
@@ -150,17 +166,24 @@ def _unusual(robot: Robot, run: PreparedRun) -> Iterator[tuple[str, str]]:
             f"{shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}"
         )
         cure = "probe below the limit, or correct current_limit_A in the robot file"
-        yield "current_above_limit", f"{given}, so less flowed than the input says: {cure}"
+        yield (
+            "current_above_limit",
+            f"{given}, so less flowed than the input says: {cure}",
+        )
     for held, span in run.run.held_span.items():
         if held in run.coefficients.pose and span > LOCKED_SPAN:
-            yield "held_joint_moved", f"{held} should be held but moved by {span:.3f} rad"
+            yield (
+                "held_joint_moved",
+                f"{held} should be held but moved by {span:.3f} rad",
+            )
 
 
 def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
     """A sentence for each joint that all runs drive in the same direction."""
     sentences: list[str] = []
     for joint in joints_of(runs):
-        signs = {float(np.sign(run.travel)) for run in runs if run.run.joint == joint}
+        mine = [run for run in runs if run.run.joint == joint]
+        signs = {float(np.sign(run.travel)) for run in mine}
         if len(signs) == 1:
             towards, back = ("positive", "negative") if signs == {1.0} else ("negative", "positive")
             moved = f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed"
@@ -194,7 +217,8 @@ def stood_still(
     for run in still:
         joint = run.run.joint
         driving = run.run.input_current_A[run.run.input_times_s < run.run.times_s[-1]]
-        steady = len(driving) > 0 and np.ptp(driving) <= STEADY * np.abs(driving).max()
+        steady = len(driving) > 0
+        steady = steady and np.ptp(driving) <= STEADY * np.abs(driving).max()
         if not steady or robot.model.joint(joint).kind == "prismatic":
             continue
         current = float(driving.mean())
@@ -239,7 +263,11 @@ def _left_to_move(
         motor
     )
     at_rest = 1.0 + max(fitted("stribeck"), drive.stribeck.value)
-    open_stds = (*run.torque_stds, drive.stribeck.std * dry, robot.link_mass_std * arm_weight)
+    open_stds = (
+        *run.torque_stds,
+        drive.stribeck.std * dry,
+        robot.link_mass_std * arm_weight,
+    )
     over = abs(torque) - at_rest * dry - STILL_SIGMAS * float(np.hypot.reduce(open_stds))
     inertia = (
         run.coefficients.arm[0] + held * per_kg[0] + drive.armature.value + 2.0 * drive.armature.std

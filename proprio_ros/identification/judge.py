@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Scan, Useful, Value, Verdict, not_negative
+from proprio_ros.identification.estimate import (
+    Scan,
+    Useful,
+    Value,
+    Verdict,
+    not_negative,
+)
 from proprio_ros.identification.fit import (
     FitResult,
     error_budget,
@@ -21,11 +27,22 @@ from proprio_ros.identification.fit import (
     source_label,
     unknown_rows,
 )
-from proprio_ros.identification.gates import MOVING_START, chi2_limit
-from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.gates import (
+    MOVING_START,
+    chi2_limit,
+)
+from proprio_ros.identification.posterior import (
+    Posterior,
+    run_fits,
+)
+from proprio_ros.identification.prepared_runs import (
+    PreparedRun,
+    joints_of,
+)
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_unknowns import zero_repeat_of
+from proprio_ros.identification.robot_unknowns import (
+    zero_repeat_of,
+)
 from proprio_ros.identification.stamps import stamps_off
 from proprio_ros.quantity import Z95, shown, spec_for
 
@@ -61,19 +78,31 @@ ACCEPTED = Refusal(Verdict.ACCEPTED, "", ())  # nothing speaks against the answe
 
 def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
     """The model does not explain the recording; ``code`` is that of ``sentence`` (see ``reasons.CODES``)."""
-    return Refusal(Verdict.REJECTED, withheld, (Reason(code, sentence), *more))
+    return Refusal(
+        Verdict.REJECTED,
+        withheld,
+        (Reason(code, sentence), *more),
+    )
 
 
 def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
     """The recording does not determine the value."""
-    return Refusal(Verdict.NOT_IDENTIFIABLE, withheld, (Reason(code, sentence),))
+    return Refusal(
+        Verdict.NOT_IDENTIFIABLE,
+        withheld,
+        (Reason(code, sentence),),
+    )
 
 
 def wide(useful: Useful, sentence: str) -> Refusal:
     """The interval is wider than is useful: the value is given with its interval, or not stated at all."""
     if useful.verdict is Verdict.TOO_WIDE:
         return Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
-    return not_identifiable("says_too_little", "the interval is too wide to state a mass", sentence)
+    return not_identifiable(
+        "says_too_little",
+        "the interval is too wide to state a mass",
+        sentence,
+    )
 
 
 def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
@@ -96,12 +125,22 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
     if pauses:
         longest_s, name = max(pauses, key=lambda entry: entry[0])
         paused = f"{name}: the joint states pause for {1e3 * longest_s:.0f} ms"
-        return [Reason("paused", f"{paused}: {busy} pushes and holds an arm too late; {again}")]
+        return [
+            Reason(
+                "paused",
+                f"{paused}: {busy} pushes and holds an arm too late; {again}",
+            )
+        ]
     if scatters:
         widest_s, every_s, name = max(scatters, key=lambda entry: entry[0])
         uneven = f"come every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms"
         why = f"{busy} stamps positions when it did not read them"
-        return [Reason("uneven", f"{name}: the joint states {uneven}: {why}; {again}")]
+        return [
+            Reason(
+                "uneven",
+                f"{name}: the joint states {uneven}: {why}; {again}",
+            )
+        ]
     return []
 
 
@@ -138,8 +177,15 @@ class Assessment:
         name: str,
         opened: FitResult | None = None,
     ) -> None:
-        self.fit, self.name, self.opened = fit, name, opened or fit
-        self.robot, self.runs = fit.problem.robot, fit.problem.runs
+        self.fit, self.name, self.opened = (
+            fit,
+            name,
+            opened or fit,
+        )
+        self.robot, self.runs = (
+            fit.problem.robot,
+            fit.problem.runs,
+        )
         self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.row = fit.problem.index[name]
         self.unit = fit.problem.unknowns[self.row].unit
@@ -149,7 +195,11 @@ class Assessment:
             self.runs,
         )
         self.inflation = 1.0 if self.known and fit.explains else max(1.0, fit.reduced_chi2)
-        self.posterior = Posterior(self.opened.problem, self.opened.values, self.inflation)
+        self.posterior = Posterior(
+            self.opened.problem,
+            self.opened.values,
+            self.inflation,
+        )
         self.covariance = self.posterior.whole_covariance()
 
     @property
@@ -169,7 +219,8 @@ class Assessment:
         column = self.opened.column(self.name)
         moved = problem.coordinates.prior_precision @ self.posterior.covariance[:, column]  # (F,)
         zeros = [(f, problem.unknowns[row]) for f, row in enumerate(problem.free)]
-        return {str(u.scope): float(moved[f]) for f, u in zeros if u.kind == "zero"}
+        zeros = [(f, u) for f, u in zeros if u.kind == "zero"]
+        return {str(u.scope): float(moved[f]) for f, u in zeros}
 
     @property
     def zeros_std(self) -> float:
@@ -213,7 +264,8 @@ class Assessment:
                 abs(row.pull),
                 f"{row.name} came out as {shown(row.unit, row.value)}, {off} ({known})",
             )
-        sentences = [sentence for _, sentence in sorted(far.values(), reverse=True)[:NAMED_AT_MOST]]
+        furthest = sorted(far.values(), reverse=True)[:NAMED_AT_MOST]
+        sentences = [sentence for _, sentence in furthest]
         return sentences or self._far_together()
 
     def other_zeros(self) -> list[Reason]:
@@ -235,11 +287,18 @@ class Assessment:
             off = float(self.opened.values[row]) - unknown.value
             # where it would be without a prior
             free = off * unknown.std**2 / learnt
-            found.append((abs(off) / float(np.sqrt(learnt)), free, str(unknown.scope)))
+            found.append(
+                (
+                    abs(off) / float(np.sqrt(learnt)),
+                    free,
+                    str(unknown.scope),
+                )
+            )
         found.sort(reverse=True)
         if not found or found[0][0] <= ELSEWHERE:
             return []
-        if self.opened.chi2 - found[0][0] ** 2 > chi2_limit(self.opened.dof):
+        left = self.opened.chi2 - found[0][0] ** 2
+        if left > chi2_limit(self.opened.dof):
             return []  # what no zero explains bends zeros, too
         names = " or ".join(
             name for pull, _, name in found[:NAMED_AT_MOST] if pull > ALIKE_PULL * found[0][0]
@@ -280,11 +339,19 @@ class Assessment:
     def profile(self) -> Scan:
         """How much worse other values of the unknown explain the recording, everything else that is open fitted again."""
         return misfit_profile(
-            self.opened, self.name, self.posterior, self.inflation, self.value, self.std
+            self.opened,
+            self.name,
+            self.posterior,
+            self.inflation,
+            self.value,
+            self.std,
         )
 
 
-def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Refusal:
+def judge(
+    refusals: Iterable[Refusal],
+    assessed: Assessment | None = None,
+) -> Refusal:
     """What the verdict is, and why: of what speaks against an answer the first counts, and what comes after it is not computed.
 
     Refusals come from the worst that can be wrong to the least; of a fit, unknowns and stamps speak, too.
@@ -310,7 +377,9 @@ def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Re
     if off := stamps_off(assessed.fit):
         others = () if refusal.verdict is Verdict.TOO_WIDE else refusal.reasons
         refusal = Refusal(
-            Verdict.REJECTED, "the input is not stamped as the joint moved", (*off, *others)
+            Verdict.REJECTED,
+            "the input is not stamped as the joint moved",
+            (*off, *others),
         )
     return refusal
 
@@ -349,7 +418,8 @@ def guessed(guesses: Sequence[Guess], value: float) -> Reason:
     share = f" (std {100.0 * off / value:.0f} %)" if value > 0.0 else ""
     cure = f"state it with --set {guesses[0].key}=.."
     return Reason(
-        "guessed_facts", f"guessed, not stated: {listed}; the interval carries that{share}: {cure}"
+        "guessed_facts",
+        f"guessed, not stated: {listed}; the interval carries that{share}: {cure}",
     )
 
 

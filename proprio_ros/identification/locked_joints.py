@@ -15,7 +15,10 @@ import numpy as np
 
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, ReducedModel, Robot
-from proprio_ros.sim.payload import PayloadFacts, pseudo_inertia_basis
+from proprio_ros.sim.payload import (
+    PayloadFacts,
+    pseudo_inertia_basis,
+)
 
 # spacing of the accelerations that describe a motion
 FINEST_KNOT_S = 0.005
@@ -48,7 +51,11 @@ class Motion:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position less the start, velocity and acceleration, each of the shape of the times."""
         position, velocity, hat = _basis(times_s, self.knots_s)
-        return position @ self.acceleration, velocity @ self.acceleration, hat @ self.acceleration
+        return (
+            position @ self.acceleration,
+            velocity @ self.acceleration,
+            hat @ self.acceleration,
+        )
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,11 @@ class Followed:
         times_s: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As `Motion.at`."""
-        known = self.position - self.start, self.velocity, np.gradient(self.velocity, self.times_s)
+        known = (
+            self.position - self.start,
+            self.velocity,
+            np.gradient(self.velocity, self.times_s),
+        )
         position, velocity, acceleration = (
             np.interp(times_s, self.times_s, each, left=0.0) for each in known
         )
@@ -89,7 +100,8 @@ def _basis(
     def hats(order: int) -> np.ndarray:
         # a hat is three ramps; each integral of a ramp raises its power
         ramp = np.maximum(left, 0.0) ** order / float(math.factorial(order))
-        return (ramp[:, :-2] - 2.0 * ramp[:, 1:-1] + ramp[:, 2:]) / step
+        hat = ramp[:, :-2] - 2.0 * ramp[:, 1:-1] + ramp[:, 2:]
+        return hat / step
 
     acceleration = hats(1)
     velocity = hats(2)
@@ -122,7 +134,8 @@ def smooth(
     knots = _knots(times_s)
     shape, _, _ = _basis(times_s, knots)
     # a walk from a free start: covariance of its values at the knots, for scale 1
-    walk = np.linalg.cholesky((np.minimum.outer(knots, knots) + knots[-1]) / (2.0 * knots[-1]))
+    walked = np.minimum.outer(knots, knots) + knots[-1]
+    walk = np.linalg.cholesky(walked / (2.0 * knots[-1]))
     # where the joint rests is not known beforehand
     off = position - np.mean(position)
     spread = shape @ walk
@@ -140,9 +153,11 @@ def smooth(
         + across / noise
         + more * np.log(noise)
     )
-    still = -0.5 * ((along @ along + across) / noise + (len(size) + more) * np.log(noise))
+    squares = along @ along + across
+    still = -0.5 * (squares / noise + (len(size) + more) * np.log(noise))
     fine, best = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
-    acceleration = walk @ (right.T @ (scales[best] ** 2 * size * along / variance[fine, best]))
+    steps = scales[best] ** 2 * size * along / variance[fine, best]
+    acceleration = walk @ (right.T @ steps)
     start = float(np.mean(position)) - float(np.mean(shape @ acceleration))
     return Motion(
         start,
@@ -161,7 +176,13 @@ def _noises(position: np.ndarray, sigma: float) -> np.ndarray:
 
 def _knots(times_s: np.ndarray) -> np.ndarray:
     """Where accelerations are, twice as far apart as readings, as far as that makes sense."""
-    apart = float(np.clip(2.0 * np.median(np.diff(times_s)), FINEST_KNOT_S, KNOT_S))
+    apart = float(
+        np.clip(
+            2.0 * np.median(np.diff(times_s)),
+            FINEST_KNOT_S,
+            KNOT_S,
+        )
+    )
     end = float(times_s[-1])
     return np.linspace(
         0.0,
@@ -177,7 +198,11 @@ def _rounding(position: np.ndarray) -> float:
     return float(steps.min()) / math.sqrt(12.0) if len(steps) else 0.0
 
 
-def rests_from(before_times_s: np.ndarray, before: np.ndarray, drive: DriveTrain) -> int:
+def rests_from(
+    before_times_s: np.ndarray,
+    before: np.ndarray,
+    drive: DriveTrain,
+) -> int:
     """Row of what was recorded before the onset from which on a joint had come to rest; the first where it had not.
 
     A recording holds up to a second of it, and an excitation may settle for less after its way there, or a held joint slip.
@@ -187,10 +212,13 @@ def rests_from(before_times_s: np.ndarray, before: np.ndarray, drive: DriveTrain
         return 0
     reading = float(np.hypot(drive.encoder_resolution, drive.encoder_noise))
     if (steps := np.abs(np.diff(before))).any():  # an encoder that is finer than it is said to be
-        seen = float(np.hypot(steps[steps > 0.0].min(), np.median(steps)))
+        least = steps[steps > 0.0].min()
+        seen = float(np.hypot(least, np.median(steps)))
         reading = min(reading, max(seen, reading / MUCH_FINER))
     off = np.abs(before - np.median(last)) > AWAY_READINGS * reading
-    return 0 if off[-len(last) :].any() or not off.any() else int(np.flatnonzero(off)[-1]) + 1
+    if off[-len(last) :].any() or not off.any():
+        return 0
+    return int(np.flatnonzero(off)[-1]) + 1
 
 
 def locked_motions(
@@ -210,9 +238,18 @@ def locked_motions(
             or robot.model.joint(name).kind == "prismatic"
         ):
             continue
-        rests = rests_from(run.before_times_s, readings[: len(run.before_times_s)], drive)
+        rests = rests_from(
+            run.before_times_s,
+            readings[: len(run.before_times_s)],
+            drive,
+        )
         stood[name] = float(np.mean(readings[rests:]))
-        motion = smooth(times_s[rests:], readings[rests:], drive.reading_std, LOCKED_SCALES)
+        motion = smooth(
+            times_s[rests:],
+            readings[rests:],
+            drive.reading_std,
+            LOCKED_SCALES,
+        )
         if motion.evidence > MOVED_EVIDENCE:
             stood[name], found[name] = motion.start, motion
     return stood, found
@@ -244,10 +281,17 @@ def loads_of_yielding(
         held,
         robot.gravity,
     )
-    rests = rests_from(run.before_times_s, run.before_position, robot.drive_trains[run.joint])
+    rests = rests_from(
+        run.before_times_s,
+        run.before_position,
+        robot.drive_trains[run.joint],
+    )
     times_s = np.concatenate([run.before_times_s, run.times_s])[rests:]
     driven = own or smooth(
-        times_s, np.concatenate([run.before_position, run.position])[rests:], noise, DRIVEN_SCALES
+        times_s,
+        np.concatenate([run.before_position, run.position])[rests:],
+        noise,
+        DRIVEN_SCALES,
     )
     # the torque is constant over half of what is between two knots, at its value in the middle; its bends are ten times slower
     segment_s = (
@@ -289,7 +333,12 @@ class _Body:
     varied: np.ndarray  # derivative by the joint whose torque is sought
 
 
-_GROUND = _Body(np.eye(4), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)))
+_GROUND = _Body(
+    np.eye(4),
+    np.zeros((4, 4)),
+    np.zeros((4, 4)),
+    np.zeros((4, 4)),
+)
 
 
 def joint_torque(
@@ -321,7 +370,8 @@ def joint_torque(
         local = model.placement[n] @ moved
         by_q = local @ generator
         first = v[:, None, None] * by_q
-        second = a[:, None, None] * by_q + (v**2)[:, None, None] * (by_q @ generator)
+        turning = (v**2)[:, None, None] * (by_q @ generator)
+        second = a[:, None, None] * by_q + turning
         parent = bodies[int(model.parents[n])] if model.parents[n] >= 0 else _GROUND
         body = _Body(
             parent.place @ local,
@@ -330,7 +380,8 @@ def joint_torque(
             parent.varied @ local + (parent.place @ by_q if n == joint else 0.0),
         )
         bodies.append(body)
-        work = (body.varied.swapaxes(1, 2) @ (body.rate - gravity)).reshape(-1, 16)
+        work = body.varied.swapaxes(1, 2) @ (body.rate - gravity)
+        work = work.reshape(-1, 16)
         torque += work @ inertias[:, n].reshape(-1, 16).T
     return torque
 

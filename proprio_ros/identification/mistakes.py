@@ -22,7 +22,11 @@ class Mistake:
     def undone(self, run: Run) -> Run:
         """The run without it."""
         angles = {name: getattr(run, name) / self.angle for name in ("position", "before_position")}
-        return replace(run, input_current_A=run.input_current_A / self.torque, **angles)
+        return replace(
+            run,
+            input_current_A=run.input_current_A / self.torque,
+            **angles,
+        )
 
 
 def of_joint(name: str, quantity: str, needs: str) -> Iterator[Mistake]:
@@ -31,15 +35,22 @@ def of_joint(name: str, quantity: str, needs: str) -> Iterator[Mistake]:
     yield from (Mistake(turned, *signs) for signs in ((-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)))
     for factor in FACTORS:
         said = f"the {quantity} of {name} is about {factor:g} times what {needs}"
-        yield Mistake(f"{said}: it has another unit or torque constant", factor)
+        yield Mistake(
+            f"{said}: it has another unit or torque constant",
+            factor,
+        )
 
 
 def of_all_joints() -> Iterator[Mistake]:
     """Those that a publisher makes of all joints at once."""
     sign = "the effort of all joints has the sign of the torque that gravity makes, not of what holds against it"
-    yield Mistake(f"{sign}: its publisher counts it the other way round", -1.0)
     yield Mistake(
-        "the positions of all joints are in degrees: convert them to rad", angle=180.0 / pi
+        f"{sign}: its publisher counts it the other way round",
+        -1.0,
+    )
+    yield Mistake(
+        "the positions of all joints are in degrees: convert them to rad",
+        angle=180.0 / pi,
     )
     for factor in FACTORS:
         unit = "it is in another unit (--effort-unit)"

@@ -24,7 +24,11 @@ class InertialTerms:
     parameters: np.ndarray  # (S, 10)
     by_unknown: dict[int, np.ndarray]  # by column of an unknown, (S, 10) each
 
-    def plus(self, parameters: np.ndarray, by_unknown: dict[int, np.ndarray]) -> InertialTerms:
+    def plus(
+        self,
+        parameters: np.ndarray,
+        by_unknown: dict[int, np.ndarray],
+    ) -> InertialTerms:
         """With another load held beside this one: parameters (S, 10) and their derivatives, as in the fields."""
         changes = dict(self.by_unknown)
         for column, change in by_unknown.items():
@@ -57,8 +61,10 @@ class MovingPart:
         self.load[:, 2] = by_sin * cos - by_cos * sin
         cos_change = self.by_unknown[:, 1].copy()
         sin_change = self.by_unknown[:, 2].copy()
-        self.by_unknown[:, 1] = cos_change * cos[:, None] + sin_change * sin[:, None]
-        self.by_unknown[:, 2] = sin_change * cos[:, None] - cos_change * sin[:, None]
+        c = cos[:, None]
+        s = sin[:, None]
+        self.by_unknown[:, 1] = cos_change * c + sin_change * s
+        self.by_unknown[:, 2] = sin_change * c - cos_change * s
         self.by_unknown[:, 1, column] += self.load[:, 2]
         self.by_unknown[:, 2, column] -= self.load[:, 1]
 

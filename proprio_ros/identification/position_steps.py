@@ -55,7 +55,8 @@ def _brakes(run: PreparedRun) -> BoolArray:
     """
     times_s = np.concatenate([run.run.before_times_s, run.run.times_s])
     position = np.concatenate([run.run.before_position, run.run.position])
-    speed = np.abs(np.diff(position) / np.maximum(np.diff(times_s), 1e-6))
+    apart_s = np.maximum(np.diff(times_s), 1e-6)
+    speed = np.abs(np.diff(position) / apart_s)
     fastest = float(np.quantile(speed, FAST_QUANTILE))
     brakes = np.zeros(len(speed), dtype=bool)
     for row in range(NEAR, len(speed) - NEAR + 1):
@@ -70,7 +71,8 @@ def _jumps(readings: np.ndarray) -> np.ndarray:
     steps = np.diff(readings)
     jumps = np.zeros(len(steps))
     for row in range(NEAR, len(steps) - NEAR + 1):
-        beside = np.concatenate([steps[row - NEAR : row], steps[row + 1 : row + NEAR]])
+        before = steps[row - NEAR : row]
+        beside = np.concatenate([before, steps[row + 1 : row + NEAR]])
         at_once = steps[row] - float(np.median(beside))
         after = readings[row + 1 : row + 1 + NEAR].mean()
         stays = float(after - readings[row + 1 - NEAR : row + 1].mean())

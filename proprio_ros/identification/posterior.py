@@ -48,7 +48,8 @@ class Posterior:
         scaled = normal * scale[:, None] * scale[None, :]
         values_of, vectors = np.linalg.eigh(scaled)
         kept = np.where(values_of > 1e-14 * values_of[-1], values_of, np.inf)
-        self.covariance = (vectors / kept) @ vectors.T * scale[:, None] * scale[None, :]
+        inverse = (vectors / kept) @ vectors.T
+        self.covariance = inverse * scale[:, None] * scale[None, :]
         self.condition = float(values_of[-1] / max(values_of[0], 1e-300))
 
     @functools.cached_property
@@ -62,7 +63,13 @@ class Posterior:
         internal = coordinates.internal(self.values[self.problem.free])[None]
         _, downhill, matrix = self.problem.linearise(internal)
         return (
-            bounded_step(internal, downhill, matrix, np.zeros(1), coordinates)
+            bounded_step(
+                internal,
+                downhill,
+                matrix,
+                np.zeros(1),
+                coordinates,
+            )
             * coordinates.slope(internal)
         )[0]
 
@@ -76,7 +83,8 @@ class Posterior:
         """By how much a free unknown would follow others that were taken as known, to first order: per unit of each, shape (K,)."""
         problem = self.problem
         _, _, dq = problem.simulate(
-            self.values[None], np.array([problem.index[other] for other in others])
+            self.values[None],
+            np.array([problem.index[other] for other in others]),
         )
         by_others = dq[0][problem.weight > 0.0] * self._weight[:, None]
         place = list(problem.free).index(problem.index[name])
@@ -97,7 +105,12 @@ class Posterior:
 
     def leverage(self) -> np.ndarray:
         """Variance of the fitted value of each sample in units of the sample's own, shape (M,)."""
-        return np.einsum("mf,fg,mg->m", self.sensitivity, self.covariance, self.sensitivity)
+        return np.einsum(
+            "mf,fg,mg->m",
+            self.sensitivity,
+            self.covariance,
+            self.sensitivity,
+        )
 
     def held_out(self, run: int) -> tuple[np.ndarray, float]:
         """A run as the others predict it (exact for a linear model: deletion residuals, Cook & Weisberg 1982, sec. 2.2).
@@ -115,7 +128,9 @@ class Posterior:
 
 
 def run_fits(
-    problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]
+    problem: Problem,
+    values: np.ndarray,
+    runs: Sequence[PreparedRun],
 ) -> tuple[tuple[RunFit, ...], float, float]:
     """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
     q, _, _ = problem.simulate(
@@ -134,7 +149,12 @@ def run_fits(
         expected += float(np.sum(prepared.sigma**2))
         samples += used
         driven = float(run.input_current_A[np.argmax(np.abs(run.input_current_A))])
-        followed = prepared.times_s, prepared.position, simulated, prepared.sigma
+        followed = (
+            prepared.times_s,
+            prepared.position,
+            simulated,
+            prepared.sigma,
+        )
         left_out = run.times_s[used:], run.position[used:]
         fits.append(
             RunFit(
@@ -147,4 +167,8 @@ def run_fits(
                 prepared.travel,
             )
         )
-    return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))
+    return (
+        tuple(fits),
+        float(np.sqrt(squares / samples)),
+        float(np.sqrt(expected / samples)),
+    )

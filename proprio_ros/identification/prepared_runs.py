@@ -27,7 +27,10 @@ from proprio_ros.identification.locked_joints import (
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
-from proprio_ros.sim.payload import PayloadFacts, payload_parameters
+from proprio_ros.sim.payload import (
+    PayloadFacts,
+    payload_parameters,
+)
 
 START_STD = 0.1  # how far off a free swing's first reading may be: next to nothing is assumed [rad]
 SLOPE_S = 0.08  # over which the velocity is taken with which a free swing begins [s]
@@ -53,7 +56,9 @@ class KnownLoad:
     def inertial_parameters(self) -> np.ndarray:
         """Shape (10,), see ``payload_parameters``."""
         return payload_parameters(
-            np.array(self.mass), self.facts.com, self.facts.shape.second_moment_per_mass
+            np.array(self.mass),
+            self.facts.com,
+            self.facts.shape.second_moment_per_mass,
         )
 
 
@@ -92,7 +97,8 @@ class PreparedRun:
     def start_velocity(self) -> float:
         """Slope of the first samples [rad/s]: with what a free swing about begins."""
         first = max(int(np.searchsorted(self.times_s, SLOPE_S)), 3)
-        return float(np.polyfit(self.times_s[:first], self.position[:first], 1)[0])
+        line = np.polyfit(self.times_s[:first], self.position[:first], 1)
+        return float(line[0])
 
     @property
     def travel(self) -> float:
@@ -103,7 +109,8 @@ class PreparedRun:
     def weight_at_rest(self, coefficients: np.ndarray) -> float:
         """What gravity puts on the driven joint at the start [N m], of ``coefficients`` of shape (4,)."""
         _, cos, sin, constant = coefficients
-        return float(cos * np.cos(self.rest.value) + sin * np.sin(self.rest.value) + constant)
+        q = self.rest.value
+        return float(cos * np.cos(q) + sin * np.sin(q) + constant)
 
     @property
     def torque_stds(self) -> np.ndarray:
@@ -276,7 +283,8 @@ def _rest(robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
     # at rest the rounding error repeats, so only the noise averages out
     noise = drive.encoder_noise / np.sqrt(len(resting))
     return Quantity(
-        float(np.mean(resting)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise))
+        float(np.mean(resting)),
+        float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise)),
     )
 
 
@@ -308,7 +316,8 @@ def _weight_on_gears(
         "valid",
     )
     side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
-    moment = np.abs(cos * np.cos(run.position) + sin * np.sin(run.position) + constant)
+    q = run.position
+    moment = np.abs(cos * np.cos(q) + sin * np.sin(q) + constant)
     return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
 
 
@@ -390,7 +399,8 @@ def _usable_window(
     count = len(run.times_s)
     # how close to the limit a reading is no longer certain to be short of it
     margin = 3.0 * float(np.hypot(drive.zero.std, drive.encoder_resolution))
-    before = np.concatenate([[run.position[0]], run.position[:-1]])
+    first = run.position[:1]
+    before = np.concatenate([first, run.position[:-1]])
     step = np.diff(run.position, prepend=run.position[0])
     # where the sample would be at the speed of the last interval: an impact may hide between two samples
     expected = before + np.concatenate([[0.0], step[:-1]])
@@ -398,12 +408,16 @@ def _usable_window(
     nearest = np.minimum(run.position, expected)
     beyond = (furthest > upper - margin) | (nearest < lower + margin)
     # a joint that starts at a limit and leaves it is free to move
-    stopped = np.flatnonzero(beyond & (np.abs(run.position - run.position[0]) > margin))
+    moved = np.abs(run.position - run.position[0]) > margin
+    stopped = np.flatnonzero(beyond & moved)
     fast = np.flatnonzero((np.abs(velocity) > drive.usable_velocity) & ~followed)
     limit = int(stopped[0]) if len(stopped) else count
     speed = int(fast[0]) if len(fast) else count
     if limit < count and limit <= speed:
-        return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start"
+        return (
+            limit,
+            f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start",
+        )
     if speed < count:
         why = "the motor did not report the commanded current"
         if run.reported_effort is None:

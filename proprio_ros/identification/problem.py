@@ -35,15 +35,29 @@ from proprio_ros.identification.robot_unknowns import (
     of_one_kind,
     prior_of,
 )
-from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
+from proprio_ros.identification.unknowns import (
+    Coordinates,
+    Role,
+    Unknown,
+)
 from proprio_ros.kinds import KINDS, Key
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
-from proprio_ros.sim.payload import PayloadFacts, payload_parameters, payload_parameters_by_com
+from proprio_ros.sim.payload import (
+    PayloadFacts,
+    payload_parameters,
+    payload_parameters_by_com,
+)
 
 _GRAVITY_ROWS = slice(0, 4)
-_BEND_THE_PARAMETERS = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS, *OF_A_SWING}
+_BEND_THE_PARAMETERS = {
+    *PAYLOAD_TERMS[1:],
+    "zero",
+    "arm_scale",
+    *RIPPLE_TERMS,
+    *OF_A_SWING,
+}
 """Unknowns on which the simulator's parameters depend non-linearly."""
 
 
@@ -66,9 +80,18 @@ class _NormalEquations:
         off = physical - coordinates.prior_mean
         pull = off @ coordinates.prior_precision
         cost = 0.5 * np.einsum("sf,sf->s", off, pull)
-        return cls(cost, pull.copy(), np.tile(coordinates.prior_precision, (len(physical), 1, 1)))
+        return cls(
+            cost,
+            pull.copy(),
+            np.tile(coordinates.prior_precision, (len(physical), 1, 1)),
+        )
 
-    def add(self, columns: np.ndarray, residual: np.ndarray, slopes: np.ndarray) -> None:
+    def add(
+        self,
+        columns: np.ndarray,
+        residual: np.ndarray,
+        slopes: np.ndarray,
+    ) -> None:
         """Residuals (S, T) that depend on the unknowns of some columns (C,), with slopes (S, T, C)."""
         across = slopes.transpose(0, 2, 1)
         self.cost += 0.5 * np.einsum("st,st->s", residual, residual)
@@ -106,7 +129,8 @@ class Problem:
         self.facts = facts
         self.unknowns = tuple(unknowns)
         self.index: dict[Key, int] = {u.key: row for row, u in enumerate(unknowns)}
-        self.free = np.array([row for row, u in enumerate(unknowns) if u.role is Role.FREE])
+        rows = [row for row, u in enumerate(unknowns) if u.role is Role.FREE]
+        self.free = np.array(rows)
         free = self._free_unknowns()
         self.coordinates = Coordinates(free, _known_together(robot, runs, free))
         self.base = np.array([u.value for u in unknowns])
@@ -274,7 +298,11 @@ class Problem:
         begins[0] = min(begins[0], 0.0)
         union = np.union1d(times_s, begins[begins > 0.0])
         current = current_A[np.searchsorted(times_s, union, side="right") - 1]
-        return union, current, run.yielding_load[np.searchsorted(begins, union, side="right") - 1]
+        return (
+            union,
+            current,
+            run.yielding_load[np.searchsorted(begins, union, side="right") - 1],
+        )
 
     def _reach(self, key: Key) -> float:
         """How large an unknown may get during the fit: its value, and two standard deviations more where it moves."""
@@ -308,7 +336,8 @@ class Problem:
         dp[:, _GRAVITY_ROWS] = part.by_unknown
         if run.run.free:
             for kind in RISE:
-                p[:, INDEX[kind]] = self.base[self.index[kind, run.run.joint]]
+                column = self.index[kind, run.run.joint]
+                p[:, INDEX[kind]] = self.base[column]
         for key, parameter in self._direct(row).items():
             column = self.index[key]
             p[:, INDEX[parameter]] += values[:, column]
@@ -339,7 +368,10 @@ class Problem:
         return {key: to for key, to in direct.items() if to not in left_out}
 
     def _moving_part(
-        self, row: int, values: np.ndarray, payload: InertialTerms | None
+        self,
+        row: int,
+        values: np.ndarray,
+        payload: InertialTerms | None,
     ) -> MovingPart:
         """Inertia and gravity load of arm and payload in one run, as its encoder's reading sees them."""
         run = self.runs[row]
@@ -349,7 +381,10 @@ class Problem:
             assert payload is not None
             load = self.payload_in(row, payload)
         else:
-            load = InertialTerms(np.tile(run.load.inertial_parameters, (len(values), 1)), {})
+            load = InertialTerms(
+                np.tile(run.load.inertial_parameters, (len(values), 1)),
+                {},
+            )
         part = moving_part(
             coefficients,
             load,
@@ -513,11 +548,15 @@ class Problem:
         guesses = len(free_values)
         if not self._affine:
             p, dp = self.parameters(self.all_values(free_values), self.free)
-            return p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
+            p = p.reshape(-1, p.shape[-1])
+            return p, dp.reshape(-1, *dp.shape[2:])
         if guesses not in self._affine_maps:
             origin = self.all_values(np.zeros((1, len(self.free))))
             offset, slope = (array[0] for array in self.parameters(origin, self.free))
-            self._affine_maps[guesses] = (offset, _read_only(np.tile(slope, (guesses, 1, 1))))
+            self._affine_maps[guesses] = (
+                offset,
+                _read_only(np.tile(slope, (guesses, 1, 1))),
+            )
         offset, tangents = self._affine_maps[guesses]
         slope = tangents[: len(self.runs)]
         p = offset + np.tensordot(free_values, slope, axes=(1, 2))
@@ -526,7 +565,10 @@ class Problem:
     def worlds(self, guesses: int) -> np.ndarray:
         if guesses not in self._world_runs:
             self._world_runs[guesses] = _read_only(
-                np.tile(np.arange(len(self.runs), dtype=np.int32), guesses)
+                np.tile(
+                    np.arange(len(self.runs), dtype=np.int32),
+                    guesses,
+                )
             )
         return self._world_runs[guesses]
 
@@ -534,7 +576,10 @@ class Problem:
         """Tangent directions along the simulator's own parameters, shape (W, P, P)."""
         if worlds not in self._identities:
             self._identities[worlds] = _read_only(
-                np.tile(np.eye(len(self.simulator.parameters)), (worlds, 1, 1))
+                np.tile(
+                    np.eye(len(self.simulator.parameters)),
+                    (worlds, 1, 1),
+                )
             )
         return self._identities[worlds]
 
@@ -567,7 +612,9 @@ class Problem:
         )
 
     def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
+        self,
+        internal: np.ndarray,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cost, gradient and Gauss-Newton matrix in solver coordinates, priors included.
 
@@ -595,8 +642,10 @@ class Problem:
             gradient = normal.gradient * slope
             matrix = normal.matrix * slope[:, :, None] * slope[:, None, :]
         guesses, size = internal.shape
-        massless = (p[:, INDEX["inertia"]] <= 0.0).reshape(guesses, -1).any(axis=1)
-        bad = massless | ~(np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2)))
+        inertia = p[:, INDEX["inertia"]].reshape(guesses, -1)
+        massless = (inertia <= 0.0).any(axis=1)
+        finite = np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2))
+        bad = massless | ~finite
         if bad.any():
             cost[bad] = np.inf
             gradient[bad] = 0.0
@@ -631,7 +680,13 @@ class Problem:
             slopes = dq[:, row, :count]
             slopes = slopes[:, :, columns] if direct else slopes @ dp[:, row][:, :, columns]
             if self.ripples:
-                shown, slopes = self.observe(row, values, shown.copy(), slopes, self.free[columns])
+                shown, slopes = self.observe(
+                    row,
+                    values,
+                    shown.copy(),
+                    slopes,
+                    self.free[columns],
+                )
             weight = self.weight[row, :count]
             residual = (shown - self.measured[row, :count]) * weight
             normal.add(columns, residual, slopes * weight[:, None])
@@ -673,7 +728,9 @@ class Problem:
 
 
 def _known_together(
-    robot: Robot, runs: Sequence[PreparedRun], free: Sequence[Unknown]
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    free: Sequence[Unknown],
 ) -> tuple[Sequence[Key], np.ndarray]:
     """Keys and joint covariance of those free unknowns whose priors are correlated."""
     calibration = prior_of(robot, runs)

@@ -9,14 +9,24 @@ from dataclasses import replace
 import numpy as np
 
 from proprio_ros.errors import RobotError
-from proprio_ros.identification.estimate import HeldView, RecordedRun
+from proprio_ros.identification.estimate import (
+    HeldView,
+    RecordedRun,
+)
 from proprio_ros.identification.prepared_runs import at_the_shaft
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import links_in, side_plane, side_view
+from proprio_ros.robot.kinematics import (
+    links_in,
+    side_plane,
+    side_view,
+)
 
-POSES, AROUND = 6, 60  # of an arm in motion that are drawn; points of an outline
+POSES, AROUND = (
+    6,
+    60,
+)  # of an arm in motion that are drawn; points of an outline
 BEFORE_SHARE = 0.3  # so much of a run's duration is shown of what came before it
 
 
@@ -35,7 +45,8 @@ def recorded_run(robot: Robot, run: Run, baseline: bool = False) -> RecordedRun:
     arm = np.zeros((2, 0, 2, 2))
     driven = np.zeros((2, 2))
     if len(position):
-        poses = [{**run.held, run.joint: float(position[row])} for row in (0, -1)]
+        ends = (float(position[0]), float(position[-1]))
+        poses = [{**run.held, run.joint: end} for end in ends]
         # locked joints that nobody recorded: the fit asks for those that matter to it
         with suppress(RobotError):
             arm, driven = side_view(robot, run.joint, poses)
@@ -77,12 +88,16 @@ def held_views(
         poses = _poses_of(motion)
         hands = [robot.model.frame_transform(robot.payload_frame, pose) for pose in poses]
         right, up = side_plane(robot, motion.joints[0], poses[0])
-        out = [float(np.linalg.norm(hand[:3, 3] - up * (up @ hand[:3, 3]))) for hand in hands]
+        places = [hand[:3, 3] for hand in hands]
+        out = [float(np.linalg.norm(at - up * (up @ at))) for at in places]
         far = int(np.argmax(out))
         drawn = [*poses[:: AROUND // (POSES - 1)], poses[far]]
         sides = [
             ("from the side", np.array([right, up])),
-            ("from above", np.array([right, np.cross(up, right)])),
+            (
+                "from above",
+                np.array([right, np.cross(up, right)]),
+            ),
         ]
         sides = sides[: len(motion.joints)]  # of one joint the side along its axis shows all
         links = [links_in(robot, plane, drawn) for _, plane in sides]
@@ -92,7 +107,13 @@ def held_views(
     for (side, plane), arm in zip(sides, links, strict=True):
         view = HeldView(side, arm, plane @ hands[far][:3, 3])
         if load is not None and load[0] > 0.0:  # nothing has no body
-            view = _with_body(view, plane @ hands[far][:3, :3], load, inertia_is, within_m)
+            view = _with_body(
+                view,
+                plane @ hands[far][:3, :3],
+                load,
+                inertia_is,
+                within_m,
+            )
         views.append(view)
     return tuple(views)
 
@@ -104,7 +125,13 @@ def _poses_of(motion: Motion) -> list[dict[str, float]]:
         {
             **motion.held,
             **{joint: float(position[row]) for joint, position in motion.beside.items()},
-            **dict(zip(motion.joints, motion.position[row].tolist(), strict=True)),
+            **dict(
+                zip(
+                    motion.joints,
+                    motion.position[row].tolist(),
+                    strict=True,
+                )
+            ),
         }
         for row in rows
     ]
@@ -126,7 +153,13 @@ def _with_body(
     if within_m is not None:
         within = _outline(centre, seen @ np.diag(np.square(within_m)) @ seen.T)
     body = _outline(centre, seen @ spread @ seen.T)
-    return replace(view, centre=centre, within=within, body=body, inertia_is=inertia_is)
+    return replace(
+        view,
+        centre=centre,
+        within=within,
+        body=body,
+        inertia_is=inertia_is,
+    )
 
 
 def _outline(centre: np.ndarray, shape: np.ndarray) -> np.ndarray:
@@ -134,4 +167,5 @@ def _outline(centre: np.ndarray, shape: np.ndarray) -> np.ndarray:
     squares, axes = np.linalg.eigh(shape)
     angle = np.linspace(0.0, 2.0 * np.pi, AROUND)
     unit = np.array([np.cos(angle), np.sin(angle)])
-    return np.asarray(centre + (axes * np.sqrt(np.maximum(squares, 0.0)) @ unit).T)
+    halves = np.sqrt(np.maximum(squares, 0.0))
+    return np.asarray(centre + (axes * halves @ unit).T)

@@ -12,19 +12,40 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.calibration_files.pushes import RANGES, Calibration
+from proprio_ros.calibration_files.pushes import (
+    RANGES,
+    Calibration,
+)
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import robot_calibration, solvers
-from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
-from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
+from proprio_ros.identification.calibration_estimate import (
+    NOT_EMPTY,
+    CalibrationEstimate,
+)
+from proprio_ros.identification.estimate import (
+    Fit,
+    UnknownRow,
+    Verdict,
+)
 from proprio_ros.identification.fit import FitResult
-from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
-from proprio_ros.identification.posterior import Posterior, run_fits
+from proprio_ros.identification.gates import (
+    MISFIT_LIMIT,
+    Findings,
+)
+from proprio_ros.identification.posterior import (
+    Posterior,
+    run_fits,
+)
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_unknowns import robot_unknowns
-from proprio_ros.identification.unknowns import Role, scaled_inverse
+from proprio_ros.identification.robot_unknowns import (
+    robot_unknowns,
+)
+from proprio_ros.identification.unknowns import (
+    Role,
+    scaled_inverse,
+)
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -70,14 +91,22 @@ def refresh(
     problem = Problem(robot, usable, PayloadFacts(), unknowns)
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     ended = FitResult.of(
-        problem, solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)
+        problem,
+        solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS),
     )
     chi2 = ended.reduced_chi2
     # as in a weighing: runs that are not quite explained count for less
-    posterior = Posterior(problem, ended.values, 1.0 if ended.explains else max(1.0, chi2))
+    posterior = Posterior(
+        problem,
+        ended.values,
+        1.0 if ended.explains else max(1.0, chi2),
+    )
     rows = robot_calibration.shared_rows(problem, ended.values, posterior.covariance)
     hand = robot_calibration.empty_hand(problem, ended.values, posterior)
-    reasons = [*robot_calibration.not_empty(hand, NOT_EMPTY), *_drifted(chi2, rows)]
+    reasons = [
+        *robot_calibration.not_empty(hand, NOT_EMPTY),
+        *_drifted(chi2, rows),
+    ]
     fits, rms, expected = run_fits(problem, ended.values, usable)
     return CalibrationEstimate(
         robot.name,
@@ -133,7 +162,10 @@ def _drifted(chi2: float, rows: Sequence[UnknownRow]) -> list[str]:
 
 
 def _updated(
-    old: Calibration, problem: Problem, values: np.ndarray, posterior: Posterior
+    old: Calibration,
+    problem: Problem,
+    values: np.ndarray,
+    posterior: Posterior,
 ) -> Calibration:
     """The calibration after the fit; what the runs do not touch moves along as it is correlated with what they do."""
     place = {key: row for row, key in enumerate(old.keys)}
@@ -153,7 +185,10 @@ def _updated(
         [form.highest for form in forms],
     )
     covariance = old.covariance - LEARNT * (follows @ (prior - after) @ follows.T)
-    runs = (*old.runs, *map(robot_calibration.entry_of, problem.runs))
+    runs = (
+        *old.runs,
+        *map(robot_calibration.entry_of, problem.runs),
+    )
     return replace(
         old,
         values=new,

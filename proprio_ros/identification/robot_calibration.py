@@ -29,13 +29,30 @@ from proprio_ros.identification.calibration_fit import (
     spread_of_runs,
     with_another_rise,
 )
-from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
-from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
+from proprio_ros.identification.estimate import (
+    Fit,
+    UnknownRow,
+    Verdict,
+)
+from proprio_ros.identification.posterior import (
+    Posterior,
+    run_fits,
+)
+from proprio_ros.identification.prepared_runs import (
+    KnownLoad,
+    PreparedRun,
+    joints_of,
+    prepare_run,
+)
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, robot_unknowns
-from proprio_ros.identification.swing_friction import friction_of_swings
+from proprio_ros.identification.robot_unknowns import (
+    DRIVE_TERMS,
+    robot_unknowns,
+)
+from proprio_ros.identification.swing_friction import (
+    friction_of_swings,
+)
 from proprio_ros.identification.swings import (
     CHANGING,
     MISSED_SHARE,
@@ -131,7 +148,12 @@ def calibrate(
         tuple(reasons),
         len(runs),
         calibration,
-        Fit(rms, expected, chi2, condition=fitted.posterior.condition),
+        Fit(
+            rms,
+            expected,
+            chi2,
+            condition=fitted.posterior.condition,
+        ),
         fits,
         unknowns=learnt.rows,
         held_out=_held_out(fitted),
@@ -167,7 +189,10 @@ class _Learnt:
 
 
 def _verdict(
-    robot: Robot, learnt: _Learnt, left_out: Sequence[str], count: int
+    robot: Robot,
+    learnt: _Learnt,
+    left_out: Sequence[str],
+    count: int,
 ) -> tuple[Verdict, list[str], Calibration]:
     """The verdict on a fit of so many usable runs, why, and what is known now."""
     refusals = [
@@ -192,7 +217,12 @@ def _remarks(learnt: _Learnt, left_out: Sequence[str], count: int) -> list[str]:
     # swings differ by more than a run says of itself: a good servo's loads would be doubted
     if not swings:
         reasons += _not_as_stated(
-            empty_hand(problem, fitted.values, fitted.posterior, references=True)
+            empty_hand(
+                problem,
+                fitted.values,
+                fitted.posterior,
+                references=True,
+            )
         )
     reasons += not_empty(learnt.hand, MAYBE_NOT_EMPTY, NOT_EMPTY)
     reasons += _far_from_file(learnt.rows)
@@ -204,7 +234,8 @@ def _remarks(learnt: _Learnt, left_out: Sequence[str], count: int) -> list[str]:
 def _notes(fitted: Fitted, usable: Sequence[PreparedRun]) -> list[str]:
     """What is to be known of the fit beside the reasons."""
     notes = []
-    apart = int(np.sum(~(fitted.cost <= fitted.cost.min() + 2.0)))
+    near = fitted.cost <= fitted.cost.min() + 2.0
+    apart = int(np.sum(~near))
     if apart:
         notes.append(
             f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken"
@@ -241,7 +272,10 @@ def usable_runs(
         usable.append(prepared)
         alone = gates.Findings()
         gates.screen_run(robot, prepared, alone)
-        found.notes += [*alone.reasons, *alone.notes]  # of one run among many
+        found.notes += [
+            *alone.reasons,
+            *alone.notes,
+        ]  # of one run among many
     return usable
 
 
@@ -251,7 +285,12 @@ def nothing_usable(
     """The answer where no run can be used; ``which`` joint must move, in words."""
     reason = f"no run can be used: {which} joint must move by at least 0.1 rad inside its limits"
     return CalibrationEstimate(
-        robot.name, Verdict.NOT_IDENTIFIABLE, (reason,), given, None, notes=tuple(found.notes)
+        robot.name,
+        Verdict.NOT_IDENTIFIABLE,
+        (reason,),
+        given,
+        None,
+        notes=tuple(found.notes),
     )
 
 
@@ -290,19 +329,29 @@ def _misfits(
 
 
 def _separated(
-    whole: Calibration, runs: Sequence[PreparedRun], one_way: Mapping[str, bool]
+    whole: Calibration,
+    runs: Sequence[PreparedRun],
+    one_way: Mapping[str, bool],
 ) -> tuple[Verdict, list[str], Calibration]:
     """What the runs tell apart: the verdict, why, and the calibration without the joints whose torque and friction they do not."""
     if len(runs) == 1:
         alone = (
             f"{runs[0].run.name} is the only run, and nothing confirms it: add others, both ways"
         )
-        return Verdict.NOT_IDENTIFIABLE, [Reason("one_run", alone)], whole
+        return (
+            Verdict.NOT_IDENTIFIABLE,
+            [Reason("one_run", alone)],
+            whole,
+        )
     if not one_way:
         return Verdict.ACCEPTED, [], whole
     if set(one_way) == set(whole.joints):
         none = "no joint was driven both ways, so torque and friction were not told apart"
-        return Verdict.NOT_IDENTIFIABLE, [Reason("not_separated", none)], whole
+        return (
+            Verdict.NOT_IDENTIFIABLE,
+            [Reason("not_separated", none)],
+            whole,
+        )
     stays, its = ("stays", "it was") if len(one_way) == 1 else ("stay", "they were")
     said = f"{', '.join(one_way)} {stays} uncalibrated, because {its} driven one way only"
     rest = whole.without({(term, joint) for term in DRIVE_TERMS for joint in one_way})
@@ -324,7 +373,10 @@ def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool
 
 
 def empty_hand(
-    problem: Problem, at: np.ndarray, posterior: Posterior, references: bool = False
+    problem: Problem,
+    at: np.ndarray,
+    posterior: Posterior,
+    references: bool = False,
 ) -> EmptyHand | None:
     """The mass with which the hand of all empty runs would fit best: one step from the fit, everything else moving with it.
 
@@ -364,7 +416,12 @@ def empty_hand(
     return EmptyHand(mass, std)
 
 
-def _gained_with(problem: Problem, other: Problem, at: np.ndarray, follows: np.ndarray) -> float:
+def _gained_with(
+    problem: Problem,
+    other: Problem,
+    at: np.ndarray,
+    follows: np.ndarray,
+) -> float:
     """By how much less chi-square another problem explains the runs, fitted again.
 
     Args:
@@ -374,9 +431,14 @@ def _gained_with(problem: Problem, other: Problem, at: np.ndarray, follows: np.n
         follows: By how much the free unknowns are less with the other load, to first order, shape (F,).
     """
     open_to = [problem.unknowns[row] for row in problem.free]
-    places = at[problem.free] - np.linspace(0.0, 1.0, HIDDEN_STARTS)[:, None] * follows
+    shares = np.linspace(0.0, 1.0, HIDDEN_STARTS)[:, None]
+    places = at[problem.free] - shares * follows
     starts = problem.coordinates.internal(
-        np.clip(places, [u.lower for u in open_to], [u.upper for u in open_to])
+        np.clip(
+            places,
+            [u.lower for u in open_to],
+            [u.upper for u in open_to],
+        )
     )
     before = problem.linearise(starts[:1])[0]
     after = solvers.levenberg_marquardt(other, starts, None, iterations=HIDDEN_ITERATIONS).cost
@@ -407,7 +469,9 @@ def _not_as_stated(off: EmptyHand | None) -> list[str]:
 
 
 def _fit_what_agrees(
-    robot: Robot, runs: list[PreparedRun], progress: Callable[[str], None]
+    robot: Robot,
+    runs: list[PreparedRun],
+    progress: Callable[[str], None],
 ) -> tuple[Fitted, list[str]]:
     """Fit all runs; while one of them contradicts the rest, leave it out and fit again.
 
@@ -453,7 +517,8 @@ def _late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
     begins_s = np.array([_begins_s(run) for run in runs])
     joints = np.array([run.run.joint for run in runs])
     off_s = begins_s - [np.median(begins_s[joints == joint]) for joint in joints]
-    latest = np.argsort(-off_s, kind="stable")[: int(gates.LEFT_OUT_AT_MOST * len(runs))]
+    most = int(gates.LEFT_OUT_AT_MOST * len(runs))
+    latest = np.argsort(-off_s, kind="stable")[:most]
     return [runs[row] for row in latest if off_s[row] > LATE_S]
 
 
@@ -478,7 +543,10 @@ def _outlier(robot: Robot, fitted: Fitted) -> int | None:
     if outlier is not None or fitted.problem.runs[0].run.free:
         return outlier
     strange = [(STRANGE, -1)]
-    for kind, usual in (("disturbance", robot.torque_disturbance), ("onset", robot.onset_jitter_s)):
+    for kind, usual in (
+        ("disturbance", robot.torque_disturbance),
+        ("onset", robot.onset_jitter_s),
+    ):
         rows, found, learnt = of_runs(kind, fitted.problem, fitted.posterior)
         for place, row in enumerate(rows) if len(rows) >= 3 else ():
             others = np.arange(len(rows)) != place
@@ -499,7 +567,13 @@ def shared_rows(
     stds = np.sqrt(np.diag(covariance))
     return tuple(
         UnknownRow(
-            u.kind, u.role.value, u.value, u.std, float(values[row]), float(stds[f]), scope=u.scope
+            u.kind,
+            u.role.value,
+            u.value,
+            u.std,
+            float(values[row]),
+            float(stds[f]),
+            scope=u.scope,
         )
         for f, row in enumerate(problem.free)
         if (u := problem.unknowns[row]).shared
@@ -528,7 +602,12 @@ def _delay_on_bound(fitted: Fitted) -> list[str]:
         return []
     said = "the delay from a command's stamp to what the joint does ended on its bound"
     cure = "have commands and joint states stamped by one clock"
-    return [Reason("on_bound", f"{said}, {shown('s', delay, spec='+.0f')}: {cure}")]
+    return [
+        Reason(
+            "on_bound",
+            f"{said}, {shown('s', delay, spec='+.0f')}: {cure}",
+        )
+    ]
 
 
 def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
@@ -548,7 +627,10 @@ def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
 
 
 def _not_separated(
-    robot: Robot, problem: Problem, rows: Sequence[UnknownRow], calibration: Calibration
+    robot: Robot,
+    problem: Problem,
+    rows: Sequence[UnknownRow],
+    calibration: Calibration,
 ) -> tuple[str, ...]:
     """What these runs leave open, in sentences: drive-train terms at their prior, and pairs that only occur together."""
     sentences = []
@@ -564,7 +646,10 @@ def _not_separated(
             )
     correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
     pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
-    for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):
+    for a, b in sorted(
+        pairs.tolist(),
+        key=lambda pair: -correlation[pair[0], pair[1]],
+    ):
         both = f"{label_of(calibration.keys[a])} and {label_of(calibration.keys[b])}"
         signed = f"(correlation {calibration.correlation[a, b]:+.3f})"
         sentences.append(f"{both} were only determined together {signed}")
@@ -575,7 +660,10 @@ def _not_separated(
         scale = calibration.quantities.get("arm_scale", robot.arm_scale)
         ratio = "torque constants and the arm's weight were only determined as a ratio"
         until = "until a run holds a weighed reference (--reference BAG=KG)"
-        sentences.insert(0, f"{ratio}: every mass is uncertain by {100 * scale.std:.1f} % {until}")
+        sentences.insert(
+            0,
+            f"{ratio}: every mass is uncertain by {100 * scale.std:.1f} % {until}",
+        )
     if (more := len(sentences) - SAID_AT_MOST) > 0:
         sentences[SAID_AT_MOST:] = [f"and {more} more: see the correlations"]
     return tuple(sentences)
@@ -598,7 +686,9 @@ def _as_calibration(fitted: Fitted) -> Calibration:
 
 
 def _with_own_friction(
-    robot: Robot, runs: Sequence[PreparedRun], calibration: Calibration
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    calibration: Calibration,
 ) -> Calibration:
     """What each swing shows of friction by itself beside it: by that another joint is told from this one."""
     facts = [run.load.facts if run.load is not None else PayloadFacts() for run in runs]

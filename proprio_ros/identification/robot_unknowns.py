@@ -9,7 +9,10 @@ import numpy as np
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.identification.coefficients import link_stds
-from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.prepared_runs import (
+    PreparedRun,
+    joints_of,
+)
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import Key, Scope
 from proprio_ros.quantity import Quantity
@@ -17,7 +20,13 @@ from proprio_ros.records import MEASURED_EFFORT
 from proprio_ros.robot import ZEROS_BESIDE, Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-PAYLOAD_TERMS = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale")
+PAYLOAD_TERMS = (
+    "payload_mass",
+    "payload_com_x",
+    "payload_com_y",
+    "payload_com_z",
+    "shape_scale",
+)
 DRIVE_TERMS = (
     "torque_constant",
     "coulomb",
@@ -34,8 +43,14 @@ RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
 """The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
 START_VELOCITY_STD = 2.0
 """How far off the slope of a free swing's first samples may be: next to nothing is assumed [rad/s]."""
-NOT_IN_A_SWING = ("torque_constant", "delay")  # without a current, nothing depends on these
-RISE = ("stribeck", "stribeck_velocity")  # how dry friction rises towards standstill
+NOT_IN_A_SWING = (
+    "torque_constant",
+    "delay",
+)  # without a current, nothing depends on these
+RISE = (
+    "stribeck",
+    "stribeck_velocity",
+)  # how dry friction rises towards standstill
 KEPT_IN_A_SWING = ("zero", *RIPPLE_TERMS, *RISE)
 """Of the swinging joint, what stays where the file has it: its effect is the same in every swing of the joint, so that what is
 learnt from the swings takes it in, while as unknowns they would bend to whatever friction no law follows. What another rise would
@@ -81,12 +96,22 @@ def load_unknowns(
     for axis, name in enumerate("xyz"):
         spread = float(facts.com_std[axis])
         unknowns.append(
-            Unknown(f"payload_com_{name}", float(facts.com[axis]), spread, -1.0, 1.0).at_role(
-                Role.FREE
-            )
+            Unknown(
+                f"payload_com_{name}",
+                float(facts.com[axis]),
+                spread,
+                -1.0,
+                1.0,
+            ).at_role(Role.FREE)
         )
     unknowns.append(
-        Unknown("shape_scale", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role)
+        Unknown(
+            "shape_scale",
+            1.0,
+            facts.shape_std_relative,
+            0.0,
+            10.0,
+        ).at_role(drive_role)
     )
     return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
 
@@ -113,7 +138,11 @@ def robot_unknowns(
     for unknown in _shared_unknowns(robot, runs):
         if unknown.key in known:
             unknown = _from_quantity(
-                unknown.kind, unknown.scope, known[unknown.key], unknown.lower, unknown.upper
+                unknown.kind,
+                unknown.scope,
+                known[unknown.key],
+                unknown.lower,
+                unknown.upper,
             )
         unknowns.append(unknown.at_role(drive_role))
     for row, run in enumerate(runs):
@@ -132,19 +161,28 @@ def _shared_unknowns(robot: Robot, runs: Sequence[PreparedRun]) -> list[Unknown]
         for kind in DRIVE_TERMS:
             lower = SLOWEST_STRIBECK if kind == "stribeck_velocity" else 0.0
             shared.append(_from_quantity(kind, name, getattr(drive, kind), lower=lower))
-    posed = [name for run in runs for name in (run.run.joint, *run.coefficients.pose)]
+    posed: list[str] = []
+    for run in runs:
+        posed += [run.run.joint, *run.coefficients.pose]
     for name in dict.fromkeys(posed):
         moved = robot.drive_trains.get(name)
         if moved is None or moved.transmission != 1.0:
             continue
         # a locked joint's reading is rounded the same way in every sample
-        std = float(np.hypot(moved.zero.std, moved.encoder_resolution / np.sqrt(12.0)))
+        std = float(
+            np.hypot(
+                moved.zero.std,
+                moved.encoder_resolution / np.sqrt(12.0),
+            )
+        )
         shared.append(_from_quantity("zero", name, Quantity(moved.zero.value, std)))
         ripple = Quantity(0.0, moved.encoder_once_per_turn)
         shared += [_from_quantity(kind, name, ripple) for kind in RIPPLE_TERMS]
     stds = link_stds(robot)
     links = dict.fromkeys(key for run in runs for key in run.coefficients.links)
-    return shared + [_from_quantity(kind, link, Quantity(0.0, stds[kind])) for kind, link in links]
+    for kind, link in links:
+        shared.append(_from_quantity(kind, link, Quantity(0.0, stds[kind])))
+    return shared
 
 
 def _of_run(robot: Robot, row: int, run: PreparedRun, drive_role: Role) -> list[Unknown]:
@@ -162,8 +200,19 @@ def _of_run(robot: Robot, row: int, run: PreparedRun, drive_role: Role) -> list[
             "moment_change": MOMENT_REPEATS,
             "swing_zero": ZERO_REPEATS * robot.drive_trains[run.run.joint].zero.std,
         }
-    differs = [Unknown(kind, 0.0, std, -0.9, scope=row) for kind, std in repeats.items()]
-    differs.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row))
+    differs = []
+    for kind, std in repeats.items():
+        differs.append(Unknown(kind, 0.0, std, -0.9, scope=row))
+    differs.append(
+        Unknown(
+            "onset",
+            0.0,
+            onset_std(robot, run),
+            -0.1,
+            0.1,
+            scope=row,
+        )
+    )
     # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
     disturbance = 0.0 if free else math.hypot(robot.torque_disturbance, run.current_torque_std)
     differs.append(Unknown("disturbance", 0.0, disturbance, scope=row))
@@ -214,7 +263,12 @@ def _from_quantity(
     upper: float = np.inf,
 ) -> Unknown:
     return Unknown(
-        kind, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper, scope=scope
+        kind,
+        float(np.clip(quantity.value, lower, upper)),
+        quantity.std,
+        lower,
+        upper,
+        scope=scope,
     )
 
 
@@ -228,8 +282,9 @@ def of_one_kind(
         robot.drive_trains[str(unknown.scope)].nominal_effort_per_current for unknown in constants
     ]
     std = np.array([unknown.std for unknown in constants])
-    alike = np.array([[one == other for other in kinds] for one in kinds], dtype=float).reshape(
-        len(std), len(std)
-    )
+    alike = np.array(
+        [[one == other for other in kinds] for one in kinds],
+        dtype=float,
+    ).reshape(len(std), len(std))
     shares = COMMON_SHARE * alike + (1.0 - COMMON_SHARE) * np.eye(len(std))
     return [unknown.key for unknown in constants], shares * np.outer(std, std)

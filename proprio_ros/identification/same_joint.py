@@ -15,9 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from proprio_ros.calibration_files.own_terms import UNITS, OwnTerms
-from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
-from proprio_ros.identification.regression.recording_variability import spread_of_runs
+from proprio_ros.calibration_files.own_terms import (
+    UNITS,
+    OwnTerms,
+)
+from proprio_ros.identification.judge import (
+    Refusal,
+    not_identifiable,
+    rejected,
+)
+from proprio_ros.identification.regression.recording_variability import (
+    spread_of_runs,
+)
 from proprio_ros.quantity import shown
 from proprio_ros.records import FloatArray
 
@@ -78,7 +87,12 @@ def compared(known: Sequence[OwnTerms], now: OwnTerms) -> Comparison:
     counts = learnt * (len(known) - 1) / len(known)  # one of them goes into the mean
     spread = np.array(
         [
-            spread_of_runs(float(stated), found[:, term], counts[:, term], PSEUDO_RUNS)
+            spread_of_runs(
+                float(stated),
+                found[:, term],
+                counts[:, term],
+                PSEUDO_RUNS,
+            )
             for term, stated in enumerate(usual)
         ]
     )
@@ -87,7 +101,10 @@ def compared(known: Sequence[OwnTerms], now: OwnTerms) -> Comparison:
 
 
 def another_joint(
-    joint: str, names: Sequence[str], known: Sequence[OwnTerms], now: OwnTerms
+    joint: str,
+    names: Sequence[str],
+    known: Sequence[OwnTerms],
+    now: OwnTerms,
 ) -> Iterator[Refusal]:
     """Where a recording shows another joint than its calibration knows.
 
@@ -116,7 +133,10 @@ def another_joint(
 
 
 def outside(
-    joint: str, mass_kg: float, loads_kg: Sequence[float], times: float = COVERED
+    joint: str,
+    mass_kg: float,
+    loads_kg: Sequence[float],
+    times: float = COVERED,
 ) -> Iterator[Refusal]:
     """Where a mass is far from all loads of its calibration.
 

@@ -8,7 +8,11 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from proprio_ros.errors import ProprioError, RecordingError, one_line
+from proprio_ros.errors import (
+    ProprioError,
+    RecordingError,
+    one_line,
+)
 
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
@@ -16,7 +20,9 @@ ARITHMETIC = (np.linalg.LinAlgError, ArithmeticError, ValueError)
 """Singular systems and eigenvalues that do not converge; overflows and divisions by nothing; numbers that are none."""
 
 
-def solvable(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+def solvable(
+    function: Callable[_Given, _Result],
+) -> Callable[_Given, _Result]:
     """Decorates what fits recordings: equations without a solution become a `RecordingError`.
 
     A fit refuses by name what it can recognise before it. This is for what nobody foresaw: recordings are made by others.

@@ -28,7 +28,9 @@ class LeastSquares(Protocol):
     coordinates: Coordinates
 
     def linearise(
-        self, internal: np.ndarray, counts: np.ndarray | None = None
+        self,
+        internal: np.ndarray,
+        counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cost (S,), gradient (S, F), Gauss-Newton matrix (S, F, F)."""
         ...
@@ -73,7 +75,9 @@ def bounded_step(
     lower = coordinates.lower
     upper = coordinates.upper
     diagonal = np.arange(u.shape[1])
-    fixed = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
+    pushed_down = (u <= lower) & (gradient > 0.0)
+    pushed_up = (u >= upper) & (gradient < 0.0)
+    fixed = pushed_down | pushed_up
     step = np.zeros_like(u)
     for _ in range(3):
         moves = ~fixed
@@ -113,14 +117,19 @@ def _scaled_down(
 
     The simulation of a bad guess may grow by a hundred powers of ten. A factor that both share changes no step.
     """
-    largest = np.abs(np.diagonal(matrix, axis1=1, axis2=2)).max(axis=1, initial=0.0)
+    diagonal = np.diagonal(matrix, axis1=1, axis2=2)
+    largest = np.abs(diagonal).max(axis=1, initial=0.0)
     runs_away = np.isfinite(largest) & (largest > LARGEST_CURVATURE)
     factor = np.where(
         runs_away,
         LARGEST_CURVATURE / np.where(runs_away, largest, 1.0),
         1.0,
     )
-    return cost, gradient * factor[:, None], matrix * factor[:, None, None]
+    return (
+        cost,
+        gradient * factor[:, None],
+        matrix * factor[:, None, None],
+    )
 
 
 @dataclass(eq=False)
@@ -146,7 +155,13 @@ class _Descent:
     def step(self, counts: np.ndarray | None, persistent: bool) -> np.ndarray:
         """Move every start that gains by it; how long the steps were in standard deviations, shape (S,)."""
         coordinates = self.problem.coordinates
-        step = bounded_step(self.u, self.gradient, self.matrix, self.damping, coordinates)
+        step = bounded_step(
+            self.u,
+            self.gradient,
+            self.matrix,
+            self.damping,
+            coordinates,
+        )
         trial = np.clip(self.u + step, coordinates.lower, coordinates.upper)
         cost, gradient, matrix = _scaled_down(*self.problem.linearise(trial, counts))
         better = np.isfinite(cost) & (cost <= self.cost)
@@ -166,16 +181,29 @@ class _Descent:
     def _gained(self, cost: np.ndarray, better: np.ndarray) -> np.ndarray:
         """How much lower the costs of better guesses are; the first that can be simulated gains without measure."""
         finite = better & np.isfinite(self.cost)
-        return np.where(finite, np.where(finite, self.cost, 0.0) - np.where(finite, cost, 0.0), 0.0)
+        return np.where(
+            finite,
+            np.where(finite, self.cost, 0.0) - np.where(finite, cost, 0.0),
+            0.0,
+        )
 
-    def _damp(self, better: np.ndarray, gained: np.ndarray, promised: np.ndarray) -> None:
+    def _damp(
+        self,
+        better: np.ndarray,
+        gained: np.ndarray,
+        promised: np.ndarray,
+    ) -> None:
         """Nielsen 1999: the damping follows how much of the promised decrease came true."""
         kept = np.clip(
             gained / np.maximum(promised, np.maximum(gained, 1e-300)),
             0.0,
             1.0,
         )
-        factor = np.where(better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), self.growth)
+        factor = np.where(
+            better,
+            np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3),
+            self.growth,
+        )
         self.damping = np.clip(self.damping * factor, 1e-8, 1e10)
         self.growth = np.where(better, 2.0, 2.0 * self.growth)
 
@@ -208,7 +236,8 @@ def levenberg_marquardt(
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
-    descent = _Descent(problem, u, np.full(len(u), 1e-3), np.full(len(u), 2.0))
+    damping = np.full(len(u), 1e-3)
+    descent = _Descent(problem, u, damping, np.full(len(u), 2.0))
     path: list[np.ndarray] = [u.copy()]
     path_cost: list[np.ndarray] = []
     for fraction in WINDOWS if windows is not None else WINDOWS[-1:]:
@@ -295,7 +324,10 @@ def adam_descent(
 
 
 def adam(
-    problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate: float = 0.1
+    problem: LeastSquares,
+    starts: np.ndarray,
+    iterations: int = 400,
+    rate: float = 0.1,
 ) -> Solution:
     """Adam on the same cost as Levenberg-Marquardt, in units of each unknown's natural length.
 
@@ -308,14 +340,27 @@ def adam(
     coordinates = problem.coordinates
     natural = coordinates.natural
 
-    def gradient_of(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def gradient_of(
+        scaled: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         cost, gradient, _ = problem.linearise(scaled * natural)
         return cost, gradient * natural
 
     lower = coordinates.lower / natural
     upper = coordinates.upper / natural
-    found = adam_descent(gradient_of, starts / natural, rate, iterations, lower, upper)
-    return replace(found, internal=found.internal * natural, path=found.path * natural)
+    found = adam_descent(
+        gradient_of,
+        starts / natural,
+        rate,
+        iterations,
+        lower,
+        upper,
+    )
+    return replace(
+        found,
+        internal=found.internal * natural,
+        path=found.path * natural,
+    )
 
 
 def cma_library() -> Any:
@@ -333,7 +378,10 @@ def cma_library() -> Any:
 
 
 def cma(
-    problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed: int = 1
+    problem: LeastSquares,
+    starts: np.ndarray,
+    generations: int = 150,
+    seed: int = 1,
 ) -> Solution:
     """CMA-ES (Hansen's ``cma``), one search per start, each generation in one launch.
 
@@ -349,7 +397,10 @@ def cma(
     library = cma_library()
     coordinates = problem.coordinates
     natural = coordinates.natural
-    bounds = [list(coordinates.lower / natural), list(coordinates.upper / natural)]
+    bounds = [
+        list(coordinates.lower / natural),
+        list(coordinates.upper / natural),
+    ]
     options = {
         "bounds": bounds,
         "seed": seed,
@@ -380,7 +431,8 @@ def cma(
     padded = np.array([path + [path[-1]] * (length - len(path)) for path in paths]).transpose(
         1, 0, 2
     )
-    padded_cost = np.array([c + [c[-1]] * (length - len(c)) for c in path_costs]).T
+    costs = [c + [c[-1]] * (length - len(c)) for c in path_costs]
+    padded_cost = np.array(costs).T
     return Solution(
         padded[-1],
         padded_cost[-1],

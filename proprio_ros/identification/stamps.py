@@ -39,7 +39,8 @@ def stamps_off(fit: FitResult) -> list[Reason]:
     """A sentence for each run of a fit whose input is stamped otherwise than its joint moved."""
     problem = fit.problem
     robot = problem.robot
-    parameters = problem.parameters(fit.values[None], np.zeros(0, dtype=int))[0][0]
+    every, _ = problem.parameters(fit.values[None], np.zeros(0, dtype=int))
+    parameters = every[0]
     found: list[Reason] = []
     cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
     for run, row in zip(problem.runs, parameters, strict=True):
@@ -64,14 +65,23 @@ def stamps_off(fit: FitResult) -> list[Reason]:
         )
         # what begins before it is said to, ends before it is said to
         if (
-            begun_s := moves_before(run, robot.delay.value - spread, robot.stamp_jitter_s)
+            begun_s := moves_before(
+                run,
+                robot.delay.value - spread,
+                robot.stamp_jitter_s,
+            )
         ) is not None:
             said = (
                 f"moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it"
             )
             off = ("late", "early")
         elif (
-            driven_s := driven_beyond(run, robot.delay.value + spread, change, robot.stamp_jitter_s)
+            driven_s := driven_beyond(
+                run,
+                robot.delay.value + spread,
+                change,
+                robot.stamp_jitter_s,
+            )
         ) is not None:
             said = (
                 f"is still driven {1e3 * driven_s:.0f} ms after the current is said to have ended"
@@ -83,7 +93,11 @@ def stamps_off(fit: FitResult) -> list[Reason]:
             f"are the stamps of {run.run.source} {off[0]}, or those of the joint states {off[1]}?"
         )
         found.append(
-            Reason("stamps_off", f"{run.run.joint} {said}: {question} {cure}", run.run.name)
+            Reason(
+                "stamps_off",
+                f"{run.run.joint} {said}: {question} {cure}",
+                run.run.name,
+            )
         )
     return found
 
@@ -95,7 +109,13 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     it was, never earlier. ``least_s`` is the earliest that the stamps allow, counted from the onset of the input.
     """
     since = run.run.before_times_s >= least_s - RESTED_S
-    since[: rests_from(run.run.before_times_s, run.run.before_position, run.drive)] = False
+    since[
+        : rests_from(
+            run.run.before_times_s,
+            run.run.before_position,
+            run.drive,
+        )
+    ] = False
     times_s = np.concatenate([run.run.before_times_s[since], run.times_s])
     position = np.concatenate([run.run.before_position[since], run.position])
     away = np.abs(position - np.median(position[:3])) > BEGINS_RAD
@@ -108,13 +128,19 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     weight = 1.0 / _sigma(run, times_s, position, jitter_s)
     # two samples of rest, and three of motion; the earliest onset that is allowed is tried itself
     onsets = np.arange(
-        least_s - GRID_S * np.floor((least_s - times_s[1]) / GRID_S), times_s[-3], GRID_S
+        least_s - GRID_S * np.floor((least_s - times_s[1]) / GRID_S),
+        times_s[-3],
+        GRID_S,
     )
     if not len(onsets):
         return None
     since_s = np.maximum(times_s - onsets[:, None], 0.0)
     basis, upper = np.linalg.qr(
-        np.stack([np.ones_like(since_s), since_s**3, since_s**2], axis=2) * weight[:, None]
+        np.stack(
+            [np.ones_like(since_s), since_s**3, since_s**2],
+            axis=2,
+        )
+        * weight[:, None]
     )
     seen = (position - position[0]) * weight
     along = seen @ basis
@@ -183,7 +209,10 @@ def driven_beyond(
 
 
 def _sigma(
-    run: PreparedRun, times_s: np.ndarray, position: np.ndarray, jitter_s: float
+    run: PreparedRun,
+    times_s: np.ndarray,
+    position: np.ndarray,
+    jitter_s: float,
 ) -> np.ndarray:
     return np.hypot(
         max(run.drive.reading_std, 1e-9),
@@ -203,5 +232,10 @@ def _fitted(
         rcond=None,
     )
     residual = scaled @ values - position * weight
-    stds = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled, hermitian=True)))
-    return float(residual @ residual), values / length, stds / length
+    covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    stds = np.sqrt(np.diag(covariance))
+    return (
+        float(residual @ residual),
+        values / length,
+        stds / length,
+    )

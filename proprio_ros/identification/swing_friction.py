@@ -12,10 +12,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.calibration_files.own_terms import COULOMB, VISCOUS, OwnTerms
-from proprio_ros.identification.fit import SearchOptions, solve_load
+from proprio_ros.calibration_files.own_terms import (
+    COULOMB,
+    VISCOUS,
+    OwnTerms,
+)
+from proprio_ros.identification.fit import (
+    SearchOptions,
+    solve_load,
+)
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import (
+    PreparedRun,
+    prepare_run,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
@@ -42,7 +52,10 @@ def swing_starts(
 
 
 def own_friction(
-    robot: Robot, run: Run, facts: PayloadFacts, options: SearchOptions | None = None
+    robot: Robot,
+    run: Run,
+    facts: PayloadFacts,
+    options: SearchOptions | None = None,
 ) -> OwnTerms:
     """Dry and viscous friction of one swing, with a load and friction that are open and all else as calibrated.
 

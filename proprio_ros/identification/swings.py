@@ -57,7 +57,8 @@ def swing_error(posterior: Posterior) -> float:
     independent = samples / longer
     left = independent - min(float(posterior.leverage().sum()), 0.7 * independent)
     found = square / samples * longer * independent / left
-    usual = (USUAL_SHARE * max(float(np.ptp(run.position)) for run in posterior.problem.runs)) ** 2
+    widest = max(float(np.ptp(run.position)) for run in posterior.problem.runs)
+    usual = (USUAL_SHARE * widest) ** 2
     return float(np.sqrt((left * found + USUAL_SAMPLES * usual) / (left + USUAL_SAMPLES)))
 
 
@@ -65,20 +66,32 @@ def stamp_jitter(posterior: Posterior) -> float:
     """Of the stamps [s]: how much more neighbouring samples differ from each other where the joint is fast."""
     moved = []
     squares = []
-    for row, (run, part) in enumerate(zip(posterior.problem.runs, _missed(posterior), strict=True)):
-        rough = np.sqrt(2.0 / 3.0) * (part[1:-1] - 0.5 * (part[2:] + part[:-2]))
+    for row, (run, part) in enumerate(
+        zip(
+            posterior.problem.runs,
+            _missed(posterior),
+            strict=True,
+        )
+    ):
+        beside = 0.5 * (part[2:] + part[:-2])
+        rough = np.sqrt(2.0 / 3.0) * (part[1:-1] - beside)
         moved.append(posterior.velocity[posterior.run == row][1:-1] ** 2)
         squares.append(rough**2 - run.drive.reading_std**2)
     speed2 = np.concatenate(moved)
     square = np.concatenate(squares)
-    return float(np.sqrt(max(float(square @ speed2), 0.0) / max(float(speed2 @ speed2), 1e-300)))
+    along = max(float(square @ speed2), 0.0)
+    return float(np.sqrt(along / max(float(speed2 @ speed2), 1e-300)))
 
 
 def missed_share(posterior: Posterior) -> float:
     """The worst run's rms residual over its span."""
     return max(
         float(np.sqrt(np.mean(part**2)) / max(np.ptp(run.position), 1e-9))
-        for run, part in zip(posterior.problem.runs, _missed(posterior), strict=True)
+        for run, part in zip(
+            posterior.problem.runs,
+            _missed(posterior),
+            strict=True,
+        )
     )
 
 

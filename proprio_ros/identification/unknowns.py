@@ -52,7 +52,8 @@ class Unknown(Tag):
 def scaled_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a covariance or precision matrix, taken at unit diagonal: its units differ by orders of magnitude."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
-    inverse: np.ndarray = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    scaled = np.linalg.inv(matrix * scale[:, None] * scale)
+    inverse: np.ndarray = scaled * scale[:, None] * scale
     return inverse
 
 
@@ -78,7 +79,8 @@ class Coordinates:
         self.prior_mean = np.array([u.value for u in unknowns])
         stds = np.array([u.std for u in unknowns])
         with np.errstate(divide="ignore"):
-            self.prior_precision = np.diag(np.where(np.isfinite(stds), 1.0 / stds**2, 0.0))
+            precisions = np.where(np.isfinite(stds), 1.0 / stds**2, 0.0)
+            self.prior_precision = np.diag(precisions)
         if correlated is not None:
             self._correlate([u.key for u in unknowns], *correlated)
         # one step of the solver never leaves the range in which the linearisation means something
@@ -114,16 +116,24 @@ class Coordinates:
 
     def internal(self, physical: np.ndarray) -> np.ndarray:
         """Solver coordinates of physical values, shape (..., F)."""
-        return np.where(self._curved, np.arcsinh(physical / self._scales), physical)
+        return np.where(
+            self._curved,
+            np.arcsinh(physical / self._scales),
+            physical,
+        )
 
     def physical(self, internal: np.ndarray) -> np.ndarray:
         """Physical values of solver coordinates, shape (..., F)."""
         return np.where(
-            self._curved, self._scales * np.sinh(np.where(self._curved, internal, 0.0)), internal
+            self._curved,
+            self._scales * np.sinh(np.where(self._curved, internal, 0.0)),
+            internal,
         )
 
     def slope(self, internal: np.ndarray) -> np.ndarray:
         """d physical / d internal, shape (..., F)."""
         return np.where(
-            self._curved, self._scales * np.cosh(np.where(self._curved, internal, 0.0)), 1.0
+            self._curved,
+            self._scales * np.cosh(np.where(self._curved, internal, 0.0)),
+            1.0,
         )

@@ -23,7 +23,12 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint_kernels import PARAMETERS, VEC3, JointData, joint_law
+from proprio_ros.sim.joint_kernels import (
+    PARAMETERS,
+    VEC3,
+    JointData,
+    joint_law,
+)
 from proprio_ros.sim.rollout_kernels import TIME_EPS, Law, rollout
 from proprio_ros.sim.runtime import FLOAT
 
@@ -72,8 +77,14 @@ class _Padded:
 
     @classmethod
     def of(cls, runs: Sequence[JointRun]) -> _Padded:
-        sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
-        input_counts = np.array([len(run.input_times_s) for run in runs], dtype=np.int32)
+        sample_counts = np.array(
+            [len(run.sample_times_s) for run in runs],
+            dtype=np.int32,
+        )
+        input_counts = np.array(
+            [len(run.input_times_s) for run in runs],
+            dtype=np.int32,
+        )
         samples = np.zeros((len(runs), int(sample_counts.max())))
         switch_times = np.zeros((len(runs), int(input_counts.max())))
         inputs = np.zeros((*switch_times.shape, 3))
@@ -86,8 +97,19 @@ class _Padded:
             if run.input_load is not None:
                 inputs[row, : input_counts[row], 1:] = run.input_load
             constants[row] = (*run.supply, run.friction_velocity)
-            steps[row] = run.step_s, min(run.fine_step_s, run.step_s)
-        return cls(sample_counts, input_counts, samples, switch_times, inputs, constants, steps)
+            steps[row] = (
+                run.step_s,
+                min(run.fine_step_s, run.step_s),
+            )
+        return cls(
+            sample_counts,
+            input_counts,
+            samples,
+            switch_times,
+            inputs,
+            constants,
+            steps,
+        )
 
 
 class JointSimulator:
@@ -146,7 +168,8 @@ class JointSimulator:
     def output_arrays(self, worlds: int, size: int) -> list[wp.array]:
         """Arrays for the fields of the law's struct of results, in their order."""
         vec = wp.types.vector(length=size, dtype=FLOAT)
-        return [self._zeros((worlds, self._width), kind) for kind in (FLOAT, FLOAT, vec)]
+        shape = (worlds, self._width)
+        return [self._zeros(shape, kind) for kind in (FLOAT, FLOAT, vec)]
 
     def launch(
         self,
@@ -157,7 +180,10 @@ class JointSimulator:
     ) -> tuple[np.ndarray, ...]:
         """All results of one launch, padded to one of ``tangent_sizes`` directions; arguments as in ``jacobian``."""
         worlds, _, directions = dp.shape
-        size = next((s for s in self.tangent_sizes if s >= directions), directions)
+        size = next(
+            (s for s in self.tangent_sizes if s >= directions),
+            directions,
+        )
         stribeck = bool(p[:, INDEX["stribeck"]].any() or dp[:, INDEX["stribeck"]].any())
         launch = self._launches.get((worlds, size, stribeck))
         if launch is None:
@@ -166,7 +192,12 @@ class JointSimulator:
         lost = ~np.isfinite(p).all(axis=1)
         if lost.any():  # a rollout of what is no number would not end
             p = np.where(lost[:, None], self.harmless, p)
-        results = launch(world_run, p, dp, self.sample_counts if counts is None else counts)
+        results = launch(
+            world_run,
+            p,
+            dp,
+            self.sample_counts if counts is None else counts,
+        )
         if lost.any():
             results[0][lost] = np.nan
             results[1][lost] = np.nan
@@ -179,7 +210,12 @@ class JointSimulator:
             device="cpu",
         )
 
-    def _zeros(self, shape: int | tuple[int, ...], kind: Any = FLOAT, **options: bool) -> wp.array:
+    def _zeros(
+        self,
+        shape: int | tuple[int, ...],
+        kind: Any = FLOAT,
+        **options: bool,
+    ) -> wp.array:
         return wp.zeros(shape, dtype=kind, device="cpu", **options)
 
     def windows(self, fraction: float) -> np.ndarray:
@@ -187,7 +223,9 @@ class JointSimulator:
         counts = [
             int(
                 np.searchsorted(
-                    run.sample_times_s, fraction * run.sample_times_s[-1] + TIME_EPS, side="right"
+                    run.sample_times_s,
+                    fraction * run.sample_times_s[-1] + TIME_EPS,
+                    side="right",
                 )
             )
             for run in self.runs
@@ -256,7 +294,8 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     # more directions than parameters come only from callers of their own
     sizes = [size for size in _TANGENT_SIZES if size <= _size_of(len(PARAMETERS))]
     runtime.load(
-        [rollout(joint_law(*kind), integrator) for kind in kinds_of_kernel(sizes, rises)], "cpu"
+        [rollout(joint_law(*kind), integrator) for kind in kinds_of_kernel(sizes, rises)],
+        "cpu",
     )
 
 

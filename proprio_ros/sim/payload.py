@@ -57,7 +57,8 @@ class PayloadShape:
             numbers = np.atleast_1d(np.asarray(size, dtype=np.float64)).ravel()
         except (TypeError, ValueError):
             numbers = np.array([])
-        if len(numbers) != wanted or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
+        sound = np.all(np.isfinite(numbers)) and not np.any(numbers <= 0.0)
+        if len(numbers) != wanted or not sound:
             raise ConfigurationError(
                 f"payload.size={size!r} does not fit a {shape}: give {form} in m, e.g. 0.03 for 30 mm"
             )
@@ -69,7 +70,11 @@ class PayloadShape:
             spread = numbers**2 / 12.0
         elif shape == "cylinder":
             spread = np.array(
-                [numbers[0] ** 2 / 16.0, numbers[0] ** 2 / 16.0, numbers[1] ** 2 / 12.0]
+                [
+                    numbers[0] ** 2 / 16.0,
+                    numbers[0] ** 2 / 16.0,
+                    numbers[1] ** 2 / 12.0,
+                ]
             )
         else:
             spread = np.full(
@@ -97,13 +102,17 @@ class PayloadShape:
         else:
             areas = np.prod(side) / side  # of a wall across each axis
             # along an axis the two walls across it lie at its ends, the other four are spread over it
-            spread = side**2 * (areas / 4.0 + (areas.sum() - areas) / 12.0) / areas.sum()
+            total = areas.sum()
+            spread = side**2 * (areas / 4.0 + (total - areas) / 12.0) / total
         text = " x ".join(f"{1e3 * n:g}" for n in side)
         return cls(np.diag(spread), f"a closed {shape}, {text} mm inside")
 
     def turned(self, rotation: np.ndarray) -> PayloadShape:
         """The same body after a rotation, shape (3, 3)."""
-        return PayloadShape(rotation @ self.second_moment_per_mass @ rotation.T, self.description)
+        return PayloadShape(
+            rotation @ self.second_moment_per_mass @ rotation.T,
+            self.description,
+        )
 
     @classmethod
     def from_inertia_per_mass(cls, values: Sequence[float]) -> PayloadShape:
@@ -143,11 +152,17 @@ class PayloadFacts:
     @property
     def per_kg(self) -> np.ndarray:
         """Inertial parameters of 1 kg of it, shape (10,)."""
-        return payload_parameters(np.array(1.0), self.com, self.shape.second_moment_per_mass)
+        return payload_parameters(
+            np.array(1.0),
+            self.com,
+            self.shape.second_moment_per_mass,
+        )
 
 
 def payload_parameters(
-    mass: np.ndarray, com: np.ndarray, second_moment_per_mass: np.ndarray
+    mass: np.ndarray,
+    com: np.ndarray,
+    second_moment_per_mass: np.ndarray,
 ) -> np.ndarray:
     """The ten inertial parameters (m, m c, second moments) of payloads, linear in the mass [kg], shape (...,).
 
@@ -160,7 +175,8 @@ def payload_parameters(
     out[..., 0] = mass
     out[..., 1:4] = mass[..., None] * com
     for column, (i, j) in enumerate(_SECOND_MOMENTS):
-        out[..., 4 + column] = mass * (second_moment_per_mass[i, j] + com[..., i] * com[..., j])
+        about_frame = second_moment_per_mass[i, j] + com[..., i] * com[..., j]
+        out[..., 4 + column] = mass * about_frame
     return out
 
 
@@ -187,7 +203,10 @@ def pseudo_inertia_basis() -> np.ndarray:
 
 
 def joint_coefficients(
-    pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, gravity: np.ndarray
+    pseudo_inertia: np.ndarray,
+    kind: str,
+    axis: np.ndarray,
+    gravity: np.ndarray,
 ) -> np.ndarray:
     """Inertia and gravity load that a body puts on the one joint it moves with (``joint.py``'s first four parameters).
 
@@ -200,7 +219,12 @@ def joint_coefficients(
 
     Returns: shape (..., 4): inertia about (mass along) the axis, and the cosine, sine and constant part of the gravity load.
     """
-    out = np.zeros((*np.broadcast_shapes(pseudo_inertia.shape[:-2], gravity.shape[:-1]), 4))
+    out = np.zeros(
+        (
+            *np.broadcast_shapes(pseudo_inertia.shape[:-2], gravity.shape[:-1]),
+            4,
+        )
+    )
     mass = pseudo_inertia[..., 3, 3]
     if kind == "prismatic":
         out[..., 0] = mass

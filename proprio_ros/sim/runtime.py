@@ -115,7 +115,11 @@ def _native_stderr_closed() -> Iterator[None]:
     try:
         sys.stderr.flush()
         kept = os.dup(2)
-    except (OSError, ValueError, AttributeError):  # no stderr to silence
+    except (
+        OSError,
+        ValueError,
+        AttributeError,
+    ):  # no stderr to silence
         yield
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)

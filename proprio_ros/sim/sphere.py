@@ -21,11 +21,21 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
+from proprio_ros.sim.joint import (
+    JointRun,
+    JointSimulator,
+    harmless,
+    kinds_of_kernel,
+    plain_kernel,
+)
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.rollout_kernels import Law, rollout
 from proprio_ros.sim.runtime import FLOAT
-from proprio_ros.sim.sphere_kernels import SPHERE_PARAMETERS, SphereData, sphere_law
+from proprio_ros.sim.sphere_kernels import (
+    SPHERE_PARAMETERS,
+    SphereData,
+    sphere_law,
+)
 
 SPHERE_INDEX = {name: row for row, name in enumerate(SPHERE_PARAMETERS)}
 SHAPES = ("box", "cylinder", "sphere")
@@ -72,10 +82,19 @@ class Contact:
 
     @classmethod
     def of(
-        cls, frequency: float, damping_ratio: float, friction: float, traction: float = 300.0
+        cls,
+        frequency: float,
+        damping_ratio: float,
+        friction: float,
+        traction: float = 300.0,
     ) -> "Contact":
         """From the angular frequency of a sphere on its contact [rad/s] and the ratio of its damping."""
-        return cls(frequency**2, 2.0 * damping_ratio * frequency, traction, friction)
+        return cls(
+            frequency**2,
+            2.0 * damping_ratio * frequency,
+            traction,
+            friction,
+        )
 
     def step_s(self, inertia_factor: float, integrator: str = "rk4") -> float:
         """Longest step that resolves a touch and is stable while the sphere slips [s].
@@ -110,12 +129,18 @@ class SphereRun:
     joint_origin: np.ndarray  # a point on the axis, in the container's frame [m], shape (3,)
     gravity: np.ndarray  # at joint position 0, in the container's frame [m/s^2], shape (3,)
 
-    def gravity_terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def gravity_terms(
+        self,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Constant, cos and sin parts of gravity in the container's frame as the joint turns [m/s^2] (Rodrigues)."""
         if self.kind == "prismatic":
             return self.gravity, np.zeros(3), np.zeros(3)
         along = self.axis * float(self.axis @ self.gravity)
-        return along, self.gravity - along, -np.cross(self.axis, self.gravity)
+        return (
+            along,
+            self.gravity - along,
+            -np.cross(self.axis, self.gravity),
+        )
 
     @property
     def across(self) -> np.ndarray:
@@ -154,16 +179,26 @@ class SphereSimulator(JointSimulator):
         self.sphere_runs = tuple(runs)
         self.enclosure = enclosure
         self.law = law
-        sphere = [enclosure.radius, enclosure.inertia_factor, enclosure.ramp_depth]
+        sphere = [
+            enclosure.radius,
+            enclosure.inertia_factor,
+            enclosure.ramp_depth,
+        ]
         inside = [
             *(0.5 * np.asarray(enclosure.inner_size, dtype=np.float64)),
             *sphere,
         ]
         places = [
-            [*run.axis, *run.joint_origin, run.kind == "revolute", *np.ravel(run.gravity_terms())]
+            [
+                *run.axis,
+                *run.joint_origin,
+                run.kind == "revolute",
+                *np.ravel(run.gravity_terms()),
+            ]
             for run in runs
         ]
-        self._geometry = self._array(np.array([[*place, *inside] for place in places]))
+        geometry = np.array([[*place, *inside] for place in places])
+        self._geometry = self._array(geometry)
         self._last: tuple[np.ndarray, ...] = ()
 
     def last_path(self, directions: int) -> tuple[np.ndarray, np.ndarray]:
@@ -198,10 +233,14 @@ class SphereSimulator(JointSimulator):
             self._last = super().launch(world_run, p, dp, counts)
         else:
             one = super().launch
-            blocks = [dp[:, :, at : at + most] for at in range(0, dp.shape[2], most)]
-            found = [[each.copy() for each in one(world_run, p, block, counts)] for block in blocks]
+            begins = range(0, dp.shape[2], most)
+            blocks = [dp[:, :, at : at + most] for at in begins]
+            found = []
+            for block in blocks:
+                found.append([each.copy() for each in one(world_run, p, block, counts)])
             q, v, _, x, _ = found[0]
-            dq, dx = (np.concatenate([each[n] for each in found], axis=-1) for n in (2, 4))
+            dq = np.concatenate([each[2] for each in found], axis=-1)
+            dx = np.concatenate([each[4] for each in found], axis=-1)
             self._last = q, v, dq, x, dx
         lost = ~np.isfinite(p).all(axis=1)
         if lost.any():
@@ -238,4 +277,10 @@ def compile_kernels(
     # of the two launches with all directions either may have that of the rise
     kinds = dict.fromkeys([*kinds_of_kernel(_SIZES, rises), (_SIZES[-2], True)])
     kernels = [rollout(sphere_law(*kind, shape, law), integrator) for kind in kinds]
-    runtime.load([*kernels, plain_kernel(len(SPHERE_PARAMETERS), integrator)], "cpu")
+    runtime.load(
+        [
+            *kernels,
+            plain_kernel(len(SPHERE_PARAMETERS), integrator),
+        ],
+        "cpu",
+    )

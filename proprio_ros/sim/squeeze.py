@@ -24,11 +24,22 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
+from proprio_ros.sim.joint import (
+    JointRun,
+    JointSimulator,
+    harmless,
+    kinds_of_kernel,
+    plain_kernel,
+)
 from proprio_ros.sim.response import Response
 from proprio_ros.sim.response_kernels import VEC4
 from proprio_ros.sim.rollout_kernels import Law, rollout
-from proprio_ros.sim.squeeze_kernels import GAP, SQUEEZE_PARAMETERS, SqueezeData, squeeze_law
+from proprio_ros.sim.squeeze_kernels import (
+    GAP,
+    SQUEEZE_PARAMETERS,
+    SqueezeData,
+    squeeze_law,
+)
 
 SQUEEZE_INDEX = {name: row for row, name in enumerate(SQUEEZE_PARAMETERS)}
 _SIZES = (1, 4, 8, 18)
@@ -87,14 +98,22 @@ class SqueezeSimulator(JointSimulator):
         self._block = self._array(
             np.array(
                 [
-                    [run.length, run.area, run.travel, which[run.response.made_of], *run.bend]
+                    [
+                        run.length,
+                        run.area,
+                        run.travel,
+                        which[run.response.made_of],
+                        *run.bend,
+                    ]
                     for run in runs
                 ]
             )
         )
         self._grid = self._array(tables[0].grid)
         self._nodes = wp.array(
-            np.stack([table.nodes for table in tables]), dtype=VEC4, device="cpu"
+            np.stack([table.nodes for table in tables]),
+            dtype=VEC4,
+            device="cpu",
         )
 
     def squeeze(
@@ -110,7 +129,8 @@ class SqueezeSimulator(JointSimulator):
         length, _, travel, _, second, third = self._block.numpy()[np.asarray(world_run)].T[
             :, :, None
         ]
-        return (q * (travel + q * (second + q * third)) - p[:, GAP : GAP + 1]) / length
+        closed = q * (travel + q * (second + q * third))
+        return (closed - p[:, GAP : GAP + 1]) / length
 
     def law_of(self, size: int, stribeck: bool) -> Law:
         return squeeze_law(size, stribeck)
@@ -127,4 +147,10 @@ class SqueezeSimulator(JointSimulator):
 def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     """As ``joint.compile_kernels``, for fits with a block."""
     kernels = [rollout(squeeze_law(*kind), integrator) for kind in kinds_of_kernel(_SIZES, rises)]
-    runtime.load([*kernels, plain_kernel(len(SQUEEZE_PARAMETERS), integrator)], "cpu")
+    runtime.load(
+        [
+            *kernels,
+            plain_kernel(len(SQUEEZE_PARAMETERS), integrator),
+        ],
+        "cpu",
+    )
