@@ -118,7 +118,8 @@ def _growth(
             own[row] = 0.5 * (value * drift.of("torque_constant", hours, degrees)) ** 2
             by_time = drift.of("torque_constant", hours, 0.0)
             by_warmth = math.copysign(drift.of("torque_constant", 0.0, degrees), degrees)
-            common[row] = value * np.sqrt(0.5) * by_time, value * np.sqrt(0.5) * by_warmth
+            half = value * np.sqrt(0.5)
+            common[row] = (half * by_time, half * by_warmth)
     return np.diag(own) + common @ common.T
 
 

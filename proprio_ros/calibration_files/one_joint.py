@@ -59,15 +59,21 @@ OWN_TERMS = (ARMATURE, VISCOUS, COULOMB)
 """What each recording shows by itself, in torques as the scale has them."""
 FEWEST_RUNS = 3  # of fewer, none says by how much they differ
 _LARGEST = 1e6
+
+
+def _any_number(unit: str = "") -> Number:
+    return Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST)
+
+
 _RUN: dict[str, Form] = RUN | {
-    "read_kg": Number(unit="kg", lowest=-_LARGEST, highest=_LARGEST),
+    "read_kg": _any_number("kg"),
     "std_kg": Number(unit="kg", lowest=0.0, highest=_LARGEST),
 }
 _FORMS: dict[str, Form] = {
     "torque_constant_N_m_per_A": Number(
         "that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True
     ),
-    **{term: Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST) for term, unit in TERMS.items()},
+    **{term: _any_number(unit) for term, unit in TERMS.items()},
     "spread": Number("by which recordings differ, relative", "", 0.0, 10.0, open=True),
     "residual_N_m": Number("left over", "N m", 0.0, 1e4, open=True),
 }
@@ -100,14 +106,16 @@ class JointCalibration:
     def std(self) -> FloatArray:
         """Of every term, by leaving out one recording at a time, shape (6,)."""
         apart = self.without - self.without.mean(axis=0)
-        return np.sqrt((len(apart) - 1) / len(apart) * np.square(apart).sum(axis=0))
+        share = (len(apart) - 1) / len(apart)
+        return np.sqrt(share * np.square(apart).sum(axis=0))
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers for the file."""
+        terms = [short(value, 15) for value in self.values]
         return {
             "joint": self.joint,
             "torque_constant_N_m_per_A": short(self.torque_constant, 15),
-            **{term: short(value, 15) for term, value in zip(TERMS, self.values, strict=True)},
+            **dict(zip(TERMS, terms, strict=True)),
             "spread": short(self.spread),
             "residual_N_m": short(self.residual),
             "runs": [dict(run) for run in self.runs],
@@ -138,8 +146,16 @@ class JointCalibration:
         own_terms = own_terms_of(section, len(runs), len(OWN_TERMS))
         driven_by = _law_of(section)
         return cls(
-            joint, constant, np.array(terms), np.array(rows), spread, residual, runs, own_terms, driven_by
-        )  # fmt: skip
+            joint,
+            constant,
+            np.array(terms),
+            np.array(rows),
+            spread,
+            residual,
+            runs,
+            own_terms,
+            driven_by,
+        )
 
 
 def _law_of(section: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,6 +163,9 @@ def _law_of(section: Mapping[str, Any]) -> dict[str, Any]:
     if "driven_by" not in section:
         return {}
     given = part_of(section, "driven_by", Mapping)
-    number = Number(lowest=-_LARGEST, highest=_LARGEST)
+    law = {}
     with under("driven_by"):
-        return {str(key): (Text() if key == "kind" else number).read(value) for key, value in given.items()}  # fmt: skip
+        for key, value in given.items():
+            form = Text() if key == "kind" else _any_number()
+            law[str(key)] = form.read(value)
+    return law

@@ -285,10 +285,6 @@ class Calibration:
         values = np.array([value for value, _ in known.values()])
         stds = np.array([std for _, std in known.values()])
         correlation = correlation_of(section, len(keys), _SMALLEST_EIGENVALUE)
-        noise = {}
-        for (name, form), default in zip(NOISE.items(), _NO_NOISE, strict=True):
-            field_name = re.sub("_(N_m|rad_s|rad)$", "", name)
-            noise[field_name] = read_under(section, name, form, default)
         made = None
         if "made" in section:
             with under("made"):
@@ -301,8 +297,17 @@ class Calibration:
             motors=motors,
             made=made,
             own_terms=own_terms_of(section, len(runs), TERMS_OF_A_SWING),
-            **noise,
+            **_read_noise(section),
         )
+
+
+def _read_noise(section: Mapping[str, Any]) -> dict[str, float]:
+    """By field what the file says of it, else what holds without."""
+    noise = {}
+    for (name, form), default in zip(NOISE.items(), _NO_NOISE, strict=True):
+        field_name = re.sub("_(N_m|rad_s|rad)$", "", name)
+        noise[field_name] = read_under(section, name, form, default)
+    return noise
 
 
 def _read_unknown(name: Any, entry: Any) -> tuple[Key, float, float]:

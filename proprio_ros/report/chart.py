@@ -73,7 +73,13 @@ class _Scale:
 
     @classmethod
     def about(cls, values: np.ndarray, log: bool, margin: float) -> _Scale:
-        """An axis that holds all values, as they are on it, (K,), with a margin as a share of their range."""
+        """An axis that holds values.
+
+        Args:
+            values: As they are on it, (K,).
+            log: Whether they are decimal logarithms.
+            margin: Beyond them, as a share of their range.
+        """
         low, high = _reach(values, margin)
         return cls(low, high, log)
 
@@ -108,7 +114,8 @@ class _Plot:
     def points(self, x: np.ndarray, y: np.ndarray) -> list[str]:
         """Those that are numbers, as `x,y`."""
         right = self.across.share(x)
-        down = (self.up.high - _of(y, self.up.log)) / (self.up.high - self.up.low)
+        up = self.up
+        down = (up.high - _of(y, up.log)) / (up.high - up.low)
         good = np.isfinite(right) & np.isfinite(down)
         return [
             f"{_n(a * INSIDE)},{_n(b * self.height)}"
@@ -197,7 +204,8 @@ def _behind(panel: Panel, plot: _Plot) -> list[str]:
     ]
     if panel.band is not None:
         x, low_y, high_y = panel.band
-        around = "L".join([*plot.points(x, high_y), *plot.points(x, low_y)[::-1]])
+        above = plot.points(x, high_y)
+        around = "L".join([*above, *plot.points(x, low_y)[::-1]])
         drawn.append(f'<path class="span" d="M{around}Z"/>')
     drawn += [
         f'<path class="vertical" d="M{plot.x(value)},0V{height}"/>' for value in panel.verticals

@@ -132,7 +132,7 @@ def runs_figure(fits: Sequence[RunFit]) -> Any:
     with drawn(
         7.4, 4.4 * count, nrows=2 * count, squeeze=False, height_ratios=[2.2, 1.0] * count
     ) as (figure, axes):
-        for fit, above, below in zip(fits, axes[::2, 0], axes[1::2, 0], strict=True):
+        for fit, (above, below) in zip(fits, axes.reshape(-1, 2), strict=True):
             _draw_run(above, below, fit)
         return figure
 
@@ -143,7 +143,7 @@ def motions_figure(fits: Sequence[JointFit]) -> Any:
     with drawn(
         7.4, 3.4 * count, nrows=2 * count, squeeze=False, height_ratios=[2.2, 1.0] * count
     ) as (figure, axes):
-        for fit, above, below in zip(fits, axes[::2, 0], axes[1::2, 0], strict=True):
+        for fit, (above, below) in zip(fits, axes.reshape(-1, 2), strict=True):
             below.sharex(above)
             above.set_title(plain(f"{fit.name}: {fit.joint}"), loc="left", fontsize=9.5)
             above.plot(

@@ -243,7 +243,8 @@ def number(value: Any, std: Any = None) -> str:
         return "-"
     if isinstance(value, list):
         stds = std if isinstance(std, list) else [std] * len(value)
-        return "[" + ", ".join(number(v, s) for v, s in zip(value, stds, strict=True)) + "]"
+        parts = [number(v, s) for v, s in zip(value, stds, strict=True)]
+        return f"[{', '.join(parts)}]"
     if isinstance(std, float) and 100.0 <= Z95 * std < math.inf:
         value = round(value, 1 - math.floor(math.log10(Z95 * std)))
     return written(value, spec_for("", std, kept=True))

@@ -57,7 +57,8 @@ def held_figure(view: HeldView, alone: bool = False, closer: bool = False) -> st
         view.hand[None],
         *(each for each in (view.within, view.body) if each is not None),
     ]
-    moves = np.ptp(view.arm, axis=0).max(axis=(1, 2)) > (0.0 if alone else -1.0)
+    travel = np.ptp(view.arm, axis=0).max(axis=(1, 2))
+    moves = travel > (0.0 if alone else -1.0)
     arm = [] if closer else [view.arm[:, moves].reshape(-1, 2)]
     picture = ArmPicture.around(
         np.concatenate([*arm, *outlines]),
@@ -149,7 +150,8 @@ def torques(
     parts.append(f"<p class='small hint'>{HINT}</p>")
     several = len({fit.name for fit in fits}) > 1
     if not learnt:  # what told most comes first
-        told = [fit.joint for fit in sorted(fits, key=lambda fit: -float(fit.told.sum()))]
+        by_share = sorted(fits, key=lambda fit: -float(fit.told.sum()))
+        told = [fit.joint for fit in by_share]
         fits = sorted(
             fits,
             key=lambda fit: (fit.name, told.index(fit.joint)),

@@ -314,7 +314,8 @@ def _numbers_of(value: Value) -> list[str]:
     interval = "-"
     if value.ci95 is not None:
         interval = " to ".join(number(end, value.std) for end in value.ci95)
-    return [number(value.value, value.std), number(value.std, value.std), interval]
+    std = value.std
+    return [number(value.value, std), number(std, std), interval]
 
 
 def _unknown_table(unknowns: Sequence[UnknownRow]) -> str:

@@ -280,7 +280,8 @@ def scan_figure(estimate: Estimate) -> str:
             ]
     cost = np.maximum(scan.cost, 1e-4) if log else scan.cost
     series = [Series(scan.measure, x, cost, "measured", listed=False)]
-    rules, highest = ([], np.inf) if scan.level is None else ([scan.level], HIGHEST_CHI2)
+    rules = [] if scan.level is None else [scan.level]
+    highest = np.inf if scan.level is None else HIGHEST_CHI2
     panel = Panel(
         scan.measure,
         "",
@@ -305,7 +306,8 @@ def budget_figure(estimate: Estimate) -> str:
     first = SHOWN_SOURCES + (len(budget) == SHOWN_SOURCES + 1)  # one alone is shown by its name
     sources = [(source_label(source), std) for source, std in budget[:first]]
     if rest := budget[first:]:
-        sources.append((f"{len(rest)} others", float(np.sqrt(sum(std**2 for _, std in rest)))))
+        variance = sum(std**2 for _, std in rest)
+        sources.append((f"{len(rest)} others", float(np.sqrt(variance))))
     whole = sum(std**2 for _, std in sources) or 1.0
     return bars([
         (label, std, f"{shown(unit, std, spec=spec_for(unit, std / Z95))}, {percent(std**2 / whole)}") for label, std in sources

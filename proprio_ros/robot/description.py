@@ -145,9 +145,9 @@ class _Bodies:
         """Tool frames of a body, the one nearest to the object first."""
         found = []
         for link in self.links(body):
-            rank = next((n for n, form in enumerate(_TOOLS) if re.search(form, link, re.I)), None)
-            if rank is not None and link != body:
-                found.append((-rank, self._depth[link], link))
+            ranks = [n for n, form in enumerate(_TOOLS) if re.search(form, link, re.I)]
+            if ranks and link != body:
+                found.append((-ranks[0], self._depth[link], link))
         return [link for _, _, link in sorted(found, reverse=True)]
 
     def is_finger(self, joint: Joint) -> bool:

@@ -46,7 +46,8 @@ class FingerTravel:
     @property
     def mean_ratio(self) -> float:
         """From the first angle to the last [m/rad]."""
-        return (self.open_m[-1] - self.open_m[0]) / (self.at_rad[-1] - self.at_rad[0])
+        opened_m = self.open_m[-1] - self.open_m[0]
+        return opened_m / (self.at_rad[-1] - self.at_rad[0])
 
     def ratio_at(self, angle_rad: ArrayLike) -> FloatArray:
         """How far the finger moves per rad at some angles [m/rad]."""

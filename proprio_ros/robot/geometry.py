@@ -80,7 +80,8 @@ def pseudo_inertia(mass: float, com: ArrayLike, inertia_about_com: ArrayLike) ->
     com = np.asarray(com, dtype=np.float64)
     inertia = np.asarray(inertia_about_com, dtype=np.float64)
     result = np.empty((4, 4))
-    result[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia + mass * np.outer(com, com)
+    central = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    result[:3, :3] = central + mass * np.outer(com, com)
     result[:3, 3] = result[3, :3] = mass * com
     result[3, 3] = mass
     return result

@@ -253,7 +253,10 @@ def _vector(values: np.ndarray) -> Vector:
 
 
 def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    x = a[0] * b[0]
+    y = a[1] * b[1]
+    z = a[2] * b[2]
+    return x + y + z
 
 
 def _turned(v: Vector, axis: Vector, angle: float) -> Vector:

@@ -13,7 +13,8 @@ import numpy as np
 from proprio_ros.robot.geometry import FloatArray, inertia_about_origin
 from proprio_ros.robot.tree import ReducedModel
 
-_NEXT, _LAST = np.roll(np.arange(3), -1), np.roll(np.arange(3), 1)
+_NEXT = np.array([1, 2, 0])
+_LAST = np.array([2, 0, 1])
 _ROWS, _COLUMNS = np.triu_indices(3)
 _ONCE = np.where(_ROWS == _COLUMNS, 0.5, 1.0)[:, None, None]
 # of a body: m [kg], m c [kg m] (3), I [kg m^2] about the body's origin: xx, xy, xz, yy, yz, zz
@@ -23,7 +24,9 @@ PARAMETERS = 10
 def body_parameters(pseudo_inertia: FloatArray) -> FloatArray:
     """The ten parameters of a body from its pseudo-inertia, shape (4, 4)."""
     upper = inertia_about_origin(pseudo_inertia)[np.triu_indices(3)]
-    return np.concatenate([[pseudo_inertia[3, 3]], pseudo_inertia[:3, 3], upper])
+    mass = pseudo_inertia[3, 3]
+    first_moment = pseudo_inertia[:3, 3]
+    return np.concatenate([[mass], first_moment, upper])
 
 
 def point_mass(place_m: FloatArray) -> FloatArray:
@@ -36,8 +39,13 @@ def point_mass(place_m: FloatArray) -> FloatArray:
 
 def _skew(v: FloatArray) -> FloatArray:
     result = np.zeros((*v.shape[:-1], 3, 3))
-    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    x, y, z = np.moveaxis(v, -1, 0)
+    result[..., 0, 1] = -z
+    result[..., 1, 0] = z
+    result[..., 0, 2] = y
+    result[..., 2, 0] = -y
+    result[..., 1, 2] = -x
+    result[..., 2, 1] = x
     return result
 
 
@@ -95,7 +103,8 @@ def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) 
         )
         rotation[:, :, body] = seen[:3] + sine[body] * seen[3:6] + versine[body] * seen[6:9]
         origin[:, body] = seen[10] + (0.0 if parent < 0 else origin[:, parent])
-        axis[:3, body], axis[3:, body] = seen[9], cross_product(origin[:, body], seen[9])
+        axis[:3, body] = seen[9]
+        axis[3:, body] = cross_product(origin[:, body], seen[9])
         twist[:, body] = axis[:, body] * velocity[:, body] + (
             0.0 if parent < 0 else twist[:, parent]
         )

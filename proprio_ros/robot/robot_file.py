@@ -190,7 +190,8 @@ class Robot:
             "stamp_jitter_s",
         )
         changes: dict[str, Any] = {name: getattr(calibration, name) for name in noise}
-        changes |= {name: known.get(name, getattr(self, name)) for name in ("arm_scale", "delay")}
+        changes["arm_scale"] = known.get("arm_scale", self.arm_scale)
+        changes["delay"] = known.get("delay", self.delay)
         changes |= {
             name: getattr(calibration, name) or getattr(self, name)
             for name in ("friction_spread", "onset_jitter_s")
@@ -301,7 +302,8 @@ def _stated(settings: Mapping[str, Any]) -> dict[str, Any]:
     def kept(value: Any, depth: int) -> Any:
         if not isinstance(value, Mapping) or depth == 0:
             return value
-        return {key: kept(inner, depth - 1) for key, inner in value.items() if inner is not None}
+        stated = {key: inner for key, inner in value.items() if inner is not None}
+        return {key: kept(inner, depth - 1) for key, inner in stated.items()}
 
     joints = settings.get("joints")
     result = {key: value for key, value in settings.items() if value is not None}

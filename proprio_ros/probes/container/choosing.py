@@ -100,7 +100,8 @@ class _SphereForecast(Forecast):
 
     def std_after(self, n: int, samples: int) -> float:
         """Of the sphere's mass after the first samples of a push, of which those count that come before its place is lost [kg]."""
-        return float(self.stds[n, min(samples, int(self.predictable[n])) - 1])
+        last = min(samples, int(self.predictable[n])) - 1
+        return float(self.stds[n, last])
 
 
 class SphereUntilSure(CatalogueChooser):
@@ -127,7 +128,8 @@ class SphereUntilSure(CatalogueChooser):
             whole,
         )
         check_shell(facts, baseline)
-        self._turning: dict[tuple[str, tuple[tuple[str, float], ...]], SphereRun] = {}
+        # of each joint in each pose of the others
+        self._turning: dict[tuple[object, ...], SphereRun] = {}
         # where it comes to rest, whatever is stated about where it was in the sample recordings
         self._resting = replace(facts, start=None, settled=True)
         joints = candidates.candidate_joints(robot)
@@ -165,7 +167,8 @@ class SphereUntilSure(CatalogueChooser):
         for mass in ("payload_mass", "sphere_mass"):
             at = self._shared.at[mass]
             self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
-        self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
+        rows = [every.index[key] for key in self._shared.keys]
+        self._values = dict(zip(self._shared.keys, every.base[rows].tolist(), strict=True))
         for joint in joints:
             self._values["coulomb", joint] = candidates.expected_coulomb(every, joint)
         self._covariance = np.linalg.inv(self._shared.prior)
@@ -214,9 +217,9 @@ class SphereUntilSure(CatalogueChooser):
 
     def _believe(self, fit: FitResult) -> None:
         index = fit.problem.index
-        self._values |= {
-            key: float(fit.values[index[key]]) for key in self._shared.keys if key in index
-        }
+        for key in self._shared.keys:
+            if key in index:
+                self._values[key] = float(fit.values[index[key]])
         self._covariance = self._shared.covariance_after(fit)
 
     def ranked(
@@ -311,16 +314,15 @@ class SphereUntilSure(CatalogueChooser):
         problem = self._problem([self.catalogue.standing(push) for push in pushes])
         columns, variance = self._shared.columns_of(problem)
         seen = self._simulated(problem, columns, sphere_kg)
-        runs = problem.runs
-        off = seen.q - np.array([run.rest.value for run in runs])[:, None]
-        fastest = np.array([run.drive.usable_velocity for run in runs])
+        off = seen.q - np.array([run.rest.value for run in problem.runs])[:, None]
+        fastest = np.array([run.drive.usable_velocity for run in problem.runs])
         alive = until_broken(
             np.isfinite(seen.q)
             & np.isfinite(seen.x).all(axis=2)
             & (np.abs(seen.v) < fastest[:, None])
             & (np.abs(off) < MAX_TRAVEL)
         )
-        reading_std = np.array([run.sigma[0] for run in runs])
+        reading_std = np.array([run.sigma[0] for run in problem.runs])
         rows = whitened(seen.dq, seen.v, alive, reading_std, self.robot.stamp_jitter_s)
         # what the container sees of the sphere across the joint's axis, (C, 3, 3)
         across = np.array([run.across for run in problem.simulator.special.sphere_runs])
@@ -329,7 +331,7 @@ class SphereUntilSure(CatalogueChooser):
             rows, variance, self._covariance, "sphere_mass", places
         )
         counted = alive.sum(axis=1)
-        until_lost = [known_until(spread, self._search.facts) for spread in spreads]
+        facts = self._search.facts
         moved = np.einsum("rij,rtj->rti", across, seen.x - seen.x[:, :1])
         return _SphereForecast(
             self.catalogue.still(pushes[0]).times_s,
@@ -337,7 +339,7 @@ class SphereUntilSure(CatalogueChooser):
             counted,
             stds,
             np.linalg.norm(moved, axis=2),
-            np.minimum(until_lost, counted),
+            np.minimum([known_until(each, facts) for each in spreads], counted),
         )
 
     def _simulated(

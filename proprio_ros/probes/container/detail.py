@@ -27,7 +27,8 @@ class SpherePath:
     @property
     def moved(self) -> float:
         """Farthest from where it started [m]."""
-        return float(np.linalg.norm(self.position - self.position[0], axis=1).max())
+        away = self.position - self.position[0]
+        return float(np.linalg.norm(away, axis=1).max())
 
 
 @dataclass(frozen=True)

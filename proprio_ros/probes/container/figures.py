@@ -169,13 +169,17 @@ def path_figure(path: SpherePath, number: int) -> str:
             _text(aside, at + 42, word, "middle"),
         ]
     body.append(_time_scale(path, number, aside, 206.0))
+    name = f"Path {number} of the sphere in the container"
+    return _svg(sheet.width, sheet.height, name, _in_words(path, centres), body)
+
+
+def _in_words(path: SpherePath, centres: np.ndarray) -> str:
+    """Where the sphere's centre (K, 2) [mm] went, for those who cannot see it."""
     (x_first, y_first), (x_last, y_last) = centres[[0, -1]]
-    words = (
+    return (
         f"Seen along the joint's axis, the sphere's centre goes from ({x_first:.1f}, {y_first:.1f}) mm at {path.times_s[0]:.2f} s "
         f"to ({x_last:.1f}, {y_last:.1f}) mm at {path.times_s[-1]:.2f} s, at most {MM * path.moved:.1f} mm away from its start."
     )
-    name = f"Path {number} of the sphere in the container"
-    return _svg(sheet.width, sheet.height, name, words, body)
 
 
 def _axes(sheet: _Sheet, plane: np.ndarray) -> tuple[list[str], list[str]]:
@@ -315,7 +319,8 @@ def moving_figure(path: SpherePath, number: int) -> str:
 
 def _evenly(count: int, most: int) -> np.ndarray:
     """At most so many of ``count`` rows, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+    rows = np.linspace(0, count - 1, min(count, most)).round()
+    return np.unique(rows.astype(int))
 
 
 def _instants(times_s: np.ndarray) -> list[int]:
@@ -327,7 +332,9 @@ def _instants(times_s: np.ndarray) -> list[int]:
 def _plane(across: np.ndarray) -> np.ndarray:
     """To the right and up as one looks along ``across``, in the container's frame, shape (2, 3); up is near its z."""
     across = across / np.linalg.norm(across)
-    nearest = np.eye(3)[2] if abs(across[2]) < 0.9 else np.eye(3)[1]
+    nearest = np.array([0.0, 0.0, 1.0])
+    if abs(across[2]) >= 0.9:
+        nearest = np.array([0.0, 1.0, 0.0])
     up = nearest - across * (across @ nearest)
     up /= np.linalg.norm(up)
     return np.array([np.cross(across, up), up])
@@ -352,7 +359,8 @@ def _outline(path: SpherePath, plane: np.ndarray) -> np.ndarray:
     else:
         farthest = along * size[0] / 2
     flat = farthest @ plane.T
-    new = np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=1) > 1e-9
+    moved = flat - np.roll(flat, 1, axis=0)
+    new = np.linalg.norm(moved, axis=1) > 1e-9
     return np.asarray(flat[new])
 
 
@@ -367,7 +375,8 @@ def _turns(
     fall = float(np.linalg.norm(up))
     up = up / fall if fall > ALONG_SIGHT else first @ plane[1]
     rightwards = path.world_from_container @ plane[0]
-    return np.unwrap(np.arctan2(rightwards @ up, rightwards @ np.cross(along, up))), fall
+    angles = np.arctan2(rightwards @ up, rightwards @ np.cross(along, up))
+    return np.unwrap(angles), fall
 
 
 def _band(path: SpherePath, plane: np.ndarray, scale: float) -> str:
@@ -376,7 +385,8 @@ def _band(path: SpherePath, plane: np.ndarray, scale: float) -> str:
     for position, std in zip(path.position, path.std, strict=True):
         if not np.isfinite(std).all():
             continue
-        variance, axes = np.linalg.eigh(plane @ np.diag((MM * std) ** 2) @ plane.T)
+        covariance = plane @ np.diag((MM * std) ** 2) @ plane.T
+        variance, axes = np.linalg.eigh(covariance)
         across, along = 2.0 * np.sqrt(np.maximum(variance, 0.0))
         if along * scale > 1.0:
             across = max(across, 0.5 / scale)  # an ellipse without width is not drawn
@@ -398,9 +408,12 @@ def _direction(axis: np.ndarray, otherwise: str) -> str:
 
 def _ticks(low: float, high: float) -> np.ndarray:
     """Round numbers [mm] between the two, six or so."""
-    steps = np.outer(10.0 ** np.arange(-2, 4), [1.0, 2.0, 5.0]).ravel()
+    powers = 10.0 ** np.arange(-2, 4)
+    steps = np.outer(powers, [1.0, 2.0, 5.0]).ravel()
     step = steps[np.searchsorted(steps, (high - low) / 7.0)]
-    return np.asarray(step * np.arange(np.ceil(low / step), np.floor(high / step) + 1))
+    first = np.ceil(low / step)
+    last = np.floor(high / step)
+    return np.asarray(step * np.arange(first, last + 1))
 
 
 def _colors(times_s: np.ndarray) -> list[str]:

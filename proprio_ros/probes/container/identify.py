@@ -108,8 +108,9 @@ def find_sphere(
     found = Findings()
     search = SphereSearch(robot, facts, options)
     rolling = [True] * len(runs) + [False] * len(baseline)
-    seen = [*(tracks or [None] * len(runs)), *([None] * len(baseline))]
-    for run, rolls, track in zip((*runs, *baseline), rolling, seen, strict=True):
+    seen = list(tracks or [None] * len(runs)) + [None] * len(baseline)
+    every = [*runs, *baseline]
+    for run, rolls, track in zip(every, rolling, seen, strict=True):
         prepared = prepare_run(robot, run, None, facts.shell)
         if admitted(robot, prepared, found):
             search = search.added(prepared, rolls, track)
@@ -308,7 +309,8 @@ class WeighedSphere(Conclusion):
         )
         seen = self.problem.weight > 0.0
         off = ((soft - hard)[0] * self.problem.weight)[seen]
-        return float((posterior.covariance @ posterior.sensitivity.T @ off)[fit.column(self.name)])
+        follows = posterior.covariance @ posterior.sensitivity.T @ off
+        return float(follows[fit.column(self.name)])
 
     def comparable(self) -> bool:
         # two more fits, which a fit that is refused for a worse reason is spared
@@ -491,8 +493,10 @@ def _off_by_its_spread(facts: ContainerFacts, key: str) -> list[ContainerFacts]:
             )
         ]
     # edges of the inside that change together
-    sides = {"sphere": [[1, 1, 1]], "cylinder": [[1, 1, 0], [0, 0, 1]]}.get(
-        enclosure.shape, np.eye(3)
-    )
-    sizes = enclosure.inner_size * (1.0 + GUESSED_SHARE * np.array(sides, dtype=float))
+    sides = np.eye(3)
+    if enclosure.shape == "sphere":
+        sides = np.ones((1, 3))
+    elif enclosure.shape == "cylinder":
+        sides = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    sizes = enclosure.inner_size * (1.0 + GUESSED_SHARE * sides)
     return [replace(facts, enclosure=replace(enclosure, inner_size=size)) for size in sizes]

@@ -147,7 +147,8 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     room = facts.enclosure.room
     gravity = run.gravity_at(position)
     # about as likely at a wall as in the middle
-    anywhere = StartPrior(np.zeros(3), room.copy(), -room, room.copy(), np.zeros((1, 3)))
+    middle = np.zeros(3)
+    anywhere = StartPrior(middle, room.copy(), -room, room.copy(), middle[None])
     prior = anywhere
     free = np.ones(3, dtype=bool)
     if facts.settled and facts.enclosure.shape == "box":
@@ -155,7 +156,9 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     elif facts.settled:
         prior, free = _settled_on_curved_wall(anywhere, facts, gravity)
     # along the joint's axis the sphere may be anywhere: it makes no difference
-    matters = np.abs(run.axis) < 0.9 if run.kind == "revolute" else np.ones(3, dtype=bool)
+    matters = np.ones(3, dtype=bool)
+    if run.kind == "revolute":
+        matters = np.abs(run.axis) < 0.9
     guesses = [prior.mean]
     for axis in np.flatnonzero(free & matters):
         guesses = [
@@ -216,7 +219,8 @@ def _settled_on_curved_wall(
         prior.upper[round_axes] = reach
         free[round_axes] = False
     if is_cylinder and abs(gravity[2]) > LEVEL * weight:
-        end = np.sign(gravity[2]) * (room[2] + facts.sinks(abs(gravity[2])))
+        sunk = facts.sinks(abs(gravity[2]))
+        end = np.sign(gravity[2]) * (room[2] + sunk)
         prior.mean[2] = end
         prior.std[2] = RESTING_STD_M
         prior.lower[2] = min(prior.lower[2], end)
@@ -286,7 +290,8 @@ def container_unknowns(
             Unknown(kind, known.value, known.std, min(0.02, known.value), 2.0).at_role(drive_role)
         )
     for row, prior in zip(np.flatnonzero(rolling).tolist(), priors, strict=True):
-        ranges = np.stack([prior.mean, prior.std, prior.lower, prior.upper], axis=1).tolist()
+        bounds = [prior.mean, prior.std, prior.lower, prior.upper]
+        ranges = np.stack(bounds, axis=1).tolist()
         unknowns += [
             Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.FREE)
             for axis, known in zip("xyz", ranges, strict=True)
@@ -302,6 +307,28 @@ class _Seen:
     rolling_row: int
     track: SphereTrack
     between: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """Where G guesses have the spheres of K rolling runs."""
+
+    x: np.ndarray  # [m], (G, K, T, 3)
+    dx: (
+        np.ndarray
+    )  # by the F unknowns, or by the P parameters of the simulator, (G, K, T, 3, F or P)
+    dp: np.ndarray | None  # of those by the unknowns, (G, R, P, F); None: `dx` is by the unknowns
+
+    def slopes(self, guess: int, seen: _Seen, last: int) -> np.ndarray:
+        """By the unknowns, (last, 3, F).
+
+        Args:
+            guess: Its number.
+            seen: Whose run it is.
+            last: How many samples.
+        """
+        slopes = self.dx[guess, seen.rolling_row, :last]
+        return slopes if self.dp is None else slopes @ self.dp[guess, seen.row]
 
 
 def _between(known_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
@@ -459,33 +486,37 @@ class ContainerProblem(Problem):
         cost, gradient, matrix = super().linearise(internal, counts)
         if not self._seen:
             return cost, gradient, matrix
-        guesses, size = internal.shape
-        width = len(self.simulator.parameters)
-        direct = size <= width
-        x, dx = self.simulator.special.last_path(size if direct else width)
-        x = x.reshape(guesses, -1, *x.shape[1:])  # (G, K, T, 3)
-        dx = dx.reshape(guesses, -1, *dx.shape[1:])  # (G, K, T, 3, size or width)
-        _, dp = self.kernel_parameters(self.coordinates.physical(internal))
-        dp = dp.reshape(guesses, len(self.runs), width, size)
+        paths = self._last_paths(internal)
         slope = self.coordinates.slope(internal)
-        simulable = np.flatnonzero(np.isfinite(cost))
+        simulable = np.flatnonzero(np.isfinite(cost)).tolist()
         for seen in self._seen:
-            run = self.runs[seen.row]
             # of a window that grows only what has been passed counts
-            last = run.used if counts is None else int(counts[seen.row])
+            last = self.runs[seen.row].used if counts is None else int(counts[seen.row])
             between, places = self._passed(seen, last)
             for guess in simulable:
-                slopes = dx[guess, seen.rolling_row, :last]
-                if not direct:
-                    slopes = slopes @ dp[guess, seen.row]
-                simulated = x[guess, seen.rolling_row, :last].reshape(last, 3)
-                by = np.einsum("ck,kif->cif", between, slopes) * slope[guess]
+                simulated = paths.x[guess, seen.rolling_row, :last].reshape(last, 3)
                 residual = (between @ simulated - places).ravel() / seen.track.std
-                by = by.reshape(-1, size) / seen.track.std
+                slopes = paths.slopes(guess, seen, last)
+                by = np.einsum("ck,kif->cif", between, slopes) * slope[guess]
+                by = by.reshape(-1, internal.shape[1]) / seen.track.std
                 cost[guess] += 0.5 * float(residual @ residual)
                 gradient[guess] += by.T @ residual
                 matrix[guess] += by.T @ by
         return cost, gradient, matrix
+
+    def _last_paths(self, internal: np.ndarray) -> _Paths:
+        """Of the spheres in what was simulated last, at the solver's coordinates (G, F)."""
+        guesses, size = internal.shape
+        width = len(self.simulator.parameters)
+        direct = size <= width
+        x, dx = self.simulator.special.last_path(size if direct else width)
+        dp = None
+        if not direct:
+            _, dp = self.kernel_parameters(self.coordinates.physical(internal))
+            dp = dp.reshape(guesses, len(self.runs), width, size)
+        return _Paths(
+            x.reshape(guesses, -1, *x.shape[1:]), dx.reshape(guesses, -1, *dx.shape[1:]), dp
+        )
 
     def _passed(self, seen: _Seen, last: int) -> tuple[np.ndarray, np.ndarray]:
         """What takes the first samples of a run to the instants of a track up to there, (C, last), and the places seen, (C, 3)."""

@@ -195,8 +195,10 @@ def _carried_over(fit: FitResult, problem: ContainerProblem) -> np.ndarray:
         _distinct(fit)
     ]
     values = np.tile(problem.base, (len(ends), 1))
-    to = [row for row, unknown in enumerate(problem.unknowns) if unknown.key in fit.problem.index]
-    values[:, to] = ends[:, [fit.problem.index[problem.unknowns[row].key] for row in to]]
+    there = fit.problem.index
+    for row, unknown in enumerate(problem.unknowns):
+        if unknown.key in there:
+            values[:, row] = ends[:, there[unknown.key]]
     return values
 
 
@@ -223,10 +225,8 @@ def _distinct(fit: FitResult) -> list[int]:
     for end in np.argsort(fit.solution.cost):
         if not np.isfinite(fit.solution.cost[end]) or len(kept) == MOST_ENDS:
             break
-        if all(
-            abs(masses[end] - masses[other]) > max(DISTINCT * abs(masses[other]), 1e-4)
-            for other in kept
-        ):
+        others = masses[kept]
+        if np.all(np.abs(masses[end] - others) > np.maximum(DISTINCT * np.abs(others), 1e-4)):
             kept.append(int(end))
     return kept or [fit.solution.best]
 

@@ -57,7 +57,8 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
         )
 
     guessed = not {"payload.com", "payload.com_std"} & set(settings.left)
-    com, com_std = (np.array(take(f"payload.{key}", defaults[key])) for key in ("com", "com_std"))
+    com = np.array(take("payload.com", defaults["com"]))
+    com_std = np.array(take("payload.com_std", defaults["com_std"]))
     name = take("payload.shape", None)
     size = settings.take("payload.size", None)
     per_mass = take("payload.inertia_per_mass", None)
@@ -103,7 +104,9 @@ def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:
 def settings_of(shell: PayloadFacts) -> dict[str, object]:
     """What is stated of a load, as settings of the payload probe."""
     per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
-    six = per_mass[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+    rows = [0, 1, 2, 0, 0, 1]
+    columns = [0, 1, 2, 1, 2, 2]
+    six = per_mass[rows, columns].tolist()
     return {"payload.com": shell.com.tolist(), "payload.inertia_per_mass": six}
 
 

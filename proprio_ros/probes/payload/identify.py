@@ -129,8 +129,8 @@ def weigh(
     left_out = list[str]()
     first = _weigh(robot, kept, facts, options, baseline)
     last = first
-    one = len({run.name.rpartition("#")[0] or run.name for run in runs}) == 1
-    while one and last.spoilt is not None:
+    recordings = {run.name.rpartition("#")[0] or run.name for run in runs}
+    while len(recordings) == 1 and last.spoilt is not None:
         if len(left_out) + 1 > gates.LEFT_OUT_AT_MOST * len(runs):
             break
         left_out.append(last.spoilt.name)
@@ -181,7 +181,8 @@ def _usable(
     recorded: list[Run] = []
     still: list[PreparedRun] = []
     weighing = 0
-    for run, load in [*((run, None) for run in runs), *((run, KnownLoad()) for run in baseline)]:
+    for number, run in enumerate((*runs, *baseline)):
+        load = None if number < len(runs) else KnownLoad()
         prepared = prepare_run(robot, run, load, facts)
         if gates.admitted(robot, prepared, found):
             usable.append(prepared)
@@ -266,7 +267,8 @@ def _spoilt(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run | None
         if isinstance(unknown.scope, int)
     ]
     rows += [row for pull, row in sorted(own, reverse=True) if pull > FAR]
-    return next((usable.recorded[row] for row in rows if usable.runs[row].load is None), None)
+    weighing = [row for row in rows if usable.runs[row].load is None]
+    return usable.recorded[weighing[0]] if weighing else None
 
 
 def _weigh_swings(
@@ -517,13 +519,15 @@ class Weighed(Conclusion):
         if not self.swings and not self.fit.explains and self.cause:
             yield self.misfit_of()
         constants = [run.drive.torque_constant for run in self.runs]
-        if self.swings or self.known or all(each.std < MEASURED * each.value for each in constants):
+        measured = all(each.std < MEASURED * each.value for each in constants)
+        if self.swings or self.known or measured:
             return
         # nothing but the file says what it is, and one run seldom does
         for words, fit in self._without(Mistake("half", 2.0), Mistake("twice", 0.5)):
             other = fit.value_of(self.name)
             mass = self.assessed.value
-            if fit.chi2 < self.fit.chi2 + AS_WELL and abs(other - mass) > Z95 * self.assessed.std:
+            elsewhere = abs(other - mass) > Z95 * self.assessed.std
+            if elsewhere and fit.chi2 < self.fit.chi2 + AS_WELL:
                 several = "more than one mass explains the recording"
                 said = f"{1e3 * mass:.1f} g, or {1e3 * other:.1f} g if the torque constant of {', '.join(joints_of(self.runs))} is"
                 cure = f"{words} what the robot file says, which nothing here tells: calibrate the robot"
@@ -641,7 +645,8 @@ class Weighed(Conclusion):
         options = self.options
         place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
         if np.isfinite(self.fit.chi2) and not any(facts.com_std):
-            off = 0.01 * float(np.linalg.norm(self.assessed.posterior.follows(self.name, COM)))
+            per_m = self.assessed.posterior.follows(self.name, COM)
+            off = 0.01 * float(np.linalg.norm(per_m))
             changes = f"; 1 cm elsewhere changes the mass by up to {shown('kg', off, spec='.2g')}"
         else:
             changes = ""
@@ -719,6 +724,6 @@ def _static_std(problem: Problem, runs: Sequence[PreparedRun]) -> float:
 
 def scan_masses(mass: float) -> np.ndarray:
     """Masses worth looking at around a value: three orders of magnitude, and a fine stretch about it [kg], shape (M,)."""
-    return np.unique(
-        np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)])
-    )
+    everywhere = np.geomspace(1e-3, 0.5, 60)
+    about = max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)
+    return np.unique(np.concatenate([everywhere, about]))

@@ -122,7 +122,7 @@ def motion_answer(
         budget=tuple(sorted(budget, key=lambda part: -part[1])),
         detail=detail,
         assumptions=assumptions,
-        notes=(*(note for motion in (*motions, *beside) for note in motion.notes), *notes),
+        notes=(*chain.from_iterable(motion.notes for motion in (*motions, *beside)), *notes),
     )
 
 
@@ -656,7 +656,7 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     seen = stds < SEEN_SHARE * fit.payload_prior[4:]
     moments = [0, 3, 5]
     seen[moments] &= fit.quantile * stds[moments] < USEFUL_SHARE * value[moments]
-    for product, (one, other) in {1: (0, 3), 2: (0, 5), 4: (3, 5)}.items():
+    for product, one, other in ((1, 0, 3), (2, 0, 5), (4, 3, 5)):
         seen[product] &= seen[one] or seen[other]
     names = [
         name

@@ -204,9 +204,8 @@ def _awry(fit: OneJointFit, expected_moment: np.ndarray) -> tuple[float, float]:
 
 def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Refusal]:
     """Why nothing at all is said."""
-    rest = float(
-        np.hypot(fit.residual, np.sqrt(max(fit.driven**2 - fit.load**2 - fit.residual**2, 0.0)))
-    )
+    friction_squared = fit.driven**2 - fit.load**2 - fit.residual**2
+    rest = float(np.hypot(fit.residual, np.sqrt(max(friction_squared, 0.0))))
     unexplained = fit.residual / max(fit.driven, 1e-12)
     percent = f"{100.0 * unexplained:.0f} %"
     if fit.one_sign and unexplained > MAGNITUDE_SHARE:

@@ -107,11 +107,8 @@ def identify_as_paper(
     best = float(extended.internal[extended.best, 0])
     whole = loss.whole.all_values(np.array([[best]]))[0]
     fits, rms, expected = run_fits(loss.whole, whole, [loss.prepared])
-    fit = Fit(
-        rms,
-        expected,
-        float(np.mean(((fits[0].simulated - fits[0].measured) / fits[0].sigma) ** 2)),
-    )
+    whitened = (fits[0].simulated - fits[0].measured) / fits[0].sigma
+    fit = Fit(rms, expected, float(np.mean(whitened**2)))
     masses = scan_masses(best)
     mass = Value(
         "payload_mass",

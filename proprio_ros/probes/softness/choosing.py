@@ -70,9 +70,8 @@ class SqueezesUntilSure(Chooser):
         self._first = sequence.runs[0]
         self._farthest_m = max(run.max_travel for run in sequence.runs)
         stated = [run.max_current_A for run in sequence.runs if run.max_current_A is not None]
-        self._limit_A = min(
-            [robot.motors[self._first.joint].current_limit_A, *([max(stated)] if stated else [])]
-        )
+        motor = robot.motors[self._first.joint]
+        self._limit_A = min(motor.current_limit_A, max(stated, default=np.inf))
         self._usable: list[PreparedRun] = []
         self._heard = 0
         self._fit: FitResult | None = None

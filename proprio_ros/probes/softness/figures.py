@@ -50,7 +50,8 @@ def _seen_faces(shape: BlockShape) -> tuple[np.ndarray, np.ndarray]:
     from matplotlib.colors import to_rgb
 
     faces = shape.points[shape.triangles]
-    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    one, other, third = np.moveaxis(faces, 1, 0)  # corners, (F, 3) each
+    normal = np.cross(other - one, third - one)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     front = normal @ VIEW < 0.0
     faces = faces[front]
