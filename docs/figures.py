@@ -123,165 +123,137 @@ def filled(text: str) -> str:
     return BLOCK.sub(block, text)
 
 
-# --- the summary --------------------------------------------------------------------------------------------------------
+# --- what the first pages show ------------------------------------------------------------------------------------------
 
 
 def _all(held: int, of: int) -> str:
     return f"all {of}" if held == of else f"{held} of {of}"
 
 
-def _span(values: list[float], digits: int = 2) -> str:
+def _span(values: Sequence[float], digits: int = 2) -> str:
     sizes = sorted(map(abs, values))
     return f"{sizes[0]:.{digits}f} to {sizes[-1]:.{digits}f}"
 
 
 def _two(table: str, **where: Any) -> list[dict[str, Any]]:
-    return [
-        numbers("simulated", table, level=level, **where)
-        for level in ("realistic_s00", "realistic_s01")
-    ]
+    """The same row of both realistic robots."""
+    levels = ("realistic_s00", "realistic_s01")
+    return [numbers("simulated", table, level=level, **where) for level in levels]
 
 
-def _real(*asked: str) -> list[dict[str, Any]]:
-    return [numbers("real", "real", asked=row) for row in asked]
+def _sum(rows: Sequence[Mapping[str, Any]], key: str) -> int:
+    return sum(row[key] for row in rows)
 
 
-def _together(
-    rows: list[dict[str, Any]],
-    digits: int = 1,
-) -> tuple[str, str, int, int]:
-    """Largest error and half intervals [%] of several rows, how many hold, and how many were answered."""
-    errors = [each for row in rows for each in row["errors"]]
-    halves = [each for row in rows for each in row["half_intervals"]]
-    worst = f"worst {max(map(abs, errors)):.{digits}f} %"
+def _every(rows: Sequence[Mapping[str, Any]], *keys: str) -> list[float]:
+    """Numbers of all rows, of lists each of them."""
+    found: list[float] = []
+    for row in rows:
+        for key in keys:
+            found += row[key] if isinstance(row[key], list) else [row[key]]
+    return found
+
+
+def pushes() -> Row:
+    """Fixed objects, by the two realistic robots."""
+    rows = _two("weighing", known="calibrated on its empty runs")
+    asked = _sum(rows, "asked")
+    answered = _sum(rows, "answered")
+    one, other = (row["rms"] for row in rows)
     return (
-        worst,
-        f"{_span(halves, digits)} % half wide",
-        sum(row["hold"] for row in rows),
-        sum(row["given"] for row in rows),
+        "mass of 10 to 50 g, calibrated on 16 empty runs (two simulated robots)",
+        f"rms {one:.2f} and {other:.2f} g",
+        f"{_all(_sum(rows, 'hold'), answered)}; {asked - answered} of {asked} refused",
     )
 
 
-def _simulated() -> list[Row]:
-    found = []
-    for words, known in (
-        (
-            "mass of 10 to 50 g, calibrated on 16 empty runs (two simulated robots)",
-            "calibrated on its empty runs",
-        ),
-        ("the same, and three runs with a 100 g reference", "and on three with 100 g"),
-    ):
-        one, two = _two("weighing", known=known)
-        answered = one["answered"] + two["answered"]
-        asked = one["asked"] + two["asked"]
-        holds = (
-            f"{_all(one['hold'] + two['hold'], answered)}; {asked - answered} of {asked} refused"
-        )
-        found.append((words, f"rms {one['rms']:.2f} and {two['rms']:.2f} g", holds))
-    many = numbers(
-        "coverage", "coverage", robots=kept("coverage")["tables"]["coverage"]["rows"][0]["robots"]
+def coverage() -> Row:
+    """Random robots with all effects."""
+    every = kept("coverage")["tables"]["coverage"]["rows"][0]
+    robots, _, _ = every["robots"].partition(",")
+    return (
+        f"mass of 10 to 100 g, {robots} random robots, {every['answered']} answers of {every['asked']}",
+        f"rms {every['rms']:.2f} g, median {every['median']:.2f} g",
+        f"{every['hold']:.1f} ± {every['margin']:.1f} %",
     )
-    found.append((
-        f"mass of 10 to 100 g, {many['robots'].partition(',')[0]} random robots, {many['answered']} answers of {many['asked']}",
-        f"rms {many['rms']:.2f} g, median {many['median']:.2f} g", f"{many['hold']:.1f} ± {many['margin']:.1f} %",
-    ))  # fmt: skip
-    boxes = _two("container")
-    found.append((
+
+
+def boxes() -> Row:
+    """Spheres in a closed box, three recordings together."""
+    rows = _two("container")
+    return (
         "sphere in a closed box, three recordings together (two robots)",
-        f"{_span([error for row in boxes for error in row['together_errors']])} g",
-        _all(sum(row["together_hold"] for row in boxes), sum(row["together_answered"] for row in boxes),)
-    ))  # fmt: skip
-    blocks = _two("blocks")
-    halves = [row[key] for row in blocks for key in ("half_from", "half_to")]
-    found.append((
-        "Young's modulus of a soft block, one squeeze (two robots)", f"{_span([e for row in blocks for e in row['errors']], 1)} %",
-        f"{_all(sum(row['hold'] for row in blocks), sum(row['answered'] for row in blocks))}; {_span(halves, 0)} % half wide",
-    ))  # fmt: skip
-    rows = kept("squeezes")["tables"]["squeezes"]["rows"]
-    found.append((
-        f"the same, three squeezes by {rows[0]['asked']} random grippers", f"rms {_span([r['rms'] for r in rows], 1)} %",
-        f"{sum(row['hold'] for row in rows)} of {sum(row['answered'] for row in rows)}",
-    ))  # fmt: skip
-    inside = numbers("contents", "contents", kind="all")
-    refused = inside["recordings"] - inside["answered"]
-    found.append((
-        f"what is in an upright container, {inside['recordings']} recordings: liquids and grains of particles, rigid things",
-        f"mass: rms {inside['rms']:.1f} g; rigid or moving {inside['said']} times, right {inside['right']}",
-        f"{_all(inside['hold'], inside['answered'])}; {refused} refused",
-    ))  # fmt: skip
-    arms = numbers("so101", "so101", held="all")
-    found.append((
+        f"{_span(_every(rows, 'together_errors'))} g",
+        _all(_sum(rows, "together_hold"), _sum(rows, "together_answered")),
+    )
+
+
+def blocks() -> Row:
+    """Soft blocks, one squeeze each."""
+    rows = _two("blocks")
+    halves = _span(_every(rows, "half_from", "half_to"), 0)
+    return (
+        "Young's modulus of a soft block, one squeeze (two robots)",
+        f"{_span(_every(rows, 'errors'), 1)} %",
+        f"{_all(_sum(rows, 'hold'), _sum(rows, 'answered'))}; {halves} % half wide",
+    )
+
+
+def inside_containers() -> Row:
+    """What an upright container holds."""
+    every = numbers("contents", "contents", kind="all")
+    count = every["recordings"]
+    return (
+        f"what is in an upright container, {count} recordings: liquids and grains of particles, rigid things",
+        f"mass: rms {every['rms']:.1f} g; rigid or moving {every['said']} times, right {every['right']}",
+        f"{_all(every['hold'], every['answered'])}; {count - every['answered']} refused",
+    )
+
+
+def goals_alone() -> Row:
+    """Arms of servos that report no current."""
+    every = numbers("so101", "so101", held="all")
+    return (
         "ten simulated SO-101 that record goals and positions alone, 30 Hz; nothing to 200 g",
-        f"rms {arms['rms']:.1f} g, worst {arms['worst']:.1f} g",
-        f"{_all(arms['hold'], arms['answered'])}; {arms['asked'] - arms['answered']} refused",
-    ))  # fmt: skip
-    return found
+        f"rms {every['rms']:.1f} g, worst {every['worst']:.1f} g",
+        f"{_all(every['hold'], every['answered'])}; {every['asked'] - every['answered']} refused",
+    )
 
 
-def _recorded() -> list[Row]:
-    found = []
-    for words, asked in (
-        (
-            "a real UR10e in motion, 2.805 kg, against each of three empty recordings",
-            ("UR10e, 2.805 kg, `--baseline`",),
-        ),
-        ("15 s of it, against each", ("the same, 15 s",)),
-        (
-            "a real servo that lets go of a pendulum, calibrated on two or three other loads of 0.5 to 1.2 kg",
-            ("STS3215 let go, 2 loads known", "STS3215 let go, 3 loads known"),
-        ),
-        (
-            "real hobby servos that no current drives (XL330, STS3215), by others with known loads",
-            tuple(
-                f"{name} driven, {known} known"
-                for name, other in (("XL330", "gain"), ("STS3215", "load"))
-                for known in (f"motions under another {other}", "other motions", "all others")
-            ),
-        ),
-    ):
-        rows = _real(*asked)
-        worst, halves, held, given = _together(rows)
-        questions = sum(row["questions"] for row in rows)
-        refused = f"; {questions - given} of {questions} refused" if given < questions else ""
-        found.append((words, worst, f"{_all(held, given)}; {halves}{refused}"))
+def real_arm() -> Row:
+    """A real arm in motion."""
+    row = numbers("real", "real", asked="UR10e, 2.805 kg, `--baseline`")
+    worst = max(map(abs, row["errors"]))
+    return (
+        "a real UR10e in motion, 2.805 kg, against each of three empty recordings",
+        f"worst {worst:.1f} %",
+        f"{_all(row['hold'], row['given'])}; {_span(row['half_intervals'], 1)} % half wide",
+    )
+
+
+def real_machines() -> Row:
+    """All questions to recordings of other people's machines."""
     every = numbers("real", "real", asked="all")
-    found.append((
-        f"{every['questions']} questions to recordings of five real machines", f"{every['given']} answered, the rest refused",
+    return (
+        f"{every['questions']} questions to recordings of five real machines",
+        f"{every['given']} answered, the rest refused",
         f"{every['hold']} of {every['given']}, the farthest {every['farthest']:.1f} sd off",
-    ))  # fmt: skip
-    return found
+    )
 
 
-def _rows() -> list[Row]:
-    return [*_simulated(), *_recorded()]
-
-
-IN_README = (
-    "random robots",
-    "closed box",
-    "one squeeze",
-    "SO-101",
-    "UR10e in motion",
-    "five real machines",
-)
-"""Words of the rows that README has."""
+IN_README = (coverage, boxes, blocks, goals_alone, real_arm, real_machines)
+"""What README's table has."""
 
 
 def readme() -> str:
     """README's table."""
-    chosen = [row for row in _rows() if any(words in row[0] for words in IN_README)]
-    return table_of(("what", "error", "the 95 % interval holds"), chosen)
+    rows = [measured() for measured in IN_README]
+    return table_of(("what", "error", "the 95 % interval holds"), rows)
 
 
-def _row_of(words: str) -> Row:
-    """The one row of `_rows` in which these words stand."""
-    (found,) = [row for row in _rows() if words in row[0]]
-    return found
-
-
-def _of_a_row(question: str, words: str, page: str) -> Question:
-    """A question that one row of `_rows` answers."""
-    measured, error, holds = _row_of(words)
+def _question(question: str, row: Row, page: str) -> Question:
+    """A question that a row answers."""
+    measured, error, holds = row
     return question, measured, f"{error}; the interval holds: {holds}", page
 
 
@@ -359,30 +331,25 @@ def _of_nodes_and_users() -> list[Question]:
     ]
 
 
+def _of_what_is_weighed() -> list[Question]:
+    """Questions about pushes, motions, and what a hand may grasp."""
+    return [
+        _question("How well does one push weigh?", pushes(), "pushes"),
+        _question("Do the intervals hold?", coverage(), "intervals"),
+        _question("How well does an arm weigh from any motion?", real_arm(), "several_joints"),
+        _question(
+            "What does it answer to other people's recordings?", real_machines(), "real_machines"
+        ),
+        _question("How well do servos weigh that report no torque?", goals_alone(), "servos"),
+        _question("How well is a sphere in a closed box weighed?", boxes(), "box"),
+        _question("What is in an upright container?", inside_containers(), "upright_container"),
+        _question("How well is Young's modulus identified?", blocks(), "blocks"),
+    ]
+
+
 def questions() -> list[Question]:
     """The rows of the validation page, a page behind each."""
-    pushes, intervals, box, blocks, inside, arms, motion, real = (
-        _of_a_row(*asked)
-        for asked in (
-            ("How well does one push weigh?", "16 empty runs", "pushes"),
-            ("Do the intervals hold?", "random robots", "intervals"),
-            ("How well is a sphere in a closed box weighed?", "closed box", "box"),
-            ("How well is Young's modulus identified?", "one squeeze", "blocks"),
-            ("What is in an upright container?", "upright container", "upright_container"),
-            ("How well do servos weigh that report no torque?", "simulated SO-101", "servos"),
-            ("How well does an arm weigh from any motion?", "UR10e in motion", "several_joints"),
-            (
-                "What does it answer to other people's recordings?",
-                "five real machines",
-                "real_machines",
-            ),
-        )
-    )
-    until, ageing, apart, work = _of_random_robots()
-    return [
-        pushes, intervals, motion, apart, real, arms, box, inside, blocks, until, ageing, work,
-        *_of_nodes_and_users(),
-    ]  # fmt: skip
+    return [*_of_what_is_weighed(), *_of_random_robots(), *_of_nodes_and_users()]
 
 
 def summary() -> str:
