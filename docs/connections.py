@@ -117,8 +117,9 @@ class Reader:
     ) -> None:
         self.node = node
         topics = importlib.import_module("proprio_ros.recordings.topics")
-        itself = SimpleNamespace(values=values, conventions=topics.OUR_DRIVER)
-        self.scope = {**known, "self": itself, "node": SimpleNamespace(values=values)}
+        its_node = SimpleNamespace(values=values)
+        itself = SimpleNamespace(values=values, conventions=topics.OUR_DRIVER, _node=its_node)
+        self.scope = {**known, "self": itself, "node": its_node}
         (body,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
         assert isinstance(body, ast.FunctionDef)
         self.body = body

@@ -44,7 +44,10 @@ PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
     "identifier": (
         ("results:Results.__init__", {}),
         ("carrying:Carrying.__init__", {}),
-        ("inputs:Inputs.open", {}),
+        ("inputs:Inputs._listen_to_arm", {}),
+        ("inputs:Inputs._listen_to_voltage_driven", {}),
+        ("inputs:Inputs._listen_to_driver", {}),
+        ("inputs:Inputs._listen_to_inputs_of_others", {}),
         ("excitation_client:Excitation.__init__", {}),
     ),
     "excitation": (

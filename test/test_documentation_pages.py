@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("mkdocs", reason="needs the extra docs")
 
 from support.browser import DARK, Look, brightness
-from support.pages import PAGES, REPOSITORY
+from support.documents import PAGES, REPOSITORY
 
 pytestmark = pytest.mark.long
 Seen = dict[str, Any]
