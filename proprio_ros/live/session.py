@@ -161,8 +161,8 @@ class Session:
             if problem:
                 problem = f"the recording is in {folder}, because of this: {problem}"
             return self.bag, problem
-        cure = "free some room; it is kept in memory meanwhile"
-        raise RecordingError(f"the recording can be written nowhere ({problem}): {cure}")
+        remedy = "free some room; it is kept in memory meanwhile"
+        raise RecordingError(f"the recording can be written nowhere ({problem}): {remedy}")
 
     def discard(self) -> None:
         """Take away what was written as it came, and the folder where nothing else is in it."""
@@ -180,8 +180,8 @@ class Session:
 def unwritable(folder: Path, error: Exception) -> RecordingError:
     """Why nothing is begun."""
     reason = getattr(error, "strerror", None) or str(error)
-    cure = "free some room, or name another folder with --data-directory"
-    return RecordingError(f"{folder} cannot be written ({reason}): {cure}")
+    remedy = "free some room, or name another folder with --data-directory"
+    return RecordingError(f"{folder} cannot be written ({reason}): {remedy}")
 
 
 def read_journal(path: Path) -> list[RawMessage]:
@@ -371,9 +371,9 @@ def check_input(
     if not set(recording.joints.names) & set(robot.drive_trains):
         recorded = ", ".join(recording.joints.names)
         known = ", ".join(robot.drive_trains)
-        cure = "name the robot with --robot, or their topic with --state-topic"
+        remedy = "name the robot with --robot, or their topic with --state-topic"
         raise RecordingError(
-            f"the joint states are of {recorded}, and {robot.name} has {known}: {cure}"
+            f"the joint states are of {recorded}, and {robot.name} has {known}: {remedy}"
         )
     return recording.notes + about_motors
 

@@ -110,8 +110,8 @@ class Workspace:
         used = self._driven(self.calibration)
         if known < used:
             lost = f"the new one does not know what a current does to {', '.join(sorted(used - known))}"
-            cure = "name the new one in the parameter calibration to take it all the same"
-            return f"{self.calibration} stays in use, since {lost}: {cure}"
+            remedy = "name the new one in the parameter calibration to take it all the same"
+            return f"{self.calibration} stays in use, since {lost}: {remedy}"
         self.calibration = path
         _point(self.newest_calibration, path)
         return ""
@@ -148,8 +148,8 @@ class Workspace:
         if path.exists():
             return path.resolve()
         if stated:
-            cure = "there is no such recording; name a bag, or leave it empty"
-            raise ConfigurationError(f"{probe.name}_baseline {path}: {cure}")
+            remedy = "there is no such recording; name a bag, or leave it empty"
+            raise ConfigurationError(f"{probe.name}_baseline {path}: {remedy}")
         return None
 
     def keep_baseline(self, probe: Probe[Any], bag: Path) -> None:

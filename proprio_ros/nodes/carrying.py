@@ -133,6 +133,6 @@ class Carrying:
         level = "ok" if found.can and not late else "warning"
         entries = {"where": where, **capability_entries(found, load)}
         entries["stamp"] = 1e-9 * self._results.held_ns
-        said = "; ".join(filter(None, (words, late)))
+        sentence = "; ".join(filter(None, (words, late)))
         self._standing = True
-        self._capability.publish(messages.status(level, "capability", said, entries))
+        self._capability.publish(messages.status(level, "capability", sentence, entries))

@@ -70,7 +70,7 @@ class DriverNode(ManagedNode):
         self._ended = clock.event()
         self._hold_at_end = False
         self._told = ""
-        self._told_motors: Motors = {}
+        self._published_motors: Motors = {}
 
     @property
     def pause_s(self) -> float:
@@ -108,7 +108,7 @@ class DriverNode(ManagedNode):
         self._told_limp: bool | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self._told_motors = {}  # a new publisher has told nobody
+        self._published_motors = {}  # a new publisher has said nothing yet
         self._motors = self.create_publisher(DiagnosticStatus, "motors", LATCHED)
         self._temperatures = self.create_publisher(Float64MultiArray, TEMPERATURES, LATCHED)
         self._senders = {"current_command": Senders(), "position_command": Senders()}
@@ -312,8 +312,8 @@ class DriverNode(ManagedNode):
         statuses = self._statuses(driver)
         self._status.publish(statuses[0])
         motors = driver.bus.motors
-        if motors != self._told_motors:
-            self._told_motors = motors
+        if motors != self._published_motors:
+            self._published_motors = motors
             values = {joint: motor.as_text() for joint, motor in motors.items()}
             name = f"{self.diagnosed}: motors"
             self._motors.publish(
@@ -349,7 +349,7 @@ class DriverNode(ManagedNode):
         level = (
             "ok" if running else "warning" if driver.state is not BusState.DISCONNECTED else "error"
         )
-        told: list[tuple[str, str, str, dict[str, Any]]] = [
+        entries: list[tuple[str, str, str, dict[str, Any]]] = [
             (level, "servo bus", self._named(reason), values)
         ]
         modes = driver.modes
@@ -362,12 +362,12 @@ class DriverNode(ManagedNode):
                 "temperature [C]": health.temperature_C,
                 "voltage [V]": health.voltage_V,
             }
-            told.append((level, name, words, values))
+            entries.append((level, name, words, values))
         named = self.diagnosed
         where = self._hardware_id
         return [
             messages.status(level, f"{named}: {of}", words, about, where)
-            for level, of, words, about in told
+            for level, of, words, about in entries
         ]
 
 

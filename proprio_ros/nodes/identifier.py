@@ -246,26 +246,26 @@ class IdentifierNode(ManagedNode):
 
     def _on_description(self, described: LiveDescription, message: String) -> None:
         """The robot, where its description is a topic; the first that can be used counts."""
-        severity, said = described.hear(message.data)
+        severity, sentence = described.hear(message.data)
         if described.path is not None and not self._prepared:
             self.workspace.robot = str(described.path)
             try:
                 self._prepare()
             except ProprioError as error:
-                severity, said = described.refuse(as_parameters(str(error)))
+                severity, sentence = described.refuse(as_parameters(str(error)))
             else:
-                self.say(severity, said)
+                self.say(severity, sentence)
                 if self.active:
                     self._start()
                 return
         if described.problem:
             self.results.withdraw()
-        if said:
-            self.say(severity, said)
+        if sentence:
+            self.say(severity, sentence)
             job = self._job
             level = "ok" if severity == "info" else "warning"
             doing = job.kind if job is not None else "idle" if self._prepared else "starting"
-            self.results.tell(doing, said, level=level)
+            self.results.tell(doing, sentence, level=level)
 
     def _missing(self) -> str:
         """Why nothing can be done for want of a robot, or an empty string."""

@@ -365,11 +365,13 @@ class Inputs:
         if not self._motors or not self._node.count_publishers(self._motors_topic):
             return []
         now_ns = self._node.get_clock().now().nanoseconds
-        told = [RawMessage(self._motors_topic, _type_of(DiagnosticStatus), now_ns, self._motors)]
+        published = [
+            RawMessage(self._motors_topic, _type_of(DiagnosticStatus), now_ns, self._motors)
+        ]
         if self._temperatures and self._node.count_publishers(self._temperatures_topic):
             kind = _type_of(Float64MultiArray)
-            told.append(RawMessage(self._temperatures_topic, kind, now_ns, self._temperatures))
-        return told
+            published.append(RawMessage(self._temperatures_topic, kind, now_ns, self._temperatures))
+        return published
 
     @property
     def has_states(self) -> bool:

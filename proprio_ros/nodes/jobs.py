@@ -352,10 +352,10 @@ class Jobs:
             )
         if job.cancelled.is_set():
             raise JobError("cancelled")
-        said = (
+        sentence = (
             f"pushes with an empty hand: {len(runs)}; a weighing of 30 g was as sure as +-{worth}"
         )
-        self._results.tell_and_log(job.kind, said)
+        self._results.tell_and_log(job.kind, sentence)
         # after them the arm stays where it is
         chosen = as_text(
             replace(
@@ -377,8 +377,10 @@ class Jobs:
             estimate = refresh_from_bags(bag, options, output, tell, force=True)
         except ProprioError as error:
             raise JobError(f"{error}; recording: {bag}") from error
-        said = f"calibration brought up to date by {len(estimate.run_fits)} of {estimate.runs} runs"
-        return self._calibrated(estimate, output, bag, (bag,), said)
+        sentence = (
+            f"calibration brought up to date by {len(estimate.run_fits)} of {estimate.runs} runs"
+        )
+        return self._calibrated(estimate, output, bag, (bag,), sentence)
 
     def _calibrated(
         self,
@@ -386,7 +388,7 @@ class Jobs:
         output: Path,
         bag: Path,
         sources: Sequence[str | Path],
-        said: str,
+        sentence: str,
     ) -> tuple[bool, str]:
         """A calibration is published, and takes the place of the one in use where it was accepted."""
         self._results.calibration(estimate, str(output))
@@ -402,7 +404,7 @@ class Jobs:
         if not (stays := self._workspace.keep_calibration(output)):
             self._weighing.prepare()
             self._weighing.begin()
-        return True, f"{said}; calibration: {output}" + f"; {stays}" * bool(stays)
+        return True, f"{sentence}; calibration: {output}" + f"; {stays}" * bool(stays)
 
     def _chosen(
         self,
@@ -533,8 +535,8 @@ class Jobs:
         inputs.swings = False
         if inputs.live is not None:
             inputs.live.reset()
-        for told in inputs.published_motors():
-            session.add(*told)
+        for message in inputs.published_motors():
+            session.add(*message)
         inputs.session = session
         failure = ""
         try:

@@ -69,13 +69,13 @@ class LastWords:
             [],
             START_S,
         )
-        said = self._process.stdout.readline() if ready else b""
-        if not said:
+        answer = self._process.stdout.readline() if ready else b""
+        if not answer:
             self._process.kill()
             words = "the process that holds the arm if this one is killed does not start: see its words above"
             raise ConfigurationError(words)
         os.set_blocking(self._process.stdin.fileno(), False)
-        self._publisher = said.decode().split()[1:]
+        self._publisher = answer.decode().split()[1:]
         self._told_s = -1e9
         self._heard = False
         select.select(

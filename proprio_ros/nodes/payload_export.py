@@ -96,16 +96,16 @@ class HandingOn:
         tool = f", with the tool {load.mass_kg:.4g} kg" if self._tool[0] else ""
         centre = ", ".join(f"{axis:.4f}" for axis in load.com_m)
         guess = ", a guess: state payload.com" if load.com_guessed else ""
-        said = f"{standing.words}{tool}, centre of mass ({centre}) m in {link}{guess}"
+        about = f"{standing.words}{tool}, centre of mass ({centre}) m in {link}{guess}"
 
         def answered(response: Any, why: str) -> None:
             if why:
                 answer(False, f"{why}; {NOT_KNOWN}")
             elif refusal := self._controller.refusal(response):
-                answer(False, f"{service} refused {said}: {refusal}")
+                answer(False, f"{service} refused {about}: {refusal}")
             else:
-                self._node.say("info", f"handed on to {service}: {said}")
-                answer(True, f"handed on to {service}: {said}")
+                self._node.say("info", f"handed on to {service}: {about}")
+                answer(True, f"handed on to {service}: {about}")
 
         def found(there: bool) -> None:
             if there:

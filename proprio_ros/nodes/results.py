@@ -211,9 +211,9 @@ class Results:
         """
         entries = {**as_diagnostics(estimate), "final": True, "calibration": self._calibration}
         value = estimate.values[0]
-        told = estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
+        known = estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
         if (
-            told
+            known
             and name == probe_at_work().name
             and isinstance(value.value, float)
             and isinstance(value.std, float)

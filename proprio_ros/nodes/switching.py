@@ -104,8 +104,8 @@ class Switching:
         def answered(response: Any, why: str) -> None:
             self.pending = False
             if response is not None:
-                said = getattr(response, "message", "") or "its log says why"
-                why = "" if response.ok else f"{self.controllers.service} refused: {said}"
+                reason = getattr(response, "message", "") or "its log says why"
+                why = "" if response.ok else f"{self.controllers.service} refused: {reason}"
                 self.engaged = engage != bool(why)
             then(why)
 

@@ -203,11 +203,13 @@ class VirtualNode(ManagedNode):
             driver.advance(now_s)
             with self._commands.handle:
                 while (
-                    told := self._commands.handle.take_message(Float64MultiArray, False)
+                    taken := self._commands.handle.take_message(Float64MultiArray, False)
                 ) is not None:
-                    if not driver.command(now_s, told[0].data) and not warned:
+                    if not driver.command(now_s, taken[0].data) and not warned:
                         warned = True
-                        self.say("warning", f"a command of {len(told[0].data)} numbers was ignored")
+                        self.say(
+                            "warning", f"a command of {len(taken[0].data)} numbers was ignored"
+                        )
             message.header.stamp = messages.time_message(stamp_ns)
             # arrays are taken as they are; lists are looked through, number by number
             message.position, message.velocity, message.effort = (
